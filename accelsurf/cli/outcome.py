@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
 from accelsurf.io.headers import UNIT_KEY
+from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.wording import place_text, size_text, volume_text
 
 if TYPE_CHECKING:
@@ -120,6 +121,8 @@ def summary_lines(
     shaped = [output for output in outputs if "largest_distance_mm" in output]
     if result.has_ids or {"surface", "contour"} & {output["kind"] for output in outputs}:
         lines.append(_measures(result))
+    if result.config.flow == AUTO:
+        lines.append(f"  flow: {result.resolved_settings['flow_why']}")
     lines += [f"  {line}" for line in _judgement(result)]
     if shaped:
         furthest = max(shaped, key=lambda output: float(output["largest_distance_mm"]))

@@ -12,6 +12,7 @@ from accelsurf.grid.boxes import Box, Corner, corner_of, counted_from
 from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.run.result import Result, SegmentedObject
 from accelsurf.run.start import AROUND
+from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -46,6 +47,8 @@ def frozen_settings(result: Result) -> RunConfig:
     contrasts = [term["contrast"] for term in result.objects[0].terms if isinstance(term.get("contrast"), float)]
     if settings.edge_contrast == "auto" and contrasts:
         settings = settings.replace(edge_contrast=contrasts[0])
+    if settings.flow == AUTO:
+        settings = settings.replace(flow=result.resolved_settings["flow"])
     return settings.replace(refine=())
 
 

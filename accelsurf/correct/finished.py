@@ -24,6 +24,7 @@ from accelsurf.run.region_of_interest import closed_on, cropped
 from accelsurf.run.result import Result, RunState, SegmentedObject, plateaus_of
 from accelsurf.run.run import AROUND, Run
 from accelsurf.run.setup import half_width, stop_rule
+from accelsurf.settings.flow_specs import AUTO
 
 #: Called with each record and the id of its object; a true value ends the run or the correction.
 OnObjectStep = Callable[[StepRecord, int], bool | None]
@@ -131,12 +132,14 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
 
 def _resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
     """Return the values that a run on a number of levels used for settings that depend on image and grid."""
-    config, prepared = run.config, run.prepared
+    config, prepared = run.flow_choice.applied(run.config), run.prepared
     diffusion = config.diffusion
     if diffusion == "auto":
         diffusion = "free" if config.flow in ("constant-density", "flowable-mass") else 0.0
     rule = stop_rule(config, levels)
     return {
+        "flow": config.flow,
+        "flow_why": run.flow_choice.why if run.config.flow == AUTO else f"{config.flow}, as it was given",
         "presmooth_mm": prepared.filters.sigma,
         "closing_mm": prepared.filters.closing,
         "scale": [{"at_0": low, "at_1": low + width} for low, width in prepared.context.scales],

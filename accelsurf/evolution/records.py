@@ -29,8 +29,8 @@ class StepRecord(NamedTuple):
     potential, kinetic, mass_potential, weight : float
         U, the paper's T, U_mass, and the factor w of the potentials, at time t: E = U + U_mass + T/w never rises.
     friction_work, smoothing_work, noise_work : float
-        Taken from E so far by friction; by diffusion, the limiter, restarts, changes of level and edits; added to E by
-        noise: E + friction_work + smoothing_work - noise_work is constant.
+        Taken from E so far by friction, or by the motion of a descent; by diffusion, the limiter, restarts, changes of
+        level and edits; added to E by noise: E + friction_work + smoothing_work - noise_work is constant.
     mass, mass_correction : float
         Mass of the surface, and the fraction of it that the flow has added so far to conserve it.
     clamped_fraction : float

@@ -47,9 +47,14 @@ class EnergyBudget:
     last_dt: float = 0.0
 
     def record_loss(self, energy: float) -> None:
-        """A restart has taken the kinetic energy (as T/w)."""
-        self.smoothing += energy - 0.5 * (self.last.smoothing - self.last.noise)
-        self.last = self.last._replace(friction=0.0, smoothing=0.0, noise=0.0)
+        """A restart has taken the kinetic energy (as T/w), that of the velocity half a step before.
+
+        Of the last kick the second half was not counted yet, nor friction since the record before.
+        """
+        last = self.last
+        self.friction += 0.5 * self.last_dt * last.friction
+        self.smoothing += energy + 0.5 * (last.smoothing - last.noise)
+        self.last = last._replace(friction=0.0, smoothing=0.0, noise=0.0)
 
     def record_jump(self, energy: float) -> None:
         """E became less by ``energy`` at once: another grid, other settings, or another surface."""
@@ -58,7 +63,8 @@ class EnergyBudget:
     def record_step(self, now: EnergyRates, dt: float) -> dict[str, Any]:
         """The columns of a record that begins with ``now`` and lasts ``dt``."""
         last = self.last
-        self.friction += 0.5 * self.last_dt * (last.friction + now.friction)
+        at_its_end = now.friction if now.friction_before is None else now.friction_before
+        self.friction += 0.5 * self.last_dt * (last.friction + at_its_end)
         self.smoothing += 0.5 * (last.smoothing + now.smoothing)
         self.noise += 0.5 * (last.noise + now.noise)
         self.last, self.last_dt = now, dt

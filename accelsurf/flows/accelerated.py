@@ -130,11 +130,15 @@ class Accelerated(Flow):
         # T at the time of the record, which is half a step from both velocities: that of their mean. Their product is
         # below 0 where the velocity reverses. At rest ``before`` is the velocity at that time itself.
         between = before if self.clock.at_rest else mean
-        kinetic = self._kinetic(area, between, between)
+        kinetic, friction = self._kinetic(area, between, between), 0.0
+        if not self.clock.at_rest:
+            # The kick damps the speeds that diffusion left, which may be far below those before.
+            gamma = self.clock.gamma
+            friction = gamma * self._kinetic(area, smoothed + kicked, mean) + (self.clock.loss - 2.0 * gamma) * kinetic
         return EnergyRates(
             kinetic=kinetic,
             weight=w,
-            friction=self.clock.loss * kinetic / w,
+            friction=friction / w,
             smoothing=-work(before, smoothed) - work(noisy, after),
             noise=work(kicked, noisy),
         )

@@ -86,8 +86,8 @@ class ConstantDensity(Accelerated):
                 diffuse(surface, front, self.beta, diffusion * dm)
                 smoothed = self.beta.copy()
         kick = np.float32(impulse / self.rho) * np.asarray(now.force, np.float32)
-        bend = 0.0 if clock.at_rest else dm
-        surface.workers.parallel(motion.kick, surface.size, self.beta, kick, now.curvature, front, (damping, bend))
+        rates = damping, 0.0 if clock.at_rest else dm
+        surface.workers.parallel(motion.kick, surface.size, self.beta, kick, now.curvature, front, rates)
         # Copies: the speeds are clipped in place.
         kicked = noisy = self.beta.copy()
         noise = self._noise_now(now, dm, 1)
@@ -96,6 +96,13 @@ class ConstantDensity(Accelerated):
             noisy = self.beta.copy()
         clipped = clip_speed(self.beta, voxel_rates(surface, front, self.beta), dt, limits.cfl)
         energy_rates = self._energy_rates(now.area, (before, smoothed, kicked, noisy, self.beta))
+        if diffusion > 0:
+            # The surface came here by the speed before diffusion, the transport term has the one after: its work is
+            # less than what the change of the area took, and diffusion has taken so much less.
+            bend = np.float32(0.5 * dm) * np.where(front, now.curvature, np.float32(0.0))
+            missing = bend * kicked * (before - smoothed)
+            share = self._kinetic(now.area, missing, before) + self._kinetic(now.area, missing, self.beta)
+            energy_rates = energy_rates._replace(smoothing=energy_rates.smoothing + share / clock.weight())
         energy_rates = energy_rates._replace(mass=self.rho * float(now.area.sum()))
         front_speed = percentile(self.beta, limits.percentile, front)
         surface.extend_outwards(self.beta, front)

@@ -10,6 +10,7 @@ import numpy as np
 
 from accelsurf.flows.diffusion import diffuse, free_diffusion, largest_diffusion
 from accelsurf.flows.protocol import (
+    EnergyRates,
     Flow,
     StepInput,
     StepLimits,
@@ -112,15 +113,31 @@ def stable_dt(now: StepInput, cfl_dt: float) -> float:
 
 
 def descent_plan(
-    now: StepInput, speed: np.ndarray, dt: float, limits: StepLimits, cfl_dt: float, diffusion: float = 0.0
+    now: StepInput,
+    last: np.ndarray,
+    speed: np.ndarray,
+    dt: float,
+    limits: StepLimits,
+    cfl_dt: float,
+    diffusion: float = 0.0,
 ) -> StepPlan:
-    """Return the step of a descent: ``speed`` (n,) at the front, clipped and extended (in place)."""
-    rates = voxel_rates(now.surface, now.front, speed)
-    clipped = clip_speed(speed, rates, dt, limits.cfl)
+    """Return the step of a descent: ``speed`` (n,) at the front, clipped and extended (in place).
+
+    All that the force works is lost: ``last`` (n,) are the speeds of the step before.
+    """
+    clipped = clip_speed(speed, voxel_rates(now.surface, now.front, speed), dt, limits.cfl)
     front_speed = percentile(speed, limits.percentile, now.front)
     now.surface.extend_outwards(speed, now.front)
     share = clipped / max(1, int(now.front.sum()))
-    return StepPlan(dt, speed, None, front_speed, share, diffusion, cfl_dt=min(cfl_dt, limits.dt_max))
+    rates = EnergyRates(friction=_work(now, speed), friction_before=_work(now, last))
+    return StepPlan(dt, speed, None, front_speed, share, diffusion, rates, min(cfl_dt, limits.dt_max))
+
+
+def _work(now: StepInput, speed: np.ndarray) -> float:
+    """Work of the force per unit of time on a surface with a ``speed`` (n,): int f beta dA."""
+    force = np.where(now.front, now.force, 0.0).astype(np.float32)
+    sums = now.surface.workers.block_sums(statistics.products, force.size, 1, now.area, force, speed)
+    return float(sums[0])
 
 
 class Gradient(Descent):
@@ -157,7 +174,7 @@ class Gradient(Descent):
             # The polynomial of one step is below 0 for some fine waves, which a force of that sign would raise.
             for _ in range(2):
                 diffuse(surface, front, speed, 0.5 * diffusion * dt)
-        return self.remember(descent_plan(now, speed, dt, limits, cfl_dt, diffusion))
+        return self.remember(descent_plan(now, self._last, speed, dt, limits, cfl_dt, diffusion))
 
 
 class HeavyBall(Descent):
@@ -199,8 +216,9 @@ class HeavyBall(Descent):
         if not math.isfinite(dt):
             return StepPlan.none(now.surface)
         speed = np.float32(1.0 - self.blend) * force + np.float32(self.blend / dt) * self._last
-        move = descent_plan(now, speed, dt, limits, cfl_dt)
-        self._last = move.speed * np.float32(dt)
+        last = self._last / np.float32(self._last_dt or dt)
+        move = descent_plan(now, last, speed, dt, limits, cfl_dt)
+        self._last, self._last_dt = move.speed * np.float32(dt), dt
         return move
 
 
@@ -233,7 +251,7 @@ class Sobolev(Descent):
         dt = self.resting_dt(now, speed, min(cfl_dt, limits.dt_max))
         if not math.isfinite(dt):
             return StepPlan.none(surface)
-        return self.remember(descent_plan(now, speed, dt, limits, cfl_dt))
+        return self.remember(descent_plan(now, self._last, speed, dt, limits, cfl_dt))
 
 
 def h1_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.ndarray) -> np.ndarray:

@@ -46,13 +46,15 @@ class EnergyRates(NamedTuple):
 
     ``kinetic`` is the paper's T, ``weight`` the factor w of the potential in T + w U; the others are in the units
     of U: ``friction`` is lost per unit of flow time; this step takes ``smoothing`` (diffusion, limiter) and adds
-    ``noise``.
+    ``noise``. ``friction_before`` is what the step before lost per unit of time at its end, where that is not
+    ``friction``: a descent loses what its force works, and its speeds change from step to step.
     """
 
     kinetic: float = 0.0
     weight: float = 1.0
     mass_potential: float = 0.0
     friction: float = 0.0
+    friction_before: float | None = None
     smoothing: float = 0.0
     noise: float = 0.0
     mass: float = 0.0

@@ -60,7 +60,7 @@ def write_labelmap(result: Result, table: LabelTable, path: Path) -> None:
 
 def _write(result: Result, table: LabelTable, path: Path, as_labelmap: bool) -> None:
     source = source_of(result)
-    parameters = {"energy": result.config.energy, "flow": result.config.flow}
+    parameters = {"energy": result.config.energy, "flow": result.resolved_settings["flow"]}
     seed = seed_of("labelmap" if as_labelmap else "segmentation", result, table, source)
     content = segmentation_bytes(
         _labels_of(result), result.geometry, source, [table[segmented.id] for segmented in objects_of(result)],

@@ -132,9 +132,10 @@ def describe_config(
 def describe_result(result: Result | None) -> dict[str, Any]:
     """Return the part of the report that comes from the evolution: stop, levels, energy and measures of the surface.
 
-    ``resolved_settings`` has the values used for settings that depend on image and grid: ``presmooth_mm``; ``scale``,
-    the values of each channel that became 0 and 1; ``step_voxels`` and ``limiter_percentile``; ``diffusion``, a rate or
-    free; ``stop``: motion of less than so many voxels in so many steps; ``half_width_voxels`` of the band; ``levels``.
+    ``resolved_settings`` has the values used for settings that depend on image and grid: ``flow`` and why;
+    ``presmooth_mm``; ``scale``, the values of each channel that became 0 and 1; ``step_voxels`` and
+    ``limiter_percentile``; ``diffusion``, a rate or free; ``stop``: motion of less than so many voxels in so many
+    steps; ``half_width_voxels`` of the band; ``levels``.
 
     Parameters
     ----------

@@ -210,7 +210,7 @@ def outcome_title(name: str, result: Result) -> str:
         size = size_text(result.enclosed_mm2, unit, 2, digits=4)
     else:
         size = volume_text(result.volume_mm3) if unit == "mm" else size_text(result.volume_mm3, unit, 3, digits=4)
-    return f"{name}: {size}, {result.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}"
+    return f"{name}: {size}, {result.resolved_settings['flow']} flow, {result.stop.steps} steps, {result.stop.reason}"
 
 
 def preview_content(result: Result, title: str) -> PreviewContent:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 
 from accelsurf.errors import UsageError
-from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.flow_specs import spec_of
 
 #: Bytes of a process that has loaded the packages of a run, and of a run by its values: with clicks, and without.
 PROCESS_BYTES, _CLICKS_BYTES, PLAIN_BYTES = 450 << 20, 60, 36
@@ -56,7 +56,7 @@ def values_within(bytes: int, clicks: bool, flow: str = "constant-density") -> i
 
 
 def _value_bytes(clicks: bool, flow: str) -> int:
-    return (_CLICKS_BYTES if clicks else PLAIN_BYTES) + FLOWS[flow].voxel_bytes
+    return (_CLICKS_BYTES if clicks else PLAIN_BYTES) + spec_of(flow).voxel_bytes
 
 
 def bytes_text(size: int) -> str:

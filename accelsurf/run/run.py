@@ -25,6 +25,7 @@ from accelsurf.run.image_context import ImageContext
 from accelsurf.run.setup import (
     EnergyLike,
     ObjectsLike,
+    choose_flow,
     choose_levels,
     energy_key,
     energy_maker,
@@ -84,6 +85,8 @@ class Run:
         Image and mask, on the grid of the region of interest.
     objects : tuple of EvolvingObject
         In order of their ids; without what competes for the id 0, "no object".
+    flow_choice : FlowChoice
+        The flow where the settings leave it open.
     window : Window or None
         What part of a larger grid the volume is.
     level : int
@@ -123,6 +126,7 @@ class Run:
         beyond = None if part is None else part.open_window
         grids = choose_levels(config, self.geometry, None if self.has_ids else starts[0].psi, named, beyond)
         self._levels = len(grids)
+        self.flow_choice = choose_flow(config, self.prepared, starts, grids[-1], named)
         self._inputs = LevelInputs(self.prepared.images, distance, grids)
         is_given = self.prepared.other_labels is not None
         self.level_warnings = [] if is_given else thin_start_warnings(starts, self.geometry, self.has_ids)
@@ -140,9 +144,10 @@ class Run:
                 evolving.evolution.end_as_given("its surface is that of the label map")
         else:
             self.level_warnings += start_checks(self._all, starts, self.prepared, self.has_ids)
+        moved = self.flow_choice.applied(config)
         self.level_warnings += [
-            f"{key} was given, but has no effect on flow {config.flow} with energy {self.energy_name}"
-            for key in config.unused()
+            f"{key} was given, but has no effect on flow {moved.flow} with energy {self.energy_name}"
+            for key in moved.unused()
         ]
         self.start_seconds = time.perf_counter() - began
         self.workers.seconds.clear()
@@ -160,6 +165,7 @@ class Run:
 
     def _solver(self, settings: RunConfig, place: int, context: ImageContext) -> ObjectSolver:
         """Return the solver of the object at a position in the run."""
+        settings = self.flow_choice.applied(settings)
         make_energy = energy_maker(self.energy_given, settings, self._levels, self.has_ids)
         return ObjectSolver(setup_of(settings, place, self._levels, self.geometry), make_energy, context)
 

@@ -11,11 +11,11 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from accelsurf.image.grey_window import AUTO, checked_window
+from accelsurf.settings import flow_specs
 from accelsurf.settings.corrections import Edits, Refinements
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, Slider, setting
 from accelsurf.settings.file_formats import label_formats, label_help
-from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.labels import checked_colors, checked_names
 from accelsurf.settings.mesh_formats import MESH_FORMATS, also_help, also_names, mesh_help
 from accelsurf.settings.presets import PRESETS
@@ -151,11 +151,12 @@ class SettingFields(BaseModel):
         "outside of it is in the object, and energies learn from what lies around it.",
         entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
     )
-    flow: Annotated[str, OneOf(lambda: FLOWS)] = setting(
-        "constant-density",
+    flow: Annotated[str, OneOf(lambda: (flow_specs.AUTO, *flow_specs.FLOWS))] = setting(
+        flow_specs.AUTO,
         "How the surface moves.",
         entry=SettingEntry(
-            RUN, metavar="NAME", choice=True, names=lambda: {name: flow.help for name, flow in FLOWS.items()}
+            RUN, metavar="NAME", choice=True,
+            names=flow_specs.flow_names,
         ),
     )
     objects: str | None = setting(

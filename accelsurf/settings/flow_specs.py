@@ -38,17 +38,19 @@ class FlowSpec:
     voxel_bytes: int = 0
 
 
-_MOMENTUM = ("k", "t0", "lam", "rho", "friction", "noise", "noise_length", "noise_time", "diffusion")
+#: The flow is chosen when the image is known, of the next two (`accelsurf.run.setup`).
+AUTO, MOMENTUM, DESCENT = "auto", "constant-density", "gradient"
+_WITH_MOMENTUM = ("k", "t0", "lam", "rho", "friction", "noise", "noise_length", "noise_time", "diffusion")
 _MAKERS = "accelsurf.run.makers"
 
 FLOWS: Registry[FlowSpec] = Registry(
     "flow",
-    FlowSpec("constant-density", "momentum, the default", f"{_MAKERS}:constant_density", _MOMENTUM),
+    FlowSpec(MOMENTUM, "momentum of a constant mass per area", f"{_MAKERS}:constant_density", _WITH_MOMENTUM),
     FlowSpec(
         "flowable-mass",
         "momentum with mass that flows along the surface",
         f"{_MAKERS}:flowable_mass",
-        (*_MOMENTUM, "gravity"),
+        (*_WITH_MOMENTUM, "gravity"),
         # The mass is transported along the surface by cubic interpolation, which needs a wider band.
         half_width=4,
     ),
@@ -61,7 +63,7 @@ FLOWS: Registry[FlowSpec] = Registry(
         half_width=4,
         voxel_bytes=64,
     ),
-    FlowSpec("gradient", "descent, the plain baseline", f"{_MAKERS}:gradient", ("diffusion",)),
+    FlowSpec(DESCENT, "descent, the plain baseline", f"{_MAKERS}:gradient", ("diffusion",)),
     FlowSpec("sobolev", "descent along the smoothed gradient", f"{_MAKERS}:sobolev", ("sobolev_length",)),
     FlowSpec(
         "momentum",
@@ -70,3 +72,14 @@ FLOWS: Registry[FlowSpec] = Registry(
         ("blend",),
     ),
 )
+
+
+def spec_of(name: str) -> FlowSpec:
+    """The entry of a flow; before `AUTO` is resolved, that of momentum, which needs all that descent does."""
+    return FLOWS[MOMENTUM if name == AUTO else name]
+
+
+def flow_names() -> dict[str, str]:
+    """The names that a run takes, with their meaning."""
+    meaning = "momentum or descent, by the noise of the image and the energy; the report says which and why"
+    return {AUTO: meaning} | {name: flow.help for name, flow in FLOWS.items()}

@@ -17,7 +17,7 @@ from accelsurf.settings.catalogue import default_of, entry, help_of, is_switch
 from accelsurf.settings.corrections import refuse_unknown
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.fields import SettingFields
-from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.flow_specs import spec_of
 from accelsurf.settings.presets import PRESETS
 
 #: Settings that a run which begins and ends with a label map does not take.
@@ -52,7 +52,7 @@ class RunConfig(SettingFields):
     --------
     >>> config = RunConfig(start="ball:0,0,0,20", smoothness=0.5)
     >>> config.start, config.flow, config.diffusion
-    (('ball:0,0,0,20',), 'constant-density', 'auto')
+    (('ball:0,0,0,20',), 'auto', 'auto')
     >>> RunConfig(cfl=3)
     Traceback (most recent call last):
     ...
@@ -147,7 +147,7 @@ class RunConfig(SettingFields):
         """
         match entry(key).scope:
             case "flow":
-                return key in FLOWS[self.flow].uses
+                return key in spec_of(self.flow).uses
             case "term":
                 return any(TERMS[t.name].is_used(key, t.settings) for t in energy_expression.parse(self.energy))
             case _:

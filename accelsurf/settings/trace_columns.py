@@ -50,7 +50,7 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
     TraceColumn("kinetic", "", "kinetic energy T of the paper; T/w is in mm3, as the potential"),
     TraceColumn("mass_potential", _ENERGY, "mass potential U_mass; 0 without gravity"),
     TraceColumn("weight", "", "factor w of the potentials: U + U_mass + T/w never rises; 1 for descent"),
-    TraceColumn("friction_work", _ENERGY, "energy that friction has taken so far"),
+    TraceColumn("friction_work", _ENERGY, "energy that friction has taken so far, or in a descent its motion"),
     TraceColumn(
         "smoothing_work",
         _ENERGY,

@@ -87,5 +87,5 @@ def test_bash_completes_commands_options_and_names(home):
     offered = [line.split() for line in done.stdout.splitlines()]
     assert offered[:3] == [["segment"], ["evaluate"], ["--preset", "--presmooth"]]
     assert {"--labels", "--pairs", "--tolerance", "--csv"} <= set(offered[3])
-    assert offered[4] == list(FLOWS) and offered[5] == ["geodesic"] and offered[6] == list(PRESETS)
+    assert offered[4] == ["auto", *FLOWS] and offered[5] == ["geodesic"] and offered[6] == list(PRESETS)
     assert offered[7] == []  # then bash offers names of files

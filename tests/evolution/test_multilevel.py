@@ -137,7 +137,7 @@ def test_the_same_bytes_for_any_number_of_threads(cube):
 
 
 def test_one_level_is_the_plain_evolution(cube):
-    result = segment(cube.image, levels=1, max_steps=30, **START)
+    result = segment(cube.image, levels=1, max_steps=30, flow="constant-density", **START)
     config, image = result.config, result.image
     surface = LevelSet(starts.build(config.start, cube.image), (1.0, 1.0, 1.0), half_width(config))
     plain = Evolution(

@@ -12,7 +12,7 @@ from accelsurf.energies import ChanVese, RegionField
 from accelsurf.evolution.convergence import Restart
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
-from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Noise, StepLimits
+from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, HeavyBall, Noise, Sobolev, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.support.follow import lattice
 from tests.support.shapes import spheroid
@@ -78,7 +78,7 @@ def test_the_energy_lost_is_accounted_for(name: str) -> None:
 def test_default_limiter_and_diffusion_are_accounted_for_at_a_sharp_edge(
     flow: ConstantDensity | FlowableMass, most: float
 ) -> None:
-    """Chan-Vese of one ellipsoid at 32^3, 100 steps: 3.0 % and 1.7 %; half the step does not help.
+    """Chan-Vese of one ellipsoid at 32^3, 100 steps; half the step does not help.
 
     Booked as the difference of the energies of single stages, which leaves out that the force works on the mean of the
     velocities before and after a kick, 5.0 % and 9.6 % were missing.
@@ -127,12 +127,37 @@ def unexplained(kind: str, n: int, seed: int, flow: Flow) -> float:
 
 #: Largest shares at 32 and 48 voxels, of seeds 1 and 2: the table of docs/explanation/theory.md.
 SHARES = {
-    ("constant density", 32): {"ball": 0.025, "box": 0.048, "torus": 0.127, "cross": 0.098, "L": 0.101},
-    ("constant density", 48): {"ball": 0.014, "box": 0.030, "torus": 0.078, "cross": 0.066, "L": 0.059},
-    ("flowable mass", 32): {"ball": 0.055, "box": 0.055, "torus": 0.098, "cross": 0.058, "L": 0.060},
-    ("flowable mass", 48): {"ball": 0.037, "box": 0.025, "torus": 0.100, "cross": 0.019, "L": 0.027},
+    ("constant density", 32): {"ball": 0.028, "box": 0.047, "torus": 0.022, "cross": 0.045, "L": 0.053},
+    ("constant density", 48): {"ball": 0.022, "box": 0.025, "torus": 0.009, "cross": 0.017, "L": 0.040},
+    ("flowable mass", 32): {"ball": 0.056, "box": 0.067, "torus": 0.083, "cross": 0.083, "L": 0.044},
+    ("flowable mass", 48): {"ball": 0.038, "box": 0.031, "torus": 0.088, "cross": 0.035, "L": 0.030},
+    ("descent", 32): {"ball": 0.010, "box": 0.044, "torus": 0.027, "cross": 0.044, "L": 0.041},
+    ("heavy ball", 32): {"ball": 0.014, "box": 0.051, "torus": 0.026, "cross": 0.072, "L": 0.068},
+    ("sobolev", 32): {"ball": 0.008, "box": 0.040, "torus": 0.021, "cross": 0.041, "L": 0.045},
 }
-MODELS = {"constant density": ConstantDensity, "flowable mass": FlowableMass}
+MODELS: dict[str, type[Flow]] = {
+    "constant density": ConstantDensity,
+    "flowable mass": FlowableMass,
+    "descent": Gradient,
+    "heavy ball": HeavyBall,
+    "sobolev": Sobolev,
+}
+
+
+def test_diffusion_that_takes_most_is_accounted_for() -> None:
+    """In the ring diffusion takes three quarters of what is lost.
+
+    With friction booked by the speeds before diffusion, and the transport term by those after it, 12.7 % were
+    missing.
+    """
+    assert unexplained("torus", 32, 1, ConstantDensity()) < 0.03
+
+
+@pytest.mark.parametrize("flow", [Gradient(), HeavyBall(), Sobolev()])
+def test_a_descent_loses_what_its_force_works(flow: Flow) -> None:
+    rows = run(flow, n=32, t_end=1.0)
+    assert residue(rows) < 0.01 and rows[-1].friction_work > 0.1
+    assert all((row.kinetic, row.weight, row.smoothing_work, row.mass) == (0.0, 1.0, 0.0, 0.0) for row in rows)
 
 
 @pytest.mark.slow
@@ -144,8 +169,7 @@ MODELS = {"constant density": ConstantDensity, "flowable mass": FlowableMass}
 def test_sharp_bodies_with_default_settings_are_accounted_for(model: str, n: int, seed: int) -> None:
     """The table of the documentation; ``pytest -s tests/flows/test_energy_budget.py -k sharp_bodies`` prints it.
 
-    The limiter is not the cause (without it the same is missing); without diffusion it is half and of the other sign:
-    diffusion works on speeds that differ from cell to cell where a front stops at an edge.
+    What is missing is the work of the force where it changes within a step: at the sharp edge itself.
     """
     found = {kind: unexplained(kind, n, seed, MODELS[model]()) for kind in SHARES[model, n]}
     print(f"\n{model}, {n}, seed {seed}:", {kind: f"{100 * share:.1f} %" for kind, share in found.items()})
@@ -160,7 +184,12 @@ def test_a_wrong_sign_is_not_accounted_for() -> None:
 def test_what_a_restart_takes_is_accounted_for() -> None:
     rows = run(ConstantDensity(diffusion=0.0), t_end=8.0, n=32, restart=Restart(1.0, 5))
     assert sum(row.restarted for row in rows) >= 1
-    assert residue(rows) < 0.03
+    assert residue(rows) < 0.015
+    # At the restart itself nothing is missing: with half of the last kick's losses taken off, .3 % were.
+    total = [row.potential + row.kinetic / row.weight + row.friction_work + row.smoothing_work for row in rows]
+    lost = rows[-1].friction_work + rows[-1].smoothing_work
+    for row in rows:
+        assert not row.restarted or abs(total[row.step] - total[row.step - 1]) < 0.001 * lost
     # Without what the restarts took it does not add up.
     bare = [row._replace(smoothing_work=0.0) for row in rows]
     assert residue(bare) > 2 * residue(rows)
@@ -170,11 +199,6 @@ def test_the_energy_never_rises_without_noise() -> None:
     rows = run(ConstantDensity(k=3.0), alpha=0.05, t_end=1.6)
     energy = np.array([row.potential + row.kinetic / row.weight for row in rows])
     assert np.diff(energy).max() < 1e-3 * np.ptp(energy)
-
-
-def test_descent_has_no_kinetic_energy_and_weight_one() -> None:
-    rows = run(Gradient(), n=32, t_end=1.0)
-    assert all((row.kinetic, row.weight, row.friction_work, row.mass) == (0.0, 1.0, 0.0, 0.0) for row in rows)
 
 
 def test_cost_is_counted_in_cells_visited() -> None:

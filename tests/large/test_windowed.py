@@ -254,7 +254,8 @@ def test_a_rest_and_its_place_are_those_of_the_whole_image(small_windows, levels
     way = (off < 4) & (x > 30) & (x < 55) & ~balls
     values = 100 * balls + (55 if levels == 1 else 90) * way + np.random.default_rng(2).normal(0, 5, balls.shape)
     image = Volume(values.astype(np.float32), Geometry(balls.shape, (1.0, 1.0, 1.0), (0.1, 0.3, 0.7)))
-    whole, part, _ = both(image, start="ball:30,36,40,3", energy="threshold:50,", smoothness=0.05, levels=levels)
+    settings = {"energy": "threshold:50,", "smoothness": 0.05, "flow": "constant-density"}
+    whole, part, _ = both(image, start="ball:30,36,40,3", levels=levels, **settings)
     assert part.window.corner != (0, 0, 0)
     assert_same(whole, part)
     (one,), (other,) = whole.objects, part.objects

@@ -223,7 +223,8 @@ def test_several_objects_go_back_and_on_bit_for_bit(pair, flow):
 
 
 SAVED = {
-    "momentum": {},
+    "auto": {},
+    "momentum": {"flow": "constant-density"},
     "flowable mass on levels": {"flow": "flowable-mass", "levels": 2},
     "noise": {"noise": 0.1, "seed": 4},
     "sobolev": {"flow": "sobolev"},

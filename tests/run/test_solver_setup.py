@@ -50,7 +50,8 @@ def test_every_flow_takes_every_energy(flow: str, energy: str, shape: tuple[int,
 
 
 def test_settings_reach_the_flow() -> None:
-    flow = make_flow(RunConfig(k=3, lam=2, rho=0.5, friction=0.7, diffusion=0.25, noise=0.1, noise_length=5, seed=9))
+    settings = {"lam": 2, "rho": 0.5, "friction": 0.7, "diffusion": 0.25, "noise": 0.1, "noise_length": 5, "seed": 9}
+    flow = make_flow(RunConfig(flow="constant-density", k=3, **settings))
     assert isinstance(flow, ConstantDensity) and flow.noise is not None
     assert (flow.clock.k, flow.clock.lambda_, flow.rho, flow.clock.friction, flow.diffusion) == (3, 2, 0.5, 0.7, 0.25)
     assert (flow.noise.strength, flow.noise.length, flow.noise.seed, flow.noise.until) == (0.1, 5, 9, None)

@@ -236,7 +236,8 @@ def test_another_flow_and_energy_on_the_way_and_back_again(flow, other):
 def test_the_account_goes_on_over_edits():
     edits = ["step=15 smoothness=0.3", "step=20 add=ball:26,15,16,4", "step=28 k=1.5 lam=2", "step=36 flow=gradient"]
     result = segment(
-        volume(), start="ball:17,15,16,6", levels=1, edit=edits, max_steps=40, diffusion=0, percentile=100
+        volume(), start="ball:17,15,16,6", levels=1, edit=edits, max_steps=40, diffusion=0, percentile=100,
+        flow="constant-density",
     )
     rows = [row for row in result.history if row.level == 0][:36]
     books = [
@@ -244,7 +245,9 @@ def test_the_account_goes_on_over_edits():
         for r in rows
     ]
     won = abs(rows[0].potential)
-    plain = segment(volume(), start="ball:17,15,16,6", levels=1, max_steps=40, diffusion=0, percentile=100)
+    plain = segment(
+        volume(), start="ball:17,15,16,6", levels=1, max_steps=40, diffusion=0, percentile=100, flow="constant-density"
+    )
     drift = max(
         abs(r.potential + r.kinetic / r.weight + r.friction_work + r.smoothing_work - plain.history[0].potential)
         for r in plain.history[:36]

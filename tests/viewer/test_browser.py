@@ -159,7 +159,7 @@ def test_the_token_is_never_taken_for_an_option(served):
 
 def test_who_has_the_token_is_answered(served):
     now = state(served)
-    assert now["step"] == 0 and {row["key"]: row["value"] for row in now["settings"]}["flow"] == "constant-density"
+    assert now["step"] == 0 and {row["key"]: row["value"] for row in now["settings"]}["flow"] == "auto"
     assert now["title"] == "ball.nii.gz"
     assert asked_step(served, "step", 1) == 1
     assert asked_step(served, "restart", 0) == 0

@@ -79,7 +79,7 @@ def test_run_pause_back_change_undo_save(handler, tmp_path):
     assert handler.session.status.settings.flow == "gradient"
     handler.request("undo")
     finish(handler)
-    assert handler.session.status.settings.flow == "constant-density"
+    assert handler.session.status.settings.flow == "auto"
     handler.request("save")
     finish(handler)
     assert handler.message == "" and {"ball_run.toml", "ball_seg.nii.gz"} <= set(handler.feature(FilesFeature).files)

@@ -270,7 +270,7 @@ def test_levels_are_one_unless_asked_for(tmp_path):
     with Session(image, RunConfig(start="ball:17,15,16,9")) as one:
         one.ready.result(60)
         assert one.status.settings.levels == 1
-    config = RunConfig(start="ball:17,15,16,9", levels=2)
+    config = RunConfig(start="ball:17,15,16,9", levels=2, flow="constant-density")
     with Session(image, config) as two:
         two.play().result(60)
         assert two.wait(120)

@@ -39,7 +39,7 @@ class SettingsFeature(Feature):
         now = (status.settings, status.terms)
         if self._shown is None or any(a is not b for a, b in zip(now, self._shown, strict=True)):
             self._shown = now
-            self._rows = settings_rows(status.settings, status.terms, self._finest, self._unit)
+            self._rows = settings_rows(status.settings, status.terms, self._finest, self._unit, status.flow_why)
         return {"settings": self._rows, "energy_error": self._energy_error}
 
     # -- changes ------------------------------------------------------------------------------------------

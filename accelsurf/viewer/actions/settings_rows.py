@@ -125,7 +125,11 @@ DEFAULTS: Row = {
 
 
 def settings_rows(
-    settings: RunConfig, terms: Sequence[Mapping[str, Any]], finest: float, of_file: str = "mm"
+    settings: RunConfig,
+    terms: Sequence[Mapping[str, Any]],
+    finest: float,
+    of_file: str = "mm",
+    flow_why: str = "",
 ) -> list[Row]:
     """Return a row for each setting that the viewer shows, in the order of the help; the common ones first.
 
@@ -139,6 +143,8 @@ def settings_rows(
         Smallest spacing of the image, mm: lengths of sliders are in voxels.
     of_file : str, optional
         Unit of lengths in the file, in which they are shown: mm, um or nm.
+    flow_why : str, optional
+        As `Status.flow_why`, which the help of the flow ends with.
 
     Returns
     -------
@@ -154,6 +160,8 @@ def settings_rows(
     for where in ("first", "more"):
         for key in viewer_settings("first" if where == "first" else "more"):
             rows.append(_setting_row(key, settings, finest, where == "first", of_file))
+            if key == "flow" and flow_why:
+                rows[-1]["help"] += f" Now {flow_why}."
             if key == "energy":
                 rows += _term_rows(settings.energy, terms)
     return rows

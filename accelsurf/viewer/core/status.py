@@ -76,6 +76,8 @@ class Status(NamedTuple):
         Of the energy of the first object, with every setting resolved, see `ResolvedEnergy`.
     answers : tuple of FirstAnswer
         To the first click, to choose from; found some time after it, none once something was corrected.
+    flow_why : str
+        Which flow the run has where the settings leave it open, and why; empty where they name one.
     """
 
     ready: bool
@@ -98,6 +100,7 @@ class Status(NamedTuple):
     uncertain: tuple[UncertainLocation, ...] = ()
     terms: Sequence[dict[str, Any]] = ()
     answers: tuple[FirstAnswer, ...] = ()
+    flow_why: str = ""
 
     @classmethod
     def preparing(cls, config: RunConfig, message: str, failed: bool) -> Status:

@@ -13,6 +13,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.run.checkpoint import RunCheckpoint
 from accelsurf.run.run import Run
 from accelsurf.settings.corrections import Correction
+from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with, in_words
@@ -201,6 +202,7 @@ class Timeline:
             rests=self._rests(),
             terms=self.run.objects[0].made.terms,
             answers=self.answers.offered(self.run, self.corrections.wanted),
+            flow_why=self.run.flow_choice.why if self.run.settings.flow == AUTO else "",
         )
 
     def _rests(self) -> tuple[int, ...]:
