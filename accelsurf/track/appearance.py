@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.grid.boxes import Box, Corner, box_at, widened
@@ -88,8 +87,7 @@ def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
     """
     geometry = image.geometry
     step = min(geometry.steps)
-    reach = [int(np.ceil(NEAR * step / h)) if n > 1 else 0 for h, n in zip(geometry.spacing, geometry.shape, strict=True)]
-    box = widened(surface.box, geometry.shape, reach)
+    box = widened(surface.box, geometry.shape, [int(np.ceil(NEAR * step / h)) for h in geometry.spacing])
     inside = np.zeros([side.stop - side.start for side in box], np.bool_)
     corner = [a - side.start for a, side in zip(surface.corner, box, strict=True)]
     inside[box_at((corner[0], corner[1], corner[2]), surface.psi.shape)] = surface.psi < 0
@@ -107,7 +105,7 @@ def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
     learned = Appearance(features.mean(axis=0), np.maximum(spread, 1e-6 * spread.max()), np.zeros(0), 0.0, 0.0)
     values = _with_products((features - learned.center) / learned.spread)
     sides = values[label], values[~label]
-    covariance = 0.5 * sum(np.cov(side.T) for side in sides)
+    covariance = 0.5 * (np.cov(sides[0].T) + np.cov(sides[1].T))
     covariance += RIDGE * float(np.trace(covariance)) / len(covariance) * np.eye(len(covariance))
     weights = np.linalg.solve(covariance, sides[0].mean(axis=0) - sides[1].mean(axis=0))
     offset = -0.5 * float(weights @ (sides[0].mean(axis=0) + sides[1].mean(axis=0)))

@@ -35,9 +35,9 @@ from accelsurf.track.records import BAND, Identities, SurfacePiece, TrackedObjec
 
 #: What is nearer to a tracked object than so many voxels is no object of its own.
 APART = 2
-#: A run on a frame counts if that on the given frame, from the given surface, leaves it by a mean square of no more than
-#: this, in voxels, in so many steps. That is the rounding of labels: of a surface half a voxel off, half of the voxels
-#: differ.
+#: A run on a frame counts if that on the given frame, from the given surface, leaves it by a mean square of no more
+#: than this, in voxels, in so many steps. That is the rounding of labels: of a surface half a voxel off, half of the
+#: voxels differ.
 ROUNDING, TRIED_STEPS = 0.5, 40
 #: Least variance, voxels squared, of a predicted surface, and of what an appearance finds.
 LEAST_PREDICTED, LEAST_FOUND = 0.05, 0.25

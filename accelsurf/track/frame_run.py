@@ -232,8 +232,8 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
 def settled(carried: Carried, appearance: Appearance, image: Volume, prior: float) -> SurfacePiece:
     """Run a surface in a frame, by an appearance, from the momentum that it has.
 
-    It loses its evidence, and -``prior`` times the distance from where it begins: U = int_inside (prior psi_0 - odds) dx
-    + alpha A, and the surface has constant density with a constant friction.
+    The energy is U = int_inside (prior psi_0 - odds) dx + alpha A, psi_0 where it begins. The surface has constant
+    density and a constant friction.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def settled(carried: Carried, appearance: Appearance, image: Volume, prior: floa
     image : Volume
         The frame.
     prior : float
-        1/mm.
+        Weight of the distance from where it begins, 1/mm.
     """
     boxed, speed = carried
     surface = boxed.surface
