@@ -135,7 +135,7 @@ class TrackFields(BaseModel):
     next_energy: Annotated[str, BeforeValidator(_energy_or_auto)] = setting(
         "auto",
         "Energy of the frames after the first; auto is that of the first. What it learns it learns anew in each frame, "
-        "from the inner half of the prediction.",
+        "from the inner half of the prediction. Where its run leaves given labels, the image near them is learned.",
         entry=SettingEntry(TRACK, metavar="EXPRESSION"),
     )
     max_gap: int = setting(

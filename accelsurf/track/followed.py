@@ -14,6 +14,7 @@ from scipy import ndimage
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure import surface_mesh
 from accelsurf.run.region_of_interest import cropped
+from accelsurf.track.appearance import Appearance
 from accelsurf.track.evidence import Profile
 from accelsurf.track.frame_run import Measured
 from accelsurf.track.image_motion import LIKE
@@ -82,14 +83,15 @@ class Trust(NamedTuple):
     """Facts of an object whose surface was given.
 
     ``profile`` across it; its connected ``parts``; its ``depth``, mm: twice volume over area, the thickness of a wall
-    or two thirds of the radius of a ball; ``run_variance``, mm2, of the surface that a run on that frame finds from it,
-    inf where runs are not believed.
+    or two thirds of the radius of a ball; ``is_run``, whether the energy of runs holds it in that frame; ``appearance``
+    near it where it does not, None where there is nothing to learn.
     """
 
     profile: Profile
     parts: int
     depth: float
-    run_variance: float
+    is_run: bool
+    appearance: Appearance | None
 
 
 @dataclass
@@ -173,8 +175,13 @@ class Followed:
 
     @property
     def is_run(self) -> bool:
-        """True if frames are run on: not if a run on the given frame has left the given surface."""
-        return self.trust is None or math.isfinite(self.trust.run_variance)
+        """True if frames are run on by the energy: not if a run on the given frame has left the given surface."""
+        return self.trust is None or self.trust.is_run
+
+    @property
+    def appearance(self) -> Appearance | None:
+        """Appearance by which it is found instead, if it is."""
+        return None if self.trust is None or self.trust.is_run else self.trust.appearance
 
     @property
     def goes_with_image(self) -> bool:
@@ -186,11 +193,20 @@ class Followed:
         """True if its place is less certain than the object is thick."""
         return self.trust is not None and not self.is_run and self.variance > self.trust.depth**2
 
-    def gain(self) -> float:
-        """Part of the way to the surface that a run finds which the surface goes (Kalman's gain)."""
-        if self.trust is None or self.variance == 0.0:
-            return 1.0
-        return self.variance / (self.variance + self.trust.run_variance)
+    def prior(self, least: float) -> float:
+        """Weight of the distance from the predicted surface, 1/mm, in a run by the appearance.
+
+        The potential of the evidence near the given surface has the slope s and found the surface with the variance R:
+        with s R/P the surface goes K = P/(P + R) of the way to where the evidence has it. P is at least ``least``, mm2.
+        """
+        assert self.appearance is not None
+        return self.appearance.slope * self.appearance.variance / max(self.variance, least)
+
+    def inherit(self, parent: Followed) -> None:
+        """Take over what is known of the object that this was a part of."""
+        if parent.trust is not None and not parent.trust.is_run:
+            self.trust = parent.trust._replace(parts=1, depth=2.0 * self.volume_mm3 / max(self.area_mm2, 1e-300))
+            self.variance, self.drift, self.likeness = parent.variance, parent.drift, parent.likeness
 
     def chance(self, now: Profile) -> float:
         """Chance that a surface that only moves is good: what is left of the structure across it, and its certainty."""
@@ -198,9 +214,10 @@ class Followed:
         left = min(1.0, max(0.0, now.strength(self.trust.profile)))
         return left * math.exp(-self.variance / max(self.trust.depth, 1e-6) ** 2)
 
-    def note_corrected(self, gain: float) -> None:
-        """Note that the surface has gone this part of the way."""
-        self.variance *= 1.0 - gain
+    def note_corrected(self) -> None:
+        """Note that the surface lies where the frame has it, as far as that tells."""
+        found = 0.0 if self.appearance is None else self.appearance.variance
+        self.variance *= found / max(self.variance + found, 1e-300)
 
     def note_missing(self) -> None:
         """Note that a frame does not show the object."""

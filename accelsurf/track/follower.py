@@ -23,10 +23,11 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.starts.objects import ObjectStart
 from accelsurf.track import evidence
+from accelsurf.track.appearance import appearance_of
 from accelsurf.track.boxed_surface import groups_of, separate_parts, touching
 from accelsurf.track.evidence import FACTOR, Profile, profile, volume_in_grid
 from accelsurf.track.followed import Followed, MeshCarrier, Trust, Whole, lies_on_border, restored
-from accelsurf.track.frame_run import NOTHING, Measured, following_settings, measure, measured_piece
+from accelsurf.track.frame_run import NOTHING, Measured, following_settings, measure, measured_piece, settled
 from accelsurf.track.image_motion import LIKE, image_motion
 from accelsurf.track.momentum import Gains, SurfaceMomentum, Triple
 from accelsurf.track.momentum_models import FlowableMomentum, make_momentum
@@ -34,12 +35,12 @@ from accelsurf.track.records import BAND, Identities, SurfacePiece, TrackedObjec
 
 #: What is nearer to a tracked object than so many voxels is no object of its own.
 APART = 2
-#: A run on a frame counts if that on the given frame, from the given surface, leaves it by no more than so many voxels
-#: (root mean square).
-TRUSTED = 1.0
-#: So much of that square, in voxels, is the rounding of labels: of a surface that is half a voxel off, half of the
+#: A run on a frame counts if that on the given frame, from the given surface, leaves it by a mean square of no more
+#: than this, in voxels, in so many steps. That is the rounding of labels: of a surface half a voxel off, half of the
 #: voxels differ.
-ROUNDING = 0.5
+ROUNDING, TRIED_STEPS = 0.5, 40
+#: Least variance, voxels squared, of a predicted surface, and of what an appearance finds.
+LEAST_PREDICTED, LEAST_FOUND = 0.05, 0.25
 #: Of an object that the border of the grid cuts at least so many voxels must be there.
 MIN_CUT = 8
 
@@ -115,14 +116,21 @@ class Follower:
         """Learn from a frame whose surfaces are given, and lie in it now, how far a run on a frame can be trusted."""
         given = {followed.id: followed.momentum.piece for followed in self.objects if followed.is_in_grid}
         starts = [ObjectStart(id, *piece) for id, piece in given.items()]
-        found = measure(arrival.channels, starts, self._run, self._energy) if starts else {}
-        most, trust = (TRUSTED * min(self._geometry.steps)) ** 2, {}
+        run = self._run.replace(max_steps=min(TRIED_STEPS, self._run.max_steps))
+        found = measure(arrival.channels, starts, run, self._energy) if starts else {}
+        unit, trust = min(self._geometry.steps) ** 2, {}
         for followed in [followed for followed in self.objects if followed.id in given]:
-            off = mean_square(given[followed.id], found[followed.id].surface, self._geometry)
-            parts = max(1, len(separate_parts(given[followed.id])))
+            piece = given[followed.id]
+            holds = mean_square(piece, found[followed.id].surface, self._geometry) <= ROUNDING * unit
+            appearance = None if holds else appearance_of(arrival.channels[0], piece)
+            if appearance is not None:
+                again = settled(followed.momentum.carried(0.0), appearance, arrival.channels[0], 0.0)
+                off = mean_square(piece, again, self._geometry)
+                lost = not math.isfinite(off)
+                appearance = None if lost else appearance._replace(variance=max(off, LEAST_FOUND * unit))
+            parts = max(1, len(separate_parts(piece)))
             depth = 2.0 * followed.volume_mm3 / max(followed.area_mm2, 1e-300)
-            variance = max(off - ROUNDING * min(self._geometry.steps) ** 2, 0.0) if off <= most else math.inf
-            trust[followed.id] = Trust(followed.profile, parts, depth, variance)
+            trust[followed.id] = Trust(followed.profile, parts, depth, holds, appearance)
             followed.note_given(trust[followed.id])
         return trust
 
@@ -208,7 +216,13 @@ class Follower:
         run, energy = self._run, self._energy
         taken = [predicted[id] for id in unrun]
         found = measure(arrival.channels, first, run, energy, arrival.refinements, taken) if first or not unrun else {}
-        found |= {id: measured_piece(predicted[id], self._geometry) for id in unrun}
+        for followed in [followed for followed in predictable if followed.id in unrun]:
+            piece = predicted[followed.id]
+            if followed.appearance is not None:
+                prior = followed.prior(LEAST_PREDICTED * min(self._geometry.steps) ** 2)
+                carried = followed.momentum.carried(arrival.duration)
+                piece = settled(carried, followed.appearance, arrival.channels[0], prior)
+            found[followed.id] = measured_piece(piece, self._geometry)
         if then:
             occupied = [measured.surface for measured in found.values() if measured.surface.psi.size]
             found |= measure(arrival.channels, then, run, energy, occupied=occupied)
@@ -224,8 +238,9 @@ class Follower:
             sure = bool(clicked & {None, followed.id})
             others = [other.surface for id, other in found.items() if id != followed.id]
             # Where what a run finds is not the object, the surface that goes with the image still may be.
-            candidates = [(found.get(followed.id, NOTHING), followed.is_run or sure)]
-            if followed.is_run and followed.goes_with_image and predicted[followed.id].has_inside:
+            corrects = sure or followed.is_run or followed.appearance is not None
+            candidates = [(found.get(followed.id, NOTHING), corrects)]
+            if corrects and followed.goes_with_image and predicted[followed.id].has_inside:
                 candidates.append((measured_piece(predicted[followed.id], self._geometry), False))
             for shown, is_run in candidates:
                 if not shown.surface.psi.size:
@@ -234,11 +249,9 @@ class Follower:
                 if not sure and not self._is_shown(followed, shown, now, predicted[followed.id], not is_run):
                     continue
                 if is_run:
-                    gain = 1.0 if sure else followed.gain()
-                    gains = Gains(gain * self._gains.psi, gain * self._gains.velocity)
-                    followed.momentum.correct(self._largest(shown).surface, duration, gains)
-                    followed.note_corrected(gain)
-                else:
+                    followed.momentum.correct(self._largest(shown).surface, duration, self._gains)
+                    followed.note_corrected()
+                if not sure and not followed.is_run:
                     shown = shown._replace(quality=followed.chance(now))
                 followed.note_seen(shown, now, arrival.time, self._geometry)
                 self._identities.see(followed.id, arrival.number)
@@ -291,7 +304,8 @@ class Follower:
             ids = []
             for momentum, piece in zip(followed.momentum.split(pieces), pieces, strict=True):
                 ids.append(self._identities.new_id())
-                self._put(ids[-1], momentum, measured_part(piece, momentum, found[followed.id].quality), arrival)
+                part = measured_part(piece, momentum, followed.quality)
+                self._put(ids[-1], momentum, part, arrival).inherit(followed)
             self._identities.divide(followed.id, ids, arrival.number, arrival.before)
 
     def _merge(self, arrival: Arrival) -> None:

@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 
 from accelsurf.correct.finished import result_of
 from accelsurf.correct.refiner import Refiner
+from accelsurf.energies import RegionField
+from accelsurf.evolution.convergence import StopRule
+from accelsurf.evolution.loop import Evolution
+from accelsurf.flows import ConstantDensity, StepLimits
 from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, overlap, placed_at, shared, widened
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
@@ -26,6 +30,8 @@ from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart, apart, core_of
+from accelsurf.track.appearance import Appearance
+from accelsurf.track.momentum import Carried
 from accelsurf.track.records import BAND, SurfacePiece
 
 #: Voxels of the image around all objects that a run on a frame sees: at least `MIN_AROUND`, and this part of the
@@ -33,6 +39,9 @@ from accelsurf.track.records import BAND, SurfacePiece
 MIN_AROUND, AROUND_PART = 12, 0.75
 #: A run is made again on more of the frame where a surface comes so near to the edge of what it saw.
 NEAR_EDGE = 3
+#: A run by an appearance: friction in the time between two frames, speed (voxels in that time) that a logarithm of odds
+#: of 1 gives in it, weight of the area in voxels, and steps at most.
+FRICTION, DRIVE, AREA, STEPS = 3.0, 20.0, 1.0, 60
 #: Least distance of a given voxel's centre from the surface, voxels.
 SIDE = 0.05
 #: Settings of a first frame that mean places or steps there, and how following frames have them instead.
@@ -220,6 +229,35 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
     return False
 
 
+def settled(carried: Carried, appearance: Appearance, image: Volume, prior: float) -> SurfacePiece:
+    """Run a surface in a frame, by an appearance, from the momentum that it has.
+
+    The energy is U = int_inside (prior psi_0 - odds) dx + alpha A, psi_0 where it begins. The surface has constant
+    density and a constant friction.
+
+    Parameters
+    ----------
+    carried : Carried
+        Moved in place.
+    appearance : Appearance
+    image : Volume
+        The frame.
+    prior : float
+        Weight of the distance from where it begins, 1/mm.
+    """
+    boxed, speed = carried
+    surface = boxed.surface
+    odds = appearance.evidence(image, boxed.corner, surface.shape)
+    field = np.ascontiguousarray(prior * surface.psi - odds, np.float32)
+    h = surface.smallest_spacing
+    flow = ConstantDensity(friction=FRICTION, lambda_=DRIVE * h)
+    flow.start_moving(surface, [speed])
+    rule = StopRule(window=4, motion=0.05, further=0.1, kinetic=1.0)
+    for _ in Evolution(surface, RegionField(field, AREA * h), flow, StepLimits(), STEPS, None, rule, fields=[speed]):
+        pass
+    return boxed.on_frame()
+
+
 def measured_start(start: ObjectStart, geometry: Geometry) -> Measured:
     """Measure an object whose voxels are given: nothing of it is in doubt."""
     surface = LevelSet(start.psi, geometry.spacing, BAND)
@@ -231,7 +269,9 @@ def measured_start(start: ObjectStart, geometry: Geometry) -> Measured:
 
 
 def measured_piece(piece: SurfacePiece, geometry: Geometry) -> Measured:
-    """Measure a surface that nothing was run on; as nothing tells how good it is, its chance is even."""
+    """Measure a surface; as nothing tells how good it is, its chance is even."""
+    if not piece.has_inside:
+        return NOTHING
     surface = LevelSet(piece.psi, geometry.spacing, BAND)
     fraction, area = surface.fraction_and_area()
     return Measured(piece.tight(), surface.volume(fraction), float(area.sum()), 0.5)

@@ -31,6 +31,13 @@ class Gains(NamedTuple):
     velocity: float = 1.0
 
 
+class Carried(NamedTuple):
+    """A surface, and its ``speed`` (n,) along N on the band, mm in the time between two frames."""
+
+    boxed: BoxedSurface
+    speed: NDArray[np.float32]
+
+
 class SurfaceMomentum(ABC):
     """A surface that coasts from frame to frame, and is corrected on each.
 
@@ -47,9 +54,12 @@ class SurfaceMomentum(ABC):
     ----------
     half_width : float
         Of the narrow band, voxels.
+    moves : bool
+        Whether it coasts at all.
     """
 
     half_width: ClassVar[float] = 4.0
+    moves: ClassVar[bool] = True
 
     def __init__(self, friction: float = 0.0, workers: Workers | None = None) -> None:
         self.friction, self.workers = float(friction), workers or Workers(1)
@@ -163,6 +173,13 @@ class SurfaceMomentum(ABC):
     def way(self, duration: float) -> Floats:
         """Way (3,) of the whole in a time as its momentum has it, mm along the grid's axes z, y, x."""
         return self._mean_velocity() * duration if self._boxed.surface.size else np.zeros(3)
+
+    def carried(self, duration: float) -> Carried:
+        """Copy the surface, with room to move, and the speed that its momentum has there, per ``duration``."""
+        boxed = self._boxed.widened(self.half_width)
+        velocity, _ = sample_fields(self._boxed, self._fields[:3], boxed.closest_points())
+        speed = (velocity * boxed.surface.normals()).sum(axis=1) * (duration if self.moves else 0.0)
+        return Carried(boxed, np.asarray(speed, np.float32))
 
     def volume(self) -> float:
         """Volume inside, mm3, to parts of a voxel."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,16 +212,7 @@ def _clipped(velocity: Floats, most: float) -> Floats:
 
 
 class LastDisplacement(SurfaceMomentum):
-    """Restart with the last displacement added: the surface moves rigidly as its centroid moved last. A baseline.
-
-    Attributes
-    ----------
-    moves : bool
-        Whether it coasts at all.
-    """
-
-    half_width = 4.0
-    moves: ClassVar[bool] = True
+    """Restart with the last displacement added: the surface moves rigidly as its centroid moved last. A baseline."""
 
     def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
         size = self._boxed.surface.size

@@ -27,6 +27,7 @@ from accelsurf.run.setup import EnergyLike, ObjectsLike, seeded, thread_count
 from accelsurf.settings import budgets
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.wording import shown
+from accelsurf.track.appearance import Appearance
 from accelsurf.track.evidence import Profile
 from accelsurf.track.first_frame import OnStep, first_objects, given_objects
 from accelsurf.track.followed import Trust
@@ -38,7 +39,7 @@ from accelsurf.track.records import FrameResult, Identities, Lineage, SurfacePie
 #: Voxels along each axis of the frames that warm up kernels, and the radius of the ball in them.
 WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
 #: Version of the state file; raised when its content changes.
-VERSION = 2
+VERSION = 3
 _BEGIN = "begin anew without --resume, with --overwrite"
 
 
@@ -432,7 +433,9 @@ class TrackState(NamedTuple):
     warnings: tuple[str, ...]
 
 
-TYPES: dict[str, type] = {kind.__name__: kind for kind in (Header, Measured, Profile, SurfacePiece, TrackState, Trust)}
+TYPES: dict[str, type] = {
+    kind.__name__: kind for kind in (Appearance, Header, Measured, Profile, SurfacePiece, TrackState, Trust)
+}  # fmt: skip
 
 
 def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Header:

@@ -9,7 +9,10 @@ from accelsurf.image.sequence import VolumeSequence
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms.tissues import TissuePhantom, phantom_from
 from accelsurf.settings.track_config import TrackConfig
+from accelsurf.track import follower, frame_run
+from accelsurf.track.appearance import Appearance, appearance_of
 from accelsurf.track.image_motion import image_motion
+from accelsurf.track.momentum_models import make_momentum
 from accelsurf.track.records import SurfacePiece
 from accelsurf.track.track import Tracking, track
 
@@ -97,6 +100,59 @@ def test_displacement_and_variance_are_those_of_a_shifted_texture() -> None:
     assert 0.0 < variance[0] < 0.1
     flat = Volume.from_array(np.zeros(texture.shape, np.float32), spacing)
     assert image_motion(flat, now, SurfacePiece((0, 0, 0), psi), np.zeros(3)) is None
+
+
+def textured(center: float, seed: int) -> tuple[Volume, np.ndarray]:
+    """A disc with texture in a plane of the same mean without; far from it is more texture. And the disc."""
+    y, x = np.indices((90, 90))
+    disc, far = np.hypot(y - 30, x - center) < 11, np.hypot(y - 75, x - 70) < 11
+    values = np.random.default_rng(seed).normal(50.0, np.where(disc | far, 12.0, 2.0))
+    return Volume.from_array(values[None].astype(np.float32), 1.0), disc[None]
+
+
+def test_appearance_is_learned_near_the_given_surface_on_both_sides() -> None:
+    image, disc = textured(30.0, 1)
+    psi = np.where(disc, -0.5, 0.5).astype(np.float32)
+    learned = appearance_of(image, SurfacePiece((0, 0, 0), psi))
+    assert learned is not None and learned.slope > 0
+    later, moved = textured(36.0, 2)
+    odds = learned.evidence(later, (0, 0, 0), moved.shape)
+    near = np.abs(np.hypot(*(np.indices((90, 90)) - np.array([30, 36])[:, None, None])) - 11)[None] < 8
+    assert dice((odds > 0) & near, moved) > 0.85
+    beyond = learned.evidence(later, (0, -3, -2), (1, 96, 94))  # the frame's edge goes on
+    np.testing.assert_array_equal(beyond[:, 3:93, 2:92], odds)
+    np.testing.assert_array_equal(beyond[0, 0, 2:92], odds[0, 0])
+    assert appearance_of(image, SurfacePiece((0, 0, 0), np.full((1, 90, 90), -1.0, np.float32))) is None
+    flat = Volume.from_array(np.zeros((1, 90, 90), np.float32), 1.0)
+    assert appearance_of(flat, SurfacePiece((0, 0, 0), psi)) is None
+
+
+@pytest.mark.parametrize(("model", "least", "most"), [("flowable-mass", 0.5, 2.0), ("none", -0.05, 0.05)])
+def test_a_run_in_a_frame_begins_with_the_momentum_that_is_carried(
+    model: str, least: float, most: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without any evidence a ball goes on as it went: so far in four steps."""
+    monkeypatch.setattr(frame_run, "STEPS", 4)
+    z, y, x = np.indices((24, 24, 36)) - 11.5
+    psi = (np.sqrt(z**2 + y**2 + x**2) - 7.0).astype(np.float32)
+    image = Volume.from_array(np.zeros(psi.shape, np.float32), 1.0)
+    nothing = Appearance(np.zeros(8), np.ones(8), np.zeros(44), 0.0, 1.0)
+    momentum = make_momentum(model)
+    momentum.start(psi, (0, 0, 0), image.geometry, (3.0, 0.0, 0.0))
+    before = momentum.centroid()[0]
+    found = frame_run.settled(momentum.carried(1.0), nothing, image, 0.0)
+    inside = np.argwhere(found.psi < 0) + np.array(found.corner)
+    assert least < inside.mean(axis=0)[2] - 11.5 < most
+    assert momentum.centroid()[0] == before
+
+
+def test_what_the_given_frame_looked_like_keeps_the_surface_from_drifting(monkeypatch: pytest.MonkeyPatch) -> None:
+    phantom, score = cell(frames=7, coherence=0.0), []
+    for learn in (appearance_of, lambda *_: None):
+        monkeypatch.setattr(follower, "appearance_of", learn)
+        results = list(tracking(phantom, phantom.truth(0)))[3:]
+        score.append(np.mean([dice(r.labels(seen_only=False) > 0, phantom.truth(r.frame) > 0) for r in results]))
+    assert score[0] > score[1] + 0.04
 
 
 def test_frames_without_evidence_are_marked_and_the_track_ends() -> None:

@@ -1,0 +1,139 @@
+"""Appearance of an object near its given surface, on both sides, and what it says of the voxels of another frame.
+
+Features of a voxel are the mean and the standard deviation of the image in Gaussian windows of several widths. A
+quadratic function of them, Fisher's discriminant, tells the voxels that lie inside near the surface from those outside
+near it: the logarithm of the odds for inside.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from accelsurf.grid.boxes import Box, Corner, box_at, widened
+from accelsurf.image.volume import Volume
+from accelsurf.track.boxed_surface import Floats
+from accelsurf.track.records import SurfacePiece
+
+#: Widths (sigma) of the windows, voxels; they end after so many sigmas.
+SCALES, END = (1.0, 2.0, 4.0, 6.0), 3.0
+#: Voxels to either side of the surface that are learned from, and those in which the evidence has its slope.
+NEAR, SLOPE_NEAR = 8.0, 2.5
+#: Part of the mean variance of a feature that is added to each: few voxels tell little.
+RIDGE = 1e-2
+#: Largest logarithm of odds: nothing is surer.
+SURE = 4.0
+#: Fewest voxels on a side that can be learned from.
+MIN_VOXELS = 8
+
+
+class Appearance(NamedTuple):
+    """Appearance on both sides of a surface.
+
+    Attributes
+    ----------
+    center, spread : ndarray (k,)
+        Mean and standard deviation of the features near the surface.
+    weights : ndarray (m,)
+        Of the features and their products.
+    offset : float
+    slope : float
+        How the evidence rises from the surface inward, 1/mm.
+    variance : float
+        Mean square distance from the given surface to where a run by the evidence ends in the given frame, mm2.
+    """
+
+    center: Floats
+    spread: Floats
+    weights: Floats
+    offset: float
+    slope: float
+    variance: float = 0.0
+
+    def evidence(self, image: Volume, corner: Corner, shape: tuple[int, ...]) -> Floats:
+        """Logarithm of the odds for inside on a box, which may go beyond the frame: there it is that of its edge.
+
+        Parameters
+        ----------
+        image : Volume
+            The frame.
+        corner : (z, y, x)
+            First voxel of the box; ``shape``: its size.
+        """
+        index = [
+            np.clip(np.arange(first, first + n), 0, count - 1)
+            for first, n, count in zip(corner, shape, image.geometry.shape, strict=True)
+        ]
+        box = tuple(slice(int(places[0]), int(places[-1]) + 1) for places in index)
+        found = self._odds(_features(image, (box[0], box[1], box[2])))
+        return found[np.ix_(*(places - places[0] for places in index))]
+
+    def _odds(self, features: Floats) -> Floats:
+        found = _with_products((features - self.center) / self.spread) @ self.weights + self.offset
+        return np.asarray(np.clip(found, -SURE, SURE))
+
+
+def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
+    """Learn the appearance on both sides of a surface; None where a side has too few voxels.
+
+    Parameters
+    ----------
+    image : Volume
+        The frame.
+    surface : SurfacePiece
+        In it.
+    """
+    geometry = image.geometry
+    step = min(geometry.steps)
+    box = widened(surface.box, geometry.shape, [int(np.ceil(NEAR * step / h)) for h in geometry.spacing])
+    inside = np.zeros([side.stop - side.start for side in box], np.bool_)
+    corner = [a - side.start for a, side in zip(surface.corner, box, strict=True)]
+    inside[box_at((corner[0], corner[1], corner[2]), surface.psi.shape)] = surface.psi < 0
+    sampling = [h if n > 1 else 1.0 for h, n in zip(geometry.spacing, geometry.shape, strict=True)]
+    if min(np.count_nonzero(inside), np.count_nonzero(~inside)) < MIN_VOXELS:
+        return None
+    depth = ndimage.distance_transform_edt(inside, sampling) - ndimage.distance_transform_edt(~inside, sampling)
+    near = np.abs(depth) <= NEAR * step
+    if min(np.count_nonzero(inside[near]), np.count_nonzero(~inside[near])) < MIN_VOXELS:
+        return None
+    features, label, depth = _features(image, box)[near], inside[near], depth[near]
+    spread = features.std(axis=0)
+    if not spread.max() > 0.0:
+        return None
+    learned = Appearance(features.mean(axis=0), np.maximum(spread, 1e-6 * spread.max()), np.zeros(0), 0.0, 0.0)
+    values = _with_products((features - learned.center) / learned.spread)
+    sides = values[label], values[~label]
+    covariance = 0.5 * (np.cov(sides[0].T) + np.cov(sides[1].T))
+    covariance += RIDGE * float(np.trace(covariance)) / len(covariance) * np.eye(len(covariance))
+    weights = np.linalg.solve(covariance, sides[0].mean(axis=0) - sides[1].mean(axis=0))
+    offset = -0.5 * float(weights @ (sides[0].mean(axis=0) + sides[1].mean(axis=0)))
+    learned = learned._replace(weights=weights, offset=offset)
+    at = np.abs(depth) <= SLOPE_NEAR * step
+    slope = float((depth[at] * learned._odds(features[at])).sum() / (depth[at] ** 2).sum())
+    return learned._replace(slope=slope) if slope > 0.0 else None
+
+
+def _features(image: Volume, box: Box) -> Floats:
+    """Means and standard deviations (nz, ny, nx, k) around the voxels of a box of a frame."""
+    geometry = image.geometry
+    step = min(geometry.steps)
+    sigmas = [
+        [scale * step / h if n > 1 else 0.0 for h, n in zip(geometry.spacing, geometry.shape, strict=True)]
+        for scale in SCALES
+    ]
+    room = widened(box, geometry.shape, [int(np.ceil(END * sigma)) for sigma in sigmas[-1]])
+    inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, room, strict=True))
+    values = image.array[room].astype(np.float64)
+    found = []
+    for sigma in sigmas:
+        mean, square = (ndimage.gaussian_filter(power, sigma, truncate=END)[inner] for power in (values, values**2))
+        found += [mean, np.sqrt(np.maximum(square - mean**2, 0.0))]
+    return np.stack(found, axis=-1)
+
+
+def _with_products(features: Floats) -> Floats:
+    """Features (..., k) with all products of two of them."""
+    first, second = np.triu_indices(features.shape[-1])
+    return np.concatenate([features, features[..., first] * features[..., second]], axis=-1)
