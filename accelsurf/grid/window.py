@@ -128,12 +128,6 @@ class Window(NamedTuple):
         """`check` of a box that is counted from the window's first voxel."""
         self.check([s.start for s in box], [s.stop for s in box], factors)
 
-    def check_cells(self, cells: NDArray[np.int64], shape: tuple[int, int, int], factors: Sequence[int]) -> None:
-        """`check` of raveled blocks (n,) of ``factors`` voxels of the window, on a grid of ``shape``."""
-        if cells.size:
-            index = np.unravel_index(cells, shape)
-            self.check([int(i.min()) for i in index], [int(i.max()) + 1 for i in index], factors)
-
 
 def aligned(box: Box, geometry: Geometry, blocks: Sequence[int]) -> Box:
     """Return the smallest box around another on which the blocks of a pyramid are those of the whole grid.
