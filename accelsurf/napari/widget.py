@@ -68,6 +68,8 @@ def answered(
         raise accelsurf.UsageError("a size is that of a new object; this one is mended", "click inside or outside")
     if before is None and target.is_mended:
         return accelsurf.refine(volume, labels=target.labels, object=target.id, **clicks)
+    if before is None and press.side == "outside":
+        raise accelsurf.UsageError("nothing is inside yet", "press in the object first")
     if before is None or press.is_first:
         size = None if press.size_mm3 is None else f"{press.size_mm3:.6g}mm3"
         return accelsurf.segment(volume, size=size, answer=press.answer, **clicks)
@@ -121,13 +123,13 @@ class ClickWidget(QWidget):
         self._press.currentTextChanged.connect(self._let_move)
         for box in (self._image, self._labels):
             box.textActivated.connect(lambda: self.begin_object())
-        #: Results so far, the first press, the object; a press that waits while another is answered.
+        #: Results so far, the first press, the object; presses that wait while another is answered.
         self._steps: list[accelsurf.Result] = []
         self._first: Press | None = None
         self._target: Target | None = None
         self._volume: accelsurf.Volume | None = None
         self._worker: Any = None
-        self._waiting: Press | None = None
+        self._waiting: list[Press] = []
         self.reset_choices()
         napari_viewer.mouse_drag_callbacks.append(self._on_press)
 
@@ -161,23 +163,27 @@ class ClickWidget(QWidget):
         if self._labels.currentText() not in self._viewer.layers:
             layer = self._viewer.add_labels(
                 np.zeros(data.shape, np.uint16), name=f"{name} object", scale=image.scale, translate=image.translate,
-                units=image.units,
+                rotate=image.rotate, affine=image.affine, units=image.units,
             )
             self._labels.setCurrentText(layer.name)  # napari has called reset_choices
         layer = self._viewer.layers[self._labels.currentText()]
         if not isinstance(layer.data, np.ndarray) or layer.data.shape != data.shape:
             raise accelsurf.UsageError(f"{layer.name}: labels in memory on the grid of the image are needed")
         labels, id = layer.data.reshape(volume.geometry.shape).copy(), int(layer.selected_label)
+        if id < 1 or not np.can_cast(np.min_scalar_type(id), labels.dtype):
+            raise accelsurf.UsageError(f"{layer.name}: {id} cannot be the label of an object", "select another label")
         self._volume, self._target = volume, Target(labels, id, bool((labels == id).any()))
         return self._target
 
     def _set_steps(self, steps: list[accelsurf.Result]) -> None:
-        """Set the results so far, and show the last one."""
-        self._steps = steps
+        """Set the results so far, and show the last one; what was painted by hand elsewhere stays."""
+        before, self._steps = self._steps, steps
         self._describe()
         if self._target is not None:
             layer = self._viewer.layers[self._labels.currentText()]
-            layer.data[...] = painted(self._target, steps[-1] if steps else None).reshape(layer.data.shape)
+            old, new = (painted(self._target, some[-1] if some else None) for some in (before, steps))
+            changed = (old != new).reshape(layer.data.shape)
+            layer.data[changed] = new.reshape(layer.data.shape)[changed]
             layer.refresh()
 
     # -- presses -------------------------------------------------------------------------------------------
@@ -218,15 +224,16 @@ class ClickWidget(QWidget):
         return press._replace(radius=min(press.radius, far / 2.0), size_mm3=volume)
 
     def ask(self, press: Press) -> None:
-        """Have a press answered beside the window; of those that come meanwhile the last one."""
-        self._waiting = press
+        """Have a press answered beside the window; those of a drag that wait for it are out of date."""
+        self._waiting = [*(other for other in self._waiting if not other.is_first), press]
         if self._worker is None:
             self._answer_next()
 
     def _answer_next(self) -> None:
-        press, self._waiting, self._worker = self._waiting, None, None
-        if press is None:
+        self._worker = None
+        if not self._waiting:
             return
+        press, *self._waiting = self._waiting
         target, before = self._begun(), self._steps[-1] if self._steps else None
         self._said.setText("..." if press.size_mm3 is None else f"about {press.size_mm3 / 1000.0:.4g} ml ...")
         connect = {"returned": lambda result: self._show(target, press, result), "finished": self._answer_next}
@@ -234,13 +241,14 @@ class ClickWidget(QWidget):
 
     def _show(self, target: Target, press: Press, result: accelsurf.Result | str) -> None:
         if target is not self._target:
-            return  # another object was begun meanwhile
+            return  # another object was begun, or a press taken back meanwhile
         if isinstance(result, str):
             self._said.setText(result)
             return
         if not target.is_mended and (not self._steps or press.is_first):
-            self._steps, self._first = [], press
-        self._set_steps([*self._steps, result][-MAX_STEPS:])
+            self._first = press
+        is_next = bool(self._steps) and (target.is_mended or not press.is_first)
+        self._set_steps([*self._steps, result][-MAX_STEPS:] if is_next else [result])
 
     # -- buttons -------------------------------------------------------------------------------------------
 
@@ -251,12 +259,12 @@ class ClickWidget(QWidget):
 
     def undo(self) -> None:
         """Take the last press back."""
-        self._waiting = None
+        self._waiting, self._target = [], self._target and self._target._replace()  # what is under way is late
         self._set_steps(self._steps[:-1])
 
     def begin_object(self) -> None:
         """Begin with the label that is selected: a new object, or one that is mended."""
-        self._steps, self._first, self._waiting, self._target = [], None, None, None
+        self._steps, self._first, self._waiting, self._target = [], None, [], None
         self._describe()
 
     def next_object(self) -> None:
@@ -268,47 +276,44 @@ class ClickWidget(QWidget):
 
     def show_doubtful(self) -> None:
         """Show the most doubtful place: its slice, and a diamond."""
-        quality = self._quality()
-        if self._volume is None or quality is None or quality.next_click is None:
+        found = self._object()
+        if self._volume is None or found is None or found.quality.next_click is None:
             return
         layer = self._viewer.layers[self._image.currentText()]
-        place = self._volume.geometry.world_to_index(quality.next_click)[3 - layer.ndim :]
+        place = self._volume.geometry.world_to_index(found.quality.next_click)[3 - layer.ndim :]
         if DOUBTFUL in self._viewer.layers:
             self._viewer.layers.remove(DOUBTFUL)
         self._viewer.add_points(
             [place], name=DOUBTFUL, symbol="diamond", size=4, scale=layer.scale, translate=layer.translate,
             units=layer.units, face_color="yellow",
         )
-        self._viewer.dims.set_point(range(layer.ndim), layer.data_to_world(place))
+        self._viewer.dims.set_point(range(self._viewer.dims.ndim)[-layer.ndim :], layer.data_to_world(place))
         self._viewer.layers.selection.select_only(self._viewer.layers[self._labels.currentText()])
 
-    def _quality(self) -> Any:
-        """Return the measures of quality of the object as it is now."""
+    def _object(self) -> Any:
+        """Return the object as it is now; None where there is none."""
         if not self._steps or self._target is None:
             return None
-        result = self._steps[-1]
-        return result.by_id[self._target.id].quality if result.has_ids else result.quality
+        return self._steps[-1].by_id[self._target.id if self._steps[-1].has_ids else 1]
 
     def _describe(self) -> None:
         """Tell volume and probability, and offer other answers to the first click."""
-        quality = self._quality()
-        answers = () if quality is None or len(self._steps) > 1 else quality.answers
+        found = self._object()
+        answers = () if found is None or len(self._steps) > 1 else found.quality.answers
         for number, button in enumerate(self._answers, 1):
             match = [answer for answer in answers if answer.number == number]
             button.setVisible(len(answers) > 1 and bool(match))
             button.setText("".join(f"{answer.volume_mm3 / 1000.0:.4g} ml" for answer in match))
-        if quality is None or self._target is None:
-            self._said.setText("")
-            return
-        volume = self._steps[-1].by_id[self._target.id if self._steps[-1].has_ids else 1].volume_mm3
-        warned = "".join(f"\n{warning.partition('; try')[0]}" for warning in quality.warnings)
-        self._said.setText(f"{volume / 1000.0:.4g} ml, {quality.probability:.0%} likely to be good{warned}")
+        text = ""
+        if found is not None:
+            text = f"{found.volume_mm3 / 1000.0:.4g} ml, {found.quality.probability:.0%} likely to be good"
+            text += "".join(f"\n{warning.partition('; try')[0]}" for warning in found.quality.warnings)
+        self._said.setText(text)
 
 
 def _zyx(layer: Image, position: Any) -> NDArray[np.float64]:
     """Return the index z, y, x in an image of a position in napari's world."""
-    place = layer.world_to_data(position)
-    return np.array([0.0] * (3 - len(place)) + list(place))
+    return np.array([0.0, *layer.world_to_data(position)][-3:])
 
 
 def _mm(unit: Any) -> float:

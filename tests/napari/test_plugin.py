@@ -185,6 +185,21 @@ def test_two_objects_by_clicks_and_back_again(driven):
     assert ((driven.labels > 0) == first).all()
 
 
+def test_presses_that_come_quickly_are_all_answered(driven):
+    from accelsurf.napari.widget import Press
+
+    widget, viewer = driven.widget, driven.viewer
+    driven.press(IN, (28, 28, 30))
+    for place in ((28, 28, 66), (28, 20, 66)):
+        widget.ask(Press("inside", np.array(place, float), 3.0))
+    driven.wait()
+    assert len(widget._steps) == 3 and driven.labels[28, 28, 66] == driven.labels[28, 20, 66] == 1
+    widget.ask(Press("outside", np.array((28, 28, 66.0)), 3.0))
+    widget._undo.click()  # while that is under way: it is dropped
+    driven.wait()
+    assert len(widget._steps) == 2 and viewer.layers[widget._labels.currentText()].data[28, 28, 66] == 1
+
+
 def test_a_drag_says_the_size_and_the_answers_are_offered(driven):
     driven.press(SIZE, (28, 28, 30), (28, 28, 40))
     small = np.count_nonzero(driven.labels)
@@ -215,17 +230,23 @@ def test_a_labels_layer_is_mended_and_its_other_labels_stay(driven):
     driven.widget._labels.setCurrentText("mask")
     layer.selected_label = 7
     driven.widget.begin_object()
+    layer.data[50:54, 50:54, 50:54] = 9  # painted by hand
     driven.press(IN, (28, 28, 30))
-    assert dice(layer.data == 7, truth) > dice(mask == 7, truth) + 0.02
+    assert dice(layer.data == 7, truth) > dice(mask == 7, truth) and layer.data[28, 28, 30] == 7
     assert ((layer.data == 3) == (mask == 3)).all()
     assert "a size is that of a new object" in driven.press(SIZE, (28, 28, 30), (28, 28, 40))
+    layer.data[2:4, 50:54, 50:54] = 9  # and again meanwhile
     driven.widget._undo.click()
+    mask[50:54, 50:54, 50:54], mask[2:4, 50:54, 50:54] = 9, 9
     assert (layer.data == mask).all()
 
 
 def test_what_cannot_be_done_is_said(driven):
-    assert "outside" in driven.press(IN, (28, 28, 900)) and not driven.widget._steps
-    assert "inside" in driven.press(OUT, (28, 28, 30)) and not driven.labels.any()
+    assert "no voxel centre" in driven.press(IN, (28, 28, 900)) and not driven.widget._steps
+    assert "nothing is inside yet" in driven.press(OUT, (28, 28, 30)) and not driven.labels.any()
+    driven.viewer.layers[driven.widget._labels.currentText()].selected_label = 0
+    driven.widget.begin_object()
+    assert "cannot be the label" in driven.press(IN, (28, 28, 30))
     driven.viewer.add_image(np.zeros((2, 3, 4, 5)), name="in time")
     driven.widget._image.setCurrentText("in time")
     driven.widget.begin_object()
