@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, Corner, corner_of, counted_from
 from accelsurf.grid.geometry import Geometry

@@ -161,10 +161,8 @@ class ClickWidget(QWidget):
         spacing = tuple(([min(scale)] if data.ndim == 2 else []) + scale)
         volume = accelsurf.Volume.from_array(np.asarray(data), (spacing[0], spacing[1], spacing[2]))
         if self._labels.currentText() not in self._viewer.layers:
-            layer = self._viewer.add_labels(
-                np.zeros(data.shape, np.uint16), name=f"{name} object", scale=image.scale, translate=image.translate,
-                rotate=image.rotate, affine=image.affine, units=image.units,
-            )
+            new = np.zeros(data.shape, np.uint16)
+            layer = self._viewer.add_labels(new, name=f"{name} object", **_grid_of(image))
             self._labels.setCurrentText(layer.name)  # napari has called reset_choices
         layer = self._viewer.layers[self._labels.currentText()]
         if not isinstance(layer.data, np.ndarray) or layer.data.shape != data.shape:
@@ -283,10 +281,8 @@ class ClickWidget(QWidget):
         place = self._volume.geometry.world_to_index(found.quality.next_click)[3 - layer.ndim :]
         if DOUBTFUL in self._viewer.layers:
             self._viewer.layers.remove(DOUBTFUL)
-        self._viewer.add_points(
-            [place], name=DOUBTFUL, symbol="diamond", size=4, scale=layer.scale, translate=layer.translate,
-            units=layer.units, face_color="yellow",
-        )
+        shape = {"symbol": "diamond", "size": 4, "face_color": "yellow"}
+        self._viewer.add_points([place], name=DOUBTFUL, **shape, **_grid_of(layer))
         self._viewer.dims.set_point(range(self._viewer.dims.ndim)[-layer.ndim :], layer.data_to_world(place))
         self._viewer.layers.selection.select_only(self._viewer.layers[self._labels.currentText()])
 
@@ -309,6 +305,11 @@ class ClickWidget(QWidget):
             text = f"{found.volume_mm3 / 1000.0:.4g} ml, {found.quality.probability:.0%} likely to be good"
             text += "".join(f"\n{warning.partition('; try')[0]}" for warning in found.quality.warnings)
         self._said.setText(text)
+
+
+def _grid_of(layer: Image) -> dict[str, Any]:
+    """Return where the voxels of a layer lie, as settings of another layer."""
+    return {key: getattr(layer, key) for key in ("scale", "translate", "rotate", "affine", "units")}
 
 
 def _zyx(layer: Image, position: Any) -> NDArray[np.float64]:
