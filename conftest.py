@@ -1,12 +1,15 @@
-"""What pytest leaves alone here: the window's modules, where the packages of the viewer are not installed."""
+"""What pytest leaves alone here: modules of window and plug-in, where the packages that they need are not installed."""
 
 import importlib.util
 import os
 import signal
 import tempfile
 
+collect_ignore = []
 if importlib.util.find_spec("PySide6") is None or importlib.util.find_spec("pyvistaqt") is None:
-    collect_ignore = ["accelsurf/viewer/window"]
+    collect_ignore.append("accelsurf/viewer/window")
+if importlib.util.find_spec("napari") is None:
+    collect_ignore.append("accelsurf/napari/widget.py")
 
 # Started in the background, a process and all that it starts ignore Ctrl-C; some tests send it to programs.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -33,6 +33,8 @@ from .measure.contours import Contours as Contours
 from .measure.metrics import evaluate as evaluate
 from .measure.surface_mesh import Surface as Surface
 from .output.document import report_of as report_of
+from .phantoms.recipes import Phantom as Phantom
+from .phantoms.recipes import phantom as phantom
 from .run.checkpoint import RunCheckpoint as RunCheckpoint
 from .run.checkpoint import checkpoint_header as checkpoint_header
 from .run.checkpoint import load_checkpoint as load_checkpoint

@@ -16,7 +16,7 @@ PACKAGE = ROOT / "accelsurf"
 #: Figures of the house (``scripts/house``) and the most that each may be: so that it does not grow back.
 LIMITS = {
     "modules": 395,
-    "code lines": 51_500,
+    "code lines": 51_650,
     "files of the largest folder": 30,
     "parameters that are unnamed tuples": 0,
     "summaries without a verb or noun first": 0,
@@ -40,6 +40,7 @@ FROM_OUTSIDE = {
     "accelsurf/io/dicom/writing_tools.py element.value": "pydicom's way to write an element",
     "accelsurf/io/formats/surface_files.py logger.disabled": "the switch of Python's library for loggers",
     "accelsurf/io/formats/tiff_pages.py page.compression": "tifffile unpacks by this field of its page",
+    "accelsurf/napari/widget.py layer.selected_label": "napari's way to select a label",
 }
 
 #: Words that no identifier may have as a part: each has a standard term of the field (docs/architecture.md, "Words").

@@ -56,6 +56,7 @@ _COMMANDS = {
     "refine": "Correct a result by clicks; the rest stays as it is.",
     "track": "Follow objects through a sequence of images.",
     "synth": "Make a synthetic volume and its truth from a recipe.",
+    "fetch": "Fetch a public scan to try things on.",
     "movie": "Make a movie of a run, without a screen.",
     "evaluate": "Measure how well two label maps agree.",
     "view": "Watch and steer a segmentation in a window.",

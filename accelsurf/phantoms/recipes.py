@@ -317,6 +317,33 @@ def load_recipe(recipe: str | Path) -> Recipe:
     return recipe_from(values, str(path))
 
 
+def phantom(recipe: str | Path, *, seed: int | None = None) -> Phantom:
+    """Make the phantom of a recipe: its ``image`` and its ``truth``, which are volumes.
+
+    Parameters
+    ----------
+    recipe : str or Path
+        A TOML file, or the name of a recipe that comes with accelsurf; ``accelsurf info`` lists them.
+    seed : int, optional
+        Of noise and bias; the recipe's by default.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read or is not TOML.
+    UsageError
+        When no recipe has this name, a key is unknown, or a value impossible; the message names the key.
+
+    Examples
+    --------
+    >>> made = phantom("ball_small")
+    >>> made.image.geometry.shape == made.truth.array.shape
+    True
+    """
+    path, values = read_recipe(recipe)
+    return make(recipe_from(values if seed is None else {**values, "seed": seed}, str(path)))
+
+
 def recipe_from(values: Mapping[str, Any], where: str = "recipe") -> Recipe:
     """A recipe from its keys and values.
 

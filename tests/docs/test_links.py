@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[2]
 BUILT = ("_build", "examples", "generated")
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "benchmarks/README.md")),
+    *(ROOT / name for name in ("SECURITY.md", "CODE_OF_CONDUCT.md")),
     *(path for path in sorted((ROOT / "docs").rglob("*.md")) if not set(path.parts) & set(BUILT)),
 ]
 RECORDS = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
