@@ -19,7 +19,7 @@ from scipy import ndimage
 
 from accelsurf import io
 from benchmarks.viewer_tasks.person import ROOT, Person
-from benchmarks.viewer_tasks.pictures import page_after, take
+from benchmarks.viewer_tasks.pictures import page_of, take_page, wait
 from tests.support.screen import own_screen
 
 SIZE = (1280, 720)
@@ -41,8 +41,11 @@ def main() -> None:
         movie = ["movie", *words[1:], "--preview", "-o", str(folder / "viewer-scene.png"), "--overwrite"]
         accelsurf(*movie, "--max-steps", str(STEPS))
         window_pictures(words, truth, folder)
-        with page_after(words, "dark", STEPS) as browser:
-            take(browser, *SIZE, folder / "viewer-browser.png")
+        with page_of(words, "dark", Path(home)) as browser:
+            browser.find_element("id", "play").click()
+            wait(lambda: int(browser.find_element("id", "step").text.split()[1]) >= STEPS, 300)
+            browser.find_element("id", "play").click()
+            take_page(browser, *SIZE, folder / "viewer-browser.png")
 
 
 def accelsurf(*words: str) -> None:

@@ -3,6 +3,7 @@ start page, or the image that is open.
 
 Usage: python -m benchmarks.viewer_tasks.window_watch STATE_FILE TRUTH|- IDS WORDS OF ACCELSURF ...
 
+With --browser among the words it is the page that is watched; then the file has only the sizes of its slices.
 All that happens to the window comes from outside, as events of mouse and keys. TRUTH is a label map that the window
 does not know: with it the watcher says where the surface is wrong most, as a person would see it. In the seconds that
 this takes the window does not answer, so it is done only when a file of this name with the ending .judge asks for it.
@@ -30,6 +31,25 @@ INTERVAL_MS = 40
 NAME_COLUMN = 2
 
 
+def slice_sizes(scene: Any, ratio: float) -> dict[str, list[float]]:
+    """Width and height of what is drawn of the image in each slice, pixels of a usual screen."""
+    found = {}
+    for name, tile in scene.slice_tiles.items():
+        sides = tile.renderer.GetSize()
+        if min(sides) > 0:
+            left, right, bottom, top = tile.stack.extent
+            lengths = np.array([right - left, top - bottom]) / tile.mm_per_pixel()
+            found[name] = (np.minimum(lengths, sides) / ratio).tolist()
+    return found
+
+
+def write_whole(path: Path, said: dict[str, Any]) -> None:
+    """Write a file of JSON, all or nothing."""
+    draft = path.with_suffix(".draft")
+    draft.write_text(json.dumps(said, default=str))
+    os.replace(draft, path)
+
+
 class WindowWatch:
     """Says where the parts of a window are, what it shows, and where its surface is wrong."""
 
@@ -53,9 +73,7 @@ class WindowWatch:
         said["is_start_page"] = self._window is None
         if self._window is not None:
             said |= self._of_image()
-        draft = self._file.with_suffix(".draft")
-        draft.write_text(json.dumps(said, default=str))
-        os.replace(draft, self._file)
+        write_whole(self._file, said)
 
     def _of_image(self) -> dict[str, Any]:
         """What is said of the image that is open."""
@@ -66,6 +84,7 @@ class WindowWatch:
             self._wanted.unlink()
         return {
             "state": window.user_actions.state(), "tiles": self._tiles(),
+            "slices": slice_sizes(window.scene, window.canvas.devicePixelRatioF()),
             "step": status.step, "playing": status.playing, "message": window.message.text(),
             "stop": status.stop and status.stop.reason,
             "drawn": None if frame is None else [frame.step, frame.volume_mm3],
@@ -145,19 +164,39 @@ class WindowWatch:
 
 def main() -> int:
     """Run the command, and watch the window that it opens."""
-    state_file, truth_file, label, *words = sys.argv[1:]
+    named, truth_file, label, *words = sys.argv[1:]
+    state_file = Path(named)
     truth = []
     if truth_file != "-":
         known = io.read_labels(Path(truth_file)).array
         truth = [np.isin(known, [int(one) for one in ids.split(",")]) for ids in label.split(";")]
+    if "--browser" in words:
+        watch_page(state_file)
+        return cli.execute(words)
     original = MainWindow.__init__
 
     def watched(window: Any, *values: Any, **options: Any) -> None:
         original(window, *values, **options)
-        window.watch = WindowWatch(window, Path(state_file), truth)
+        window.watch = WindowWatch(window, state_file, truth)
 
     MainWindow.__init__ = watched  # type: ignore[method-assign]
     return cli.execute(words)
+
+
+def watch_page(state_file: Path) -> None:
+    """Have the page write the sizes of its slices with each picture."""
+    from accelsurf.viewer.page.page import Page
+
+    original = Page._draw
+
+    def drawn(page: Any, actions: Any) -> float:
+        seconds = original(page, actions)
+        left, bottom, right, top = actions.scene.slice_tiles["axial"].renderer.GetViewport()
+        sizes = slice_sizes(actions.scene, actions.scene.tiles.pixel_ratio)
+        write_whole(state_file, {"slices": sizes, "axial": [0.5 * (left + right), 1.0 - 0.5 * (bottom + top)]})
+        return seconds
+
+    Page._draw = drawn  # type: ignore[method-assign]
 
 
 if __name__ == "__main__":

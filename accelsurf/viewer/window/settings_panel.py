@@ -211,8 +211,7 @@ class SettingsPanel(Section):
         if not group:
             return self._first
         if group not in self.groups:
-            title = f"More: {group[:1].lower()}{group[1:]}"
-            self.groups[group] = folded = Section(title, self.user_actions, folded=True)
+            self.groups[group] = folded = Section(group, self.user_actions, folded=True)
             framed(QVBoxLayout(folded.body), 5)
             self._whole.addWidget(folded)
         layout = self.groups[group].body.layout()
