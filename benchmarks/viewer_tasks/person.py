@@ -71,34 +71,19 @@ class Person:
 
     # -- hands --------------------------------------------------------------------------------------------
 
-    def open_file(self, path: Path) -> None:
-        """Open an image by the dialog, and wait until it is drawn."""
-        self.key("ctrl+o")
-        self._answer("^Open an image", path)
-        self.until(lambda now: now["drawn"] is not None, 300)
+    def open_recent(self) -> None:
+        """Click on the first of the recent images, and wait until it is drawn."""
+        x, y = self._at_rest("Recent images")
+        above = self.now()["heights"]["Recent images"] / 2
+        self.click((x, y - above + 20))
+        self.until(lambda now: now["drawn"] is not None or now.get("state", {}).get("ready"), 300)
         self.opened_s = time.monotonic() - self.began
 
-    def save_in(self, folder: Path) -> None:
-        """Save into a folder that exists: the dialog asks for it."""
-        self.key("ctrl+s")
-        self._answer("^Save labels", folder)
-        self.until(lambda now: "saved in" in now["message"] and not now["state"]["saving"], 120)
-
-    def _answer(self, title: str, path: Path) -> None:
-        """Type a path into the dialog that opens."""
-        self._focus(title)
-        time.sleep(0.5)
-        self.type(str(path))
-        self.key("Return")
-        time.sleep(0.3)
-        self._focus("^accelsurf")
-
-    def fill(self, name: str, text: str) -> None:
-        """Click on a line of the panels, replace what is in it, press Return."""
+    def choose(self, name: str, word: str) -> None:
+        """Choose a word of a list."""
         self.click_widget(name)
-        self.key("ctrl+a")
-        self.type(text)
-        self.key("Return")
+        self.until(lambda now: word in now["items"], 20)
+        self.click(self.now()["items"][word])
 
     def key(self, *names: str) -> None:
         """Press keys, one after the other."""

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QLabel, QWidget
+from PySide6.QtWidgets import QApplication, QLabel, QListView, QListWidget, QWidget
 from scipy import ndimage
 
 from accelsurf import cli, io
@@ -40,6 +40,27 @@ def slice_sizes(scene: Any, ratio: float) -> dict[str, list[float]]:
             left, right, bottom, top = tile.stack.extent
             lengths = np.array([right - left, top - bottom]) / tile.mm_per_pixel()
             found[name] = (np.minimum(lengths, sides) / ratio).tolist()
+    return found
+
+
+def axial_numbers(scene: Any) -> list[float]:
+    """Slices per mm along z, and the number of the slice at z = 0, in the middle of the image."""
+    stack, middle = scene.slice_tiles["axial"].stack, scene.geometry.center_world()
+    places = [middle + [0.0, 0.0, z] for z in (0.0, 1.0)]
+    numbers = [float(stack.place_number(scene.geometry.world_to_index(place))) for place in places]
+    slope = numbers[1] - numbers[0]
+    return [slope, numbers[0] - slope * float(middle[2])]
+
+
+def items() -> dict[str, list[int]]:
+    """Middle on the screen of each line of the list that is open."""
+    popup = QApplication.activePopupWidget()
+    found = {}
+    for view in popup.findChildren(QListView) if popup is not None else []:
+        for row in range(view.model().rowCount()):
+            index = view.model().index(row, 0)
+            place = view.viewport().mapToGlobal(view.visualRect(index).center())
+            found[str(index.data())] = [place.x(), place.y()]
     return found
 
 
@@ -70,7 +91,9 @@ class WindowWatch:
     def write(self) -> None:
         """Write the state, all or nothing."""
         said = {"time": time.time(), "title": self._main.windowTitle(), "widgets": self._widgets(), "drawn": None}
-        said["is_start_page"] = self._window is None
+        said |= {"is_start_page": self._window is None, "items": items(), "heights": {
+            widget.accessibleName(): widget.height() for widget in self._main.findChildren(QListWidget)
+        }}
         if self._window is not None:
             said |= self._of_image()
         write_whole(self._file, said)
@@ -84,6 +107,7 @@ class WindowWatch:
             self._wanted.unlink()
         return {
             "state": window.user_actions.state(), "tiles": self._tiles(),
+            "place_of_slices": axial_numbers(window.scene),
             "slices": slice_sizes(window.scene, window.canvas.devicePixelRatioF()),
             "step": status.step, "playing": status.playing, "message": window.message.text(),
             "stop": status.stop and status.stop.reason,

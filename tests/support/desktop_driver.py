@@ -89,7 +89,7 @@ def places(window: Window) -> dict[str, Any]:
         | {"grey values": middle(slices.window_word), "layout": middle(slices.layout_), "level": middle(slices.level)}
         | {"straight": middle(slices.straight)}
         | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
-        | {"next uncertain": middle(side.panels["HistoryPanel"].next)}
+        | {"next uncertain": middle(side.panels["ResultPanel"].next)}
         | {f"object {row}": cell_of(objects.table, row, 2) for row in range(3)}
         | {f"color {row}": cell_of(objects.table, row, 1) for row in range(3)}
         | {f"seen {row}": cell_of(objects.table, row, 0) for row in range(3)}

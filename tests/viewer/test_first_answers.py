@@ -151,7 +151,8 @@ def test_other_answers_are_outlines_in_the_slices_until_escape_or_a_click(action
     said = actions.state()["first_answers"]
     assert len(said) == others + 1 and actions.scene.marks.answers == ()  # the line stays, and the keys
     plain = actions.scene.screenshot()
-    space = (slice(None), slice(None, 480))
+    (left, bottom, right, top), (high, wide, _) = actions.scene.space.renderer.GetViewport(), drawn.shape
+    space = (slice(round(high * (1 - top)), round(high * (1 - bottom))), slice(round(wide * left), round(wide * right)))
     assert np.array_equal(drawn[space], plain[space]) and not np.array_equal(drawn, plain)
     actions.request("key", "8")
     viewing.settle(actions)

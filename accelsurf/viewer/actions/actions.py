@@ -15,7 +15,6 @@ from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.viewer.actions.answers import AnswersFeature
-from accelsurf.viewer.actions.box import BoxFeature
 from accelsurf.viewer.actions.files import FilesFeature
 from accelsurf.viewer.actions.frames import FramesFeature
 from accelsurf.viewer.actions.mouse import MouseFeature, TouchFeature
@@ -43,7 +42,6 @@ FEATURES: tuple[type[Feature], ...] = (
     AnswersFeature,
     HistoryFeature,
     SettingsFeature,
-    BoxFeature,
     SlicesFeature,
     PictureFeature,
     FilesFeature,

@@ -75,7 +75,7 @@ class FilesFeature(Feature):
         home = folder.resolve()
         # The session chooses the names; a file elsewhere would not be served all the same.
         self.files |= {path.name: path for path in paths if path.resolve().parent == home}
-        self.actions.note(f"saved {len(paths)} files in {folder.absolute()}", 20)
+        self.actions.note(f"saved in {folder.absolute()}: {len(paths)} files", 20)
         if is_all:
             picture = folder / f"{self.actions.session.name}_view.png"
             self.actions.scene.screenshot(picture)

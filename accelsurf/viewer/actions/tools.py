@@ -120,7 +120,7 @@ class Size(Tool):
 #: Those that do not paint.
 TOOLS: tuple[type[Tool], ...] = (Size, Look, Ball)
 #: All tools in the order of their buttons: what most people need first.
-ORDER = ("size", "inside", "outside", "look", "grow", "shrink", "ball", "split", "box")
+ORDER = ("size", "inside", "outside", "look", "grow", "shrink", "ball", "split")
 
 
 #: A stroke has a place each time it has moved by this part of its radius, and at least by a voxel.

@@ -6,7 +6,6 @@ The panels of tools and of the history are here, with the buttons to undo, redo 
 from __future__ import annotations
 
 import functools
-import re
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -44,7 +43,17 @@ from accelsurf.viewer.window.appearance import page_of_help, palette, sheet
 from accelsurf.viewer.window.canvas_events import CanvasEvents
 from accelsurf.viewer.window.objects_panel import ObjectsPanel
 from accelsurf.viewer.window.playback_bar import FrameBar, PlaybackBar
-from accelsurf.viewer.window.section_panel import Amount, Section, button, choice, framed, in_row, show_choice, wrapped
+from accelsurf.viewer.window.section_panel import (
+    Amount,
+    Message,
+    Section,
+    button,
+    choice,
+    framed,
+    in_row,
+    show_choice,
+    wrapped,
+)
 from accelsurf.viewer.window.settings_panel import SettingsPanel
 from accelsurf.viewer.window.slices_panel import PicturePanel, SlicesPanel
 
@@ -137,9 +146,7 @@ class Window(QMainWindow):
         last = QHBoxLayout()
         last.setContentsMargins(10, 0, 10, 3)
         last.setSpacing(24)
-        self.message, self.read_out = QLabel(""), QLabel("")
-        self.message.setObjectName("message")
-        self.message.setWordWrap(True)
+        self.message, self.read_out = Message(), QLabel("")
         self.read_out.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.read_out.setToolTip("Place (x, y, z), voxel (i, j, k), value and label under the mouse")
         last.addWidget(self.message, 1)
@@ -233,10 +240,7 @@ class Window(QMainWindow):
         self.bar.show_state(state)
         self.frame_bar.show_state(state)
         self.setWindowTitle(f"accelsurf - {self.session.name} - step {state['step']} - {state['state_word']}")
-        text = f"Error: {state['message']}" if state["failed"] else state["message"]
-        self.message.setText(breakable(text))
-        self.message.setProperty("failed", state["failed"])
-        self.message.style().polish(self.message)
+        self.message.say(state["message"], state["failed"])
 
     # -- the window ---------------------------------------------------------------------------------------
 
@@ -284,11 +288,6 @@ class Window(QMainWindow):
 def _without_place(state: dict[str, Any]) -> dict[str, Any]:
     """Return the state without the read-out, which changes with each motion of the mouse."""
     return {key: value for key, value in state.items() if key not in READ_OUT}
-
-
-def breakable(text: str) -> str:
-    """Return a text that can be broken into lines within paths too, so that all of it is seen."""
-    return re.sub(r"(?<=[/_.,:=])(?=\S)", "\N{ZERO WIDTH SPACE}", text)
 
 
 #: Buttons beside each other.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -297,3 +298,20 @@ class Amount(QWidget):
     def _emit(self) -> None:
         self._delay.stop()
         self.changed.emit(self.value)
+
+
+class Message(QLabel):
+    """What happened last, in as many lines as it takes: none of it is cut off."""
+
+    def __init__(self) -> None:
+        super().__init__("")
+        self.setObjectName("message")
+        self.setWordWrap(True)
+
+    def say(self, text: str, failed: bool) -> None:
+        """Show a text; of an error in another colour."""
+        text = f"Error: {text}" if failed else text
+        # Paths and settings have no blanks: lines may end in them too.
+        self.setText(re.sub(r"(?<=[/_.,:=])(?=\S)|(?<=\S{20})(?=\S)", "\N{ZERO WIDTH SPACE}", text))
+        self.setProperty("failed", failed)
+        self.style().polish(self)
