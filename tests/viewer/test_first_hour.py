@@ -1,4 +1,4 @@
-"""What a person meets first: nothing that nobody asked for, what to do, what is known of a result, going on with one."""
+"""What a person meets first: what to do, nothing unasked for, what is known of a result, going on with one."""
 
 import json
 
@@ -47,7 +47,8 @@ def begun(actions):
 
 def test_nothing_is_there_before_it_is_asked_for(actions):
     assert begun(actions) == (False,) * 4 and actions.state()["tool"] == "size"
-    assert not actions.scene.tiles.shows_space and [row["word"] for row in actions.state()["object_rows"]] == ["not begun"]
+    assert not actions.scene.tiles.shows_space
+    assert [row["word"] for row in actions.state()["object_rows"]] == ["not begun"]
     for name, values in (("toggle", ()), ("step", ()), ("save", ()), ("set", ("preset", "mr-brain"))):
         actions.request(name, *values)
         viewing.settle(actions)
@@ -118,8 +119,8 @@ def result(tmp_path_factory):
     """An image, and the folder of the result of a click in it."""
     folder = tmp_path_factory.mktemp("finished")
     io.write(two_balls(), folder / "balls.nii.gz")
-    words = ["segment", str(folder / "balls.nii.gz"), "--inside", "ball:14,18,12,2", "-o", str(folder / "out"), "--quiet"]
-    assert execute([*words, "--threads", "1"]) == 0
+    words = ["segment", str(folder / "balls.nii.gz"), "--inside", "ball:14,18,12,2", "-o", str(folder / "out")]
+    assert execute([*words, "--quiet", "--threads", "1"]) == 0
     return folder
 
 

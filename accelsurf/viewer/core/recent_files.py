@@ -78,7 +78,7 @@ class RecentFiles:
 
 
 class Hints:
-    """What to do at first, until a person wants to see it no more.
+    """Lines that say what to do at first, until a person wants to see them no more.
 
     Parameters
     ----------

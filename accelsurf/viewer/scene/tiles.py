@@ -292,15 +292,15 @@ def fitting(
         return "one", large, False
     choices = [(layout, large, tall) for layout in ("one", "four", "slices") for tall in (False, True)]
 
-    def area(choice: tuple[str, str, bool]) -> float:
-        total, (layout, large, tall) = 0.0, choice
+    def area(layout: str, large: str, tall: bool) -> float:
+        total = 0.0
         for name, (left, bottom, right, top) in viewports(layout, names, large, False, tall).items():
             if name in sides:
                 wide, high = sides[name]
                 total += wide * high * min((right - left) * width / wide, (top - bottom) * height / high) ** 2
         return total
 
-    return max(choices, key=area)
+    return max(choices, key=lambda choice: area(*choice))
 
 
 def _one(tiles: tuple[str, ...], large: str, chart: bool) -> dict[str, Viewport]:

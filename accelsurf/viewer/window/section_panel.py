@@ -301,7 +301,7 @@ class Amount(QWidget):
 
 
 class Message(QLabel):
-    """What happened last, in as many lines as it takes: none of it is cut off."""
+    """A message in as many lines as it takes: none of it is cut off."""
 
     def __init__(self) -> None:
         super().__init__("")
