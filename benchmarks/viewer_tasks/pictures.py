@@ -34,7 +34,7 @@ from tests.support.viewing import CHROMIUM_FLAGS
 WINDOWS = ((1024, 768, 1.0), (1280, 720, 1.0), (1920, 1080, 1.0), (2880, 1800, 2.0))
 PAGES = ((700, 900), (1280, 720), (1920, 1080))
 #: Height of a picture in the sheet, and what is left between them, pixels.
-ROW, GAP = 240, 6
+ROW, GAP = 200, 6
 #: Of the sheet: enough for grey images and few colours, in a small file.
 COLORS = 160
 

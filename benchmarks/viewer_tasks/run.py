@@ -1,7 +1,7 @@
 """Segments real objects in the window by the mouse alone, and counts actions and seconds.
 
 Usage: python -m benchmarks.viewer_tasks.run VOLUMES_FOLDER [TASK ...] [-o benchmarks/results/viewer_tasks.json]
-           [--pictures FOLDER] [--size 1920x1080] [--words "--mesh stl"]
+           [--pictures FOLDER] [--size 1920x1080] [--words "--mesh stl"] [--strokes 5]
 
 The command is ``accelsurf view -o FOLDER`` and nothing else. A simulated person chooses the scan among the recent
 images, knows the object from a reference, as somebody does who knows anatomy, and acts as one could: the wheel brings
@@ -62,6 +62,7 @@ def main() -> None:
     options.add_argument("--size", default="1920x1080")
     options.add_argument("--pictures", type=Path)
     options.add_argument("--words", default="")
+    options.add_argument("--strokes", type=int, default=MAX_STROKES)
     options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer_tasks.json")
     given = options.parse_args()
     width, height = (int(side) for side in given.size.split("x"))
@@ -70,7 +71,7 @@ def main() -> None:
         for name in given.tasks or TASKS:
             with tempfile.TemporaryDirectory() as folder:
                 size, words = (width, height), given.words.split()
-                work = TASKS[name], given.volumes, display, Path(folder), given.pictures, size, words
+                work = TASKS[name], given.volumes, display, Path(folder), given.pictures, size, words, given.strokes
                 results[name] = do_task(name, *work)
             print(name, json.dumps(results[name]), flush=True)
             known = json.loads(given.output.read_text()) if given.output.exists() else {}
@@ -80,7 +81,7 @@ def main() -> None:
 
 def do_task(
     name: str, task: Task, volumes: Path, display: str, folder: Path, pictures: Path | None, size: tuple[int, int],
-    words: list[str],
+    words: list[str], strokes: int,
 ) -> dict[str, Any]:
     """Do a task; returns what it took and what came of it."""
     scan, reference = volumes / task.scan, volumes / task.reference
@@ -105,7 +106,7 @@ def do_task(
         judged_s += time.monotonic() - began  # a person sees it
         dice.append(seen["dice"])
         small = seen["worst"]["depth"] < 1.5 * max(truth.geometry.spacing)
-        if min(seen["dice"]) >= CONTENT or small or len(obeyed) == MAX_STROKES * len(objects):
+        if min(seen["dice"]) >= CONTENT or small or len(obeyed) == strokes * len(objects):
             break
         obeyed.append(correct(person, seen["worst"]))
     if pictures:

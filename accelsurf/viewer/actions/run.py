@@ -106,7 +106,7 @@ class HistoryFeature(Feature):
         if status.uncertain:
             place, share = status.uncertain[0].world, status.uncertain[0].share
             where = self.actions.feature(SlicesFeature).shown(place)
-            lines.append(f"most doubtful at {where} ({100.0 * share:.0f} % doubt)")
+            lines.append(f"most doubtful at {where} ({100.0 * share:.0f}\N{NO-BREAK SPACE}% doubt)")
         return lines
 
     def _next_uncertain(self) -> None:

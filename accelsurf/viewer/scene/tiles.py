@@ -290,7 +290,8 @@ def fitting(
     large = max(sides, key=lambda name: math.prod(sides[name]) * (MUCH if name == first else 1.0))
     if len(sides) == 1:
         return "one", large, False
-    choices = [(layout, large, tall) for layout in ("one", "four", "slices") for tall in (False, True)]
+    layouts = ("one", "four") if space else ("one", "four", "slices")
+    choices = [(layout, large, tall) for layout in layouts for tall in (False, True)]
 
     def area(layout: str, large: str, tall: bool) -> float:
         total = 0.0

@@ -367,7 +367,7 @@ class AnswersRow(QWidget):
             made.hide()
         for answer in answers:
             made = self.buttons[answer["number"]]
-            made.setText(f"{answer['key']} \N{MIDDLE DOT} {answer['volume']}")
+            made.setText(answer["volume"])
             made.setChecked(answer["taken"])
             made.show()
 
