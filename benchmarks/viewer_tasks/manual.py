@@ -2,7 +2,7 @@
 
 Usage: python -m benchmarks.viewer_tasks.manual FOLDER
 
-The scan is the vessel of volumes_synth/vessel.toml, so that anybody can make them again.
+The scan is the phantom of volumes_synth/two_balls.toml, so that anybody can make them again.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ def main() -> None:
     folder = options.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as home:
-        recipe = ROOT / "volumes_synth" / "vessel.toml"
+        recipe = ROOT / "volumes_synth" / "two_balls.toml"
         accelsurf("synth", str(recipe), "-o", home)
-        image = Path(home) / "vessel.nii.gz"
-        truth = Path(home) / "vessel_truth.nii.gz"
-        words = ["view", str(image), "--reference", str(truth), "--levels", "1"]
-        movie = ["movie", *words[1:], "--preview", "-o", str(folder / "viewer-scene.png"), "--overwrite"]
-        accelsurf(*movie, "--max-steps", str(STEPS))
+        image = Path(home) / "two_balls.nii.gz"
+        truth = Path(home) / "two_balls_truth.nii.gz"
+        words = ["view", str(image), "--levels", "1"]
+        movie = ["movie", *words[1:], "--reference", str(truth), "--preview", "--max-steps", str(STEPS)]
+        accelsurf(*movie, "-o", str(folder / "viewer-scene.png"), "--overwrite")
         window_pictures(words, truth, folder)
         with page_of(words, "dark", Path(home)) as browser:
             browser.set_window_size(*SIZE)
@@ -77,7 +77,7 @@ def window_pictures(words: list[str], truth: Path, folder: Path) -> None:
 
 
 def thick_place(truth: Path) -> np.ndarray:
-    """The place deepest in the vessel, (x, y, z) mm."""
+    """The place deepest in an object, (x, y, z) mm."""
     labels = io.read_labels(truth)
     depth = ndimage.distance_transform_edt(labels.array)
     place = np.unravel_index(int(depth.argmax()), depth.shape)
@@ -98,11 +98,12 @@ def press(person: Person, place: np.ndarray) -> None:
 
 
 def stroke(person: Person, place: np.ndarray) -> None:
-    """Paint what is outside beside a place in the coronal slice."""
-    person.key("o")
-    person.drag([person.pixel("coronal", place + (13.0, 0.0, z)) for z in (-4.0, -2.0, 0.0, 2.0)])
+    """Paint what is inside, around the mirrored place in the coronal slice: the other ball."""
+    person.key("i")
+    other = place * (1.0, 1.0, -1.0)
+    person.drag([person.pixel("coronal", other + (x, 0.0, 0.0)) for x in (-6.0, -2.0, 2.0, 6.0)])
     person.until(lambda now: now["refinements"] > 0 and "correcting" not in now["message"], 120)
-    time.sleep(2.0)
+    time.sleep(4.0)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -75,7 +76,12 @@ class Person:
         """Click on the first of the recent images, and wait until it is drawn."""
         x, y = self._at_rest("Recent images")
         above = self.now()["heights"]["Recent images"] / 2
-        self.click((x, y - above + 20))
+        for _ in range(5):  # a busy machine may not have placed the list yet
+            self.actions = 0
+            self.click((x, y - above + 20))
+            with contextlib.suppress(GaveUp):
+                self.until(lambda now: not now["is_start_page"], 30)
+                break
         self.until(lambda now: now["drawn"] is not None or now.get("state", {}).get("ready"), 300)
         self.opened_s = time.monotonic() - self.began
 
@@ -112,7 +118,10 @@ class Person:
                 # The wheel over the panels scrolls them and changes no list and no number in them.
                 beyond = place[1] - high if place[1] >= high else low - place[1]
                 self.turn_wheel(panels, 5 if place[1] >= high else 4, 1 + int(beyond // NOTCH))
-                place, turns = self._at_rest(name), turns + 1
+                before, place, turns = place, self._at_rest(name), turns + 1
+                if place == before:  # it lies beside what the wheel moves
+                    self.actions -= 1
+                    break
         self.click(place)
 
     def turn_wheel(self, place: Sequence[float], button: int, notches: int) -> None:

@@ -126,7 +126,8 @@ def shown(session: Session, window: Window) -> dict[str, Any]:
     status, frame, state = session.status, window.scene.frame, window.user_actions.state()
     return {
         "step": status.step, "playing": status.playing, "checkpoints": status.checkpoints,
-        "message": window.message.text(), "edits": [edit.model_dump() for edit in status.edits],
+        "message": window.message.text().replace("\N{ZERO WIDTH SPACE}", ""),
+        "edits": [edit.model_dump() for edit in status.edits],
         "start": status.settings.start, "settings": status.settings.model_dump(mode="json"),
         "stop": status.stop and status.stop.reason,
         "drawn": None if frame is None else [frame.step, frame.volume_mm3],
