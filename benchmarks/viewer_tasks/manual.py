@@ -100,7 +100,7 @@ def press(person: Person, place: np.ndarray) -> None:
 def stroke(person: Person, place: np.ndarray) -> None:
     """Paint what is inside, around the mirrored place in the coronal slice: the other ball."""
     person.key("i")
-    other = place * (1.0, 1.0, -1.0)
+    other = place * (-1.0, 1.0, 1.0)
     person.drag([person.pixel("coronal", other + (x, 0.0, 0.0)) for x in (-6.0, -2.0, 2.0, 6.0)])
     person.until(lambda now: now["refinements"] > 0 and "correcting" not in now["message"], 120)
     time.sleep(4.0)

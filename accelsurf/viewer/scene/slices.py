@@ -406,7 +406,7 @@ class SliceTile:
     def show_slider(self) -> None:
         """Draw a slider over the slices along the lower edge."""
         if self._slider is None and self.stack.count > 1:
-            self._slider = FlatLine(self.renderer, "#8A93A0"), FlatLine(self.renderer, "white")
+            self._slider = FlatLine(self.renderer, "#8A93A0"), FlatLine(self.renderer, self._context.theme.ink)
 
     def _fit_slider(self, track: FlatLine, handle: FlatLine, pixels: Pixels) -> None:
         width = self.renderer.GetSize()[0]
@@ -476,7 +476,9 @@ class SliceTile:
         return 2.0 * self.renderer.camera.parallel_scale / max(self.renderer.GetSize()[1], 1)
 
     def paint(self, theme: Theme) -> None:
-        """Use another theme: text is white on black in each, to be read on any image."""
+        """Use another theme; text is white on black in each, to be read on any image."""
+        if self._slider is not None:
+            self._slider[1].paint(theme.ink)
         self.mark()
 
     def _write_letters(self) -> list[Label]:

@@ -55,7 +55,7 @@ class ObjectsPanel(Section):
         table.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         table.setFixedHeight((ROWS + 1) * (table.fontMetrics().lineSpacing() + 9))
         header = table.horizontalHeader()
-        for column, width in {_SEEN: 22, _COLOR: 20, _VOLUME: 76, _WORD: 84}.items():
+        for column, width in {_SEEN: 22, _COLOR: 20, _VOLUME: 76, _WORD: 76}.items():
             header.setSectionResizeMode(column, QHeaderView.ResizeMode.Fixed)
             table.setColumnWidth(column, width)
         header.setSectionResizeMode(_NAME, QHeaderView.ResizeMode.Stretch)
