@@ -29,7 +29,7 @@ from accelsurf.cli.options import (
     settings_class,
 )
 from accelsurf.cli.track_options import SequenceSettings, track_config
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError, UsageError
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -194,6 +194,9 @@ def view(
     those of accelsurf segment; with NAME_run.toml segment makes the same bytes. F1 in the window shows keys and
     mouse.
 
+    In place of an image the folder of a result may be given, or its report: the run is made again to its end, and goes
+    on from there.
+
     The window needs a screen and more packages: pip install "accelsurf[viewer]". Runs on one level unless --levels
     asks for more. With --objects each object has a colour of its own, and a ball that is added or removed changes the
     nearest one, or the one that you choose.
@@ -201,7 +204,7 @@ def view(
     Parameters
     ----------
     input
-        The image; without it the start page opens.
+        The image, or the folder of a result; without it the start page opens.
     output
         Folder to save in; without it the window asks for one. Further images are saved in folders in it.
     config
@@ -214,6 +217,10 @@ def view(
         Replace files in the folder that this session has not written.
     """
     made, page, viewer = run_config(settings, config), page or PageOptions(), viewer or ViewerOptions()
+    finished = None if input is None else finished_run(input)
+    if finished is not None:
+        input, before = finished
+        made = before.replace(**{key: getattr(made, key) for key in made.model_fields_set})
     times = track_config(frames, None, None)
     _check_given(input, reference, tracks, times)
     waiting: list[Callable[[], OpenedImage]] = []
@@ -238,6 +245,8 @@ def view(
         session = None
         if first is not None:
             session = stack.enter_context(first.session(viewer.keep, begin=page.browser))
+            if finished is not None and made.labels is None:
+                session.play()
             if page.browser:
                 session.ready.result()
         opened = None if first is None or session is None else ImageWithSession(first, session)
@@ -246,6 +255,37 @@ def view(
         else:
             _open_window(opening, opened, settings)
     return 0
+
+
+def finished_run(path: Path) -> tuple[Path, RunConfig] | None:
+    """Return image and settings of the result that a folder or a report has; None for an image.
+
+    Raises
+    ------
+    InputError
+        When there are several results, or the image is not there or has changed.
+    """
+    from accelsurf.io import sha256
+    from accelsurf.output import result_sets
+
+    known = sorted(path.glob("*_report.json")) if path.is_dir() else [path] if path.suffix == ".json" else []
+    documents = {each: result_sets.load_report(each) for each in known if not result_sets.is_failure_report(each)}
+    reports = {each: found for each, found in documents.items() if found is not None}
+    if not reports:
+        return None
+    if len(reports) > 1:
+        raise InputError(f"{path}: there are several results: {', '.join(map(str, reports))}", "give one of them")
+    ((report, document),) = reports.items()
+    source, settings = document.get("input"), document.get("config")
+    if not isinstance(source, dict) or not isinstance(source.get("path"), str) or not isinstance(settings, dict):
+        raise InputError(f"{report}: names no image and settings to go on with", "give the image")
+    image = Path(source["path"])
+    if not image.exists() or (source.get("sha256") and (not image.is_file() or sha256(image) != source["sha256"])):
+        raise InputError(
+            f"{image}: the image of the run is not there, or has changed",
+            f"give where it is now: accelsurf view IMAGE --config {report.parent / '*run.toml'}",
+        )
+    return image, RunConfig(**settings)
 
 
 def _check_given(image: Path | None, reference: Path | None, tracks: Path | None, times: TrackConfig) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -71,34 +72,24 @@ class Person:
 
     # -- hands --------------------------------------------------------------------------------------------
 
-    def open_file(self, path: Path) -> None:
-        """Open an image by the dialog, and wait until it is drawn."""
-        self.key("ctrl+o")
-        self._answer("^Open an image", path)
-        self.until(lambda now: now["drawn"] is not None, 300)
+    def open_recent(self) -> None:
+        """Click on the first of the recent images, and wait until it is drawn."""
+        x, y = self._at_rest("Recent images")
+        above = self.now()["heights"]["Recent images"] / 2
+        for _ in range(5):  # a busy machine may not have placed the list yet
+            self.actions = 0
+            self.click((x, y - above + 20))
+            with contextlib.suppress(GaveUp):
+                self.until(lambda now: not now["is_start_page"], 30)
+                break
+        self.until(lambda now: now["drawn"] is not None or now.get("state", {}).get("ready"), 300)
         self.opened_s = time.monotonic() - self.began
 
-    def save_in(self, folder: Path) -> None:
-        """Save into a folder that exists: the dialog asks for it."""
-        self.key("ctrl+s")
-        self._answer("^Save labels", folder)
-        self.until(lambda now: "saved in" in now["message"] and not now["state"]["saving"], 120)
-
-    def _answer(self, title: str, path: Path) -> None:
-        """Type a path into the dialog that opens."""
-        self._focus(title)
-        time.sleep(0.5)
-        self.type(str(path))
-        self.key("Return")
-        time.sleep(0.3)
-        self._focus("^accelsurf")
-
-    def fill(self, name: str, text: str) -> None:
-        """Click on a line of the panels, replace what is in it, press Return."""
+    def choose(self, name: str, word: str) -> None:
+        """Choose a word of a list."""
         self.click_widget(name)
-        self.key("ctrl+a")
-        self.type(text)
-        self.key("Return")
+        self.until(lambda now: word in now["items"], 20)
+        self.click(self.now()["items"][word])
 
     def key(self, *names: str) -> None:
         """Press keys, one after the other."""
@@ -127,7 +118,10 @@ class Person:
                 # The wheel over the panels scrolls them and changes no list and no number in them.
                 beyond = place[1] - high if place[1] >= high else low - place[1]
                 self.turn_wheel(panels, 5 if place[1] >= high else 4, 1 + int(beyond // NOTCH))
-                place, turns = self._at_rest(name), turns + 1
+                before, place, turns = place, self._at_rest(name), turns + 1
+                if place == before:  # it lies beside what the wheel moves
+                    self.actions -= 1
+                    break
         self.click(place)
 
     def turn_wheel(self, place: Sequence[float], button: int, notches: int) -> None:

@@ -1,14 +1,15 @@
-"""Segments real objects in the window by mouse and keys alone, and counts actions and seconds.
+"""Segments real objects in the window by the mouse alone, and counts actions and seconds.
 
 Usage: python -m benchmarks.viewer_tasks.run VOLUMES_FOLDER [TASK ...] [-o benchmarks/results/viewer_tasks.json]
-           [--pictures FOLDER] [--size 1920x1080]
+           [--pictures FOLDER] [--size 1920x1080] [--words "--mesh stl"] [--strokes 5]
 
-The command is ``accelsurf view`` and nothing else. A simulated person opens the scan by the dialog, knows the object
-from a reference, as somebody does who knows anatomy, and acts as one could: clicks to bring its thickest place into
-sight, a press there and a drag until the outline has the right size, strokes (five for each object at most) where the
-object that fits least is wrong most. Then *stl* is typed under *More: files*, and Ctrl+S asks for a folder, in
-which the table of statistics has the volumes. Then run.toml is run by ``accelsurf segment``, which must make the same
-bytes. Scans are public: see benchmarks/README.md; the three nuclei that touch are a phantom.
+The command is ``accelsurf view -o FOLDER`` and nothing else. A simulated person chooses the scan among the recent
+images, knows the object from a reference, as somebody does who knows anatomy, and acts as one could: the wheel brings
+the thickest place of the object into sight, a press there and a drag until the outline has the right size, strokes
+(five for each object at most) where the object that fits least is wrong most. Then STL is chosen beside *Save*, and
+*Save* is clicked; the table of statistics in the folder has the volumes. Then run.toml is run by ``accelsurf segment``,
+which must make the same bytes. Scans are public: see benchmarks/README.md; the three nuclei that touch are a phantom.
+An earlier version, in which STL could not be chosen by the mouse, gets it by --words.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class Task(NamedTuple):
 
 TASKS = {
     "liver": Task("ct_abdomen_hires.nii.gz", "ct_abdomen_hires_ref.nii.gz", "5"),
-    "ventricles": Task("mri_brain256.nii.gz", "mri_brain256_ref.nii.gz", "4;43"),
+    "ventricle": Task("mri_brain256.nii.gz", "mri_brain256_ref.nii.gz", "4"),
     "touching nuclei": Task("", "", "1;2;3"),
     "nuclei": Task("fluo_nuclei1136.nii.gz", "fluo_nuclei1136_ref.nii.gz", "neighbours"),
 }
@@ -60,6 +61,8 @@ def main() -> None:
     options.add_argument("tasks", nargs="*", choices=[*TASKS, []], default=[])
     options.add_argument("--size", default="1920x1080")
     options.add_argument("--pictures", type=Path)
+    options.add_argument("--words", default="")
+    options.add_argument("--strokes", type=int, default=MAX_STROKES)
     options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer_tasks.json")
     given = options.parse_args()
     width, height = (int(side) for side in given.size.split("x"))
@@ -67,8 +70,9 @@ def main() -> None:
     with own_screen(width, height) as display:
         for name in given.tasks or TASKS:
             with tempfile.TemporaryDirectory() as folder:
-                size = (width, height)
-                results[name] = do_task(name, TASKS[name], given.volumes, display, Path(folder), given.pictures, size)
+                size, words = (width, height), given.words.split()
+                work = TASKS[name], given.volumes, display, Path(folder), given.pictures, size, words, given.strokes
+                results[name] = do_task(name, *work)
             print(name, json.dumps(results[name]), flush=True)
             known = json.loads(given.output.read_text()) if given.output.exists() else {}
             given.output.parent.mkdir(parents=True, exist_ok=True)
@@ -76,7 +80,8 @@ def main() -> None:
 
 
 def do_task(
-    name: str, task: Task, volumes: Path, display: str, folder: Path, pictures: Path | None, size: tuple[int, int]
+    name: str, task: Task, volumes: Path, display: str, folder: Path, pictures: Path | None, size: tuple[int, int],
+    words: list[str], strokes: int,
 ) -> dict[str, Any]:
     """Do a task; returns what it took and what came of it."""
     scan, reference = volumes / task.scan, volumes / task.reference
@@ -86,8 +91,11 @@ def do_task(
     labels = three_neighbours(truth.array) if task.labels == "neighbours" else task.labels
     objects = [np.isin(truth.array, [int(one) for one in ids.split(",")]) for ids in labels.split(";")]
     voxel = float(np.prod(truth.geometry.spacing))
-    person = Person(display, folder, ["view"], reference, labels, size)
-    person.open_file(scan)
+    recent = folder / "accelsurf"
+    recent.mkdir()
+    (recent / "recent.json").write_text(json.dumps([str(scan.absolute())]))
+    person = Person(display, folder, ["view", "-o", str(folder / "out"), *words], reference, labels, size)
+    person.open_recent()
     for number, wanted in enumerate(objects):
         begin_object(person, number, wanted, truth.geometry, float(wanted.sum() * voxel))
     first_s, judged_s = time.monotonic() - person.began, 0.0
@@ -98,13 +106,13 @@ def do_task(
         judged_s += time.monotonic() - began  # a person sees it
         dice.append(seen["dice"])
         small = seen["worst"]["depth"] < 1.5 * max(truth.geometry.spacing)
-        if min(seen["dice"]) >= CONTENT or small or len(obeyed) == MAX_STROKES * len(objects):
+        if min(seen["dice"]) >= CONTENT or small or len(obeyed) == strokes * len(objects):
             break
         obeyed.append(correct(person, seen["worst"]))
     if pictures:
         pictures.mkdir(parents=True, exist_ok=True)
         person.picture(pictures / f"task-{name}.png")
-    save_stl(person, folder / "out")
+    save_stl(person)
     seconds, actions = time.monotonic() - person.began - judged_s, person.actions
     person.close()
     return {
@@ -116,13 +124,13 @@ def do_task(
     }
 
 
-def save_stl(person: Person, folder: Path) -> None:
-    """Choose STL, and save all in a folder."""
-    folder.mkdir()
-    person.click_widget("More: files")
-    person.fill("mesh", "stl")
-    person.until(lambda now: list(now["settings"]["mesh"]) == ["stl"], 20)
-    person.save_in(folder)
+def save_stl(person: Person) -> None:
+    """Choose STL, where it is not chosen by the command, and save all."""
+    if "format of the mesh" in person.now()["widgets"]:
+        person.choose("format of the mesh", "stl")
+        person.until(lambda now: now["state"]["mesh"] == "stl", 20)
+    person.click_widget("Save")
+    person.until(lambda now: "saved " in now["message"] and not now["state"]["saving"], 300)
 
 
 def three_neighbours(labels: np.ndarray) -> str:
@@ -145,7 +153,7 @@ def begin_object(person: Person, number: int, wanted: np.ndarray, geometry: Geom
     show(person, place)
     before = person.now()
     if number:
-        person.key("u")
+        person.click_widget("Add")
     draw_size(person, place, mm3)
     person.until(lambda now: now["undoable"] > before["undoable"], 300)
     # The run plays from the release on; a key for it would pause it.
@@ -153,18 +161,27 @@ def begin_object(person: Person, number: int, wanted: np.ndarray, geometry: Geom
 
 
 def show(person: Person, world: np.ndarray) -> None:
-    """Bring a place into sight: a click in the coronal slice, which chooses the axial one, and a click there."""
-    person.key("v")
-    for tile in ("coronal", "sagittal", "axial"):
-        person.click(person.pixel(tile, world))
-        time.sleep(0.2)
+    """Bring a place into sight: the wheel over the axial slice."""
+    seen = person.now()
+    (now, count), wanted = seen["state"]["slices"]["axial"], seen["place_of_slices"]
+    slope, first = wanted
+    notches = round(first + slope * float(world[2])) + 1 - now
+    if notches:
+        person.turn_wheel(seen["tiles"]["axial"]["middle"], 4 if (notches > 0) == (slope > 0) else 5, abs(notches))
+        person.until(lambda seen: abs(seen["state"]["slices"]["axial"][0] - min(max(now + notches, 1), count)) < 2, 20)
+
+
+def use(person: Person, tool: str) -> None:
+    """Have a tool in hand."""
+    if person.now()["state"]["tool"] != tool.lower():
+        person.click_widget(tool)
+        person.until(lambda now: now["state"]["tool"] == tool.lower(), 20)
 
 
 def draw_size(person: Person, place: np.ndarray, mm3: float) -> None:
     """Press at a place, and drag until the outline has the size of the object."""
-    person.key("s")
+    use(person, "Size")
     start = person.pixel("axial", place)
-
     # One looks at the outline while one drags: it is waited for, and no further than a ball of twice the size.
     radius = (6.0 * mm3 / np.pi) ** (1 / 3) / 2
     way = person.pixel("axial", place + [radius, 0.0, 0.0]) - start
@@ -189,7 +206,7 @@ def correct(person: Person, worst: dict[str, Any]) -> float:
     if len(person.now()["object_rows"]) > 1 and person.now()["state"]["object_active"] != worst["object"] + 1:
         person.click(person.now()["object_rows"][worst["object"]])  # strokes are for the row that is chosen
     show(person, np.array(worst["world"]))
-    person.key("i" if worst["side"] == "inside" else "o")
+    use(person, "Inside" if worst["side"] == "inside" else "Outside")
     x, y = person.pixel("axial", worst["world"])
     before = person.now()
     person.drag([(x - 3, y), (x, y), (x + 3, y)])

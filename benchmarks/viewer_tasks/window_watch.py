@@ -3,6 +3,7 @@ start page, or the image that is open.
 
 Usage: python -m benchmarks.viewer_tasks.window_watch STATE_FILE TRUTH|- IDS WORDS OF ACCELSURF ...
 
+With --browser among the words it is the page that is watched; then the file has only the sizes of its slices.
 All that happens to the window comes from outside, as events of mouse and keys. TRUTH is a label map that the window
 does not know: with it the watcher says where the surface is wrong most, as a person would see it. In the seconds that
 this takes the window does not answer, so it is done only when a file of this name with the ending .judge asks for it.
@@ -19,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QLabel, QWidget
+from PySide6.QtWidgets import QApplication, QLabel, QListView, QListWidget, QWidget
 from scipy import ndimage
 
 from accelsurf import cli, io
@@ -28,6 +29,46 @@ from accelsurf.viewer.window.main_window import MainWindow
 INTERVAL_MS = 40
 #: Of the list of objects.
 NAME_COLUMN = 2
+
+
+def slice_sizes(scene: Any, ratio: float) -> dict[str, list[float]]:
+    """Width and height of what is drawn of the image in each slice, pixels of a usual screen."""
+    found = {}
+    for name, tile in scene.slice_tiles.items():
+        sides = tile.renderer.GetSize()
+        if min(sides) > 0:
+            left, right, bottom, top = tile.stack.extent
+            lengths = np.array([right - left, top - bottom]) / tile.mm_per_pixel()
+            found[name] = (np.minimum(lengths, sides) / ratio).tolist()
+    return found
+
+
+def axial_numbers(scene: Any) -> list[float]:
+    """Slices per mm along z, and the number of the slice at z = 0, in the middle of the image."""
+    stack, middle = scene.slice_tiles["axial"].stack, scene.geometry.center_world()
+    places = [middle + [0.0, 0.0, z] for z in (0.0, 1.0)]
+    numbers = [float(stack.place_number(scene.geometry.world_to_index(place))) for place in places]
+    slope = numbers[1] - numbers[0]
+    return [slope, numbers[0] - slope * float(middle[2])]
+
+
+def items() -> dict[str, list[int]]:
+    """Middle on the screen of each line of the list that is open."""
+    popup = QApplication.activePopupWidget()
+    found = {}
+    for view in popup.findChildren(QListView) if popup is not None else []:
+        for row in range(view.model().rowCount()):
+            index = view.model().index(row, 0)
+            place = view.viewport().mapToGlobal(view.visualRect(index).center())
+            found[str(index.data())] = [place.x(), place.y()]
+    return found
+
+
+def write_whole(path: Path, said: dict[str, Any]) -> None:
+    """Write a file of JSON, all or nothing."""
+    draft = path.with_suffix(".draft")
+    draft.write_text(json.dumps(said, default=str))
+    os.replace(draft, path)
 
 
 class WindowWatch:
@@ -50,12 +91,12 @@ class WindowWatch:
     def write(self) -> None:
         """Write the state, all or nothing."""
         said = {"time": time.time(), "title": self._main.windowTitle(), "widgets": self._widgets(), "drawn": None}
-        said["is_start_page"] = self._window is None
+        said |= {"is_start_page": self._window is None, "items": items(), "heights": {
+            widget.accessibleName(): widget.height() for widget in self._main.findChildren(QListWidget)
+        }}
         if self._window is not None:
             said |= self._of_image()
-        draft = self._file.with_suffix(".draft")
-        draft.write_text(json.dumps(said, default=str))
-        os.replace(draft, self._file)
+        write_whole(self._file, said)
 
     def _of_image(self) -> dict[str, Any]:
         """What is said of the image that is open."""
@@ -66,7 +107,10 @@ class WindowWatch:
             self._wanted.unlink()
         return {
             "state": window.user_actions.state(), "tiles": self._tiles(),
-            "step": status.step, "playing": status.playing, "message": window.message.text(),
+            "place_of_slices": axial_numbers(window.scene),
+            "slices": slice_sizes(window.scene, window.canvas.devicePixelRatioF()),
+            "step": status.step, "playing": status.playing,
+            "message": window.message.text().replace("\N{ZERO WIDTH SPACE}", ""),
             "stop": status.stop and status.stop.reason,
             "drawn": None if frame is None else [frame.step, frame.volume_mm3],
             "undoable": status.undoable, "refinements": len(status.refinements), "edits": len(status.edits),
@@ -145,19 +189,39 @@ class WindowWatch:
 
 def main() -> int:
     """Run the command, and watch the window that it opens."""
-    state_file, truth_file, label, *words = sys.argv[1:]
+    named, truth_file, label, *words = sys.argv[1:]
+    state_file = Path(named)
     truth = []
     if truth_file != "-":
         known = io.read_labels(Path(truth_file)).array
         truth = [np.isin(known, [int(one) for one in ids.split(",")]) for ids in label.split(";")]
+    if "--browser" in words:
+        watch_page(state_file)
+        return cli.execute(words)
     original = MainWindow.__init__
 
     def watched(window: Any, *values: Any, **options: Any) -> None:
         original(window, *values, **options)
-        window.watch = WindowWatch(window, Path(state_file), truth)
+        window.watch = WindowWatch(window, state_file, truth)
 
     MainWindow.__init__ = watched  # type: ignore[method-assign]
     return cli.execute(words)
+
+
+def watch_page(state_file: Path) -> None:
+    """Have the page write the sizes of its slices with each picture."""
+    from accelsurf.viewer.page.page import Page
+
+    original = Page._draw
+
+    def drawn(page: Any, actions: Any) -> float:
+        seconds = original(page, actions)
+        left, bottom, right, top = actions.scene.slice_tiles["axial"].renderer.GetViewport()
+        sizes = slice_sizes(actions.scene, actions.scene.tiles.pixel_ratio)
+        write_whole(state_file, {"slices": sizes, "axial": [0.5 * (left + right), 1.0 - 0.5 * (bottom + top)]})
+        return seconds
+
+    Page._draw = drawn  # type: ignore[method-assign]
 
 
 if __name__ == "__main__":

@@ -356,7 +356,7 @@ def _panel():
     scene, session = SimpleNamespace(geometry=volume().geometry, unit="mm"), SimpleNamespace(status=status, source=None)
     actions = SimpleNamespace(scene=scene, session=session, folder=None)
     panel = SettingsPanel(actions)
-    panel.show_state(SettingsFeature(actions).state(status) | {"has_box": False})
+    panel.show_state(SettingsFeature(actions).state(status))
     for row in panel.rows.values():
         if row.choice is not None:
             print(*(row.choice.itemText(place) for place in range(row.choice.count())), sep="\n")

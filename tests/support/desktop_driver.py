@@ -89,7 +89,7 @@ def places(window: Window) -> dict[str, Any]:
         | {"grey values": middle(slices.window_word), "layout": middle(slices.layout_), "level": middle(slices.level)}
         | {"straight": middle(slices.straight)}
         | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
-        | {"next uncertain": middle(side.panels["HistoryPanel"].next)}
+        | {"next uncertain": middle(side.panels["ResultPanel"].next)}
         | {f"object {row}": cell_of(objects.table, row, 2) for row in range(3)}
         | {f"color {row}": cell_of(objects.table, row, 1) for row in range(3)}
         | {f"seen {row}": cell_of(objects.table, row, 0) for row in range(3)}
@@ -126,7 +126,8 @@ def shown(session: Session, window: Window) -> dict[str, Any]:
     status, frame, state = session.status, window.scene.frame, window.user_actions.state()
     return {
         "step": status.step, "playing": status.playing, "checkpoints": status.checkpoints,
-        "message": window.message.text(), "edits": [edit.model_dump() for edit in status.edits],
+        "message": window.message.text().replace("\N{ZERO WIDTH SPACE}", ""),
+        "edits": [edit.model_dump() for edit in status.edits],
         "start": status.settings.start, "settings": status.settings.model_dump(mode="json"),
         "stop": status.stop and status.stop.reason,
         "drawn": None if frame is None else [frame.step, frame.volume_mm3],

@@ -89,3 +89,9 @@ def settle(actions):
 def look(session, work):
     """Future of what a function finds in the run, between two steps in the session's thread."""
     return session._do(lambda timeline: work(timeline.run))
+
+
+def ml(row):
+    """Volume of a row of the list of objects, ml."""
+    value, unit = row["volume"].split()
+    return float(value) * {"um3": 1e-12, "mm3": 1e-3, "ml": 1.0, "l": 1e3}[unit]

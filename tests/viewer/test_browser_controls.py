@@ -68,7 +68,9 @@ def test_grey_values_zoom_pan_and_layouts_in_the_page(served, browser):
     from selenium.webdriver.common.keys import Keys
 
     said, hand = state(served), Hand(browser)
-    assert (said["layout"], said["chart"]) == ("four", False)
+    assert (said["layout"], said["chart"]) == ("one", False)
+    browser.find_element("css selector", "#layout option[value=four]").click()
+    until(lambda: state(served)["layout"] == "four")
     width, height = hand.picture.size["width"], hand.picture.size["height"]
     axial = -width // 4, -height // 4
     hand.drag(axial, (60, -30), 2)
@@ -134,7 +136,7 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
         """The objects, once nothing is under way; from the page itself."""
         said = state(served)
         return [] if said["playing"] or any(one["word"] != "converged" for one in said["object_rows"]) else [
-            {**one, "ml": float(one["ml"])} for one in said["object_rows"]
+            {**one, "ml": viewing.ml(one)} for one in said["object_rows"]
         ]  # fmt: skip
 
     def listed():
@@ -156,6 +158,8 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
     try:
         with opened(served, tmp_path) as browser:
             hand = Hand(browser)
+            browser.find_element("css selector", "#layout option[value=four]").click()
+            until(lambda: state(served)["layout"] == "four")
             axial = -hand.picture.size["width"] // 4, -hand.picture.size["height"] // 4
             left, right = (hand.at((axial[0] + way, axial[1]))[0] for way in (-40, 40))
             other = round(axial[0] - 40 + (48 - left) * 80 / (right - left)), axial[1]

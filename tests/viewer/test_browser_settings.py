@@ -1,4 +1,4 @@
-"""Settings and box in the page, driven by a real browser."""
+"""Settings in the page, driven by a real browser."""
 
 import time
 
@@ -61,7 +61,7 @@ def test_the_page_has_the_rows_of_the_catalogue_and_no_others(server, element):
     assert shown == [row["label"] + unit + mark for row, unit, mark in zip(rows, units, marks, strict=True)]
     groups = browser.find_elements("css selector", "details.more > summary")
     names = [one.get_attribute("textContent") for one in groups]
-    assert names == ["More: what to run", "More: fine control of the flow"]
+    assert names == ["Expert"]
     for row in rows:
         if row["kind"] == "slider" and not row["words"]:
             assert float(value(element, row["key"])) == row["value"]
@@ -93,14 +93,13 @@ def test_what_is_typed_stays_until_it_is_left_and_keys_stay_in_a_slider(server, 
     until(lambda: value(element, "smoothness") == "0.375")
 
 
-def test_a_box_is_laid_and_what_is_saved_repeats(server, element, tmp_path):
+def test_a_region_is_typed_and_what_is_saved_repeats(server, element, tmp_path):
     served, browser = server
     low = float(value(element, "threshold-0-LO"))
     fill(browser, element, "set-presmooth", "0.5vox")
     until(lambda: "presmooth 0.5vox" in element("message").text)
-    assert not element("box-none").is_enabled()
-    browser.execute_script("arguments[0].click()", element("box-around"))
-    until(lambda: value(element, "roi").endswith("vox") and element("box-none").is_enabled())
+    fill(browser, element, "set-roi", "4,4,2,40,36,17vox")
+    until(lambda: value(element, "roi") == "4,4,2,40,36,17vox" and "roi" in element("message").text)
     for count in (1, 2, 3):
         browser.execute_script("arguments[0].click()", element("single"))
         until(lambda count=count: element("step").text.split()[1] == str(count) and element("single").is_enabled())

@@ -6,6 +6,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
+from tests.support import viewing
 from tests.viewer.test_desktop import Person, at_left_ball, needs_screen, scan, screen
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -87,7 +88,7 @@ def test_zoom_pan_layouts_and_copied_places(person):
     person.key("r")
     assert place_at(person, x + 40, y) == pytest.approx(beside, abs=0.1)
     # Layouts: by the list, by W, one tile alone by a double click and by 1, the chart by E, voxels by M.
-    assert (person.now()["state"]["layout"], person.now()["state"]["chart"]) == ("four", False)
+    assert (person.now()["state"]["layout"], person.now()["state"]["chart"]) == ("one", False)
     person.key("e")
     person.until(lambda now: now["state"]["chart"])
     pressed(person, "layout")
@@ -134,12 +135,12 @@ def test_objects_are_merged_split_removed_and_undone_without_a_trace(screen, tmp
         person.do("keydown", "ctrl", "mousemove", str(x), str(y), "click", "1", "keyup", "ctrl")
         pressed(person, "object_merge")
         merged = person.until(lambda now: len(settled(now)) == 1)["state"]["object_rows"]
-        assert float(merged[0]["ml"]) == pytest.approx(sum(float(row["ml"]) for row in rows), rel=0.02)
+        assert viewing.ml(merged[0]) == pytest.approx(sum(viewing.ml(row) for row in rows), rel=0.02)
         person.key("q")
         person.until(lambda now: now["state"]["tool"] == "split")
         person.drag((other, at_y))
         split = person.until(lambda now: len(settled(now)) == 2)["state"]["object_rows"]
-        assert [float(row["ml"]) for row in split] == pytest.approx([float(row["ml"]) for row in rows], rel=0.02)
+        assert [viewing.ml(row) for row in split] == pytest.approx([viewing.ml(row) for row in rows], rel=0.02)
         person.click("object 1")
         person.until(lambda now: now["state"]["object_active"] == split[1]["id"])
         pressed(person, "object_remove")

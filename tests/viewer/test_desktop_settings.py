@@ -1,4 +1,4 @@
-"""Settings and box in the window, by mouse and keys."""
+"""Settings in the window, by mouse and keys."""
 
 import pytest
 
@@ -42,17 +42,12 @@ def test_a_run_set_up_by_hand_is_the_same_from_the_command_line(person, scan, tm
     enter()
     person.until(lambda now: now["settings"]["energy"] == "threshold:40,400")
     person.until(lambda now: "threshold-0-LO" in now["rows"])
-    # What is fixed while a run runs; a box in a slice.
+    # What is fixed while a run runs; the region of interest.
     fill(person, "presmooth", "0.5vox")()
     now = person.until(lambda now: now["settings"]["presmooth"] == "0.5vox")
     assert now["settings"]["energy"] == "threshold:40,400" and now["step"] == 0
-    person.do("mousemove", "700", "690")
-    person.key("z")
-    person.until(lambda now: now["state"]["tool"] == "box")
-    x, y = person.now()["tiles"]["axial"]
-    person.drag((x - 70, y - 75), (x, y), (x + 70, y + 75))
-    now = person.until(lambda now: now["settings"]["roi"] is not None)
-    assert now["settings"]["roi"].endswith("vox") and now["state"]["has_box"]
+    fill(person, "roi", "4,4,4,43,43,36vox")()
+    person.until(lambda now: now["settings"]["roi"] == "4,4,4,43,43,36vox")
     person.key("Right", "Right", "Right")
     person.until(lambda now: now["drawn"][0] == 3 and now["step"] == 3)
     person.do("key", "ctrl+s")

@@ -145,7 +145,7 @@ def test_what_is_under_two_fingers_stays_under_them(actions):
     assert np.allclose(actions.scene.cursor, cursor)  # the first finger has moved the slices: it was not meant
     (x, y), (far_x, far_y) = axial(actions, FIRST), axial(actions, SECOND)
     before = [under(actions, x, y), under(actions, far_x, far_y)]
-    scale = actions.scene.slice_tiles["axial"].mm_per_pixel()
+    scale, beside = (actions.scene.slice_tiles[name].mm_per_pixel() for name in ("axial", "coronal"))
     # Spread by a fifth along the line between them, and moved: the two of a step one after another.
     right, down = 0.1 * (far_x - x), 0.1 * (far_y - y)
     for _ in range(2):
@@ -153,9 +153,9 @@ def test_what_is_under_two_fingers_stays_under_them(actions):
         actions.request("touch_move", x, y, 7)
         actions.request("touch_move", far_x, far_y, 8)
     after = [under(actions, x, y), under(actions, far_x, far_y)]
-    np.testing.assert_allclose(after, before, atol=1e-6)
+    np.testing.assert_allclose(after, before, atol=1e-3)  # tiles have whole pixels
     assert scale / actions.scene.slice_tiles["axial"].mm_per_pixel() == pytest.approx(1.4, rel=1e-6)
-    assert actions.scene.slice_tiles["coronal"].mm_per_pixel() == pytest.approx(scale, rel=0.5)
+    assert actions.scene.slice_tiles["coronal"].mm_per_pixel() == beside
     actions.request("touch_up", 8)
     actions.request("touch_up", 7)
     assert np.allclose(actions.scene.cursor, cursor) and not actions.feature(MouseFeature).is_dragging
@@ -309,7 +309,8 @@ def test_a_key_shows_the_tile_under_the_mouse_alone_with_any_tool(actions):
 
 def test_whatever_page_and_picture_ask_for_can_be_asked(actions):
     text = document(("head", "tools", "slices"))
-    sent = set(re.findall(r"\['([a-z_]+)', ", text[text.index("<main>") :])) | {"copy_failed", "cancel"}
+    drawn = text.partition("<main>")[2].partition('aria-label="panels"')[0]
+    sent = set(re.findall(r"\['([a-z_]+)', ", drawn)) | {"copy_failed", "cancel"}
     assert {"touch_down", "scroll_delta", "press"} <= sent <= set(actions.names)
     actions.request("copy_point")
     assert "copied point:" in actions.state()["message"]

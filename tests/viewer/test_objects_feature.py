@@ -177,8 +177,8 @@ def test_the_list_and_how_objects_are_drawn(actions):
     actions.session.play().result(60)
     state = settled(actions)
     (row,) = state["object_rows"]
-    assert row["id"] == 1 and row["word"] == "converged" and 1.4 < float(row["ml"]) < 2.0
-    assert row["voxels"] == pytest.approx(1000 * float(row["ml"]) / np.prod(SPACING), rel=0.05)
+    assert row["id"] == 1 and row["word"] == "converged" and 1.4 < viewing.ml(row) < 2.0
+    assert row["voxels"] == pytest.approx(1000 * viewing.ml(row) / np.prod(SPACING), rel=0.05)
     state = ask(actions, "object_add")
     assert state["object_active"] == 2 and state["tool"] == "size"
     assert [one["word"] for one in state["object_rows"]] == ["converged", NOT_BEGUN]
@@ -230,7 +230,7 @@ def test_the_size_tool_presses_for_the_active_object(actions):
     state = settled(actions)
     assert not actions.message and [one["id"] for one in state["object_rows"]] == [1, 2]
     # The drag says the ball without the one beside it, as bright, which it touches.
-    assert 1000 * float(state["object_rows"][1]["ml"]) == pytest.approx(truth(2).sum() * 1.5, rel=0.25)
+    assert 1000 * viewing.ml(state["object_rows"][1]) == pytest.approx(truth(2).sum() * 1.5, rel=0.25)
 
 
 BAD = (

@@ -226,9 +226,9 @@ def _fold_and_touch(browser):
     shown = source()
     box = browser.find_element("id", "picture").rect
     finger = ActionBuilder(browser, mouse=PointerInput("touch", "finger"))
-    # The surface is large at the left, or one of four alike.
-    right, down = (0.25, 0.5) if browser.find_element("id", "layout").get_attribute("value") == "one" else (0.75, 0.75)
-    x, y = round(box["x"] + right * box["width"]), round(box["y"] + down * box["height"])
+    # The surface is below the slices at the right.
+    assert browser.find_element("id", "layout").get_attribute("value") == "one"
+    x, y = round(box["x"] + 0.8 * box["width"]), round(box["y"] + 0.86 * box["height"])
     finger.pointer_action.move_to_location(x, y).pointer_down().move_to_location(x + 60, y + 25).pointer_up()
     finger.perform()
     until(lambda: source() != shown)

@@ -34,12 +34,12 @@ const press = (event) => tree.props.onKeydown(event);
 STATE = {
     "picture": "data:,", "theme": "dark", "rests": [], "keys": ["Ctrl+C", "Ctrl+Shift+C", "/"], "choices": [],
     "as_point": "point:1,2,3", "as_ball": "ball:1,2,3,4",
-    "as_correction": "",
+    "as_correction": "", "files": [], "hints": [], "can_run": True, "result": ["volume 1 ml"], "uncertain": [],
 }
 
 
 def rendered(script, **state):
-    return run_in_node(document(("head",)), {**STATE, **state}, script)
+    return run_in_node(document(("head", "result")), {**STATE, **state}, script)
 
 
 def test_pointers_are_sent_as_what_they_are():

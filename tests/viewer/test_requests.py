@@ -36,7 +36,7 @@ def scene_and_session():
 def handler(scene_and_session, tmp_path):
     scene, session = scene_and_session
     made = Actions(session, scene, tmp_path / "out")
-    scene.tiles.lay_out("one", "space", True)
+    scene.tiles.lay_out("one", "space", True, True)
     made.request("layout", "one")  # chosen: it does not follow from the size of the picture
     scene.tiles.show_whole()
     session.pause().result(60)
@@ -132,6 +132,7 @@ def test_only_what_there_is_can_be_saved(handler, tmp_path, what):
 
 
 def test_dragging_turns_the_camera_and_moves_slices(handler):
+    handler.request("tool", "look")
     handler.request("size", 800, 448)
     draw(handler)
     before = handler.scene.screenshot()

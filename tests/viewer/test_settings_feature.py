@@ -7,17 +7,17 @@ import pytest
 
 from accelsurf import io
 from accelsurf.cli import execute
-from accelsurf.settings.catalogue import default_shown, entry, help_of, names_of
+from accelsurf.settings.catalogue import default_shown, entry, help_of, names_of, viewer_settings
 from accelsurf.settings.energy_terms import TERMS, Word
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.actions import Actions
-from accelsurf.viewer.actions.settings_rows import settings_rows
+from accelsurf.viewer.actions.settings_rows import EXPERT, settings_rows
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
 
-COMMON = ["preset", "energy", "smoothness", "presmooth", "size", "answer", "max_volume", "levels", "roi"]
+COMMON = ["preset", "smoothness", "presmooth", "size", "max_volume", "roi"]
 
 
 def rows_of(actions):
@@ -65,13 +65,15 @@ def test_rows_are_the_options_of_the_command_line_in_their_order(capsys):
     places = {key: options.index(key) for key in dict.fromkeys(options)}
     rows = [row for row in settings_rows(RunConfig(), (), 1.0) if not row["term"]]
     assert [row["key"] for row in rows if not row["group"]] == COMMON
-    for wanted in (COMMON, [row["key"] for row in rows if row["group"]]):
+    assert {row["group"] for row in rows} == {"", EXPERT}
+    assert {"energy", "levels", "epsilon"} <= {row["key"] for row in rows if row["group"]}
+    first = [key for key in viewer_settings("first") if key not in COMMON]
+    for wanted in (COMMON, first, [row["key"] for row in rows if row["group"] and row["key"] not in first]):
         order = [places[key.replace("_", "-")] for key in wanted]
         assert order == sorted(order)
     for row in rows:
         assert row["label"].replace(" ", "-") in places
         assert row["help"] == help_of(row["key"]) and row["unit"] == entry(row["key"]).unit
-        assert shown.index(row["group"] or "What to run") >= 0
     values = {row["key"]: str(row["value"]) for row in rows if row["kind"] not in ("switch", "slider")}
     assert values == {key: default_shown(key).replace("none", "") for key in values}
 

@@ -149,29 +149,86 @@ def test_the_wheel_goes_through_slices_and_zooms_with_ctrl_around_the_mouse(fres
     assert tile.mm_per_pixel() == pytest.approx(fresh.scene.slice_tiles["axial"].mm_per_pixel(), rel=0.5)
 
 
-def test_slices_are_as_large_as_the_window_allows_until_a_layout_is_chosen(fresh):
-    def shown():
-        tiles = fresh.scene.tiles
-        width = tiles.renderer("axial").GetViewport()[2] - tiles.renderer("axial").GetViewport()[0]
-        return tiles.layout, tiles.shows_chart, width
+def share_of_slices(scene):
+    """The part of the picture that is image in slices."""
+    area = 0.0
+    for tile in scene.slice_tiles.values():
+        left, right, bottom, top = tile.stack.extent
+        sides = np.minimum(np.array([right - left, top - bottom]) / tile.mm_per_pixel(), tile.renderer.GetSize())
+        area += float(np.prod(sides))
+    return area / np.prod(scene.plotter.render_window.GetSize())
 
-    new = Actions(fresh.session, fresh.scene)
-    new.request("size", 960, 640)
-    assert shown() == ("four", False, 0.5)
-    new.request("size", 1600, 1200)
-    assert shown() == ("one", True, 0.25)
-    # The picture in 3D is seen whole in each, and no smaller than it must be.
-    space = fresh.scene.space
-    for width, height in ((960, 640), (1600, 1200)):
+
+@pytest.mark.parametrize("size", [(704, 656), (960, 600), (1600, 960), (2240, 1320), (3520, 2040), (456, 720)])
+def test_slices_take_most_of_any_window_and_3d_waits_for_a_surface(fresh, size):
+    new, scene = Actions(fresh.session, fresh.scene), fresh.scene
+    frame = scene.frame
+    scene.frame = None
+    new.request("size", *size)
+    scene.render()
+    alone = share_of_slices(scene)
+    assert not scene.tiles.shows_space and not scene.tiles.shows_chart
+    assert alone == max(alone, *(share_in(new, layout) for layout in ("one", "four", "slices"))) and alone > 0.5
+    new = Actions(fresh.session, scene)
+    scene.frame = frame
+    new.request("size", size[0] - 8, size[1])
+    new.request("size", *size)
+    scene.render()
+    assert scene.tiles.shows_space and not scene.tiles.shows_chart and 0.3 < share_of_slices(scene) < alone
+    new.request("size", 640, 360)
+
+
+def share_in(actions, layout):
+    """The share of slices in a layout, without 3D."""
+    actions.scene.tiles.lay_out(layout, "axial", chart=False, space=False)
+    actions.scene.render()
+    return share_of_slices(actions.scene)
+
+
+def test_the_layout_follows_the_window_until_one_is_chosen(fresh):
+    new, tiles, space = Actions(fresh.session, fresh.scene), fresh.scene.tiles, fresh.scene.space
+    for width, height in ((960, 640), (1600, 1200), (480, 800)):
         new.request("size", width, height)
+        # The picture in 3D is seen whole in each, and no smaller than it must be.
         assert space.renderer.camera.parallel_scale == pytest.approx(space.fitted_scale())
+    assert tiles.large == "axial" and tiles.renderer("axial").GetViewport()[2] == 1.0  # above the others
     # What counts are pixels of a usual screen: this picture has as many of the device as the one before.
     new.request("size", 800, 600, 2.0)
-    assert shown()[:2] == ("four", False)
+    assert tiles.layout == "one" and tiles.renderer("axial").GetViewport()[2] == pytest.approx(0.6)
+    new.request("layout", "four")
     new.request("chart", True)
     new.request("size", 1600, 1200)
-    assert shown()[:2] == ("four", True)
+    assert (tiles.layout, tiles.shows_chart) == ("four", True)
     new.request("size", 640, 360)
+
+
+@pytest.mark.parametrize("name", ["axial", "coronal", "sagittal"])
+def test_the_slider_of_a_slice_goes_through_all_of_them(fresh, name):
+    scene = fresh.scene
+    scene.render()
+    tile = scene.slice_tiles[name]
+    left, bottom, right, top = tile.renderer.GetViewport()
+    y, steps = 1 - bottom - 4 / 360, fresh.session.status.undoable
+    for share, number in ((0.0, 0), (1.0, tile.stack.count - 1), (0.5, (tile.stack.count - 1) / 2)):
+        fresh.request("press", left + 0.5 * (right - left), y)
+        fresh.request("move", min(max(left + share * (right - left), 0.0), 1.0), 0.2)
+        fresh.request("release")
+        across = number if tile.stack.step > 0 else tile.stack.count - 1 - number
+        assert abs(tile.index - across) <= 1 and not fresh.message
+    assert fresh.session.status.undoable == steps  # a press there is none in the image
+
+
+def test_level_width_and_value_are_in_the_slice_while_grey_values_are_dragged(fresh):
+    x, y = middle(fresh, "axial")
+    tile = fresh.scene.slice_tiles["axial"]
+    fresh.request("press", x, y, 2)
+    fresh.request("move", x + 0.05, y)
+    said = tile.title.text.splitlines()[1]
+    window = fresh.scene.window
+    assert said.startswith(f"level {window.level:.4g}, width {window.width:.4g}, value ")
+    assert said.endswith(fresh.state()["value"])
+    fresh.request("release")
+    assert len(tile.title.text.splitlines()) == 1
 
 
 def test_a_double_click_shows_a_tile_alone_and_again_all(fresh):

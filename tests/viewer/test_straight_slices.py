@@ -10,10 +10,8 @@ from accelsurf.clicks.reading import read_clicks
 from accelsurf.image.grey_window import GreyWindow
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import DICOM_KEY
-from accelsurf.run.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.actions import Actions
-from accelsurf.viewer.actions.box import BoxFeature
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.scene import Scene
@@ -330,32 +328,3 @@ def test_the_switch_is_refused_where_it_does_nothing(scene_of):
         made.request("straight", True)
         assert made.message.startswith("straight: ") and not made.state()["straight"]
         assert not made.state()["is_oblique"]
-
-
-def test_a_box_is_cut_aslant_and_its_sides_are_dragged(actions):
-    actions, center = actions
-    scene = actions.scene
-    actions.request("set", "roi", "4,5,3,35,38,22vox")
-    settle(actions)
-    overlay = actions.feature(BoxFeature).overlay
-    tile = scene.slice_tiles["sagittal"]
-    corners = np.asarray(overlay._actors["sagittal"].mapper.GetInput().points)[:, :2]
-    index = tile.stack.to_index(np.column_stack([corners, np.full(len(corners), tile.across)]))
-    low, high = np.array([3, 5, 4]) - 0.5, np.array([22, 38, 35]) + 0.5
-    on_side = np.minimum(np.abs(index - low), np.abs(index - high)) < 1e-3
-    assert (on_side.sum(axis=1) >= 2).all() and len(index) >= 4  # each corner is on two faces
-    scene.step_slice("sagittal", 3)
-    scene.screenshot()
-    assert not np.allclose(np.asarray(overlay._actors["sagittal"].mapper.GetInput().points)[0, :2], corners[0])
-    # The lower face along z, dragged by two voxels.
-    middle = scene.geometry.world_to_index(scene.cursor)
-    middle[0] = 2.5
-    place = [*tile.stack.to_place(middle)[:2], tile.across]
-    start = scene.geometry.index_to_world(tile.stack.to_index(place))
-    actions.request("tool", "box")
-    step = scene.geometry.index_to_world((2.0, 0.0, 0.0)) - scene.geometry.index_to_world((0.0, 0.0, 0.0))
-    drag(actions, "sagittal", start, start + 0.5 * step, start + step)
-    actions.request("release")
-    settle(actions)
-    z, y, x = region_of_interest(actions.session.status.settings.roi, scene.geometry)
-    assert (z.start, z.stop, y.start, y.stop, x.start, x.stop) == (5, 23, 5, 39, 4, 36), actions.message

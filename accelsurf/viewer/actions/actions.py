@@ -15,7 +15,6 @@ from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.viewer.actions.answers import AnswersFeature
-from accelsurf.viewer.actions.box import BoxFeature
 from accelsurf.viewer.actions.files import FilesFeature
 from accelsurf.viewer.actions.frames import FramesFeature
 from accelsurf.viewer.actions.mouse import MouseFeature, TouchFeature
@@ -25,7 +24,7 @@ from accelsurf.viewer.actions.run import HistoryFeature, RunFeature
 from accelsurf.viewer.actions.settings import SettingsFeature
 from accelsurf.viewer.actions.slices import SlicesFeature
 from accelsurf.viewer.actions.tool import Feature, Key, P, Tool, carry_out, first_radius
-from accelsurf.viewer.actions.tools import CorrectionsFeature
+from accelsurf.viewer.actions.tools import ORDER, CorrectionsFeature
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import View, error_line
@@ -43,7 +42,6 @@ FEATURES: tuple[type[Feature], ...] = (
     AnswersFeature,
     HistoryFeature,
     SettingsFeature,
-    BoxFeature,
     SlicesFeature,
     PictureFeature,
     FilesFeature,
@@ -102,7 +100,8 @@ class Actions:
         self.features = tuple(kind(self) for kind in FEATURES)
         self._requests: dict[str, Callable[..., None]] = {"key": self._key, "copy_failed": self._copy_failed}
         self._requests |= {name: work for feature in self.features for name, work in feature.requests().items()}
-        self.tools: dict[str, Tool] = {tool.name: tool for feature in self.features for tool in feature.tools()}
+        tools = {tool.name: tool for feature in self.features for tool in feature.tools()}
+        self.tools: dict[str, Tool] = {name: tools[name] for name in ORDER}
         self.keys = {tool.key: Key("tool", (tool.name,), tool.text.lower()) for tool in self.tools.values()}
         self.keys |= {key: does for feature in self.features for key, does in feature.keys().items()}
 

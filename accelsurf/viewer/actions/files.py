@@ -7,8 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import UsageError
+from accelsurf.settings.catalogue import as_typed
+from accelsurf.settings.mesh_formats import MESH_FORMATS
 from accelsurf.viewer.actions.tool import AllActions, Feature, Key, word
 from accelsurf.viewer.core.status import SAVED_KINDS, Status
+
+#: The format of surfaces unless another is asked for.
+AUTO_MESH = next(name for name, form in MESH_FORMATS.items() if "surface" in form.auto)
 
 
 class FilesFeature(Feature):
@@ -26,6 +31,8 @@ class FilesFeature(Feature):
         super().__init__(actions)
         self.files: dict[str, Path] = {}
         self.is_saving = False
+        #: Format of meshes that was chosen here; of the settings otherwise.
+        self._mesh = ""
         #: What of the run the files have that were saved last.
         self._stored: Any = None
 
@@ -36,20 +43,25 @@ class FilesFeature(Feature):
         return bool(status.step or status.undoable) and _content(status) != self._stored
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
-        return {"save": self._save}
+        return {"save": self._save, "mesh": self._choose_mesh}
 
     def keys(self) -> Mapping[str, Key]:
         return {"Ctrl+S": Key("save", (), "save labels, mesh, picture, settings")}
 
     def state(self, status: Status) -> dict[str, Any]:
-        return {"saved": sorted(self.files), "saving": self.is_saving}
+        mesh = self._mesh or as_typed(status.settings.mesh).replace("auto", AUTO_MESH)
+        meshes = [mesh, *(name for name, form in MESH_FORMATS.items() if form.surface is not None and name != mesh)]
+        return {"saved": sorted(self.files), "saving": self.is_saving, "mesh": mesh, "meshes": meshes}
+
+    def _choose_mesh(self, name: Any) -> None:
+        self._mesh = word(name, tuple(MESH_FORMATS))
 
     def _save(self, *what: Any) -> None:
         actions = self.actions
         kinds = [word(kind, SAVED_KINDS) for kind in what] or list(SAVED_KINDS)
         if actions.folder is None:
             raise UsageError("save: there is no folder to save in", "name one")
-        future = actions.session.save(actions.folder, kinds, actions.overwrite)
+        future = actions.session.save(actions.folder, kinds, actions.overwrite, self._mesh)
         content = _content(actions.session.status)
         self.is_saving = True
         future.add_done_callback(lambda _: setattr(self, "is_saving", False))
@@ -63,7 +75,7 @@ class FilesFeature(Feature):
         home = folder.resolve()
         # The session chooses the names; a file elsewhere would not be served all the same.
         self.files |= {path.name: path for path in paths if path.resolve().parent == home}
-        self.actions.note(f"saved in {folder.absolute()}: {', '.join(path.name for path in paths)}", 20)
+        self.actions.note(f"saved in {folder.absolute()}: {len(paths)} files", 20)
         if is_all:
             picture = folder / f"{self.actions.session.name}_view.png"
             self.actions.scene.screenshot(picture)

@@ -20,7 +20,7 @@ RATE = 8.0
 OF_A_RUN = (
     "play", "toggle", "step", "back", "go_to", "restart", "undo", "redo", "change", "next_uncertain", "uncertain",
     "save", "object_add", "object_remove", "object_merge", "object_split", "object_name", "object_color",
-    "object_visible", "object_opacity", "set", "set_term", "type_energy", "box_around", "box_none",
+    "object_visible", "object_opacity", "set", "set_term", "type_energy",
     "take_answer",
 )
 

@@ -79,6 +79,8 @@ class SliceScroll:
 
 #: Buttons, as browsers number them.
 LEFT, MIDDLE, RIGHT = 0, 1, 2
+#: What a press on the slider of a slice does.
+SLIDE = 3
 #: Degrees that the camera turns per pixel of a picture 720 high.
 TURN = 0.45
 #: Ends of the slider: voxels of the smallest spacing, and parts of the image's longest side.
@@ -140,7 +142,8 @@ class MouseFeature(Feature):
         geometry, radius = self.actions.scene.geometry, self.actions.radius
         longest = float(max(geometry.extent_mm))
         row = amount(LEAST * finest(geometry), MOST * longest, radius, 2.0, longest, per=self._per)
-        return {"tool": self.tool.name, "radius": radius, "radius_row": {"unit": self._unit, **row}}
+        tool = {"tool": self.tool.name, "tool_tip": self.tool.tip}
+        return {**tool, "radius": radius, "radius_row": {"unit": self._unit, **row}}
 
     @property
     def is_dragging(self) -> bool:
@@ -160,7 +163,6 @@ class MouseFeature(Feature):
         self.tool.leave()
         self.tool = tool
         self.actions.scene.mark_ball(None)
-        self.actions.note(tool.tip)
 
     def _look(self) -> None:
         self._use("look")
@@ -186,7 +188,12 @@ class MouseFeature(Feature):
         tiles.redraw.hurry(at.tile in self.actions.scene.slice_tiles)
         if at.tile == "space":
             tiles.coarsen(True)
-        if self._button == LEFT and at.world is not None and self._uses_tool(at.tile):
+        tile = self.actions.scene.slice_tiles.get(at.tile)
+        place = None if tile is None else place_in_renderer(tile.renderer, *pixel)
+        if self._button == LEFT and tile is not None and place is not None and tile.slider_takes(place[1]):
+            self._button = SLIDE
+            self._look_around(0.0, 0.0)
+        elif self._button == LEFT and at.world is not None and self._uses_tool(at.tile):
             self.actions.feature(FramesFeature).refuse_tool(self.tool.name)
             self.tool.press(at)
 
@@ -205,6 +212,8 @@ class MouseFeature(Feature):
             self._look_around(right, up)
             at = self.actions.scene.pick(*pixel)
         self._read(at)
+        if self._button == RIGHT and self._tile in self.actions.scene.slice_tiles:
+            self.actions.feature(SlicesFeature).write(self._tile)
 
     def _look_around(self, right: float, up: float) -> None:
         """Move by pixels in the tile in which a button went down."""
@@ -212,7 +221,11 @@ class MouseFeature(Feature):
         if self._tile not in scene.tiles.names:
             return
         size, space = scene.plotter.render_window.GetSize(), scene.space if self._tile == "space" else None
-        if self._button == MIDDLE:
+        if self._button == SLIDE:
+            tile = scene.slice_tiles[self._tile]
+            place = place_in_renderer(tile.renderer, *self._at, beside=True) or (0.0, 0.0)
+            scene.go_to_slice(self._tile, tile.number_at(place[0]))
+        elif self._button == MIDDLE:
             scene.tiles.tile(self._tile).shift(right, up)
         elif self._button == RIGHT and space is None:
             self.actions.feature(SlicesFeature).drag_window(right / size[0], up / size[1])
@@ -238,6 +251,8 @@ class MouseFeature(Feature):
         """Note that no button is down any more; returns whether the tool was used."""
         tile, self._tile = self._tile, ""
         self.actions.scene.tiles.redraw.hurry(False)
+        if self._button == RIGHT and tile in self.actions.scene.slice_tiles:
+            self.actions.scene.slice_tiles[tile].write("")
         return bool(tile) and self._button == LEFT and self._uses_tool(tile)
 
     def _hover(self, x: Any, y: Any) -> None:
@@ -273,8 +288,8 @@ class MouseFeature(Feature):
             self.actions.feature(SlicesFeature).enlarge(tile)
 
     def _uses_tool(self, tile: str) -> bool:
-        """Test if the left button uses the tool there: to look around in 3D is to turn the camera."""
-        return tile in self.actions.scene.slice_tiles or (tile == "space" and self.tool.name != "look")
+        """Test if the left button uses the tool there: in 3D it turns the camera, unless the tool paints."""
+        return tile in self.actions.scene.slice_tiles or (tile == "space" and self.tool.name not in ("look", "size"))
 
     def _read(self, at: Picked | None) -> None:
         self.actions.feature(SlicesFeature).read(at)

@@ -9,6 +9,7 @@ from typing import Any
 from accelsurf.errors import UsageError
 from accelsurf.settings.corrections import MAX_ID
 from accelsurf.settings.labels import MAX_NAME
+from accelsurf.settings.wording import volume_text
 from accelsurf.viewer.actions.tool import AllActions, Feature, Key, Tool, number, numbers_text, short, text, whole, word
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import OBJECT_COLORS, ObjectStyle, unnamed
@@ -83,7 +84,7 @@ class ObjectsFeature(Feature):
 
     def update(self, view: View) -> None:
         self._sizes = {
-            surface.id: {"ml": f"{surface.record.volume_mm3 / 1000.0:.4g}", "voxels": surface.voxels}
+            surface.id: {"volume": volume_text(surface.record.volume_mm3), "voxels": surface.voxels}
             for surface in view.frame.surfaces
         }
         self._show(view.status)
@@ -111,7 +112,7 @@ class ObjectsFeature(Feature):
     def _described(self, object_id: int, style: ObjectStyle, status: Status) -> dict[str, Any]:
         size = self._sizes.get(object_id) if object_id in (status.objects or (1,)) else None
         word = status.object_words.get(object_id, NOT_BEGUN)
-        return {"id": object_id, **style._asdict(), **(size or {"ml": "", "voxels": 0}), "word": word}
+        return {"id": object_id, **style._asdict(), **(size or {"volume": "", "voxels": 0}), "word": word}
 
     def _show(self, status: Status) -> None:
         """Draw each object in its style, where that has changed."""

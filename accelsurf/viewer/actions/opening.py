@@ -92,6 +92,7 @@ class Opening:
         self.actions: Actions | None = None
         self.message, self.failed = "", False
         self._config, self._recent, self._served = config, recent, served
+        self._hints = recent.hints
         self._work: Future[Any] | None = None
         self._began, self._doing = 0.0, ""
         self._path: Path | None = None
@@ -120,6 +121,7 @@ class Opening:
             "choose": self._choose,
             "answer": self._answer,
             "list_folder": self._list_folder,
+            "hints_off": self._hints.turn_off,
             **({} if self._served is not None else {"drop": self._open_dropped}),
         }
 
@@ -335,7 +337,7 @@ class Opening:
             "is_open": self.actions is not None, "opening": self.is_busy, "opening_message": self.message,
             "opening_failed": self.failed, "question": self._question,
             "answers": [[name, ANSWERS[name]] for name in (*self._asked, "cancel")] if self._question else [],
-            "choices": [choice.text for choice in self._choices], **self._lists,
+            "choices": [choice.text for choice in self._choices], "hints": self._hints.lines, **self._lists,
         }
 
     def _renew_lists(self) -> None:

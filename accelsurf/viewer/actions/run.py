@@ -6,8 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from accelsurf.errors import UsageError
+from accelsurf.viewer.actions.slices import SlicesFeature
 from accelsurf.viewer.actions.tool import AllActions, Feature, Key, whole
 from accelsurf.viewer.core.status import Status, UncertainLocation
+from accelsurf.viewer.scene.legend import caption
 
 
 class RunFeature(Feature):
@@ -40,6 +42,8 @@ class RunFeature(Feature):
     def state(self, status: Status) -> dict[str, Any]:
         return {
             "ready": status.ready, "playing": status.playing, "state_word": status.word,
+            "has_begun": status.has_begun, "can_run": status.has_begun and status.settings.labels is None,
+            "is_due": status.stop is None,  # one that has ended may go on, but nobody need wait for that
             "step": status.step, "last": max((status.step, *status.checkpoints)),
             "undoable": status.undoable, "redoable": status.redoable, "edits": len(status.edits),
             "checkpoints": list(status.checkpoints),
@@ -80,6 +84,7 @@ class HistoryFeature(Feature):
             self._uncertain, self._at = status.uncertain, -1
             self.actions.scene.marks.show_places([location.world for location in self._uncertain])
         return {
+            "result": self._result(status),
             "changes": [change._asdict() for change in status.changes],
             "rests": list(status.rests),
             "uncertain": [
@@ -88,6 +93,21 @@ class HistoryFeature(Feature):
             ],
             "uncertain_at": self._at + 1,
         }
+
+    def _result(self, status: Status) -> list[str]:
+        """Return what is known of the objects: volume, how likely each is good, where it is doubtful most."""
+        scene = self.actions.scene
+        if scene.frame is None or not status.has_begun:
+            return []
+        lines = caption(scene.frame, scene.geometry, scene.unit)[1:]
+        for object_id, probability in status.probabilities.items():
+            whose = f"object {object_id}: " if len(status.probabilities) > 1 else ""
+            lines.append(f"{whose}{100.0 * probability:.0f} % likely to be good")
+        if status.uncertain:
+            place, share = status.uncertain[0].world, status.uncertain[0].share
+            where = self.actions.feature(SlicesFeature).shown(place)
+            lines.append(f"most doubtful at {where} ({100.0 * share:.0f}\N{NO-BREAK SPACE}% doubt)")
+        return lines
 
     def _next_uncertain(self) -> None:
         """Go to the most uncertain location, and from there to the next.

@@ -18,6 +18,9 @@ from accelsurf.settings.wording import in_unit
 
 #: Positions of a slider.
 TICKS = 1000
+#: What is folded away: the words of the energy and of the solver.
+EXPERT = "Expert"
+_FIRST = ("preset", "smoothness", "presmooth", "size", "max_volume", "roi")
 #: A unit of a setting that is a length, an area or a volume, whatever it is per.
 _LENGTH = re.compile(r"mm([23])?(?= |$)")
 
@@ -131,7 +134,7 @@ def settings_rows(
     of_file: str = "mm",
     flow_why: str = "",
 ) -> list[Row]:
-    """Return a row for each setting that the viewer shows, in the order of the help; the common ones first.
+    """Return a row for each setting that the viewer shows: the common ones, then those of the energy and the solver.
 
     Parameters
     ----------
@@ -149,21 +152,21 @@ def settings_rows(
     Returns
     -------
     list of dict
-        ``key``, ``label``, ``unit``, ``help``; ``kind``: slider, list, text, switch, energy or file; ``group``: empty
-        for the common ones; ``value`` in force; ``enabled``: whether it acts on this flow and energy; ``restarts``:
-        whether a change begins another run; ``names`` of a list, each with its help; of a slider its ``low`` and
-        ``high`` end, ``power``, ``digits``, ``limit``, ``words`` and ``tick``, see `amount`;
-        ``term``: of a setting of a term its place and name, else empty (the channel of a term only where there are
-        several); ``now``: the value that is meant by an empty field.
+        ``key``, ``label``, ``unit``, ``help``; ``kind``: slider, list, text, switch or energy; ``group``: empty for
+        the common ones, else `EXPERT`; ``value`` in force; ``enabled``: whether it acts on this flow and energy;
+        ``restarts``: whether a change begins another run; ``names`` of a list, each with its help; of a slider its
+        ``low`` and ``high`` end, ``power``, ``digits``, ``limit``, ``words`` and ``tick``, see `amount`; ``term``: of a
+        setting of a term its place and name, else empty (the channel of a term only where there are several); ``now``:
+        the value that is meant by an empty field.
     """
+    others = [key for key in (*viewer_settings("first"), *viewer_settings("more")) if key not in _FIRST]
     rows = []
-    for where in ("first", "more"):
-        for key in viewer_settings("first" if where == "first" else "more"):
-            rows.append(_setting_row(key, settings, finest, where == "first", of_file))
-            if key == "flow" and flow_why:
-                rows[-1]["help"] += f" Now {flow_why}."
-            if key == "energy":
-                rows += _term_rows(settings.energy, terms)
+    for key in (*_FIRST, *others):
+        rows.append(_setting_row(key, settings, finest, key in _FIRST, of_file))
+        if key == "flow" and flow_why:
+            rows[-1]["help"] += f" Now {flow_why}."
+        if key == "energy":
+            rows += _term_rows(settings.energy, terms)
     return rows
 
 
@@ -185,7 +188,7 @@ def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool, o
     row: Row = DEFAULTS | {
         "key": key, "label": label_of(key), "unit": unit, "kind": kind,
         "help": help_of(key) + ("" if per == 1.0 else f" Here in {unit}."),
-        "group": "" if is_first else str(said.group), "value": shown_value(key, value, per),
+        "group": "" if is_first else EXPERT, "value": shown_value(key, value, per),
         "enabled": settings.matters(key), "restarts": said.fixed, "names": _names(key, settings),
     }
     if said.slider is not None:
@@ -235,7 +238,8 @@ def _term_rows(energy: str, terms: Sequence[Mapping[str, Any]]) -> list[Row]:
             rows.append(DEFAULTS | {
                 "key": f"{term.name}-{place}-{key}", "label": f"{term.name} {key}", "names": names,
                 "help": f"{kind.help[:1].upper()}{kind.help[1:]}: {kind.expected}.",
-                "kind": "list" if names else "text", "value": as_typed(term.settings.get(key)), "term": [place, key],
+                "group": EXPERT, "kind": "list" if names else "text", "value": as_typed(term.settings.get(key)),
+                "term": [place, key],
                 "now": f"{now:.4g}" if isinstance(now, float) else as_typed(now),
             })  # fmt: skip
     return rows

@@ -11,9 +11,9 @@ from accelsurf.errors import UsageError
 from accelsurf.image.grey_window import AUTO, CT_WINDOWS, GreyWindow, parse_window, window_of
 from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.actions.tool import AllActions, Feature, Key, number, text, whole, word
-from accelsurf.viewer.core.status import Status
+from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.space import Picked
-from accelsurf.viewer.scene.tiles import LAYOUTS, fitting
+from accelsurf.viewer.scene.tiles import LAYOUTS
 
 #: The window of the whole image; `AUTO` is that of the object and what is around it.
 IMAGE = "image"
@@ -38,7 +38,11 @@ class SlicesFeature(Feature):
         self._before = "one"
         #: Whether the person has said how the tiles lie; until then it follows from the room that there is.
         self._layout_is_set = False
+        self._sides: tuple[float, float] = actions.scene.plotter.render_window.GetSize()
         self._word = IMAGE
+        for tile in actions.scene.slice_tiles.values():
+            tile.show_slider()
+        self.fit_layout(*self._sides)
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
         scene = self.actions.scene
@@ -91,6 +95,9 @@ class SlicesFeature(Feature):
             **self.read_out(),
         }
 
+    def update(self, view: View) -> None:
+        self.fit_layout(*self._sides)  # there may be something to show in 3D now
+
     # -- grey values --------------------------------------------------------------------------------------
 
     def _window(self, level: Any, width: Any) -> None:
@@ -109,7 +116,11 @@ class SlicesFeature(Feature):
     def _show_window(self, window: GreyWindow, name: str) -> None:
         self._word = name
         self.actions.scene.window = window
-        self.actions.note(f"level {window.level:.4g}, width {window.width:.4g}", 3.0)
+        self.actions.note(self._window_text(), 3.0)
+
+    def _window_text(self) -> str:
+        window = self.actions.scene.window
+        return f"level {window.level:.4g}, width {window.width:.4g}"
 
     def _object_window(self) -> GreyWindow:
         """Return the window of the values in the objects and around them.
@@ -143,20 +154,27 @@ class SlicesFeature(Feature):
         # In widths, so that it is as fine in an image from 0 to 1 as in one of 16 bits.
         self._show_window(GreyWindow.of(level + DRAG * up * width, width * float(np.exp(DRAG * right))), "")
 
+    def write(self, tile: str) -> None:
+        """Write level, width and the value under the mouse into a tile: grey values are being dragged in it."""
+        text = self._window_text() + (f", value {self.read_out()['value']}" if self._picked is not None else "")
+        self.actions.scene.slice_tiles[tile].write(text)
+
     # -- layout -------------------------------------------------------------------------------------------
 
     def fit_layout(self, width: float, height: float) -> None:
-        """Choose a layout in which slices can be read in so many pixels of a usual screen, if nobody has chosen one."""
-        tiles = self.actions.scene.tiles
-        layout, chart = fitting(width, height)
-        if self._layout_is_set or len(tiles.names) == 1 or (layout, chart) == (tiles.layout, tiles.shows_chart):
-            return
-        tiles.lay_out(layout, chart=chart)
-        self._before = layout
+        """Make slices as large as so many pixels of a usual screen allow, unless somebody has chosen a layout.
+
+        3D is left out until there is a surface.
+        """
+        self._sides = (width, height)
+        scene, tiles = self.actions.scene, self.actions.scene.tiles
+        if not self._layout_is_set:
+            tiles.lay_out_fitted(width, height, scene.frame is not None and scene.frame.has_surface)
+            self._before = tiles.layout
 
     def _layout(self, name: Any) -> None:
         self._layout_is_set = True
-        self.actions.scene.tiles.lay_out(word(name, LAYOUTS))
+        self.actions.scene.tiles.lay_out(word(name, LAYOUTS), space=name != "slices")
 
     def _next_layout(self) -> None:
         self._layout(LAYOUTS[(LAYOUTS.index(self.actions.scene.tiles.layout) + 1) % len(LAYOUTS)])
@@ -164,6 +182,8 @@ class SlicesFeature(Feature):
     def enlarge(self, tile: str) -> None:
         """Show a tile alone; asked for again, all as before."""
         tiles, self._layout_is_set = self.actions.scene.tiles, True
+        if tile == "space":
+            tiles.lay_out(space=True)
         if tiles.layout == "single" and tiles.large == tile:
             tiles.lay_out(self._before)
         else:
@@ -216,14 +236,14 @@ class SlicesFeature(Feature):
         value = scene.volume.array[voxel]
         where = self._text(world)
         return {
-            "place": where, "where": self._shown(world), "voxel": ", ".join(str(i) for i in voxel[::-1]),
+            "place": where, "where": self.shown(world), "voxel": ", ".join(str(i) for i in voxel[::-1]),
             "value": f"{value:.6g}" if np.isfinite(value) else str(value), "label": ", ".join(ids) or "0",
             "as_ball": f"ball:{where.replace(' ', '')},{self.actions.radius:.4g}",
             "as_point": f"point:{where.replace(' ', '')}",
         }
 
-    def _shown(self, world: Any) -> str:
-        """A place in the unit of the file."""
+    def shown(self, world: Any) -> str:
+        """Return a place in the unit of the file."""
         unit = self.actions.scene.unit
         if unit == "mm":
             return f"{self._text(world)} mm"

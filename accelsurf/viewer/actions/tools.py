@@ -21,7 +21,7 @@ class Look(Tool):
     """Moves the slices through the point."""
 
     name, key, text = "look", "V", "Look"
-    tip = "Turn the surface; drag in a slice to move the slices"
+    tip = "Click or drag in a slice: the other slices go through that place"
 
     def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
@@ -48,7 +48,7 @@ class Ball(Tool):
     """Places a ball from which the run starts."""
 
     name, key, text = "ball", "B", "Ball"
-    tip = "Press in a slice or on the surface and drag: a ball to start from"
+    tip = "Press in a slice and drag: a ball to start from"
 
     def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
@@ -79,7 +79,7 @@ class Size(Tool):
     """Presses in an object and draws its size out."""
 
     name, key, text = "size", "S", "Size"
-    tip = "Press in the object and drag outwards until the outline fits: a click and a size; or a click alone"
+    tip = "Press in the object and drag outwards until the outline fits, or only click"
 
     def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
@@ -117,8 +117,10 @@ class Size(Tool):
         self.actions.scene.mark_size(None)
 
 
-#: In the order of their buttons; those that paint follow.
-TOOLS: tuple[type[Tool], ...] = (Look, Size, Ball)
+#: Those that do not paint.
+TOOLS: tuple[type[Tool], ...] = (Size, Look, Ball)
+#: All tools in the order of their buttons: what most people need first.
+ORDER = ("size", "inside", "outside", "look", "grow", "shrink", "ball", "split")
 
 
 #: A stroke has a place each time it has moved by this part of its radius, and at least by a voxel.
@@ -200,7 +202,7 @@ class Inside(CorrectionTool):
     """Says what is inside."""
 
     name, key, text = "inside", "I", "Inside"
-    tip = "Click, or draw a stroke, in a slice or on the surface: this is in the object, and stays in it"
+    tip = "Click or draw on what is missing: it is in the object, and stays in it"
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
         texts = tuple(click_text(piece, self.width) for piece in pieces)
@@ -212,7 +214,7 @@ class Outside(Inside):
 
     side: Side = "outside"
     name, key, text = "outside", "O", "Outside"
-    tip = "Click, or draw a stroke, in a slice or on the surface: this is not in the object, and stays out of it"
+    tip = "Click or draw on what is too much: it is not in the object, and stays out of it"
 
 
 class Grow(CorrectionTool):
@@ -220,7 +222,7 @@ class Grow(CorrectionTool):
 
     kind: Literal["add", "remove"] = "add"
     name, key, text = "grow", "G", "Grow"
-    tip = "Press and drag in a slice or on the surface: add what the brush covers"
+    tip = "Draw: what the brush covers is added, until the surface moves on"
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
         balls = tuple(ball_text(place, self.radius) for piece in pieces for place in piece)
@@ -233,7 +235,7 @@ class Shrink(Grow):
     side: Side = "outside"
     kind: Literal["add", "remove"] = "remove"
     name, key, text = "shrink", "K", "Shrink"
-    tip = "Press and drag in a slice or on the surface: remove what the brush covers"
+    tip = "Draw: what the brush covers is removed, until the surface moves on"
 
 
 class CorrectionsFeature(Feature):

@@ -176,17 +176,18 @@ class ObjectCommands:
         size, ids = drag.size_text(drag_mm) if drag_mm > 0 else None, self.ids
         words = drag.click if size is None else f"{drag.click}, size {size}"
         if len(ids) == 1 and object_id in (None, ids[0]) and not self.has_ids:
-            settings: dict[str, Any] = {"inside": (drag.click,), "outside": (), "start": FROM_CLICKS}
-            settings |= {"energy": "seeded", "size": size, "answer": 1}
-            said = f"inside: {words}"
-            self._timeline.start_with(settings, said)
-            # Who lets go has said all that the object needs, as beside others, where the run goes on too.
-            self._timeline.play()
-            return self._timeline.say(said)
+            return self.begin_with((drag.click,), f"inside: {words}", size)
         id = object_id or ids[0]
         said = f"{'object' if id in ids else 'new object'} {id}: {words}"
         sized = {} if size is None else {"size": size}
         return self._timeline.refine({"new": id, "inside": [drag.click], **sized}, said)
+
+    def begin_with(self, clicks: tuple[str, ...], said: str, size: str | None = None) -> None:
+        """Play another run, of one object, from clicks inside it: they say all that it needs."""
+        settings: dict[str, Any] = {"inside": clicks, "outside": (), "start": FROM_CLICKS}
+        self._timeline.start_with(settings | {"energy": "seeded", "size": size, "answer": 1}, said)
+        self._timeline.play()
+        self._timeline.say(said)
 
     def take_answer(self, number: int) -> None:
         """Play another run, of another answer to the first click; of the one that is taken nothing changes.

@@ -1,4 +1,4 @@
-"""The images that were opened last, in a file of the user's own."""
+"""Notes in the user's own folder: the images that were opened last, and that hints are not wanted."""
 
 from __future__ import annotations
 
@@ -38,6 +38,11 @@ class RecentFiles:
     def __init__(self, file: Path | None) -> None:
         self._file = file
 
+    @property
+    def hints(self) -> Hints:
+        """Return the hints that are noted beside the list."""
+        return Hints(None if self._file is None else self._file.with_name("hints_unwanted"))
+
     def entries(self) -> list[Recent]:
         """Return what was opened last, the newest first."""
         return [Recent(path, path.exists()) for path in map(Path, self._read())]
@@ -70,6 +75,39 @@ class RecentFiles:
         names = found if isinstance(found, list) else []
         fit = (item for item in names if isinstance(item, str) and 0 < len(item) <= _MAX_LETTERS and item.isprintable())
         return list(dict.fromkeys(fit))[:MAX_RECENT]
+
+
+class Hints:
+    """Lines that say what to do at first, until a person wants to see them no more.
+
+    Parameters
+    ----------
+    file : Path or None
+        Exists when they are not wanted; None shows none.
+    """
+
+    TEXTS = (
+        "1  Press in the object and drag until the outline fits.",
+        "2  Where it is wrong: Inside on what is missing, Outside on what is too much.",
+        "3  Save: labels, mesh, report.",
+        "Wheel: slices. Right button: grey values. Ctrl and wheel: zoom.",
+    )
+
+    def __init__(self, file: Path | None) -> None:
+        self._file, self._are_unwanted = file, file is None or file.exists()
+
+    @property
+    def lines(self) -> list[str]:
+        """Return what is shown; nothing when it is not wanted."""
+        return [] if self._are_unwanted else list(self.TEXTS)
+
+    def turn_off(self) -> None:
+        """Show them no more; in this session alone where that cannot be noted."""
+        self._are_unwanted = True
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+                self._file.touch()
 
 
 def recent_file() -> Path:

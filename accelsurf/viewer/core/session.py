@@ -298,7 +298,7 @@ class Session:
         return self._do(lambda timeline: timeline.go_to_change(count))
 
     def save(
-        self, folder: Path, what: Sequence[str] = SAVED_KINDS, overwrite: bool = False
+        self, folder: Path, what: Sequence[str] = SAVED_KINDS, overwrite: bool = False, mesh: str = ""
     ) -> Future[list[Path]]:
         """Write files into a folder as `accelsurf segment` does, and ``NAME_run.toml``, which repeats the run.
 
@@ -310,6 +310,8 @@ class Session:
             Of `SAVED_KINDS`.
         overwrite : bool
             Replace files that another session or program has written; those of this one are always replaced.
+        mesh : str
+            Format of meshes, in place of that of the settings.
 
         Raises
         ------
@@ -317,7 +319,7 @@ class Session:
             From the Future; files written before stay whole.
         """
         kinds = tuple(what)
-        return self._do(lambda timeline: timeline.save(Path(folder), self.name, self.source, kinds, overwrite))
+        return self._do(lambda timeline: timeline.save(Path(folder), self.name, self.source, kinds, overwrite, mesh))
 
     # -- the thread ---------------------------------------------------------------------------------------
 
@@ -423,7 +425,8 @@ class Session:
             self._status = self._status._replace(message=error_line(error), failed=True)
             return
         if found is not None:
-            self._status = self._status._replace(uncertain=found)
+            uncertain, probabilities = found
+            self._status = self._status._replace(uncertain=uncertain, probabilities=probabilities)
 
     def _show_progress(self, message: str) -> None:
         """Renew the message while a command is being carried out."""
@@ -457,6 +460,8 @@ def _solver() -> type[Timeline]:
 
 #: Places that are offered, of all objects together.
 COUNT = 5
+#: Of more objects the probabilities take longer than a click may wait.
+MAX_JUDGED = 8
 #: Below this uncertainty there is nothing to click.
 MIN_SHARE = 0.1
 
@@ -478,14 +483,20 @@ class UncertaintyWatch:
         """Something was done: wait again until it has been idle for some time."""
         self._busy_until = time.perf_counter() + IDLE
 
-    def find(self, version: int, run: Run, corrected: Result | None) -> tuple[UncertainLocation, ...] | None:
-        """Return the uncertain locations of a version of the state; None while it is not idle yet."""
+    def find(
+        self, version: int, run: Run, corrected: Result | None
+    ) -> tuple[tuple[UncertainLocation, ...], dict[int, float]] | None:
+        """Return the uncertain locations of a version of the state, and the probability that each object is right; None
+        while it is not idle yet.
+        """
         from accelsurf.correct.finished import result_of
 
         if time.perf_counter() < self._busy_until:
             return None
         self._looked_at = version
-        return uncertain_locations(corrected if corrected is not None else result_of(run))
+        result = corrected if corrected is not None else result_of(run)
+        judged = result.objects if len(result.objects) <= MAX_JUDGED else ()
+        return uncertain_locations(result), {each.id: each.quality.probability for each in judged if each.labels.any()}
 
 
 def uncertain_locations(result: Result) -> tuple[UncertainLocation, ...]:

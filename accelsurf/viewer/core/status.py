@@ -78,6 +78,10 @@ class Status(NamedTuple):
         To the first click, to choose from; found some time after it, none once something was corrected.
     flow_why : str
         Which flow the run has where the settings leave it open, and why; empty where they name one.
+    has_begun : bool
+        There is an object, or a start of one; before that nothing is drawn and nothing can run.
+    probabilities : dict of int to float
+        That each object is right, by id; found with ``uncertain``.
     """
 
     ready: bool
@@ -101,6 +105,8 @@ class Status(NamedTuple):
     terms: Sequence[dict[str, Any]] = ()
     answers: tuple[FirstAnswer, ...] = ()
     flow_why: str = ""
+    has_begun: bool = False
+    probabilities: Mapping[int, float] = MappingProxyType({})
 
     @classmethod
     def preparing(cls, config: RunConfig, message: str, failed: bool) -> Status:
@@ -109,10 +115,10 @@ class Status(NamedTuple):
 
     @property
     def word(self) -> str:
-        """The state in one word: running, paused, or why the run has ended; empty before it is ready."""
+        """The state in one word: running, paused, or why the run has ended; empty before there is one."""
         if self.playing:
             return "running"
-        return self.stop.reason if self.stop is not None else "paused" if self.ready else ""
+        return self.stop.reason if self.stop is not None else "paused" if self.has_begun else ""
 
 
 class View(NamedTuple):

@@ -12,6 +12,7 @@ from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
 from accelsurf.run.checkpoint import RunCheckpoint
 from accelsurf.run.run import Run
+from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.run_config import RunConfig
@@ -146,6 +147,8 @@ class Timeline:
         self.log, self.corrections = ChangeLog(), Corrections(config.refine, on_progress)
         self._written: set[Path] = set()
         self.objects, self.answers = ObjectCommands(self, config), FirstAnswers()
+        #: Whether a ball in the middle is meant, which is the start where none is given.
+        self._means_middle = "start" in config.model_fields_set
         self.run = Run(volume, config.replace(refine=()), None, self._channels)
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
@@ -176,8 +179,21 @@ class Timeline:
         """Why the run, or the last correction, ended; None while it goes on."""
         return self.corrections.stop(self.run)
 
+    @property
+    def has_begun(self) -> bool:
+        """True if a start, clicks or labels were given: until then the run has a start that nobody asked for."""
+        config = self.run.config
+        given = config.inside or config.objects or config.labels
+        return self._means_middle or bool(given) or config.start != default_of("start")
+
+    def _check_begun(self, what: str) -> None:
+        if not self.has_begun:
+            raise UsageError(f"there is no object yet to {what}", "press in it and drag until the outline fits")
+
     def picture(self, max_voxels: int | None) -> tuple[Frame, tuple[tuple[StepRecord, ...], ...]]:
-        """Return the frame, see `Frame.of_run`, and each object's records up to it."""
+        """Return the frame, see `Frame.of_run`, and each object's records up to it; nothing before it has begun."""
+        if not self.has_begun:
+            return Frame(()), ()
         return self.corrections.picture(self.run, max_voxels)
 
     def status(self, message: str, failed: bool) -> Status:
@@ -195,7 +211,7 @@ class Timeline:
             undoable=self.log.undoable,
             objects=self.objects.ids if self.objects.has_ids else (),
             labels=self.objects.labels,
-            object_words=self.objects.words,
+            object_words=self.objects.words if self.has_begun else {},
             redoable=self.log.redoable,
             refinements=self.corrections.wanted,
             changes=self.log.lines,
@@ -203,6 +219,7 @@ class Timeline:
             terms=self.run.objects[0].made.terms,
             answers=self.answers.offered(self.run, self.corrections.wanted),
             flow_why=self.run.flow_choice.why if self.run.settings.flow == AUTO else "",
+            has_begun=self.has_begun,
         )
 
     def _rests(self) -> tuple[int, ...]:
@@ -237,8 +254,9 @@ class Timeline:
         Raises
         ------
         UsageError
-            When there is no surface left.
+            When there is no surface, or none is left.
         """
+        self._check_begun("run")
         run = self.run
         stop = run.stop
         if self._is_given:
@@ -377,6 +395,7 @@ class Timeline:
         UsageError, InputError
             When one is no ball or lies outside, or there is no such object.
         """
+        self._check_begun("grow or shrink")
         object_id = self._whose(balls[0], object_id)
         if self._is_given or (self.run.stop is not None and self.objects.is_beside(object_id)):
             return self.add_click("inside" if kind == "add" else "outside", balls, object_id)
@@ -394,6 +413,9 @@ class Timeline:
         UsageError, InputError
             When one is no place or lies outside, or nothing would be left that is clicked inside.
         """
+        if not self.has_begun and side == "inside":
+            return self.objects.begin_with(where, clicks_in_words(side, where))
+        self._check_begun("click outside of")
         object_id = self._whose(where[0], object_id)
         if object_id is not None and object_id not in self.objects.ids:
             return self.objects.begin_object(object_id, side, where)
@@ -513,12 +535,13 @@ class Timeline:
     # -- files --------------------------------------------------------------------------------------------
 
     def save(
-        self, folder: Path, name: str, source: Path | None, what: tuple[str, ...], overwrite: bool
+        self, folder: Path, name: str, source: Path | None, what: tuple[str, ...], overwrite: bool, mesh: str = ""
     ) -> list[Path]:
         """Write files, see `saving.save`; those written before may be replaced."""
+        self._check_begun("save")
         self.run.apply_edits()
         known, corrected = None if overwrite else self._written, self.corrections.result()
-        others = self.objects.named_settings(self.run.config)
+        others = self.objects.named_settings(self.run.config) | ({"mesh": (mesh,)} if mesh else {})
         written = saving.save(self.run, folder, name, source, what, known, corrected, others)
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"

@@ -271,7 +271,7 @@ class Page:
 
 #: The panels of the page, in their order, that of the window.
 PANELS = (
-    "head", "frames", "open", "tools", "objects", "history", "settings", "slices", "picture", "files", "help",
+    "head", "tools", "result", "objects", "history", "settings", "slices", "picture", "open", "help",
 )  # fmt: skip
 
 
@@ -405,10 +405,10 @@ def document(panels: Sequence[str]) -> str:
         return f'<div class="page" :class="theme" {_NO_DROP}>{begin}</div>'
     inner = "\n".join(_with_lists(f"{name}.html") for name in panels)
     on_key = _inline(_ON_KEY.replace("COPY", _COPY))
-    canvas = page_text("canvas.html").replace("PLACE", _inline(_PLACE))
+    canvas = page_text("canvas.html").replace("PLACE", _inline(_PLACE)).replace("FRAMES", page_text("frames.html"))
     return f"""<div class="page" :class="theme" tabindex="0" autofocus @keydown="{on_key}" {_NO_DROP}>
-<details class="panels" open><summary id="fold">Panels</summary>
-<aside aria-label="panels">{asked}{inner}</aside></details>{canvas}
+{canvas}<details class="panels" open><summary id="fold">Panels</summary>
+<aside aria-label="panels">{asked}{inner}</aside></details>
 <textarea id="copied" class="aside" readonly tabindex="-1" aria-hidden="true"></textarea></div>"""
 
 

@@ -101,8 +101,10 @@ MIN_ML = 100.0
 def caption(frame: Frame, geometry: Geometry, unit: str = "mm") -> list[str]:
     """Return step and level, or frame and time, and the volume (of one slice the area), in the file's unit.
 
-    The interval of the volume has a line, where it is known.
+    Nothing of a run that has not begun. The interval of the volume has a line, where it is known.
     """
+    if not frame.surfaces and not frame.said:
+        return []
     step = frame.said or f"step {frame.step}" + (f", level {frame.level} (coarse grid)" if frame.level else "")
     step += ", corrected" if frame.corrected_at is not None else ""
     axis = geometry.slice_axis

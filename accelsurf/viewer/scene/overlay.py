@@ -61,6 +61,8 @@ class Label:
         Bold on a dark ground, to be read on any image; the place is that of its middle.
     top : bool, optional
         The place is that of the text's upper edge.
+    backed : bool, optional
+        On a dark ground.
     """
 
     def __init__(
@@ -71,6 +73,7 @@ class Label:
         text: str = "",
         boxed: bool = False,
         top: bool = False,
+        backed: bool = False,
     ) -> None:
         self._renderer = renderer
         self._actor = actor = vtkTextActor()
@@ -83,9 +86,10 @@ class Label:
         (style.SetJustificationToLeft, style.SetJustificationToCentered, style.SetJustificationToRight)[side]()
         if top:
             style.SetVerticalJustificationToTop()
-        if boxed:
+        if boxed or backed:
             style.SetBackgroundColor(0.0, 0.0, 0.0)
             style.SetBackgroundOpacity(0.65)
+        if boxed:
             style.SetJustificationToCentered()
             style.SetVerticalJustificationToCentered()
         renderer.AddViewProp(actor)
@@ -159,22 +163,29 @@ class ScaleBar:
     color : str
     unit : str, optional
         Of lengths: mm, um or nm; the renderer's is mm.
+    backed : bool, optional
+        On a dark ground, to be read on any image.
     """
 
-    def __init__(self, renderer: pv.Renderer, color: str, unit: str = "mm") -> None:
+    def __init__(self, renderer: pv.Renderer, color: str, unit: str = "mm", backed: bool = False) -> None:
         self._renderer, self._unit = renderer, unit
-        self._label = Label(renderer, color, (0.97, 0.045))
+        self._label = Label(renderer, color, (0.97, 0.045), backed=backed)
+        self._ground = FlatLine(renderer, "black") if backed else None
         self._bar = FlatLine(renderer, color)
 
-    def fit(self, pixels: Pixels) -> None:
-        """Make the bar as long as the camera's scale asks for."""
+    def fit(self, pixels: Pixels, up: float = 0.0) -> None:
+        """Make the bar as long as the camera's scale asks for, so far above its place at the lower edge."""
         self._label.fit(pixels)
         width, height = self._renderer.GetSize()
         if not width or not height:
             return
         wide = in_unit(2.0 * self._renderer.camera.parallel_scale * width / height, self._unit)
         length = round_length(0.25 * wide)
-        self._bar.move(0.97 - length / wide, 0.97, 0.03, BAR * pixels.ratio)
+        low, rim = up + 0.03, pixels.ratio / width
+        if self._ground is not None:
+            self._ground.move(0.97 - length / wide - rim, 0.97 + rim, low, (BAR + 2.0) * pixels.ratio)
+        self._bar.move(0.97 - length / wide, 0.97, low, BAR * pixels.ratio)
+        self._label.move(0.97, low + 0.015)
         self._label.text = f"{length:g} {self._unit}"
 
     def paint(self, color: str) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pyvista as pv
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from vtkmodules.vtkFiltersCore import vtkFlyingEdges2D, vtkFlyingEdges3D
 from vtkmodules.vtkRenderingCore import vtkPolyDataMapper, vtkTexture
 
@@ -126,17 +126,9 @@ def slice_of(surface: SurfaceFrame, axis: int, index: float) -> NDArray[np.float
     return np.asarray((1 - share) * first + share * surface.psi.take(low + 1, axis=axis))
 
 
-def box_edges(geometry: Geometry, low: ArrayLike = (0, 0, 0), high: ArrayLike | None = None) -> pv.PolyData:
-    """The edges of a box, along the outer faces of its border voxels, in world mm.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    low, high : (z, y, x), optional
-        The first and the last voxel; those of the volume unless given.
-    """
-    last = np.array(geometry.shape) - 1 if high is None else np.asarray(high)
-    ends = np.stack([np.asarray(low) - 0.5, last + 0.5], axis=1)
+def box_edges(geometry: Geometry) -> pv.PolyData:
+    """Return the edges of an image, along the outer faces of its border voxels, in world mm."""
+    ends = np.stack([np.full(3, -0.5), np.array(geometry.shape) - 0.5], axis=1)
     corners = np.array([[z, y, x] for z in ends[0] for y in ends[1] for x in ends[2]])
     edges = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
     lines = np.array([(2, a, b) for a, b in edges])

@@ -20,7 +20,7 @@ from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme
 from accelsurf.viewer.scene.legend import measure
-from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar
+from accelsurf.viewer.scene.overlay import FlatLine, Label, Pixels, ScaleBar
 from accelsurf.viewer.scene.redraw import TileContext
 from accelsurf.viewer.scene.shapes import Texture, add_actor, contour, dashed, polygon, slice_of
 
@@ -109,8 +109,11 @@ def _in_plane(
     return np.asarray(places[is_inside.all(axis=1)])
 
 
-#: Part of a tile's width and height that the image may take; the rest is for text.
-FILL = 0.82
+#: Part of a tile's width and height that the image may take.
+FILL = 0.97
+#: The slider: its distance from the sides of the tile (parts of its width), thickness of track and handle, width of the
+#: handle, height of the strip along the lower edge in which a press takes it (pixels of a usual screen).
+SIDE, TRACK, HANDLE, WIDE, STRIP = 0.02, 2.0, 11.0, 9.0, 17.0
 #: Largest enlargement, and smallest, of what fits the tile.
 MAX_ZOOM, MIN_ZOOM = 40.0, 0.5
 #: Between the image and the middle of a letter, heights of text.
@@ -179,8 +182,9 @@ class SliceTile:
         camera.clipping_range = (1.0, 200.0)
         renderer.camera_set = True
         renderer.SetInteractive(False)
-        self.title = Label(renderer, context.theme.ink, (0.03, 0.975), top=True)
-        self._bar = ScaleBar(renderer, context.theme.ink, context.unit)
+        self.title = Label(renderer, "white", (0.015, 0.985), top=True, backed=True)
+        self._bar = ScaleBar(renderer, "white", context.unit, backed=True)
+        self._slider: tuple[FlatLine, FlatLine] | None = None
         self._letters = self._write_letters() if context.anatomical else []
 
     # -- places -------------------------------------------------------------------------------------------
@@ -308,9 +312,14 @@ class SliceTile:
         if len(lines) or ("ball" in self._lines and self._lines["ball"][0].GetVisibility()):
             self._draw_lines("ball", lines, MARK, 2.2)
 
+    def write(self, text: str) -> None:
+        """Write a line below the title; none for an empty text."""
+        self.title.text = "\n".join(line for line in (self.title.text.partition("\n")[0], text) if line)
+        self.mark()
+
     def mark_size(self, drag: SizeDrag | None, volume_mm3: float | None, text: str = "") -> None:
         """Draw the outline that a drag shows in this slice, and write a text below the title; nothing for None."""
-        self.title.text = "\n".join(line for line in (self.title.text.partition("\n")[0], text) if line)
+        self.write(text)
         lines = NONE
         if drag is not None and volume_mm3 is not None:
             lines = self._drag.lines(drag, volume_mm3, self.stack, self.index)
@@ -383,12 +392,40 @@ class SliceTile:
         if not width or not height:
             return
         self._aim()
-        self._bar.fit(pixels)
+        if self._slider is not None:
+            self._fit_slider(*self._slider, pixels)
+        self._bar.fit(pixels, self._strip)
         if self._letters:
             left, right, bottom, top = self.stack.extent
             scale = 2.0 * self.renderer.camera.parallel_scale
             room = LETTER * pixels.text / height
             self._place_letters((right - left) * height / width / scale, (top - bottom) / scale, room)
+
+    # -- slider -------------------------------------------------------------------------------------------
+
+    def show_slider(self) -> None:
+        """Draw a slider over the slices along the lower edge."""
+        if self._slider is None and self.stack.count > 1:
+            self._slider = FlatLine(self.renderer, "#8A93A0"), FlatLine(self.renderer, self._context.theme.ink)
+
+    def _fit_slider(self, track: FlatLine, handle: FlatLine, pixels: Pixels) -> None:
+        width = self.renderer.GetSize()[0]
+        share = self.index / (self.stack.count - 1)
+        share = share if self.stack.step > 0 else 1.0 - share
+        up, wide = 0.5 * self._strip, 0.5 * WIDE * pixels.ratio / width
+        middle = SIDE + wide + share * (1.0 - 2.0 * (SIDE + wide))
+        track.move(SIDE, 1.0 - SIDE, up, TRACK * pixels.ratio)
+        handle.move(middle - wide, middle + wide, up, HANDLE * pixels.ratio)
+
+    def slider_takes(self, up: float) -> bool:
+        """Test if a press so far up in the tile, from 0 to 1, is on the slider."""
+        return up < self._strip
+
+    def number_at(self, right: float) -> int:
+        """Return the slice that the slider stands for at this place, from 0 at the left side to 1."""
+        share = min(max((right - SIDE) / (1.0 - 2.0 * SIDE), 0.0), 1.0)
+        number = round(share * (self.stack.count - 1))
+        return number if self.stack.step > 0 else self.stack.count - 1 - number
 
     # -- zoom and pan -------------------------------------------------------------------------------------
 
@@ -396,12 +433,18 @@ class SliceTile:
         """Half the mm that the tile must be high for the whole slice to be seen."""
         width, height = self.renderer.GetSize()
         left, right, bottom, top = self.stack.extent
-        return 0.5 * max(top - bottom, (right - left) * height / max(width, 1)) / FILL
+        return 0.5 * max((top - bottom) / (1.0 - self._strip), (right - left) * height / max(width, 1)) / FILL
+
+    @property
+    def _strip(self) -> float:
+        """Part of the tile's height that the slider takes, which the image leaves free."""
+        return 0.0 if self._slider is None else min(STRIP * self._ratio / max(self.renderer.GetSize()[1], 1), 0.5)
 
     def _aim(self) -> None:
         camera = self.renderer.camera
         camera.parallel_scale = self._fitted() / self._zoom
         x, y = (float(part) for part in self._middle)
+        y -= self._strip * camera.parallel_scale
         camera.focal_point, camera.position = (x, y, 0.0), (x, y, 100.0)
 
     def zoom(self, factor: float, right: float = 0.5, up: float = 0.5) -> None:
@@ -433,9 +476,10 @@ class SliceTile:
         return 2.0 * self.renderer.camera.parallel_scale / max(self.renderer.GetSize()[1], 1)
 
     def paint(self, theme: Theme) -> None:
-        """Use another theme."""
-        for part in (self.title, self._bar):
-            part.paint(theme.ink)
+        """Use another theme; text is white on black in each, to be read on any image."""
+        if self._slider is not None:
+            self._slider[1].paint(theme.ink)
+        self.mark()
 
     def _write_letters(self) -> list[Label]:
         """The patient's directions at the left, right, upper and lower edge of the image."""
@@ -448,7 +492,9 @@ class SliceTile:
         """Put the letters beside an image that takes these parts of the tile, ``room`` from it: two at a thin slab do
         not overlap; below the title, above the bar.
         """
-        right, up = min(0.5 + 0.5 * wide + 0.03, 0.97), min(0.5 + 0.5 * high + room, 0.905)
-        down = max(0.5 - 0.5 * high - room, 0.035)
-        for letter, place in zip(self._letters, ((1 - right, 0.5), (right, 0.5), (0.5, up), (0.5, down)), strict=True):
+        middle = 0.5 + 0.5 * self._strip
+        right, up = min(0.5 + 0.5 * wide + 0.03, 0.97), min(middle + 0.5 * high + room, 0.905)
+        down = max(middle - 0.5 * high - room, 0.035 + self._strip)
+        sides = ((1 - right, middle), (right, middle), (0.5, up), (0.5, down))
+        for letter, place in zip(self._letters, sides, strict=True):
             letter.move(*place)

@@ -9,11 +9,13 @@ Places of the tiles in the picture: four up, one large and the others beside it,
     | sa | 3D |    |       | . |    |   |   |   |    |           |
     +----+----+    +-------+---+    +---+---+---+    +-----------+
 
-The chart of the energies takes the place of a tile where there is one to spare, otherwise a strip below.
+The chart of the energies takes the place of a tile where there is one to spare, otherwise a strip below. The picture in
+3D can be left out, as long as there is nothing to show in it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Protocol
 
@@ -54,8 +56,8 @@ class Tiles:
         How they lie, one of `LAYOUTS`.
     large : str
         The tile that the layouts ``one`` and ``single`` show large.
-    shows_chart : bool
-        Whether the chart of the energies is shown.
+    shows_chart, shows_space : bool
+        Whether the chart of the energies and the picture in 3D are shown.
     pixel_ratio : float
         Pixels of the device for one of a usual screen, from who owns the window: text and lines scale with it.
     redraw : Redraw
@@ -66,7 +68,8 @@ class Tiles:
     ) -> None:
         self._space, self._slices, self._chart = space, slices, chart
         self.redraw, self._window, self.pixel_ratio = redraw, redraw.window, 1.0
-        self.layout, self.shows_chart = "one", True
+        self.layout, self.shows_chart, self.shows_space = "one", True, space is not None
+        self._is_tall = False
         #: Half the mm that the tile in 3D had to be high for the whole image, when it was shown last.
         self._fitted = 0.0
         self.large = "space" if space is not None else next(iter(slices))
@@ -89,8 +92,10 @@ class Tiles:
         """All that show the image, slices first."""
         return (*self._slices, *(("space",) if self._space is not None else ()))
 
-    def lay_out(self, layout: str | None = None, large: str | None = None, chart: bool | None = None) -> None:
-        """Change how the tiles lie; what is not given stays.
+    def lay_out(
+        self, layout: str | None = None, large: str | None = None, chart: bool | None = None, space: bool | None = None
+    ) -> None:
+        """Change how the tiles lie, and whether chart and picture in 3D are shown; what is not given stays.
 
         Raises
         ------
@@ -100,9 +105,12 @@ class Tiles:
         layout, large = layout or self.layout, large or self.large
         check_known("tile", large, self.names)
         chart = self.shows_chart if chart is None else chart
-        places = viewports(layout, self.names, large, chart)
+        space = self.shows_space if space is None or self._space is None else space
+        names = tuple(name for name in self.names if space or name != "space")
+        large = large if large in names else names[0]
+        places = viewports(layout, names, large, chart, self._is_tall)
         self._note_fitted()
-        self.layout, self.large, self.shows_chart = layout, large, chart
+        self.layout, self.large, self.shows_chart, self.shows_space = layout, large, chart, space
         renderers = {"energies": self._chart, **{name: self.renderer(name) for name in self.names}}
         for name, renderer in renderers.items():
             # A tile that is not shown has no place, so that nothing is picked in it.
@@ -114,6 +122,20 @@ class Tiles:
             if self._note_fitted() and before:
                 # What was seen whole in a narrow tile is seen as large as the other one allows.
                 self._space.zoom(before / self._fitted)
+
+    def lay_out_fitted(self, width: float, height: float, space: bool) -> None:
+        """Lay the tiles out so that the slices are as large as a picture of so many pixels allows, without a chart.
+
+        ``space``: with the picture in 3D.
+        """
+        extents = {name: tile.stack.extent for name, tile in self._slices.items()}
+        sides = {name: (right - left, top - bottom) for name, (left, right, bottom, top) in extents.items()}
+        space = space and self._space is not None
+        layout, large, is_tall = fitting(sides, width, height, space)
+        now = self.layout, self.large, self._is_tall, self.shows_chart, self.shows_space
+        if (layout, large, is_tall, False, space) != now:
+            self._is_tall = is_tall
+            self.lay_out(layout, large, False, space)
 
     def _note_fitted(self) -> bool:
         """Note how high the tile in 3D must be for the whole image; returns whether it is shown."""
@@ -176,17 +198,18 @@ class Tiles:
 LAYOUTS = ("one", "four", "slices", "single")
 #: Part of the height that the chart takes where it is a strip.
 STRIP = 0.2
-#: Part of the width that the large tile takes beside others.
-LARGE = 0.6
-
-#: A slice beside the large tile is readable in a tile of this many pixels of a usual screen along its shorter side.
-READABLE = 300
+#: Part of the width that the large tile takes beside others; height of the picture in 3D beside that of a slice there.
+LARGE, SPACE = 0.6, 0.8
+#: So many times the area of the first slice another one must have to be the large one.
+MUCH = 1.5
 
 #: Left, bottom, right, top in the picture, each from 0 to 1.
 Viewport = tuple[float, float, float, float]
 
 
-def viewports(layout: str, tiles: tuple[str, ...], large: str, chart: bool) -> dict[str, Viewport]:
+def viewports(
+    layout: str, tiles: tuple[str, ...], large: str, chart: bool, is_tall: bool = False
+) -> dict[str, Viewport]:
     """Return the place of each tile that is shown, and of ``energies``, the chart, if it is.
 
     Parameters
@@ -199,6 +222,8 @@ def viewports(layout: str, tiles: tuple[str, ...], large: str, chart: bool) -> d
         The tile that ``one`` and ``single`` show large.
     chart : bool
         Whether the chart is shown.
+    is_tall : bool, optional
+        Without the chart: what lies beside each other otherwise lies below each other, in a picture that is high.
 
     Raises
     ------
@@ -216,6 +241,9 @@ def viewports(layout: str, tiles: tuple[str, ...], large: str, chart: bool) -> d
     if len(tiles) == 1:
         width = 0.75 if chart else 1.0
         return {tiles[0]: (0.0, 0.0, width, 1.0), **({"energies": (0.75, 0.0, 1.0, 1.0)} if chart else {})}
+    if is_tall and not chart:
+        flat = viewports(layout, tiles, large, False)
+        return {name: (1.0 - top, 1.0 - right, 1.0 - low, 1.0 - left) for name, (left, low, right, top) in flat.items()}
     if layout == "one":
         return _one(tiles, large, chart)
     floor = STRIP if chart else 0.0
@@ -232,23 +260,48 @@ def viewports(layout: str, tiles: tuple[str, ...], large: str, chart: bool) -> d
             places = [
                 (0.0, middle, 0.5, 1.0), (0.5, middle, 1.0, 1.0), (0.0, floor, 0.5, middle), (0.5, floor, 1.0, middle)
             ]
+            if len(tiles) == 3:
+                places[2] = (0.0, floor, 1.0, middle)
             return dict(zip(tiles, places, strict=False)) | strip
 
 
-def fitting(width: float, height: float) -> tuple[str, bool]:
-    """Return the layout that a picture begins with, and whether with the chart: four alike where it is small.
+def fitting(
+    sides: Mapping[str, tuple[float, float]], width: float, height: float, space: bool
+) -> tuple[str, str, bool]:
+    """Return the layout in which slices take most of a picture, the tile that is large in it, and whether it is tall.
 
     Parameters
     ----------
+    sides : mapping of str to (float, float)
+        Width and height of each slice, mm.
     width, height : float
-        Pixels of a usual screen.
+        Of the picture, pixels.
+    space : bool
+        Whether the picture in 3D is shown, too.
 
     Examples
     --------
-    >>> fitting(1602, 980), fitting(962, 640)
-    (('one', True), ('four', False))
+    >>> cube = dict.fromkeys(("axial", "coronal", "sagittal"), (200.0, 200.0))
+    >>> fitting(cube, 1602, 980, False), fitting(cube, 462, 700, False), fitting(cube, 706, 660, True)
+    (('one', 'axial', False), ('one', 'axial', True), ('four', 'axial', False))
     """
-    return ("one", True) if min(0.25 * width, 0.5 * height) >= READABLE else ("four", False)
+    names, first = (*sides, *(["space"] if space else [])), next(iter(sides))
+    # Whatever the window, the same slice of an image is large: the first, unless another is by far larger.
+    large = max(sides, key=lambda name: math.prod(sides[name]) * (MUCH if name == first else 1.0))
+    if len(sides) == 1:
+        return "one", large, False
+    layouts = ("one", "four") if space else ("one", "four", "slices")
+    choices = [(layout, large, tall) for layout in layouts for tall in (False, True)]
+
+    def area(layout: str, large: str, tall: bool) -> float:
+        total = 0.0
+        for name, (left, bottom, right, top) in viewports(layout, names, large, False, tall).items():
+            if name in sides:
+                wide, high = sides[name]
+                total += wide * high * min((right - left) * width / wide, (top - bottom) * height / high) ** 2
+        return total
+
+    return max(choices, key=lambda choice: area(*choice))
 
 
 def _one(tiles: tuple[str, ...], large: str, chart: bool) -> dict[str, Viewport]:
@@ -257,6 +310,7 @@ def _one(tiles: tuple[str, ...], large: str, chart: bool) -> dict[str, Viewport]
     if chart:
         places = [(0.5, 0.5, 0.75, 1.0), (0.75, 0.5, 1.0, 1.0), (0.5, 0.0, 0.75, 0.5), (0.75, 0.0, 1.0, 0.5)]
         return {large: (0.0, 0.0, 0.5, 1.0), **dict(zip([*others, "energies"], places, strict=False))}
-    n = len(others)
-    column = {name: (LARGE, 1.0 - (i + 1) / n, 1.0, 1.0 - i / n) for i, name in enumerate(others)}
+    weights = [SPACE if name == "space" else 1.0 for name in others]
+    ends = [1.0 - sum(weights[:number]) / sum(weights) for number in range(len(others) + 1)]
+    column = {name: (LARGE, max(ends[i + 1], 0.0), 1.0, ends[i]) for i, name in enumerate(others)}
     return {large: (0.0, 0.0, LARGE, 1.0), **column}

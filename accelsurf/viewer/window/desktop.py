@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,17 @@ from accelsurf.viewer.window.appearance import page_of_help, palette, sheet
 from accelsurf.viewer.window.canvas_events import CanvasEvents
 from accelsurf.viewer.window.objects_panel import ObjectsPanel
 from accelsurf.viewer.window.playback_bar import FrameBar, PlaybackBar
-from accelsurf.viewer.window.section_panel import Amount, OneLine, Section, button, framed, in_row
+from accelsurf.viewer.window.section_panel import (
+    Amount,
+    Message,
+    Section,
+    button,
+    choice,
+    framed,
+    in_row,
+    show_choice,
+    wrapped,
+)
 from accelsurf.viewer.window.settings_panel import SettingsPanel
 from accelsurf.viewer.window.slices_panel import PicturePanel, SlicesPanel
 
@@ -134,10 +144,9 @@ class Window(QMainWindow):
         rows.addWidget(self.frame_bar)
         rows.addWidget(self.bar)
         last = QHBoxLayout()
-        last.setContentsMargins(10, 0, 10, 5)
+        last.setContentsMargins(10, 0, 10, 3)
         last.setSpacing(24)
-        self.message, self.read_out = OneLine(""), QLabel("")
-        self.message.setObjectName("message")
+        self.message, self.read_out = Message(), QLabel("")
         self.read_out.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.read_out.setToolTip("Place (x, y, z), voxel (i, j, k), value and label under the mouse")
         last.addWidget(self.message, 1)
@@ -150,7 +159,7 @@ class Window(QMainWindow):
         self.help.hide()
 
     def _connect(self) -> None:
-        self.bar.help_wanted.connect(self.toggle_help)
+        self.side.changes.help_wanted.connect(self.toggle_help)
         self.side.changes.save_wanted.connect(self.save)
         of_window: dict[str, Callable[[], Any]] = {
             "Ctrl+S": self.save, "F1": self.toggle_help, "H": self.toggle_help, "Escape": self._escape,
@@ -231,10 +240,7 @@ class Window(QMainWindow):
         self.bar.show_state(state)
         self.frame_bar.show_state(state)
         self.setWindowTitle(f"accelsurf - {self.session.name} - step {state['step']} - {state['state_word']}")
-        text = f"Error: {state['message']}" if state["failed"] else state["message"]
-        self.message.setText(text)
-        self.message.setProperty("failed", state["failed"])
-        self.message.style().polish(self.message)
+        self.message.say(state["message"], state["failed"])
 
     # -- the window ---------------------------------------------------------------------------------------
 
@@ -292,7 +298,7 @@ class ToolsPanel(Section):
     """A button for each tool, and for each answer to the first click."""
 
     def __init__(self, actions: Actions) -> None:
-        super().__init__("Mouse", actions)
+        super().__init__("Tools", actions)
         grid = framed(QGridLayout(self.body))
         self._group = QButtonGroup(self)
         self.tools: dict[str, QPushButton] = {}
@@ -302,6 +308,9 @@ class ToolsPanel(Section):
             self._group.addButton(made)
             grid.addWidget(made, place // IN_ROW, place % IN_ROW)
         row = -(-len(self.tools) // IN_ROW)
+        self.tip = wrapped("tip")
+        grid.addWidget(self.tip, row, 0, 1, IN_ROW)
+        row += 1
         shown = actions.state()["radius_row"]
         self.radius = Amount(shown)
         self.radius.changed.connect(lambda value: self.ask("set_radius", value))
@@ -314,6 +323,7 @@ class ToolsPanel(Section):
         """Show the tool in use, its radius, and what the first click may mean."""
         self.answers.show_state(state)
         self.tools[state["tool"]].setChecked(True)
+        self.tip.setText(state["tool_tip"])
         if not self.radius.is_being_moved:
             self.radius.show_value(state["radius_row"]["value"])
 
@@ -357,25 +367,32 @@ class AnswersRow(QWidget):
             made.hide()
         for answer in answers:
             made = self.buttons[answer["number"]]
-            made.setText(f"{answer['key']} \N{MIDDLE DOT} {answer['volume']}")
+            made.setText(answer["volume"])
             made.setChecked(answer["taken"])
             made.show()
 
 
 class ChangesBar(QWidget):
-    """Buttons to undo, redo and save."""
+    """Buttons to undo, redo and save, and for the page of keys."""
 
-    save_wanted = Signal()
+    save_wanted, help_wanted = Signal(), Signal()
 
     def __init__(self, actions: Actions) -> None:
         super().__init__()
         self.undo = button("Undo", "Undo the last change (Ctrl+Z)")
         self.redo = button("Redo", "Make the undone change again (Ctrl+Shift+Z)")
         self.save = button("Save", "Labels, mesh, picture, report and settings (Ctrl+S)")
+        self.mesh = choice("format of the mesh")
+        self.mesh.setMinimumContentsLength(3)
+        self.mesh.setToolTip("Format of the mesh that is saved")
+        self.mesh.activated.connect(lambda _: actions.request("mesh", self.mesh.currentText()))
         self.undo.clicked.connect(lambda: actions.request("undo"))
         self.redo.clicked.connect(lambda: actions.request("redo"))
+        self.help = button("?", "Keys and mouse (F1)")
+        self.help.setFixedWidth(28)
         self.save.clicked.connect(self.save_wanted)
-        row = in_row(self.undo, self.redo, self.save)
+        self.help.clicked.connect(self.help_wanted)
+        row = in_row(self.undo, self.redo, self.save, self.mesh, self.help, spacing=4)
         row.setContentsMargins(0, 0, 0, 0)
         self.setLayout(row)
 
@@ -383,7 +400,31 @@ class ChangesBar(QWidget):
         """Show what can be undone."""
         self.undo.setEnabled(state["undoable"] > 0)
         self.redo.setEnabled(state["redoable"] > 0)
-        self.save.setEnabled(state["ready"] and not state["saving"])
+        show_choice(self.mesh, state["meshes"], state["mesh"])
+        self.save.setEnabled(state["has_begun"] and not state["saving"])
+
+
+class ResultPanel(Section):
+    """Volume, probability and the most doubtful place, and the way to it."""
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Result", actions)
+        self.lines, self.where = wrapped("result"), QLabel("")
+        tip = "Go to the most doubtful place; again: the next one (N)"
+        self.next = self.button("Next doubtful place", tip, "next_uncertain")
+        row = in_row(self.next)
+        row.addWidget(self.where, 1)
+        column = framed(QVBoxLayout(self.body))
+        column.addWidget(self.lines)
+        column.addLayout(row)
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show what is known of the objects; hidden before there is one."""
+        self.setVisible(bool(state["result"]))
+        self.lines.setText("\n".join(state["result"]))
+        count, at = len(state["uncertain"]), state["uncertain_at"]
+        self.next.setEnabled(bool(count))
+        self.where.setText(f"{at} of {count}" if at else f"{count} places" if count else "")
 
 
 #: Lines of the history that are in sight at once.
@@ -402,22 +443,11 @@ class HistoryPanel(Section):
         # A long line ends in an ellipsis, with all of it in its tip: a bar below would cover one of the few lines.
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.list.itemClicked.connect(lambda item: self.ask("change", self.list.row(item)))
-        tip = "Go to the most doubtful place; again: the next one (N)"
-        self.next = self.button("Where to click next", tip, "next_uncertain")
-        self.where = QLabel("")
-        column = framed(QVBoxLayout(self.body))
-        column.addWidget(self.list)
-        row = in_row(self.next)
-        row.addWidget(self.where, 1)
-        column.addLayout(row)
+        framed(QVBoxLayout(self.body)).addWidget(self.list)
         self._shown: list[Any] = []
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show the changes, those that are undone in grey, and how many locations are uncertain."""
-        uncertain = state["uncertain"]
-        self.next.setEnabled(bool(uncertain))
-        at = state["uncertain_at"]
-        self.where.setText(f"{at} of {len(uncertain)}" if at else f"{len(uncertain)} places" if uncertain else "")
+        """Show the changes, those that are undone in grey."""
         if state["changes"] == self._shown:
             return
         self._shown = state["changes"]
@@ -439,6 +469,7 @@ class HistoryPanel(Section):
 #: In their order; that of the page is the same.
 PANELS: tuple[Callable[[Actions], Section], ...] = (
     ToolsPanel,
+    ResultPanel,
     ObjectsPanel,
     HistoryPanel,
     SettingsPanel,
@@ -456,7 +487,11 @@ class SidePanels(QWidget):
     changes : ChangesBar
     panels : dict of str to Section
         By the names of their classes.
+    hints_unwanted : Signal
+        The hints are to be shown no more.
     """
+
+    hints_unwanted = Signal()
 
     def __init__(self, actions: Actions) -> None:
         super().__init__()
@@ -467,7 +502,14 @@ class SidePanels(QWidget):
         column = QVBoxLayout(inner)
         column.setContentsMargins(8, 2, 8, 8)
         column.setSpacing(4)
-        for panel in self.panels.values():
+        self.hints, self._hints_text = QWidget(), wrapped("hints")
+        hide = button("Do not show this again")
+        hide.clicked.connect(self.hints_unwanted)
+        hints = framed(QVBoxLayout(self.hints))
+        hints.addWidget(self._hints_text)
+        hints.addWidget(hide)
+        self.hints.hide()
+        for panel in (self.hints, *self.panels.values()):
             column.addWidget(panel)
         column.addStretch(1)
         area = QScrollArea()
@@ -490,3 +532,8 @@ class SidePanels(QWidget):
         self.changes.show_state(state)
         for panel in self.panels.values():
             panel.show_state(state)
+
+    def show_hints(self, hints: Sequence[str]) -> None:
+        """Show what to do at first, or nothing."""
+        self._hints_text.setText("\n".join(hints))
+        self.hints.setVisible(bool(hints))

@@ -131,6 +131,8 @@ class MainWindow(QMainWindow):
         before, self._shown = self._shown, state
         if self.start_page is not None:
             self.start_page.show_state(state)
+        if self.inner is not None:
+            self.inner.side.show_hints(state["hints"])
         self._reference.setEnabled(state["is_open"])
         self._fill_menus(state, before)
         self._ask_back(state)
@@ -197,6 +199,8 @@ class MainWindow(QMainWindow):
         self.inner = Window(session, opened.reference, folder, theme, settings.overwrite, opened.frames)
         self.inner.setWindowFlags(Qt.WindowType.Widget)
         self.inner.windowTitleChanged.connect(self.setWindowTitle)
+        self.inner.side.hints_unwanted.connect(lambda: self.opening.request("hints_off"))
+        self.inner.side.show_hints(self.opening.state()["hints"])
         if former is not None:
             former.leave()
         self.start_page = None

@@ -26,8 +26,8 @@ from accelsurf.viewer.actions.objects import NEAREST
 from accelsurf.viewer.window.section_panel import ScrollGuard, Section, button, framed
 
 Index = QModelIndex | QPersistentModelIndex
-COLUMNS = ("", "", "Name", "ml", "State")
-_SEEN, _COLOR, _NAME, _ML, _WORD = range(5)
+COLUMNS = ("", "", "Name", "Volume", "State")
+_SEEN, _COLOR, _NAME, _VOLUME, _WORD = range(5)
 #: Rows that are in sight at once.
 ROWS = 4
 
@@ -55,7 +55,7 @@ class ObjectsPanel(Section):
         table.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         table.setFixedHeight((ROWS + 1) * (table.fontMetrics().lineSpacing() + 9))
         header = table.horizontalHeader()
-        for column, width in {_SEEN: 24, _COLOR: 24, _ML: 62, _WORD: 86}.items():
+        for column, width in {_SEEN: 22, _COLOR: 20, _VOLUME: 76, _WORD: 76}.items():
             header.setSectionResizeMode(column, QHeaderView.ResizeMode.Fixed)
             table.setColumnWidth(column, width)
         header.setSectionResizeMode(_NAME, QHeaderView.ResizeMode.Stretch)
@@ -108,7 +108,7 @@ class ObjectsPanel(Section):
 
     def _fill(self, place: int, row: Mapping[str, Any]) -> None:
         """Write a row of the table."""
-        texts = {_SEEN: "", _COLOR: "", _NAME: row["name"], _ML: row["ml"], _WORD: row["word"]}
+        texts = {_SEEN: "", _COLOR: "", _NAME: row["name"], _VOLUME: row["volume"], _WORD: row["word"]}
         for column, text in texts.items():
             item = self.table.item(place, column)
             if item is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from PySide6.QtCore import QSignalBlocker, Qt, Signal
+from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QLabel, QPushButton, QSlider, QWidget
 
 from accelsurf.viewer.actions.actions import Actions
@@ -22,11 +22,10 @@ class _Bar(QWidget):
         slider.setAccessibleName(name)
         self.where = QLabel("")
 
-    def _button(self, text: str, tip: str, request: str = "", *values: int, width: int = 40) -> QPushButton:
+    def _button(self, text: str, tip: str, request: str, *values: int) -> QPushButton:
         made = button(text, tip)
-        made.setFixedWidth(width)
-        if request:
-            made.clicked.connect(lambda: self._actions.request(request, *values))
+        made.setFixedWidth(64)
+        made.clicked.connect(lambda: self._actions.request(request, *values))
         return made
 
     def _lay_out(self, buttons: Sequence[QWidget], slider: QSlider, others: Sequence[QWidget], below: int) -> None:
@@ -39,38 +38,30 @@ class _Bar(QWidget):
 
 
 class PlaybackBar(_Bar):
-    """Buttons and a slider to move over the steps of a run.
-
-    Attributes
-    ----------
-    help_wanted : Signal
-        The button of the help was clicked.
-    """
-
-    help_wanted = Signal()
+    """Buttons and a slider to move over the steps of a run, once there is one."""
 
     def __init__(self, actions: Actions) -> None:
         self.timeline = QSlider(Qt.Orientation.Horizontal)
         super().__init__(actions, self.timeline, "stored steps")
         self._steps: list[int] = []
-        self.restart = self._button("|<", "Restart: from the start, with the settings in force (Home)", "restart")
-        self.back = self._button("<", "Back one step (Left)", "back")
-        self.play = self._button("Run", "Run or pause (Space)", "toggle", width=84)
-        self.forward = self._button(">", "One step (Right)", "step")
+        self.restart = self._button("Restart", "Restart: from the start, with the settings in force (Home)", "restart")
+        self.back = self._button("Back", "Back one step (Left)", "back")
+        self.play = self._button("Run", "Run or pause (Space)", "toggle")
+        self.forward = self._button("Step", "One step (Right)", "step")
         self.play.setObjectName("play")
         self.where.setMinimumWidth(170)
-        self.help = self._button("?", "Keys and mouse (F1)")
         buttons = self.restart, self.back, self.play, self.forward
-        self._lay_out(buttons, self.timeline, (self.where, self.help), 5)
-        self.help.clicked.connect(self.help_wanted)
+        self._lay_out(buttons, self.timeline, (self.where,), 5)
         self.timeline.valueChanged.connect(self._slid)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the state."""
+        self.setVisible(state["can_run"])
         self._steps = list(state["checkpoints"])
         self.play.setText("Pause" if state["playing"] else "Run")
-        for part in (self.play, self.forward, self.restart):
-            part.setEnabled(state["ready"])
+        if self.play.property("main") != state["is_due"]:
+            self.play.setProperty("main", state["is_due"])
+            self.play.style().polish(self.play)
         self.back.setEnabled(state["step"] > 0)
         rests = f"; it rested at {', '.join(map(str, state['rests']))}" if state["rests"] else ""
         self.timeline.setToolTip(f"Stored steps: drag to go back and forward{rests}")
@@ -92,9 +83,9 @@ class FrameBar(_Bar):
     def __init__(self, actions: Actions) -> None:
         self.slider = QSlider(Qt.Orientation.Horizontal)
         super().__init__(actions, self.slider, "frame")
-        self.before = self._button("<", "Frame before this one (,)", "step_frame", -1)
-        self.play = self._button("Play", "Play the frames, or stop (X)", "play_frames", width=64)
-        self.next = self._button(">", "Next frame (.)", "step_frame", 1)
+        self.before = self._button("Before", "Frame before this one (,)", "step_frame", -1)
+        self.play = self._button("Play", "Play the frames, or stop (X)", "play_frames")
+        self.next = self._button("Next", "Next frame (.)", "step_frame", 1)
         self.slider.valueChanged.connect(lambda number: actions.request("frame", number))
         self.where.setMinimumWidth(210)
         self._lay_out((self.before, self.play, self.next), self.slider, (self.where,), 0)

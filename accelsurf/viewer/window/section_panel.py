@@ -1,12 +1,12 @@
-"""A panel that folds, and the widgets that several panels use: buttons, lists, numbers on sliders, a line of text."""
+"""A panel that folds, and the widgets that several panels use: buttons, lists, numbers on sliders, lines of text."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
-from PySide6.QtCore import QEvent, QObject, QSignalBlocker, QSize, Qt, QTimer, Signal
-from PySide6.QtGui import QPainter, QPaintEvent
+from PySide6.QtCore import QEvent, QObject, QSignalBlocker, Qt, QTimer, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -17,7 +17,6 @@ from PySide6.QtWidgets import (
     QPushButton,
     QSizePolicy,
     QSlider,
-    QStyleOption,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -179,6 +178,15 @@ def button(text: str, tip: str = "") -> QPushButton:
     return made
 
 
+def wrapped(name: str) -> QLabel:
+    """Return a label of several lines, of a name in the style sheet."""
+    made = QLabel("")
+    made.setObjectName(name)
+    made.setWordWrap(True)
+    made.setMinimumWidth(1)
+    return made
+
+
 #: Text of the empty word in a list.
 NOTHING = "none"
 #: How long after the last change the value of a slider is emitted, milliseconds.
@@ -292,37 +300,18 @@ class Amount(QWidget):
         self.changed.emit(self.value)
 
 
-class OneLine(QLabel):
-    """A label as wide as there is room; its tip says what is cut off.
+class Message(QLabel):
+    """A message in as many lines as it takes: none of it is cut off."""
 
-    Parameters
-    ----------
-    text : str
-    """
+    def __init__(self) -> None:
+        super().__init__("")
+        self.setObjectName("message")
+        self.setWordWrap(True)
 
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-
-    @property
-    def shown(self) -> str:
-        """Part of the text that is drawn."""
-        return self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width())
-
-    def sizeHint(self) -> QSize:
-        """One line high, whatever the text."""
-        return QSize(0, self.fontMetrics().lineSpacing())
-
-    def paintEvent(self, event: QPaintEvent) -> None:
-        """Draw what there is room for, in the colour of the style sheet."""
-        shown = self.shown
-        tip = "" if shown == self.text() else self.text()
-        if tip != self.toolTip():
-            self.setToolTip(tip)
-        option = QStyleOption()
-        option.initFrom(self)
-        with QPainter(self) as painter:
-            self.style().drawItemText(
-                painter, self.rect(), Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter, option.palette,
-                self.isEnabled(), shown, self.foregroundRole(),
-            )
+    def say(self, text: str, failed: bool) -> None:
+        """Show a text; of an error in another colour."""
+        text = f"Error: {text}" if failed else text
+        # Paths and settings have no blanks: lines may end in them too.
+        self.setText(re.sub(r"(?<=[/_.,:=])(?=\S)|(?<=\S{20})(?=\S)", "\N{ZERO WIDTH SPACE}", text))
+        self.setProperty("failed", failed)
+        self.style().polish(self)

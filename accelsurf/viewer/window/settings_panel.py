@@ -22,7 +22,6 @@ from accelsurf.viewer.window.section_panel import (
     Section,
     choice,
     framed,
-    in_row,
     show_choice,
     show_switch,
     switch,
@@ -169,10 +168,6 @@ class SettingsPanel(Section):
         whole = framed(QVBoxLayout(self.body), 5)
         self._first = QVBoxLayout()
         whole.addLayout(self._first)
-        tip = "The run is made in a box around what there is now"
-        self.around = self.button("Box around object", tip, "box_around")
-        self.no_box = self.button("No box", "The run is made in the whole image", "box_none")
-        whole.addLayout(in_row(self.around, self.no_box))
         self.rows: dict[str, SettingRow] = {}
         self.groups: dict[str, Section] = {}
         self._whole = whole
@@ -189,7 +184,6 @@ class SettingsPanel(Section):
                 self.rows[row["key"]].show_row(row)
         for widget in self.rows.values():
             widget.show_error(state["energy_error"])
-        self.no_box.setEnabled(state["has_box"])
 
     def _build(self, rows: list[Row]) -> None:
         """Make the widgets that are missing, and remove those of terms that the energy has no longer."""
@@ -211,8 +205,7 @@ class SettingsPanel(Section):
         if not group:
             return self._first
         if group not in self.groups:
-            title = f"More: {group[:1].lower()}{group[1:]}"
-            self.groups[group] = folded = Section(title, self.user_actions, folded=True)
+            self.groups[group] = folded = Section(group, self.user_actions, folded=True)
             framed(QVBoxLayout(folded.body), 5)
             self._whole.addWidget(folded)
         layout = self.groups[group].body.layout()

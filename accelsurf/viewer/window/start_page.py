@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 )
 
 from accelsurf.viewer.actions.opening import Opening
-from accelsurf.viewer.window.section_panel import in_row
+from accelsurf.viewer.window.section_panel import Message, in_row
 
 #: Width of a list, pixels.
 _WIDTH = 380
@@ -52,9 +52,7 @@ class StartPage(QWidget):
         self.recent.itemClicked.connect(lambda item: self._ask("open_recent", self.recent.row(item)))
         self.phantoms.itemActivated.connect(lambda item: self._ask("open_phantom", item.data(_NAME)))
         self.phantoms.itemClicked.connect(lambda item: self._ask("open_phantom", item.data(_NAME)))
-        self.message = QLabel("")
-        self.message.setObjectName("message")
-        self.message.setWordWrap(True)
+        self.message = Message()
         self.hint = QLabel("or drop an image, or the folder of a scan, here")
         self._lay_out(title)
         self.show_state(opening.state())
@@ -95,10 +93,7 @@ class StartPage(QWidget):
             _fill(self.phantoms, phantoms)
         for part in (self.recent, self.phantoms, self.open_file, self.open_folder):
             part.setEnabled(not state["opening"])
-        line = state["opening_message"]
-        self.message.setText(f"Error: {line}" if state["opening_failed"] else line)
-        self.message.setProperty("failed", state["opening_failed"])
-        self.message.style().polish(self.message)
+        self.message.say(state["opening_message"], state["opening_failed"])
         self._shown = dict(state)
 
     def _ask(self, name: str, *values: Any) -> None:
