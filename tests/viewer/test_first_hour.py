@@ -110,7 +110,7 @@ def test_the_mesh_is_saved_as_it_is_chosen(actions):
     actions.request("save")
     viewing.settle(actions)
     assert (actions.folder / "balls_surface.stl").is_file() and not list(actions.folder.glob("*.ply"))
-    config = RunConfig.from_toml(actions.folder / "run.toml")
+    config = RunConfig.from_toml(actions.folder / "balls_run.toml")
     assert config.mesh == ("stl",) and actions.state()["mesh"] == "stl"
 
 
