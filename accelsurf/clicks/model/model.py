@@ -301,12 +301,13 @@ def _fitted(
 
 
 def _sized(score: Floats, count: float) -> Floats:
-    """F, shifted where it gives an object that is too far from a number of voxels."""
+    """F, shifted where it gives an object that is too far from a number of voxels; with holes filled."""
     found = int(np.count_nonzero(score < 0))
     wanted = int(np.clip(found, count / ABOUT, count * ABOUT))
     if wanted == found or not 0 < wanted < score.size:
         return score
-    return score - np.partition(score.ravel(), wanted)[wanted]
+    shifted = score - np.partition(score.ravel(), wanted)[wanted]
+    return np.where(holes_filled(shifted < 0), np.minimum(shifted, np.float32(-JUST)), shifted)
 
 
 def _has_room(window: Window, size_mm3: float | None) -> bool:

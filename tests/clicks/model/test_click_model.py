@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from accelsurf.clicks.model import ClickModel, Scene, click_model
 from accelsurf.clicks.model.confidence import confidence_of
@@ -158,6 +159,17 @@ def test_a_size_is_met_and_another_answer_is_a_part(two_balls):
         assert answer.volume_mm3 <= usual.answers[0].volume_mm3 / 1.5
         part = click_model(scene, clicks(FIRST), answer=2)
         assert part.answers[0] == answer and part.count < usual.count
+
+
+@pytest.mark.parametrize("radius", [1.0, 2.5])
+@pytest.mark.parametrize("part", [0.5, 0.7, 0.9])
+def test_a_size_that_is_too_small_makes_no_holes(part, radius):
+    truth = ball((24, 28, 28), 18.0, (48, 56, 56), (1.0, 1.0, 1.0))
+    noise = np.random.default_rng(4).normal(0.0, 0.1, truth.shape)
+    scene = Scene(((ndimage.gaussian_filter(truth.astype(float), 0.5) + noise).astype(np.float32),), (1.0, 1.0, 1.0))
+    given = clicks(click("inside", (24, 28, 28), radius, truth.shape, (1.0, 1.0, 1.0)), shape=truth.shape)
+    model = click_model(scene, given, size_mm3=part * truth.sum())
+    assert np.array_equal(ndimage.binary_fill_holes(model.inside), model.inside)
 
 
 def test_the_unit_of_values_and_of_lengths_does_not_matter(two_balls):
