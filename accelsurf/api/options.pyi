@@ -64,7 +64,7 @@ class Options(TypedDict, total=False):
     levels: int | Literal["auto"]
     roi: str | None
     box: str | None
-    flow: Literal["constant-density", "flowable-mass", "region-mass", "gradient", "sobolev", "momentum"]
+    flow: Literal["auto", "constant-density", "flowable-mass", "region-mass", "gradient", "sobolev", "momentum"]
     labels: str | None
     channel: str | Sequence[str]
     balance: float

@@ -54,6 +54,8 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
         nz, ny, nx = band.to_closest[s, 0] * hz, band.to_closest[s, 1] * hy, band.to_closest[s, 2] * hx
+        # Counted from the cell: so the same rounding on every box that contains it.
+        fz, fy, fx = nz, ny, nx
         pz, py, px = iz + nz, iy + ny, ix + nx
         norm = np.sqrt(nz * nz + ny * ny + nx * nx)
         outward = -1.0 if band.psi[s] > 0.0 else 1.0
@@ -74,14 +76,14 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
             u = m * epsilon / 3.0
             share = 1.0 / 3.0 if m == 0 else (0.25 if abs(m) == 1 else 1.0 / 12.0)
             share *= 1.0 + min(max(u * area_growth, -0.5), 0.5)
-            qz, qy, qx = pz + u * nz, py + u * ny, px + u * nx
+            qz, qy, qx = fz + u * nz, fy + u * ny, fx + u * nx
             if inside:
-                jz, jy, jx = int(qz), int(qy), int(qx)
-                at = (jz * grid.ny + jy) * row + jx
+                jz, jy, jx = np.floor(qz), np.floor(qy), np.floor(qx)
+                at = ((iz + int(jz)) * grid.ny + iy + int(jy)) * row + ix + int(jx)
                 tz, ty, tx = np.float32(qz - jz), np.float32(qy - jy), np.float32(qx - jx)
                 value = linear_cell(image, at, row, plane, tz, ty, tx)
             else:
-                value = linear_at(image, grid, qz, qy, qx)
+                value = linear_at(image, grid, iz + qz, iy + qy, ix + qx)
             total += share * ((a * value + b) * value + c)
         out[s] = total
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.diameters import Diameters, diameters
-from accelsurf.measure.intervals import Intervals
 
 Floats = NDArray[np.float64]
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
@@ -100,6 +99,8 @@ def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any
 
 def _interval_ends(intervals: Intervals | None) -> dict[str, float | None]:
     """Return both ends of the interval of each measure."""
+    from accelsurf.measure.intervals import Intervals
+
     ends: dict[str, float | None] = {}
     for key in Intervals._fields:
         stem, unit = key.rsplit("_", 1)

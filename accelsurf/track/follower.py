@@ -40,7 +40,7 @@ APART = 2
 #: voxels differ.
 ROUNDING, TRIED_STEPS = 0.5, 40
 #: Least variance, voxels squared, of a predicted surface, and of what an appearance finds.
-LEAST_PREDICTED, LEAST_FOUND = 0.05, 0.25
+MIN_PRIOR_DEVIATION, MIN_VARIANCE = 0.05, 0.25
 #: Of an object that the border of the grid cuts at least so many voxels must be there.
 MIN_CUT = 8
 
@@ -124,10 +124,10 @@ class Follower:
             holds = mean_square(piece, found[followed.id].surface, self._geometry) <= ROUNDING * unit
             appearance = None if holds else appearance_of(arrival.channels[0], piece)
             if appearance is not None:
-                again = settled(followed.momentum.carried(0.0), appearance, arrival.channels[0], 0.0)
+                again = settled(followed.momentum.moved_surface(0.0), appearance, arrival.channels[0], 0.0)
                 off = mean_square(piece, again, self._geometry)
                 lost = not math.isfinite(off)
-                appearance = None if lost else appearance._replace(variance=max(off, LEAST_FOUND * unit))
+                appearance = None if lost else appearance._replace(variance=max(off, MIN_VARIANCE * unit))
             parts = max(1, len(separate_parts(piece)))
             depth = 2.0 * followed.volume_mm3 / max(followed.area_mm2, 1e-300)
             trust[followed.id] = Trust(followed.profile, parts, depth, holds, appearance)
@@ -219,8 +219,8 @@ class Follower:
         for followed in [followed for followed in predictable if followed.id in unrun]:
             piece = predicted[followed.id]
             if followed.appearance is not None:
-                prior = followed.prior(LEAST_PREDICTED * min(self._geometry.steps) ** 2)
-                carried = followed.momentum.carried(arrival.duration)
+                prior = followed.prior(MIN_PRIOR_DEVIATION * min(self._geometry.steps) ** 2)
+                carried = followed.momentum.moved_surface(arrival.duration)
                 piece = settled(carried, followed.appearance, arrival.channels[0], prior)
             found[followed.id] = measured_piece(piece, self._geometry)
         if then:

@@ -31,7 +31,7 @@ from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart, apart, core_of
 from accelsurf.track.appearance import Appearance
-from accelsurf.track.momentum import Carried
+from accelsurf.track.momentum import MovedSurface
 from accelsurf.track.records import BAND, SurfacePiece
 
 #: Voxels of the image around all objects that a run on a frame sees: at least `MIN_AROUND`, and this part of the
@@ -229,7 +229,7 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
     return False
 
 
-def settled(carried: Carried, appearance: Appearance, image: Volume, prior: float) -> SurfacePiece:
+def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior: float) -> SurfacePiece:
     """Run a surface in a frame, by an appearance, from the momentum that it has.
 
     The energy is U = int_inside (prior psi_0 - odds) dx + alpha A, psi_0 where it begins. The surface has constant
@@ -237,7 +237,7 @@ def settled(carried: Carried, appearance: Appearance, image: Volume, prior: floa
 
     Parameters
     ----------
-    carried : Carried
+    carried : MovedSurface
         Moved in place.
     appearance : Appearance
     image : Volume

@@ -31,7 +31,7 @@ class Gains(NamedTuple):
     velocity: float = 1.0
 
 
-class Carried(NamedTuple):
+class MovedSurface(NamedTuple):
     """A surface, and its ``speed`` (n,) along N on the band, mm in the time between two frames."""
 
     boxed: BoxedSurface
@@ -174,12 +174,12 @@ class SurfaceMomentum(ABC):
         """Way (3,) of the whole in a time as its momentum has it, mm along the grid's axes z, y, x."""
         return self._mean_velocity() * duration if self._boxed.surface.size else np.zeros(3)
 
-    def carried(self, duration: float) -> Carried:
+    def moved_surface(self, duration: float) -> MovedSurface:
         """Copy the surface, with room to move, and the speed that its momentum has there, per ``duration``."""
         boxed = self._boxed.widened(self.half_width)
         velocity, _ = sample_fields(self._boxed, self._fields[:3], boxed.closest_points())
         speed = (velocity * boxed.surface.normals()).sum(axis=1) * (duration if self.moves else 0.0)
-        return Carried(boxed, np.asarray(speed, np.float32))
+        return MovedSurface(boxed, np.asarray(speed, np.float32))
 
     def volume(self) -> float:
         """Volume inside, mm3, to parts of a voxel."""

@@ -211,7 +211,7 @@ def test_a_state_of_another_version_or_size_is_refused(finished, tmp_path, monke
 def test_what_cannot_be_refined_is_said(tmp_path, finished, capsys):
     assert run("refine", tmp_path / "no such", *CLICK) == 3
     assert run("refine", tmp_path, *CLICK) == 3
-    assert "no result with a state" in capsys.readouterr().err
+    assert "has no result that can be refined" in capsys.readouterr().err
     assert run("refine", finished) == 2
     assert "no click" in capsys.readouterr().err
     for number in range(2):

@@ -228,12 +228,14 @@ def of_a_microscope():
 
 
 PLANE = Geometry((1, 160, 200), (1.0, 1.0, 1.0))
+#: A page whose scans come over the network.
+FETCHING = "sample-scans"
 #: How-to pages with many or long commands.
 LONG = ("large-images", "meshes", "movies", "several-objects")
 HOW_TO = [
     pytest.param(page, marks=pytest.mark.slow) if page.stem in LONG else page
     for page in sorted((ROOT / "docs" / "how-to").glob("*.md"))
-    if CONSOLE.search(page.read_text())
+    if CONSOLE.search(page.read_text()) and page.stem != FETCHING
 ]
 
 

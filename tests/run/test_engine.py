@@ -339,8 +339,9 @@ def test_a_checkpoint_of_a_level_that_is_over_is_refused(pair):
 def test_an_energy_of_ones_own_moves_several_objects_as_a_named_one_does(pair):
     volume, starts, _ = pair
     own = functools.partial(ChanVese, alpha=0.0, epsilon=1.5)
-    made = segment_objects(volume, starts, energy=lambda image, spacing: own(image), max_steps=15)
-    named = segment_objects(volume, starts, energy="chan-vese:area=0", max_steps=15)
+    given = {"flow": "constant-density", "max_steps": 15}
+    made = segment_objects(volume, starts, energy=lambda image, spacing: own(image), **given)
+    named = segment_objects(volume, starts, energy="chan-vese:area=0", **given)
     assert made.energy == "custom: ChanVese" and named.energy == "chan-vese:area=0"
     assert made.labels.tobytes() == named.labels.tobytes() and made.psi.tobytes() == named.psi.tobytes()
     with pytest.raises(UsageError, match="several were given: the energy has one image"):

@@ -77,8 +77,9 @@ def test_the_first_click_inside_begins_what_can_be_run_judged_and_undone(actions
             break
         actions.session.wait(1)
         viewing.time.sleep(0.02)
-    volume, likely, *doubt = actions.state()["result"]
-    assert volume.startswith("volume ") and volume.endswith(" ml") and likely.endswith(" % likely to be good")
+    volume, interval, likely, *doubt = actions.state()["result"]
+    assert volume.startswith("volume ") and volume.endswith(" ml") and interval.startswith("95 %: ")
+    assert likely.endswith(" % likely to be good")
     assert float(likely.split()[0]) == round(100 * actions.session.status.probabilities[1])
     assert [line.startswith("most doubtful at ") for line in doubt] == [True] * bool(actions.session.status.uncertain)
     actions.request("undo")

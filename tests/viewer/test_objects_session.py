@@ -239,7 +239,7 @@ from types import SimpleNamespace
 from accelsurf.viewer.window.objects_panel import ObjectsPanel
 asked = []
 def row(own, **more):
-    known = dict(id=own, name=f"object {own}", color="#e69f00", visible=True, opacity=1.0, ml="1.5", voxels=9)
+    known = dict(id=own, name=f"object {own}", color="#e69f00", visible=True, opacity=1.0, volume="1.5 ml", voxels=9)
     return known | dict(word="paused") | more
 panel = ObjectsPanel(SimpleNamespace(request=lambda *request: asked.append(request)))
 panel.show_state({"object_rows": [row(3)], "object_active": 0})
@@ -267,7 +267,7 @@ for request in asked:
     environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen", "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment)
     assert done.stdout.splitlines() == [
-        "[['object 3', '1.5', 'paused'], ['cyst', '1.5', 'paused']] [] 50",
+        "[['object 3', '1.5 ml', 'paused'], ['cyst', '1.5 ml', 'paused']] [] 50",
         "[0, 1]", "#0072b2",  # both rows are chosen, and the colour of the first is seen
         "object_active 3", "object_name 8 left kidney", "object_visible 8 True", "object_opacity 8 0.25",
         "object_merge 3 8", "object_add", "object_active nearest",

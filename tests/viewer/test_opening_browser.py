@@ -51,7 +51,7 @@ class StartPage(Served):
 
 @pytest.fixture
 def served(tmp_path):
-    server = StartPage(tmp_path)
+    server = StartPage(tmp_path, "--start", "center")
     yield server
     assert server.process.poll() is None, server.log_text()
     assert server.close() == 0, server.log_text()

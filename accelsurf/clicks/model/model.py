@@ -257,6 +257,9 @@ def first_model(
     window, field, levels, answers = first_blocks(scene, seed, size_mm3, answer, asked["first"])
     score = -window.on_voxels(field)
     tight = bounding_box(score < 0)
+    if tight is None:  # of a block alone nothing may be left between its neighbours
+        mask = seed.click.mask_on(window.box)
+        score[mask], tight = -JUST, bounding_box(mask)
     assert tight is not None  # the click is in it
     margin = [int(AROUND * (s.stop - s.start)) + int(n) for s, n in zip(tight, window.steps, strict=True)]
     part = widened(tight, score.shape, margin)
@@ -377,9 +380,9 @@ def without_cut_off(model: ClickModel, before: ClickModel) -> ClickModel:
     for click in model.clicks.clicks:
         if click.side == "inside":
             held |= click.mask_on(model.box)
-    kept = connected_to(model.inside, held)
-    cut = model.inside & ~kept & connected_to(before.inside_on(model.box), held)
-    if not 0 < np.count_nonzero(cut) <= np.count_nonzero(kept):
+    remains = connected_to(model.inside, held)
+    cut = model.inside & ~remains & connected_to(before.inside_on(model.box), held)
+    if not 0 < np.count_nonzero(cut) <= np.count_nonzero(remains):
         return model
     field = np.where(cut, np.float32(JUST), model.field)
     return replace(model, field=field, inside=field < 0)

@@ -339,8 +339,7 @@ class Frame:
         """The frame of the final state of a run that has ended."""
         level = pyramid.levels(result.geometry.shape, result.geometry.spacing, 1)[0]
         clicks = () if result.clicks is None else marks_of(result.clicks.clicks, result.geometry.spacing)
-        surfaces = tuple(SurfaceFrame.of_result(segmented, level) for segmented in result.objects)
-        return cls(surfaces, clicks, volume_interval=volume_interval(result))
+        return cls(tuple(SurfaceFrame.of_result(segmented, level) for segmented in result.objects), clicks)
 
     @property
     def step(self) -> int:
