@@ -111,7 +111,7 @@ def test_sequences_of_other_lengths_grids_and_frames_that_lack(tmp_path, referen
 def test_options_of_label_maps_are_refused(reference, said):
     for words in (("--labels", "all"), ("--tolerance", "1"), ("--pairs", "pairs.csv")):
         code, _, err = said(reference, reference, *words)
-        assert (code, f"{words[0]}: was given with --tracks" in err) == (2, True)
+        assert (code, f"{words[0]}: has no effect with --tracks" in err) == (2, True)
     assert said(reference)[0] == 2
 
 
