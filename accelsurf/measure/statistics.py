@@ -7,7 +7,7 @@ are taken between the outer corners of voxels, so that a box of voxels has the l
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.diameters import Diameters, diameters
+
+if TYPE_CHECKING:
+    from accelsurf.measure.intervals import Intervals
 
 Floats = NDArray[np.float64]
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
@@ -99,10 +102,8 @@ def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any
 
 def _interval_ends(intervals: Intervals | None) -> dict[str, float | None]:
     """Return both ends of the interval of each measure."""
-    from accelsurf.measure.intervals import Intervals
-
     ends: dict[str, float | None] = {}
-    for key in Intervals._fields:
+    for key in ("volume_mm3", "area_mm2", "diameter_mm"):
         stem, unit = key.rsplit("_", 1)
         low, high = getattr(intervals, key, (None, None))
         ends |= {f"{stem}_low_{unit}": low, f"{stem}_high_{unit}": high}

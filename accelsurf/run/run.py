@@ -126,7 +126,7 @@ class Run:
         beyond = None if part is None else part.open_window
         grids = choose_levels(config, self.geometry, None if self.has_ids else starts[0].psi, named, beyond)
         self._levels = len(grids)
-        self.flow_choice = choose_flow(config, self.prepared, starts, grids[-1], named)
+        self.flow_choice = choose_flow(config, named)
         self._inputs = LevelInputs(self.prepared.images, distance, grids)
         is_given = self.prepared.other_labels is not None
         self.level_warnings = [] if is_given else thin_start_warnings(starts, self.geometry, self.has_ids)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 import secrets
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -12,23 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies import CheckedEnergy, Energy
-from accelsurf.energies.region_sums import moments_of
 from accelsurf.errors import UsageError
 from accelsurf.evolution.convergence import Restart, StopRule
 from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import Flow, StepLimits
 from accelsurf.grid import pyramid
-from accelsurf.grid.boxes import box_at
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import AUTO_MIN_VOXELS, count_resolved_levels
 from accelsurf.grid.window import NeedsLevels, Window
-from accelsurf.image.noise import noise_of
 from accelsurf.image.volume import Volume
 from accelsurf.io.memory import available_cores
 from accelsurf.run.energy import make_energy
 from accelsurf.run.evolving_object import EnergyMaker, MadeEnergy
 from accelsurf.run.image_context import ImageContext
-from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import default_of, energy_settings
 from accelsurf.settings.energy_terms import TERMS
@@ -53,9 +48,6 @@ _SHORT_STEPS, SLOW = ("flowable-mass", "region-mass", "sobolev"), 0.4
 #: Steps without a lower energy after which a correction has converged: an oscillation from step to step finds one in
 #: two.
 PATIENCE = 3
-#: Noise on the grid where the run begins, in contrasts between start and rest, from which on descent may be trapped and
-#: the steps of momentum are worth it.
-NOISY = 0.3
 
 
 def choose_levels(
@@ -306,26 +298,8 @@ class FlowChoice(NamedTuple):
         return config.model_copy(update={"flow": MOMENTUM if _given_of_momentum(config) else self.flow})
 
 
-def choose_flow(
-    config: RunConfig,
-    prepared: PreprocessedInput,
-    starts: Sequence[ObjectStart],
-    coarsest: pyramid.Level,
-    has_name: bool,
-) -> FlowChoice:
-    """The flow for settings that leave it open.
-
-    Parameters
-    ----------
-    config : RunConfig
-    prepared : PreprocessedInput
-    starts : sequence of ObjectStart
-        Before anything moves.
-    coarsest : pyramid.Level
-        The grid where the run begins: each of its voxels is the mean of several.
-    has_name : bool
-        Whether the energy is one with a name.
-    """
+def choose_flow(config: RunConfig, has_name: bool) -> FlowChoice:
+    """The flow for settings that leave it open; ``has_name``: the energy is one with a name."""
     wanted = _given_of_momentum(config)
     if wanted:
         return FlowChoice(MOMENTUM, f"momentum, as {wanted[0]} was given, which descent does not have")
@@ -333,36 +307,13 @@ def choose_flow(
         return FlowChoice(MOMENTUM, "momentum, as the energy is one of your own")
     if energy_expression.uses_model(config.energy):
         return FlowChoice(MOMENTUM, "momentum, as from clicks all flows end at the same surface")
-    terms = energy_expression.parse(config.energy)
-    names = {term.name for term in terms} - {"area"}
+    names = {term.name for term in energy_expression.parse(config.energy)} - {"area"}
     if names == {"threshold"}:
         return FlowChoice(DESCENT, "descent, as under bounds of brightness momentum may leak through thin walls")
-    if names != {"chan-vese"}:
-        return FlowChoice(MOMENTUM, f"momentum, as under {config.energy} descent rests too soon or takes more steps")
-    if config.smoothness > 0.0 or any(term.name == "area" or term.settings.get("area") for term in terms):
-        return FlowChoice(MOMENTUM, "momentum, as with a weight of the area descent makes short steps")
-    ratio = _noise_in_contrasts(prepared, starts) / math.sqrt(math.prod(coarsest.factors))
-    said = f"the noise is {ratio:.2g} of the contrast where the run begins"
-    if ratio >= NOISY:
-        return FlowChoice(MOMENTUM, f"momentum, as {said}, and it passes the minima that noise makes")
-    return FlowChoice(DESCENT, f"descent, as {said}, and momentum may leak through thin walls")
+    return FlowChoice(MOMENTUM, f"momentum, as under {config.energy} descent rests too soon or finds less")
 
 
 def _given_of_momentum(config: RunConfig) -> list[str]:
     """Settings that only momentum has, of those that were changed from their defaults."""
     keys = (key for key in FLOWS[MOMENTUM].uses if key not in FLOWS[DESCENT].uses)
     return [key for key in keys if getattr(config, key) != default_of(key)]
-
-
-def _noise_in_contrasts(prepared: PreprocessedInput, starts: Sequence[ObjectStart]) -> float:
-    """Noise of the first channel over the difference of its means in the starts and elsewhere; infinite for none."""
-    image, context = prepared.images[0], prepared.context
-    sums = context.whole_sums(0, prepared.geometry.spacing, "moments", moments_of)
-    count, total = (image.size, float(image.sum(dtype=float))) if sums is None else (sums[0], sums[1])
-    inside = [image[box_at(start.corner, start.psi.shape)][start.psi < 0] for start in starts]
-    voxels, within = sum(part.size for part in inside), sum(float(part.sum(dtype=float)) for part in inside)
-    if not 0 < voxels < count:
-        return math.inf
-    contrast = abs(within / voxels - (total - within) / (count - voxels))
-    noise = context.once(noise_of, 0)
-    return noise / contrast if contrast > 0.0 else math.inf

@@ -36,7 +36,7 @@ def ball_image(shape=(20, 40, 44), spacing=(2.0, 1.0, 1.0), direction=None, radi
 def run_frames(volume, center, **options):
     """Frames of a run from a ball of 6 mm around a world point, and its history."""
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
-    run = Run(volume, RunConfig(**{"start": start, "flow": "constant-density", "threads": 1, "max_steps": 30, **options}))
+    run = Run(volume, RunConfig(**{"start": start, "threads": 1, "max_steps": 30, **options}))
     frames = []
     with run:
         for _ in run:

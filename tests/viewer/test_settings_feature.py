@@ -182,6 +182,6 @@ def test_no_key_is_taken_twice(actions):
 
 
 def test_the_flow_says_why_the_program_chose_it():
-    said = "descent, as the noise is 0 of the contrast where the run begins, and momentum may leak through thin walls"
+    said = "momentum, as under chan-vese descent rests too soon or finds less"
     rows = {row["key"]: row["help"] for row in settings_rows(RunConfig(), (), 1.0, flow_why=said)}
     assert rows["flow"].endswith(f" Now {said}.") and "Now" not in rows["energy"]
