@@ -2,7 +2,7 @@
 
     python -m benchmarks.flow_choice [--only NAME;NAME] [--again]
 
-makes the table of docs/decisions/0046-flow-by-noise.md from benchmarks/results/flow_choice.json; rows that the file has
+makes the table of docs/decisions/0046-flow-by-energy.md from benchmarks/results/flow_choice.json; rows that the file has
 are not run again without ``--again``. The rule was found on `TUNED` and is judged on the others. What ``auto`` gives is
 what the flow that it takes gives, byte by byte; a row misses where that is more than .002 Dice worse than the better
 flow, or takes more than 1.2 times the processor's seconds of the better one, or of either where both are within .002.
@@ -32,7 +32,7 @@ from benchmarks.defaults import FACTS, SCANS
 from benchmarks.pages import head_of, put_table, row_of
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE, RESULTS = ROOT / "docs" / "decisions" / "0046-flow-by-noise.md", ROOT / "benchmarks/results/flow_choice.json"
+PAGE, RESULTS = ROOT / "docs" / "decisions" / "0046-flow-by-energy.md", ROOT / "benchmarks/results/flow_choice.json"
 TUNED = ("ball_small", "disc", "torus", "ball", "two_balls")
 NOISE = (0.0, 0.3, 1.0, 2.0)
 #: How much worse, and by which factor slower, a choice may be.
