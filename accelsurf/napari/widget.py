@@ -299,7 +299,8 @@ class ClickWidget(QWidget):
         for number, button in enumerate(self._answers, 1):
             match = [answer for answer in answers if answer.number == number]
             button.setVisible(len(answers) > 1 and bool(match))
-            button.setText("".join(f"{answer.volume_mm3 / 1000.0:.4g} ml" for answer in match))
+            volumes = [answer.volume_mm3 for answer in match]
+            button.setText("".join(f"{mm3 / 1000.0:.4g} ml" if mm3 else "all that is alike" for mm3 in volumes))
         text = ""
         if found is not None:
             text = f"{found.volume_mm3 / 1000.0:.4g} ml, {found.quality.probability:.0%} likely to be good"
