@@ -2,10 +2,10 @@
 
     python -m benchmarks.flow_choice [--only NAME;NAME] [--again]
 
-makes the table of docs/decisions/0046-flow-by-energy.md from benchmarks/results/flow_choice.json; rows that the file has
-are not run again without ``--again``. The rule was found on `TUNED` and is judged on the others. What ``auto`` gives is
-what the flow that it takes gives, byte by byte; a row misses where that is more than .002 Dice worse than the better
-flow, or takes more than 1.2 times the processor's seconds of the better one, or of either where both are within .002.
+makes the tables of docs/decisions/0046-flow-by-energy.md from benchmarks/results/flow_choice.json; rows that the file
+has are not run again without ``--again``. `TUNED` are the inputs that a rule by noise was found on, which was not kept.
+A row misses where what ``auto`` takes is more than .002 Dice worse than the better flow, or takes more than 1.2 times
+the processor's seconds of the better one, or of either where both are within .002.
 """
 
 from __future__ import annotations
