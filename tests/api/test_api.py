@@ -226,7 +226,7 @@ def test_the_report_has_what_the_run_took_from_image_and_grid():
     smooth = filtered_volume(image, ImageFilters(sigma=1.5))
     assert (scale_["at_0"], scale_["at_1"]) == pytest.approx(tuple(np.percentile(smooth, [0.5, 99.5])), rel=1e-5)
     assert found["levels"] == 2 and found["half_width_voxels"] == 3
-    assert (found["flow"], found["diffusion"]) == ("gradient", 0.0)
+    assert (found["flow"], found["diffusion"]) == ("constant-density", "free")
     assert found["stop"] == {"voxels": 0.1, "steps": 6} and found["step_voxels"] == 0.5
     other = {"start": "ball:0,0,0,6", "flow": "gradient", "levels": 1, "cfl": 0.3, "tolerance": 0.2, "half_width": 4}
     found = segment(image, **other).report["resolved_settings"]
