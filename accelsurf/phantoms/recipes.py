@@ -298,8 +298,8 @@ def _degraded(image: NDArray[np.float32], recipe: Recipe) -> NDArray[np.float32]
     return image
 
 
-def load_recipe(recipe: str | Path) -> Recipe:
-    """Read a recipe: a TOML file, or by its bare name one that comes with accelsurf.
+def load_recipe(recipe: str | Path, *, seed: int | None = None) -> Recipe:
+    """Read a recipe: a TOML file, or by its bare name one that comes with accelsurf; with another seed, if given.
 
     Raises
     ------
@@ -314,7 +314,7 @@ def load_recipe(recipe: str | Path) -> Recipe:
     48.0
     """
     path, values = read_recipe(recipe)
-    return recipe_from(values, str(path))
+    return recipe_from(values if seed is None else {**values, "seed": seed}, str(path))
 
 
 def phantom(recipe: str | Path, *, seed: int | None = None) -> Phantom:
@@ -329,10 +329,8 @@ def phantom(recipe: str | Path, *, seed: int | None = None) -> Phantom:
 
     Raises
     ------
-    InputError
-        When the file cannot be read or is not TOML.
-    UsageError
-        When no recipe has this name, a key is unknown, or a value impossible; the message names the key.
+    InputError, UsageError
+        As `load_recipe`.
 
     Examples
     --------
@@ -340,8 +338,7 @@ def phantom(recipe: str | Path, *, seed: int | None = None) -> Phantom:
     >>> made.image.geometry.shape == made.truth.array.shape
     True
     """
-    path, values = read_recipe(recipe)
-    return make(recipe_from(values if seed is None else {**values, "seed": seed}, str(path)))
+    return make(load_recipe(recipe, seed=seed))
 
 
 def recipe_from(values: Mapping[str, Any], where: str = "recipe") -> Recipe:

@@ -13,7 +13,7 @@ from scipy import ndimage
 from skimage.morphology import reconstruction
 
 from accelsurf.clicks.model.features import CUT, SMOOTHING, at_bins, likelihood_ratio
-from accelsurf.clicks.model.fronts import MIN_RANGE, enough, robust
+from accelsurf.clicks.model.fronts import MIN_RANGE, MIN_VOXELS, robust
 from accelsurf.clicks.model.windows import Floats, Mask, Window
 from accelsurf.grid.boxes import Box, bounding_box, connected_to, corner_of, on_box, placed_at, widened, with_halo
 
@@ -29,8 +29,6 @@ LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
 RIM = 2.0
 #: Gaussians are cut off at so many deviations.
 REACH = 4.0
-
-
 #: Numbers of the answers to a first click.
 LIKELIEST, OF_PART, OF_ALIKE = 1, 2, 3
 
@@ -154,8 +152,9 @@ def _learned(window: Window, box: Box, inside: Mask) -> tuple[float, float, Floa
     scene, step = window.scene, window.scene.step
     deep = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=scene.spacing)[1:-1, 1:-1, 1:-1]
     core = inside & (deep > 1.01 * step)
-    core, depth = (core if core.any() and np.array_equal(enough(core), core) else inside), float(deep.max())
-    rim = max(RIM * step, depth) + step
+    if np.count_nonzero(core) < MIN_VOXELS:
+        core = inside
+    rim = max(RIM * step, float(deep.max())) + step
     wide = widened(box, scene.shape, [int(np.ceil(rim / h)) for h in scene.spacing])
     inside, core = on_box(inside, box, wide, False), on_box(core, box, wide, False)
     values = _smoothed(window, wide)
