@@ -38,9 +38,9 @@ FALL = 0.02
 SAID, GOOD, FAILED = 0.7, 0.8, 0.6
 #: Click k of the jittered game with seed s draws from the generator (BASE, s, k): the same for all methods.
 SEEDS, BASE = (0, 1, 2, 3, 4), 16
-#: Games: exact clicks; with a size; jittered clicks; first a box or a stroke; the protocol of the CVPR 2025 challenge
-#: from a click in the middle or from a box.
-KINDS = ("plain", "size", "jitter", "box", "stroke", "cvpr", "cvpr-box")
+#: Games: exact clicks; the same, where another answer may be taken in place of the second click; with a size; jittered
+#: clicks; first a box or a stroke; the protocol of the CVPR 2025 challenge from a click in the middle or from a box.
+KINDS = ("plain", "answers", "size", "jitter", "box", "stroke", "cvpr", "cvpr-box")
 #: Interactions of the challenge: the first, and five corrections.
 CHALLENGE = 6
 
@@ -60,7 +60,8 @@ class Session(Protocol):
     """One object being segmented: knows the scan, takes clicks, gives the labels so far on the whole grid.
 
     Its attribute ``sureness``, if it has one, is its probability (0 to 1) that the labels are good, or None. Its method
-    ``other_answers``, if it has one, returns labels that a person may choose in place of those after the first click.
+    ``other_answers``, if it has one, returns labels that a person may choose in place of those after the first click;
+    ``take`` goes on from one of them, by its number.
     """
 
     def click(self, click: PersonClick) -> Mask:
@@ -109,38 +110,42 @@ def play(
     dict
         ``clicks``: for each the side, the voxel, the radius (mm), ``dice`` after it, the `surfaces`, ``sureness``,
         ``wall_s`` and ``cpu_s``, and ``error`` where the segmenter refused it (the labels before stand); of the first,
-        where the segmenter has other answers, ``best_of_answers``: the Dice of the best of all. ``perfect``: nothing is
-        wrong any more.
+        where the segmenter has other answers, ``best_of_answers``: the Dice of the best of all. ``answer`` in place of
+        side, voxel and radius where another answer was taken, of the game ``answers``: by a person who sees that its
+        Dice is higher by more than .02. ``perfect``: nothing is wrong any more.
     """
     image, truth = scene.image, scene.truth
     hints = hints_of(scene, variant, size_factor)
     out: list[dict[str, Any]] = []
     labels: Mask | None = None
     session: Session | None = None
+    better: int | None = None
     for number in range(min(clicks, CHALLENGE) if variant.startswith("cvpr") else clicks):
-        click = click_of(scene, labels, variant, number)
-        if click is None:
+        click = None if better is not None else click_of(scene, labels, variant, number)
+        if click is None and better is None:
             break
-        record: dict[str, Any] = {"side": click.side, "index": list(click.index), "radius": click.radius}
+        record: dict[str, Any] = {"answer": better}
+        if click is not None:
+            record = {"side": click.side, "index": list(click.index), "radius": click.radius}
         wall, cpu = time.perf_counter(), _cpu_seconds()
         try:
             session = session or segmenter(image, hints)
-            found = session.click(click)
+            found = session.take(better) if click is None else session.click(click)  # type: ignore[attr-defined]
         except AccelsurfError as refused:
             record["error"] = str(refused)
             found = np.zeros_like(truth) if labels is None else labels
         record |= {"wall_s": time.perf_counter() - wall, "cpu_s": _cpu_seconds() - cpu}
-        labels = within(found, scene.region)
+        labels, better = within(found, scene.region), None
         record |= {"dice": dice(labels, truth), "sureness": getattr(session, "sureness", None)}
         if number == 0 and (others := getattr(session, "other_answers", None)) is not None:
-            # One more decision of the person; the game goes on from the first answer.
-            record["best_of_answers"] = max(
-                record["dice"], *(dice(within(other, scene.region), truth) for other in others()), 0.0
-            )
+            dices = [dice(within(other, scene.region), truth) for other in others()]
+            record["best_of_answers"] = max(record["dice"], *dices, 0.0)
+            if variant == "answers" and max(dices, default=0.0) > record["dice"] + FALL:
+                better = dices.index(max(dices))
         if surface and (variant.startswith("cvpr") or number + 1 in BUDGETS):
             record |= surfaces(labels, truth, image.geometry.spacing)
         out.append(record)
-        if watch is not None:
+        if watch is not None and click is not None:
             watch(click, labels)
     return {"clicks": out, "perfect": bool(out) and out[-1]["dice"] == 1.0}
 

@@ -127,6 +127,13 @@ class StartAlone:
 
     def other_answers(self) -> list[Mask]:
         """Labels of the other answers to the clicks so far, which a person may choose after the first one."""
-        others = [] if self.model is None else [answer.number for answer in self.model.answers[1:]]
-        models = [click_model(self.scene, self.clicks, size_mm3=self.size, answer=number) for number in others]
-        return [model.inside_on(whole_box(self.image.geometry.shape)) for model in models]
+        return [model.inside_on(whole_box(model.clicks.shape)) for model in self._others()]
+
+    def take(self, number: int) -> Mask:
+        """Labels of one of `other_answers`, from which the next click goes on."""
+        self.model = self._others()[number]
+        return self.model.inside_on(whole_box(self.model.clicks.shape))
+
+    def _others(self) -> list[ClickModel]:
+        numbers = [] if self.model is None else [answer.number for answer in self.model.answers[1:]]
+        return [click_model(self.scene, self.clicks, size_mm3=self.size, answer=number) for number in numbers]

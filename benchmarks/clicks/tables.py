@@ -34,7 +34,9 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 PAGE = ROOT / "docs" / "explanation" / "click-benchmark.md"
 #: Kinds of games, and how the tables call them.
 KINDS = {
-    "plain": "exact clicks", "size": "exact clicks, and a size 25 % too large or 20 % too small",
+    "plain": "exact clicks",
+    "answers": "exact clicks; another answer in place of the second click where that is better",
+    "size": "exact clicks, and a size 25 % too large or 20 % too small",
     "jitter": "jittered clicks, five seeds", "box": "first a box and a click in it", "stroke": "first a stroke",
 }
 CHALLENGES = {"cvpr": "first a point", "cvpr-box": "first a box and a point in it"}

@@ -56,6 +56,33 @@ def test_the_best_answer_is_a_row_of_its_own_and_the_game_goes_on_from_the_first
     assert rows[-1].count("|") == rows[-2].count("|")
 
 
+def test_in_the_game_of_answers_a_better_one_is_taken_in_place_of_the_second_click() -> None:
+    class Taking(Choosing):
+        def other_answers(self) -> list[np.ndarray]:
+            return [self.labels & False, *super().other_answers()]
+
+        def take(self, number: int) -> np.ndarray:
+            assert number == 1
+            self.labels = super().other_answers()[0]
+            return self.labels
+
+    clicked, taken, then = play(Taking, Scene(IMAGE, PART), 3, "answers")["clicks"]
+    assert clicked["side"] == "inside" and (taken["answer"], taken["dice"]) == (1, clicked["best_of_answers"])
+    assert taken["dice"] > clicked["dice"] and then["side"] == "outside"
+    # What is not better by more than .02 is not taken, nor in the other games.
+    assert "answer" not in play(Taking, Scene(IMAGE, PART), 2)["clicks"][1]
+
+
+def test_the_start_goes_on_from_the_answer_that_was_taken() -> None:
+    session = own.StartAlone(IMAGE, Hints())
+    session.click(CLICK)
+    others = session.other_answers()
+    taken = session.take(0)
+    assert (taken == others[0]).all()
+    after = session.click(PersonClick("outside", (12, 16, 40), (40.0, 16.0, 24.0), 2.0))
+    assert dice(after, taken) > 0.9 and not after[12, 16, 40]
+
+
 def test_the_best_is_of_the_region_alone_and_never_worse_than_the_first() -> None:
     region = (slice(0, 24), slice(0, 44), slice(0, 40))
     assert play(Choosing, Scene(IMAGE, PART, region), 1)["clicks"][0]["best_of_answers"] == 1.0
