@@ -46,6 +46,8 @@ _FINE = 0.4
 Floats = NDArray[np.float64]
 #: Kinds of clicks besides those of starts -> the form in which they are written.
 KINDS = {"point": "point:X,Y,Z", "path": _PATH_FORM, "stroke": "stroke:FILE"}
+#: A voxel whose centre lies on a ball or a stroke is clicked, up to this part of the radius: a ball of one voxel has 7.
+_ROUNDED = 1e-6
 #: Columns of a stroke: world mm (LPS), or voxel indices; a radius makes balls, a side overrides the option's.
 WORLD_COLUMNS, VOXEL_COLUMNS = ("x", "y", "z"), ("x_vox", "y_vox", "z_vox")
 _STROKE = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS) or {','.join(VOXEL_COLUMNS)}, with r and side if wanted"
@@ -143,7 +145,8 @@ def segment_voxels(places: Floats, radii: Sequence[float] | Floats, geometry: Ge
     share = sum(o * a for o, a in zip(offsets, along, strict=True)) / length2 if length2 > 0 else 0.0
     share = np.clip(share, 0.0, 1.0)
     distance2 = sum((o - share * a) ** 2 for o, a in zip(offsets, along, strict=True))
-    mask = np.asarray(distance2 < (radii[0] + share * (radii[-1] - radii[0])) ** 2)
+    reach = (1.0 + _ROUNDED) * (radii[0] + share * (radii[-1] - radii[0]))
+    mask = np.asarray(distance2 <= reach**2)
     mask = np.array(np.broadcast_to(mask, tuple(high - low)))
     count = int(np.sqrt(length2) / (_FINE * min(geometry.steps))) + 2
     line = np.rint(np.linspace(first, last, count)).astype(int) - low
@@ -351,7 +354,7 @@ def _click_of_ball(side: Side, centre: Sequence[float], radius: float, geometry:
     a, b, c = (slice(int(i), int(i) + 1) for i in nearest)
     reach = [math.ceil(radius / h) + 1 for h in geometry.spacing]
     box = widened((a, b, c), geometry.shape, reach)
-    mask = np.asarray(ball_distance(box, geometry.spacing, centre, radius) < 0)
+    mask = np.asarray(ball_distance(box, geometry.spacing, centre, radius) <= _ROUNDED * radius)
     inner = bounding_box(mask)
     assert inner is not None
     at: Box = tuple(slice(s.start + i.start, s.start + i.stop) for s, i in zip(box, inner, strict=True))  # type: ignore[assignment]

@@ -34,8 +34,18 @@ def test_other_clicks_are_as_starts(volume, text):
 
     (click,) = read_clicks([text], "inside", volume)
     assert click.mask.any(axis=(1, 2)).all() and click.mask.any(axis=(0, 1)).all()
-    want = {tuple(int(i) for i in v) for v in np.argwhere(starts.build([text], volume) < 0)}
+    # A voxel whose centre lies on a ball is clicked: a ball of one voxel has seven.
+    least = 1e-5 if text.startswith("ball") else 0.0
+    want = {tuple(int(i) for i in v) for v in np.argwhere(starts.build([text], volume) < least)}
     assert voxels([click]) == want
+
+
+@pytest.mark.parametrize(("radius", "count"), [(0.4, 1), (1.0, 7), (2.0, 33)])
+def test_a_ball_and_a_pen_have_the_voxels_on_their_rim(radius, count):
+    image = Volume.from_array(np.zeros((9, 9, 9), np.float32), 0.1)
+    for text in (f"ball:.4,.4,.4,{0.1 * radius}", f"ball:4,4,4,{radius}vox", f"path:4,4,4,{radius}vox"):
+        (click,) = read_clicks([text], "inside", image)
+        assert click.mask.sum() == count, text
 
 
 def test_a_stroke_of_points_balls_and_sides(volume, tmp_path):
@@ -104,7 +114,7 @@ def test_a_path_is_all_voxels_near_its_line(volume):
     want = np.zeros(len(index), bool)
     for (a, b), (r, s) in zip(zip(ends, ends[1:], strict=False), ((1, 2.5), (2.5, 2.5)), strict=True):
         share = np.clip((index - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
-        want |= np.linalg.norm(index - a - share[:, None] * (b - a), axis=1) < r + share * (s - r)
+        want |= np.linalg.norm(index - a - share[:, None] * (b - a), axis=1) < r + share * (s - r) + 1e-6
     got = Clicks((click,), (10, 20, 30)).mask("inside").ravel()
     assert got[want].all() and want.sum() > 100
     extra = index[got & ~want]  # what the line passes where it is thinner than the voxels are thick
