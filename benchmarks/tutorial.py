@@ -2,8 +2,9 @@
 
     python -m benchmarks.tutorial [PAGE ...] [-o FOLDER]
 
-Public scans lie in the folder that ACCELSURF_VOLUMES names (docs/explanation/real-scans.md). After each command the
-pictures that it makes go to docs/images; on by-clicks.md also the Dice of each result, between comments that name it.
+What `accelsurf fetch` would bring is taken from the folder that ACCELSURF_VOLUMES names, where it has that. After each
+command the pictures that it makes go to docs/images; on by-clicks.md also the Dice of each result, between comments
+that name it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import argparse
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -29,15 +31,13 @@ PAGES = ("first-scan", "by-clicks")
 PICTURES = {
     "look.png": "tutorial-look", "ring": "tutorial-click", "cut": "tutorial-refine", "ring.png": "tutorial-scene",
     "first": "tutorial-first",
-    "both": "tutorial-objects", "liver_look.png": "tutorial-liver-look", "liver": "tutorial-liver",
-    "brain_look.png": "tutorial-ventricle-look", "ventricle": "tutorial-ventricle",
-    "nuclei_look.png": "tutorial-nucleus-look", "nucleus": "tutorial-nucleus",
+    "both": "tutorial-objects", "spleen_look.png": "tutorial-spleen-look", "spleen": "tutorial-spleen",
+    "cord_look.png": "tutorial-cord-look", "cord refined": "tutorial-cord", "nuclei_look.png": "tutorial-nucleus-look",
+    "nucleus": "tutorial-nucleus",
 }  # fmt: skip
 COLOURS = 256
-#: Folder of a run -> scan, and label of the reference.
-REFERENCES = {
-    "liver": ("ct_abdomen_hires", 5), "ventricle": ("mri_brain256", 4), "nucleus": ("fluo_nuclei1136", 10)
-}  # fmt: skip
+#: Folder of a run -> label of the reference.
+REFERENCES = {"spleen": 1, "cord": 1, "nucleus": 5}
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 FILE = re.compile(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", re.DOTALL)
 
@@ -56,20 +56,23 @@ def main() -> None:
 
 def play(page: Path, work: Path) -> None:
     """Run the commands of a page in a folder."""
-    text, scans = page.read_text(encoding="utf-8"), os.environ.get("ACCELSURF_VOLUMES")
+    text = page.read_text(encoding="utf-8")
     for name, content in FILE.findall(text):
         (work / name).write_text(content)
     for line in (line for block in CONSOLE.findall(text) for line in block.splitlines()):
         words = shlex.split(line.removeprefix("$ "))
-        for word in words:
-            if word.endswith(".nii.gz") and "/" not in word and not (work / word).exists():
-                if not scans:
-                    sys.exit(f"{word}: ACCELSURF_VOLUMES is not set: name the folder with the scans")
-                (work / word).symlink_to((Path(scans) / word).resolve())
+        bring(words, work)
         print(line, flush=True)
         subprocess.run([sys.executable, "-m", *words], cwd=work, check=True)
         if words[1] in ("segment", "refine", "look", "movie"):
             keep(page, work, words)
+
+
+def bring(words: list[str], work: Path) -> None:
+    """Copy what `accelsurf fetch` would download, from ACCELSURF_VOLUMES; where that lacks it, it is downloaded."""
+    if words[:2] == ["accelsurf", "fetch"]:
+        for path in Path(os.environ.get("ACCELSURF_VOLUMES", os.devnull)).glob(f"{words[2]}*"):
+            shutil.copy(path, work)
 
 
 def keep(page: Path, work: Path, words: list[str]) -> None:
@@ -82,9 +85,10 @@ def keep(page: Path, work: Path, words: list[str]) -> None:
         drawn = Image.open(found).convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
         drawn.save(ROOT / "docs" / "images" / f"{PICTURES[name]}.png", optimize=True)
     if made in REFERENCES:
-        scan, label = REFERENCES[made]
-        truth = io.read_labels(Path(os.environ["ACCELSURF_VOLUMES"]) / f"{scan}_ref.nii.gz").array == label
-        value = dice(np.asarray(io.read_labels(work / made / f"{scan}_seg.nii.gz").array > 0), truth)
+        (found,) = (work / made).glob("*_seg.*")
+        (known,) = work.glob(found.name.replace("_seg", "_labels"))
+        truth = io.read_labels(known).array == REFERENCES[made]
+        value = dice(np.asarray(io.read_labels(found).array > 0), truth)
         begin = f"<!-- tutorial {name} -->"
         text = page.read_text(encoding="utf-8")
         page.write_text(re.sub(f"{re.escape(begin)}[^<]*<", f"{begin}{value:.3f}<", text), encoding="utf-8")

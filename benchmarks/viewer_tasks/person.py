@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import subprocess
@@ -68,6 +67,9 @@ class Person:
         self._focus("^accelsurf")
         sides = [str(side) for side in size]
         self._do("search", "--onlyvisible", "--name", "accelsurf", "windowsize", *sides, "windowmove", "0", "0")
+        # A busy machine takes seconds for it; what is clicked before lies elsewhere afterwards.
+        wanted = [round(side / scale) for side in size]
+        self.until(lambda now: now.get("size") == wanted, 120)
         self.opened_s = time.monotonic() - self.began
 
     # -- hands --------------------------------------------------------------------------------------------
@@ -75,13 +77,8 @@ class Person:
     def open_recent(self) -> None:
         """Click on the first of the recent images, and wait until it is drawn."""
         x, y = self._at_rest("Recent images")
-        above = self.now()["heights"]["Recent images"] / 2
-        for _ in range(5):  # a busy machine may not have placed the list yet
-            self.actions = 0
-            self.click((x, y - above + 20))
-            with contextlib.suppress(GaveUp):
-                self.until(lambda now: not now["is_start_page"], 30)
-                break
+        self.click((x, y - self.now()["heights"]["Recent images"] / 2 + 20))
+        self.until(lambda now: not now["is_start_page"], 120)
         self.until(lambda now: now["drawn"] is not None or now.get("state", {}).get("ready"), 300)
         self.opened_s = time.monotonic() - self.began
 
@@ -131,11 +128,12 @@ class Person:
         self._do("mousemove", x, y, "sleep", "0.05", "click", "--repeat", str(notches), "--delay", "20", str(button))
 
     def _at_rest(self, name: str) -> Any:
-        """Where something is, once the panels do not move any more."""
-        before = None
-        while (place := self.until(lambda now: name in now["widgets"], 20)["widgets"][name]) != before:
+        """Where something is, once two states of the window that were written one after the other agree."""
+        before, place, asked = None, None, time.time()
+        while place is None or place != before:
             before = place
-            time.sleep(0.2)
+            seen = self.until(lambda now, asked=asked: name in now["widgets"] and now["time"] > asked, 60)
+            place, asked = seen["widgets"][name], time.time() + 0.2
         return place
 
     def _focus(self, title: str) -> None:

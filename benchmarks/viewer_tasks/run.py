@@ -191,7 +191,7 @@ def draw_size(person: Person, place: np.ndarray, mm3: float) -> None:
 
 def drawn_size(person: Person) -> float:
     """The size that is written beside the outline, once it has been drawn for where the mouse is."""
-    before, end = None, time.monotonic() + 3.0
+    before, end = None, time.monotonic() + 30.0
     while time.monotonic() < end:
         title = person.now()["titles"]["axial"]
         if title == before and "size" in title:

@@ -91,7 +91,8 @@ class WindowWatch:
     def write(self) -> None:
         """Write the state, all or nothing."""
         said = {"time": time.time(), "title": self._main.windowTitle(), "widgets": self._widgets(), "drawn": None}
-        said |= {"is_start_page": self._window is None, "items": items(), "heights": {
+        sides = [self._main.width(), self._main.height()]
+        said |= {"is_start_page": self._window is None, "items": items(), "size": sides, "heights": {
             widget.accessibleName(): widget.height() for widget in self._main.findChildren(QListWidget)
         }}
         if self._window is not None:

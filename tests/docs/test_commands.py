@@ -8,6 +8,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import tifffile
 
 from accelsurf import cli, io
 from accelsurf.batch import pool
+from accelsurf.cli.fetch import TABLE
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.track.output.files import TrackFiles
@@ -89,7 +91,9 @@ def test_every_command_of_the_page_succeeds(page, tmp_path, monkeypatch, capsys)
 def test_commands_on_public_scans_lack_nothing_but_the_scans(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     typed = [words for words in commands(ON_SCANS) if words[0] == "accelsurf"]
-    assert {words[1] for words in typed} == {"look", "segment", "refine"}
+    assert {words[2] for words in typed if words[1] == "fetch"} <= set(tomllib.loads(TABLE.read_text()))
+    typed = [words for words in typed if words[1] != "fetch"]
+    assert {words[1] for words in typed} == {"look", "segment", "refine", "evaluate"}
     for words in typed:
         assert cli.execute(words[1:]) == 3, shlex.join(words)
         missing = f"{words[2]}: there is no such file" if words[1] != "refine" else f"{words[2]}: "
