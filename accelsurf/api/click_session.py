@@ -265,7 +265,8 @@ def _check(click: Click, shape: Sequence[int]) -> None:
     """Refuse a click without a voxel, or beyond the image."""
     if not click.mask.any():
         raise InputError("click: no voxel is in it", "name at least one")
-    fits = all(0 <= side.start < side.stop <= n for side, n in zip(click.box, shape, strict=True))
+    ends = [(side.start, side.stop, n) for side, n in zip(click.box, shape, strict=True)]
+    fits = all(None not in (start, stop) and 0 <= start < stop <= n for start, stop, n in ends)
     if not fits or click.mask.shape != tuple(side.stop - side.start for side in click.box):
         raise InputError(f"click: its box {click.box} does not fit its mask and the image's shape {tuple(shape)}")
 

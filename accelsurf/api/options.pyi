@@ -20,16 +20,20 @@ class Mesh(Protocol):
 Given = ImageLike | Mesh | Sequence[ImageLike | Mesh]
 Texts = str | Sequence[str]
 
-class ManyOptions(Options, total=False):
-    """Settings of all cases of `segment_many`."""
+class GivenTexts(TypedDict, total=False):
+    """Starts, masks and clicks as texts."""
 
-    energy: str
     start: Texts
     inside: Texts
     outside: Texts
     foreground: Texts
     background: Texts
     mask: str
+
+class ManyOptions(Options, GivenTexts, total=False):
+    """Settings of all cases of `segment_many`."""
+
+    energy: str
     objects: str
     spacing: str | float
 
@@ -49,10 +53,10 @@ class SegmentOptions(GivenOptions, total=False):
     objects: str
     max_memory: str
 
-class Options(TypedDict, total=False):
-    """Settings of `RunConfig` but for the energy, the objects, and what may be an array."""
+# Written by `python -m docs.reference.generate`.
+class Shared(TypedDict, total=False):
+    """Settings of a run and of a tracking, where they are the same."""
 
-    # Written by `python -m docs.reference.generate`.
     preset: Literal["ct-skeleton", "mr-brain", "mr-white-matter", "membrane-cells", "fluorescence-nucleus"] | None
     smoothness: float
     presmooth: float | str
@@ -82,7 +86,6 @@ class Options(TypedDict, total=False):
     noise_time: float | Literal["auto"]
     sobolev_length: float | Literal["auto"]
     blend: float
-    friction: float | Literal["t"]
     restart: Literal["auto", "off"]
     cfl: float
     max_steps: int
@@ -104,19 +107,46 @@ class Options(TypedDict, total=False):
     channels_from_time: bool
     series: str | None
     resample: bool
-    mesh: str | Sequence[str] | Literal["auto"]
-    mesh_space: Literal["lps", "ras"]
     mesh_smooth: float
     mesh_faces: int | None
     mesh_error: float | None
     save_sdf: bool
-    format: Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "ome.zarr", "png", "tif", "npy"] | None
     keep_state: Literal["auto", "yes", "no"]
     checkpoint: str | None
     name: str | Sequence[str]
     color: str | Sequence[str]
     label_table: str | None
-    also: str | Sequence[str]
     label_group: str | None
     window: str
     layout: Literal["plain", "bids", "nnunet"]
+
+class Options(Shared, total=False):
+    """Settings of `RunConfig` but for the energy, the objects, and what may be an array."""
+
+    friction: float | Literal["t"]
+    mesh: str | Sequence[str] | Literal["auto"]
+    mesh_space: Literal["lps", "ras"]
+    format: Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "ome.zarr", "png", "tif", "npy"] | None
+    also: str | Sequence[str]
+
+class TrackOptions(Shared, GivenTexts, total=False):
+    """Settings of `track`."""
+
+    frame: int
+    direction: Literal["forward", "backward", "both"]
+    model: Literal["flowable-mass", "last-displacement", "none"]
+    observer: str
+    friction: float | Literal["auto"]
+    next_energy: str
+    max_gap: int
+    divide: Literal["yes", "no"]
+    merge: Literal["yes", "no"]
+    enter: Literal["yes", "no"]
+    correct: str | Sequence[str | Correction | Mapping[str, Any]]
+    frame_time: float | None
+    frames_from_slices: bool
+    format: Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "ome.zarr", "png", "tif", "npy"]
+    per_frame: bool
+    mesh: str | Sequence[str]
+    mesh_space: Literal["lps", "ras"]
+    also: str | Sequence[str]

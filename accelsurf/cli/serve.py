@@ -59,13 +59,14 @@ def serve(
         raise UsageError(f"idle_timeout: {idle_timeout:g} was given, expected 1 to 1000000 seconds")
     if not 0 <= port <= 65535:
         raise UsageError(f"port: {port} was given, expected 0 to 65535")
-    from accelsurf.cli.interrupts import default_handling
+    from accelsurf.cli.interrupts import Interrupts, default_handling
     from accelsurf.serve.app import Limits
     from accelsurf.serve.listening import serve as listen
 
     def show(address: str) -> None:
         print(f"{address}\nCtrl-C ends it", flush=True)
 
+    Interrupts.current().note("the server has ended")
     with default_handling():
         try:
             listen(host, port, Limits(max_sessions, idle_timeout), key, show)

@@ -89,19 +89,19 @@ def gaussian_on_box(
     return np.ascontiguousarray(with_halo(smoothed, box, shape, halo))
 
 
-def reach_of(width: float) -> int:
-    """Reach (voxels) of the weights of a Gaussian of a ``width`` in voxels."""
-    return int(REACH * width + 0.5) if width > MIN_WIDTH else 0
+def reach_of(width: float, widths: float = REACH) -> int:
+    """Reach (voxels) of the weights of a Gaussian of a ``width`` in voxels, that ends after so many ``widths``."""
+    return int(widths * width + 0.5) if width > MIN_WIDTH else 0
 
 
-def gaussian_weights(width: float) -> NDArray[np.float64]:
-    """Weights of a voxel and of those up to four widths, in voxels, to either side of it; of all they sum up to 1.
+def gaussian_weights(width: float, widths: float = REACH) -> NDArray[np.float64]:
+    """Weights of a voxel and of those up to four ``widths``, in voxels, to either side of it; of all they sum up to 1.
 
     Examples
     --------
     >>> gaussian_weights(0.5).round(3)
     array([0.787, 0.106, 0.   ])
     """
-    reach = reach_of(width)
+    reach = reach_of(width, widths)
     weights = np.exp(-0.5 / (width * width) * np.arange(-reach, reach + 1) ** 2)
     return np.asarray((weights / weights.sum())[reach:])

@@ -24,6 +24,7 @@ from accelsurf.io import headers
 from accelsurf.io.files import SPACE_HINT, naming, staging
 from accelsurf.io.headers import split_name
 from accelsurf.io.label_store import on_grid
+from accelsurf.io.library_images import ImageLike, as_volume
 from accelsurf.io.memory import available_memory
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, label_formats
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
@@ -116,20 +117,24 @@ def read_labels(
     return labels if grid is None else on_grid(labels, grid)
 
 
-def write(volume: Volume, path: str | os.PathLike[str]) -> None:
-    """Write a volume; the suffix decides the format, and all but plain .nii are compressed.
+def write(
+    image: ImageLike, path: str | os.PathLike[str], *, spacing: float | tuple[float, float, float] | None = None
+) -> None:
+    """Write an image; the suffix decides the format, and all but plain .nii are compressed.
 
     The file is written under a temporary name in the same folder and then renamed, so that a file of this name is
     never half written; an existing one is replaced. The grid is the volume's; from NIfTI to NIfTI and from NRRD to
     NRRD also the numbers and codes of the header that place it. A PNG holds one slice, a TIFF one or more; of the grid
-    they keep the size of a voxel (a PNG not the slice's thickness), no place. The same volume gives the same bytes.
+    they keep the size of a voxel (a PNG not the slice's thickness), no place. The same image gives the same bytes.
 
     Parameters
     ----------
-    volume : Volume
-        Booleans are written as uint8, half precision as float32.
+    image : image
+        As `accelsurf.segment` takes it. Booleans are written as uint8, half precision as float32.
     path : path-like
         A file name that ends in one of `accelsurf.io.image_suffixes`; for .mhd the voxels go to a .zraw file beside it.
+    spacing : float or (hz, hy, hx), optional
+        mm, of an array; 1 by default.
 
     Raises
     ------
@@ -137,11 +142,15 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
         When the suffix is none of them, or a PNG or TIFF cannot hold the volume.
     OutputError
         When the file cannot be written there.
+    InputError
+        When the image cannot be used, as `accelsurf.segment`.
     """
-    _write(volume, Path(path), labels=False)
+    _write(as_volume(image, spacing), Path(path), labels=False)
 
 
-def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
+def write_labels(
+    image: ImageLike, path: str | os.PathLike[str], *, spacing: float | tuple[float, float, float] | None = None
+) -> None:
     """Write a label map: as `write`, with values as uint8, uint16 or uint32, as small as they fit.
 
     In a PNG or TIFF a map of 0 and 1 is written as 0 and 255, which is black and white in every viewer.
@@ -151,6 +160,7 @@ def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
     InputError
         When a value is not a whole number from 0 to 4294967295; else as `write`.
     """
+    volume = as_volume(image, spacing, "the label map")
     values = as_labels(volume.array)
     low, high = int(values.min()), int(values.max())
     if low < 0 or high > 2**32 - 1:

@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume, array_on_grid
-from accelsurf.io.images import read
 from accelsurf.settings.registry import load
 from accelsurf.settings.wording import mm_of
 
+#: The reader of files, whose module takes these images to be written.
+_READ = "accelsurf.io.images:read"
 _RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0])
 _EXPECTED = "a path, an array, or an image of accelsurf, SimpleITK, nibabel or xarray"
 #: Distance of a coordinate from the even ones, in steps, that counts as rounding.
@@ -54,19 +55,19 @@ def as_volume(image: ImageLike, spacing: float | Sequence[float] | None = None, 
         When it is none of these, or a spacing is given with an image that has its own; else as `accelsurf.read` and
         `from_library`.
     """
-    image = from_library(image, name)
-    if isinstance(image, (str, os.PathLike)):
-        image = read(image)
-    if isinstance(image, Volume):
+    given = from_library(image, name)
+    if isinstance(given, (str, os.PathLike)):
+        given = load(_READ)(given)
+    if isinstance(given, Volume):
         if spacing is not None:
             raise InputError("spacing given together with an image, which has its own", "leave spacing out")
-        return image
-    is_array = isinstance(image, (list, tuple)) or hasattr(image, "__array__") or hasattr(image, "__array_interface__")
-    several = hasattr(image, "data_vars")
-    if not is_array or several or hasattr(image, "GetSpacing"):
+        return given
+    is_array = isinstance(given, (list, tuple)) or hasattr(given, "__array__") or hasattr(given, "__array_interface__")
+    several = hasattr(given, "data_vars")
+    if not is_array or several or hasattr(given, "GetSpacing"):
         hint = "take a variable: dataset['NAME']" if several else "accelsurf.read(PATH) reads a file"
-        raise InputError(f"{name}: a {type(image).__name__} was given, expected {_EXPECTED}", hint)
-    return Volume.from_array(image, 1.0 if spacing is None else spacing)
+        raise InputError(f"{name}: a {type(given).__name__} was given, expected {_EXPECTED}", hint)
+    return Volume.from_array(given, 1.0 if spacing is None else spacing)
 
 
 def array_of(image: ImageLike, geometry: Geometry, name: str) -> NDArray[Any]:
@@ -87,7 +88,7 @@ def array_of(image: ImageLike, geometry: Geometry, name: str) -> NDArray[Any]:
         When it lies on another grid; InputError as `as_volume`.
     """
     value = from_library(image, name)
-    return array_on_grid(read(value) if isinstance(value, (str, os.PathLike)) else value, geometry, name)
+    return array_on_grid(load(_READ)(value) if isinstance(value, (str, os.PathLike)) else value, geometry, name)
 
 
 def from_library(value: Any, name: str = "the image") -> Any:

@@ -22,6 +22,8 @@ from scipy import ndimage
 from accelsurf.grid.boxes import Box, bounding_box, corner_of, slabs
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.noise import noise_of
+from accelsurf.image.smoothing import gaussian_weights
+from accelsurf.kernels.smoothing import smooth_across_rows
 from accelsurf.measure.diameters import longest_line
 from accelsurf.measure.surface_mesh import extract
 
@@ -195,7 +197,7 @@ def edge_measures(
     box = bounding_box(psi < 0, int(BESIDE) + 1 + int(np.ceil(3.0 * max(sigmas))))
     if box is None or min(geometry.shape) == 1:
         return None
-    psi, image = psi[box], image[box]
+    psi, image = np.ascontiguousarray(psi[box]), np.ascontiguousarray(image[box])
     deep = psi < min(-SHELL * thin, 0.5 * float(psi.min()))
     beside = (psi > SHELL * thin) & (psi < BESIDE * thick)
     if not deep.any() or not beside.any():
@@ -230,9 +232,10 @@ def _diameter(shares: NDArray[np.float32], geometry: Geometry, box: Box) -> tupl
     """Return the diameter of the surface where shares are 1/2, and a voxel's extent along it, mm."""
     widths = [SMOOTH * (min(geometry.spacing) / h) ** 0.5 for h in geometry.spacing]
     half = np.float32(0.5) - ndimage.gaussian_filter(np.clip(shares, -1.0, 2.0), widths)
-    parts, _ = ndimage.label(half < 0)
-    solid = np.unique(parts[shares >= 1.0])
-    half[(half < 0) & ~np.isin(parts, solid)] = 0.1
+    parts, count = ndimage.label(half < 0)
+    is_hollow = np.ones(count + 1, np.bool_)
+    is_hollow[parts[shares >= 1.0]] = False
+    half[(half < 0) & is_hollow[parts]] = 0.1
     if not (half < 0).any():
         return None
     part = Geometry(half.shape, geometry.spacing, tuple(geometry.index_to_world(corner_of(box))), geometry.direction)
@@ -256,17 +259,19 @@ def _measure_shell(
         low, high = max(planes.start - halo, 0), min(planes.stop + halo, psi.shape[0])
         within = slice(planes.start - low, planes.stop - low)
         depth, extent = _depth(psi[low:high] - np.float32(moved), spacing)
-        values, core, shell = image[low:high], depth < -SHELL, (np.abs(depth) <= SHELL)[within]
-        inside = _nearby(values, core, levels.inside, levels.sigmas)[within][shell].astype(float)
-        outside = _nearby(values, (depth > SHELL) & (depth <= BESIDE), levels.beside, levels.sigmas)[within][shell]
+        values, core = image[low:high], depth < -SHELL
+        shell = np.flatnonzero(np.abs(depth[within]) <= SHELL)
+        inside = _nearby(values, core, levels.inside, levels.sigmas, within, shell).astype(float)
+        beside = (depth > SHELL) & (depth <= BESIDE)
+        outside = _nearby(values, beside, levels.beside, levels.sigmas, within, shell)
         contrast, least = inside - outside, MIN_CONTRAST * (levels.inside - levels.beside)
         weights = contrast / (contrast**2 + least**2)
-        found = (values[within][shell] - outside) * weights
+        found = (values[within].take(shell) - outside) * weights
         shares[planes] = core[within]
-        shares[planes][shell] = found
+        shares[planes].reshape(-1)[shell] = found
         sums += [
             found.sum(), found.size, np.square(weights).sum(), contrast.sum(), np.square(contrast).sum(),
-            extent[within][shell].sum(), core[within].sum(),
+            extent[within].take(shell).sum(), np.count_nonzero(core[within]),
         ]  # fmt: skip
     return _Sums(*sums.tolist())
 
@@ -274,19 +279,54 @@ def _measure_shell(
 def _depth(
     psi: NDArray[np.float32], spacing: tuple[float, float, float]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return psi in voxels along its normal, and the extent of a voxel along that, mm; far away psi is constant."""
-    slopes = np.gradient(psi, *spacing)
+    """Return psi in voxels along its normal, and the extent of a voxel along that, mm.
+
+    Where psi is constant, and where it is more than the shell and what is beside it take, the depth is infinite and the
+    extent 0.
+    """
+    flat, near = psi.ravel(), np.flatnonzero(np.abs(psi) <= 1.01 * BESIDE * max(spacing))
+    slopes, stride = [], psi.size
+    for at, n, h in zip(np.unravel_index(near, psi.shape), psi.shape, spacing, strict=True):
+        stride //= n
+        down, up = (at > 0).astype(np.int64), (at < n - 1).astype(np.int64)
+        slopes.append((flat[near + up * stride] - flat[near - down * stride]) / ((down + up) * h).astype(np.float32))
     steep = np.sqrt(sum(np.square(slope) for slope in slopes))
-    extent = np.sqrt(sum(np.square(slope * np.float32(h)) for slope, h in zip(slopes, spacing, strict=True)))
+    long = np.sqrt(sum(np.square(slope * np.float32(h)) for slope, h in zip(slopes, spacing, strict=True)))
+    depth, extent = np.where(psi < 0, np.float32(-np.inf), np.float32(np.inf)), np.zeros_like(psi)
     with np.errstate(divide="ignore", invalid="ignore"):
-        extent = extent / steep
-        return np.where(steep > 0.1, psi / extent, np.sign(psi) * np.float32(np.inf)), extent
+        long = long / steep
+        depth.reshape(-1)[near] = np.where(steep > 0.1, flat[near] / long, np.sign(flat[near]) * np.float32(np.inf))
+    extent.reshape(-1)[near] = long
+    return depth, extent
 
 
 def _nearby(
-    image: NDArray[np.float32], mask: NDArray[np.bool_], level: float, sigmas: tuple[float, ...]
+    image: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    level: float,
+    sigmas: tuple[float, ...],
+    within: slice,
+    shell: NDArray[np.int64],
 ) -> NDArray[np.float32]:
-    """Return means of the image over the voxels of a mask nearby; where none is near, the level."""
-    weight = ndimage.gaussian_filter(mask.astype(np.float32), sigmas, truncate=3.0)
-    total = ndimage.gaussian_filter(np.where(mask, image - np.float32(level), np.float32(0)), sigmas, truncate=3.0)
+    """Return means of the image over the voxels of a mask nearby, at the shell; where none is near, the level."""
+    weight = _smoothed(mask.astype(np.float32), sigmas, within, shell)
+    total = _smoothed(np.where(mask, image - np.float32(level), np.float32(0)), sigmas, within, shell)
     return np.asarray(np.float32(level) + total / (weight + np.float32(1e-3)))
+
+
+def _smoothed(
+    values: NDArray[np.float32], sigmas: tuple[float, ...], within: slice, shell: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """Return a Gaussian filter of some planes at the shell's voxels; along the rows it is summed at these alone."""
+    of_planes, of_lines, of_rows = (gaussian_weights(sigma, 3.0) for sigma in sigmas)
+    between = np.empty_like(values)
+    smooth_across_rows(values, of_planes, 0, between)
+    values = np.empty_like(between[within])
+    smooth_across_rows(between[within], of_lines, 1, values)
+    far, nx = len(of_rows) - 1, values.shape[2]
+    row = np.pad(values.reshape(-1, nx), ((0, 0), (far, far)), "symmetric").ravel()
+    at = shell // nx * (nx + 2 * far) + shell % nx + far
+    out = of_rows[0] * row[at]
+    for step in range(far, 0, -1):
+        out += of_rows[step] * (row[at - step].astype(float) + row[at + step])
+    return np.asarray(out, np.float32)

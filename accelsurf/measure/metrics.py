@@ -19,6 +19,7 @@ medpy and the medical challenges use. For distances finer than a voxel compare m
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -31,7 +32,9 @@ from scipy.spatial import cKDTree
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.boxes import bounding_box, corner_of
-from accelsurf.image.volume import Volume
+from accelsurf.image.volume import Volume, array_on_grid
+from accelsurf.io import read_labels
+from accelsurf.io.library_images import ImageLike, as_volume, from_library
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -73,13 +76,18 @@ class Metrics:
         return {name: None if math.isnan(value) else value for name, value in asdict(self).items()}
 
 
-def evaluate(pred: Volume, ref: Volume) -> Metrics:
+def evaluate(
+    pred: ImageLike, ref: ImageLike, *, spacing: float | tuple[float, float, float] | None = None
+) -> Metrics:
     """Compare two label maps on the same grid.
 
     Parameters
     ----------
-    pred, ref : Volume
-        Label maps; labels > 0 are the object.
+    pred, ref : image
+        Label maps, as `accelsurf.segment` takes images; labels > 0 are the object. An array beside an image with a
+        geometry lies on its grid.
+    spacing : float or (hz, hy, hx), optional
+        mm, of two arrays; 1 by default.
 
     Returns
     -------
@@ -91,7 +99,7 @@ def evaluate(pred: Volume, ref: Volume) -> Metrics:
     GeometryError
         When the grids differ; the message says in what.
     InputError
-        When a label is NaN.
+        When a label is NaN, or a label map cannot be used, as `accelsurf.read_labels` and `accelsurf.segment`.
 
     Examples
     --------
@@ -104,8 +112,16 @@ def evaluate(pred: Volume, ref: Volume) -> Metrics:
     >>> m.hausdorff_mm, round(m.dice, 3), m.volume_pred_mm3
     (3.0, 0.667, 324.0)
     """
-    check_same_grid(pred, ref)
-    return agreement(_object(pred), _object(ref), pred.geometry.spacing)
+    given = {name: from_library(image, name) for name, image in (("pred", pred), ("ref", ref))}
+    given = {name: read_labels(it) if isinstance(it, (str, os.PathLike)) else it for name, it in given.items()}
+    grid = next((image.geometry for image in given.values() if isinstance(image, Volume)), None)
+    first, second = (
+        as_volume(image, spacing, name) if grid is None or isinstance(image, Volume)
+        else Volume(array_on_grid(image, grid, name), grid)
+        for name, image in given.items()
+    )
+    check_same_grid(first, second)
+    return agreement(_object(first), _object(second), first.geometry.spacing)
 
 
 def check_same_grid(pred: Volume, ref: Volume) -> None:

@@ -254,16 +254,13 @@ def with_zero_means(
     ndarray, shape (n, 3)
         Index positions.
     """
-    small = np.unique(faces[rough])
-    small = small[_is_small(zyx[small], psi, h)]
-    if not len(small):
+    if not rough.any():
         return zyx
-    normals = _mesh_normals(zyx * h, faces, outward)
+    normals, turned = _mesh_normals(zyx * h, faces, outward), faces[rough]
+    small = np.unique(turned[least_cosine(normals[turned]) < BENT])
+    small = small[_is_small(zyx[small], psi, h)]
     active = np.zeros(len(zyx), np.bool_)
     active[small] = True
-    turned = np.zeros(len(zyx), np.bool_)
-    turned[faces[rough & active[faces].any(axis=1) & (least_cosine(normals[faces]) < BENT)].ravel()] = True
-    active &= turned
     active[active] = _is_distance(zyx[active], normals[active], psi, h)
     around = faces[active[faces].any(axis=1)]
     if not len(around):

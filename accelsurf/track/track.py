@@ -7,13 +7,15 @@ goes on to the same bytes.
 from __future__ import annotations
 
 import hashlib
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.evolution.serialization import from_bytes, to_bytes
@@ -21,6 +23,7 @@ from accelsurf.image.sequence import ImageSequence, VolumeSequence
 from accelsurf.image.volume import Volume
 from accelsurf.io import read_sequence
 from accelsurf.io.files import bytes_within, write_bytes
+from accelsurf.io.library_images import ImageLike, as_volume, from_library
 from accelsurf.levelset import Workers
 from accelsurf.run.checkpoint import FREE, digest_of, versions
 from accelsurf.run.setup import EnergyLike, ObjectsLike, seeded, thread_count
@@ -35,6 +38,9 @@ from accelsurf.track.follower import Arrival, Follower
 from accelsurf.track.frame_run import Measured
 from accelsurf.track.momentum import Triple
 from accelsurf.track.records import FrameResult, Identities, Lineage, SurfacePiece
+
+if TYPE_CHECKING:
+    from accelsurf.api.options import TrackOptions
 
 #: Voxels along each axis of the frames that warm up kernels, and the radius of the ball in them.
 WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
@@ -100,6 +106,41 @@ def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
         for path in (source, *(Path(file) for file in config.run.channel))
     )
     return JoinedSequence(first, others) if others else first
+
+
+class GivenFrames(ImageSequence):
+    """Frames as `accelsurf.segment` takes images; each is read or computed when it is asked for.
+
+    Parameters
+    ----------
+    frames : sequence of image, or array
+        Of an array the first axis is time.
+    frame_time : float or None
+        Seconds from one to the next.
+    spacing : float or (hz, hy, hx) or None
+        mm, of arrays.
+
+    Raises
+    ------
+    InputError
+        When it is no sequence, or its first frame cannot be used.
+    """
+
+    def __init__(self, frames: Any, frame_time: float | None, spacing: float | Sequence[float] | None) -> None:
+        is_array = hasattr(frames, "__array__") and getattr(frames, "ndim", 0) > 2 and not hasattr(frames, "affine")
+        if not (is_array or isinstance(frames, (list, tuple))) or not len(frames):
+            raise InputError(
+                f"the sequence: a {type(frames).__name__} was given, expected a path, images in a list, or an array "
+                "(time, ...)",
+                "accelsurf.read_sequence(PATH) reads a file",
+            )
+        self._frames, self._spacing, self.source = frames, spacing, ""
+        self.times = tuple(number * (frame_time or 1.0) for number in range(len(frames)))
+        self.time_unit = "frame" if frame_time is None else "s"
+        self.geometry = self._channels(0)[0].geometry
+
+    def _channels(self, number: int) -> list[Volume]:
+        return [as_volume(self._frames[number], self._spacing, f"frame {number}")]
 
 
 class Visit(NamedTuple):
@@ -320,25 +361,29 @@ class Tracking:
 
 
 def track(
-    sequence: ImageSequence,
+    sequence: ImageSequence | str | os.PathLike[str] | Sequence[ImageLike] | ArrayLike,
     config: TrackConfig | None = None,
     *,
+    spacing: float | tuple[float, float, float] | None = None,
     energy: EnergyLike | None = None,
-    objects: ObjectsLike | None = None,
+    objects: ObjectsLike | ImageLike | None = None,
     meshes: bool = False,
     on_step: Callable[[Any, int], bool | None] | None = None,
     checkpoint_to: str | Path | None = None,
-    **options: Any,
+    **options: Unpack[TrackOptions],
 ) -> Tracking:
     """Follow objects through a sequence of images.
 
     Parameters
     ----------
-    sequence : ImageSequence
-        As `accelsurf.read_sequence` returns it.
+    sequence : path-like, sequence of image, ndarray, or ImageSequence
+        What `accelsurf.read_sequence` takes or returns, images as `accelsurf.segment` takes them, or an array whose
+        first axis is time, also of dask, torch or xarray.
     config : TrackConfig, optional
+    spacing : float or (hz, hy, hx), optional
+        mm, of arrays; 1 by default.
     energy, objects, meshes, on_step, checkpoint_to : optional
-        As of `Tracking`.
+        As of `Tracking`; the objects also as any image.
     **options
         Settings by name, of tracking or of the run on each frame, over those of ``config``.
 
@@ -355,22 +400,32 @@ def track(
     Examples
     --------
     >>> import numpy as np
-    >>> from accelsurf.image.sequence import VolumeSequence
-    >>> from accelsurf.image.volume import Volume
     >>> z, y, x = np.indices((20, 20, 30)) - 9.5
-    >>> frames = [Volume.from_array(100.0 * (z**2 + y**2 + (x - 2 * n) ** 2 < 36)) for n in range(4)]
-    >>> tracking = track(VolumeSequence(frames), start="ball:9,9,9,4vox")
+    >>> frames = [100.0 * (z**2 + y**2 + (x - 2 * n) ** 2 < 36) for n in range(4)]
+    >>> tracking = track(frames, start="ball:9,9,9,4vox")
     >>> [round(result.objects[0].centroid[0], 1) for result in tracking]
     [9.5, 11.5, 13.5, 15.5]
     >>> tracking.lineage.tracks[0]
     Track(id=1, first=0, last=3, gaps=(), end='end of sequence')
     """
+    changes: dict[str, Any] = {**options}
     if isinstance(energy, str):
-        options, energy = {**options, "energy": energy}, None
+        changes["energy"], energy = energy, None
     settings = config or TrackConfig()
+    settings = settings.replace(**changes) if changes else settings
+    starts = os.fspath(objects) if isinstance(objects, os.PathLike) else from_library(objects, "objects")
     return Tracking(
-        sequence, settings.replace(**options) if options else settings, energy, objects, meshes, on_step, checkpoint_to
+        _sequence_of(sequence, settings, spacing), settings, energy, starts, meshes, on_step, checkpoint_to
     )
+
+
+def _sequence_of(given: Any, config: TrackConfig, spacing: float | tuple[float, float, float] | None) -> ImageSequence:
+    """Return the sequence that is tracked."""
+    if not isinstance(given, (ImageSequence, str, os.PathLike)):
+        return GivenFrames(given, config.frame_time, spacing)
+    if spacing is not None:
+        raise InputError("spacing given together with a sequence, which has its own", "leave spacing out")
+    return given if isinstance(given, ImageSequence) else open_sequence(Path(given), config)
 
 
 def small_runs() -> dict[str, Callable[[], Any]]:

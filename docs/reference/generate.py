@@ -39,7 +39,7 @@ from docs.reference.report_keys import REPORT_KEYS
 HERE = Path(__file__).parent
 #: Types of the options of Python, and the line from which on they are written.
 OPTIONS = Path(accelsurf.__file__).parent / "api" / "options.pyi"
-OPTIONS_FROM = "    # Written by `python -m docs.reference.generate`.\n"
+OPTIONS_FROM = "# Written by `python -m docs.reference.generate`.\n"
 MADE = "<!-- Written by `python -m docs.reference.generate`; changes by hand are lost. -->"
 
 
@@ -91,9 +91,25 @@ def pages() -> dict[str, str]:
 def options_source() -> str:
     """Return the source of `accelsurf.api.options`: each setting with the type of its values."""
     by_hand = (*GIVEN_KINDS, "energy", "objects", "spacing")
-    rows = [f"    {key}: {_type_of(field)}" for key, field in SettingFields.model_fields.items() if key not in by_hand]
+    of_run = {key: field for key, field in SettingFields.model_fields.items() if key not in by_hand}
+    of_track = TrackFields.model_fields
+    classes = {
+        "Shared(TypedDict, total=False)": (
+            "Settings of a run and of a tracking, where they are the same.",
+            {key: field for key, field in of_run.items() if key not in of_track},
+        ),
+        "Options(Shared, total=False)": (
+            "Settings of `RunConfig` but for the energy, the objects, and what may be an array.",
+            {key: field for key, field in of_run.items() if key in of_track},
+        ),
+        "TrackOptions(Shared, GivenTexts, total=False)": ("Settings of `track`.", of_track),
+    }
     head, _, _ = OPTIONS.read_text(encoding="utf-8").partition(OPTIONS_FROM)
-    return head + OPTIONS_FROM + "\n".join(rows) + "\n"
+    for name, (summary, fields) in classes.items():
+        rows = [f"    {key}: {_type_of(field)}\n" for key, field in fields.items()]
+        head += OPTIONS_FROM if name.startswith("Shared") else "\n"
+        head += f'class {name}:\n    """{summary}"""\n\n' + "".join(rows)
+    return head
 
 
 def _type_of(field: FieldInfo) -> str:

@@ -127,6 +127,7 @@ def test_channels_and_spacing_are_used():
         (CLICKS[0]._replace(mask=np.ones((4, 5, 5), bool)), "does not fit"),
         (cube("inside", (1, 10, 10)), "does not fit"),
         (cube("inside", (12, 39, 10)), "does not fit"),
+        (CLICKS[0]._replace(box=(slice(None),) * 3), "does not fit"),
     ],
 )
 def test_clicks_that_cannot_be_are_refused_and_change_nothing(click, message):

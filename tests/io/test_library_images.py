@@ -11,6 +11,7 @@ import SimpleITK as sitk
 
 import accelsurf
 from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.io import write_labels
 from accelsurf.io.library_images import as_volume
 
 ROOT = Path(__file__).parents[2]
@@ -140,6 +141,101 @@ def test_every_function_takes_them():
     assert np.array_equal(session.labels, wanted.labels)
 
 
+def test_agreement_of_label_maps_of_any_kind(tmp_path):
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
+    dask = pytest.importorskip("dask.array", reason="dask is not installed")
+    image = as_volume(itk_image())
+    first, second = image.with_array((image.array > 50).astype(np.uint8)), image.with_array((image.array > 0) * 3)
+    second.array[:5] = 0
+    wanted = accelsurf.evaluate(first, second)
+    assert wanted.dice < 0.8 and wanted.volume_pred_mm3 == 2 * first.array.sum()
+    mask = sitk.GetImageFromArray(first.array)
+    mask.CopyInformation(itk_image())
+    accelsurf.write(mask, tmp_path / "pred.nii.gz")
+    assert same(accelsurf.read(tmp_path / "pred.nii.gz"), first)
+    others = [second, str(tmp_path / "ref.nrrd"), second.array, dask.from_array(second.array)]
+    accelsurf.write(second, others[1])
+    for pred in (first, mask, first.array, tmp_path / "pred.nii.gz", nibabel.load(tmp_path / "pred.nii.gz")):
+        for number, ref in enumerate(others):
+            given = {"spacing": (2.0, 1.0, 1.0)} if pred is first.array and number > 1 else {}
+            found = accelsurf.evaluate(pred, ref, **given).to_dict()
+            assert found == pytest.approx(wanted.to_dict(), rel=1e-5), (type(pred), type(ref))
+    coords = {"z": 2.0 * np.arange(12), "y": np.arange(14.0), "x": np.arange(16.0)}
+    pair = [xarray.DataArray(labels.array, coords, dims=tuple("zyx")) for labels in (first, second)]
+    assert accelsurf.evaluate(*pair) == wanted
+    with pytest.raises(GeometryError, match="not on the same grid"):
+        accelsurf.evaluate(pair[0], second)
+    with pytest.raises(GeometryError, match=r"ref: an array of shape \(12, 14, 1\)"):
+        accelsurf.evaluate(mask, second.array[..., :1])
+    with pytest.raises(InputError, match="spacing given together with an image"):
+        accelsurf.evaluate(mask, second.array, spacing=2.0)
+    for wrong in (3, {}, None):
+        with pytest.raises(InputError, match="pred: a"):
+            accelsurf.evaluate(wrong, second)
+        with pytest.raises(InputError, match="ref: a"):
+            accelsurf.evaluate(second.array, wrong)
+
+
+def test_images_of_any_kind_are_written(tmp_path):
+    volume = as_volume(itk_image())
+    for number, image in enumerate((itk_image(), xarray_image(), values(), values().tolist())):
+        path = tmp_path / f"{number}.nrrd"
+        accelsurf.write(image, path, **({} if number == 0 else {"spacing": (2.0, 1.0, 1.0)}))
+        written = accelsurf.read(path)
+        assert np.array_equal(written.array, volume.array) and written.geometry.spacing == (2.0, 1.0, 1.0)
+    assert same(accelsurf.read(tmp_path / "0.nrrd"), volume)
+    write_labels(itk_image(), tmp_path / "labels.nii.gz")
+    assert accelsurf.read(tmp_path / "labels.nii.gz").array.dtype == np.uint8
+    before = (tmp_path / "0.nrrd").read_bytes()
+    for wrong in ({}, 7, tmp_path / "no.nii", np.zeros((2, 3, 4, 5, 6))):
+        with pytest.raises(InputError):
+            accelsurf.write(wrong, tmp_path / "0.nrrd")
+    assert (tmp_path / "0.nrrd").read_bytes() == before and len(list(tmp_path.iterdir())) == 5
+
+
+def frames():
+    """A ball that moves by a voxel along x."""
+    z, y, x = np.indices((14, 16, 22)) - 7.0
+    return [(100 * (z**2 + y**2 + (x - n) ** 2 < 25)).astype(np.float32) for n in range(3)]
+
+
+def test_frames_of_any_kind_are_followed(tmp_path):
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
+    dask = pytest.importorskip("dask.array", reason="dask is not installed")
+    stack, start = np.stack(frames()), (frames()[0] > 50).astype(np.uint8)
+    np.save(tmp_path / "frames.npy", stack)
+    for number, frame in enumerate(stack):
+        accelsurf.write(frame, tmp_path / f"f{number}.nii")
+    coords = {axis: np.arange(float(n)) for axis, n in zip("zyx", stack.shape[1:], strict=True)}
+    kinds = {
+        "array": stack, "dask": dask.from_array(stack, chunks=(1, 14, 16, 22)), "path": tmp_path / "frames.npy",
+        "sitk": [sitk.GetImageFromArray(frame) for frame in stack], "files": sorted(tmp_path.glob("f?.nii")),
+        "xarray": xarray.DataArray(stack, coords, dims=tuple("tzyx")), "pattern": str(tmp_path / "f?.nii"),
+    }
+    for name, given in kinds.items():
+        tracking = accelsurf.track(given, objects=sitk.GetImageFromArray(start), max_steps=60)
+        middles = [round(result.objects[0].centroid[0], 1) for result in tracking]
+        assert middles == [7.0, 8.0, 9.0], name
+    tracking = accelsurf.track(stack, spacing=(2.0, 1.0, 1.0), frame_time=0.5, objects=start)
+    sequence = tracking.sequence
+    assert sequence.geometry.spacing == (2.0, 1.0, 1.0)
+    assert (sequence.times, sequence.time_unit) == ((0.0, 0.5, 1.0), "s")
+    tracking.close()
+
+
+def test_frames_that_are_none_are_refused(tmp_path):
+    for wrong in ([], 7, None, np.zeros((3, 4)), accelsurf.Volume.from_array(frames()[0]), itk_image(),
+                  nibabel.Nifti1Image(np.zeros((4, 5, 6, 3), np.int16), np.eye(4))):
+        with pytest.raises(InputError, match="the sequence: a ") as refused:
+            accelsurf.track(wrong)
+        assert "accelsurf.read_sequence" in refused.value.hint
+    with pytest.raises(InputError, match="spacing given together with a sequence"):
+        accelsurf.track(tmp_path / "frames.npy", spacing=2.0)
+    tracking = accelsurf.track([*frames(), frames()[0][1:]], objects=(frames()[0] > 50).astype(np.uint8))
+    with pytest.raises(InputError, match="frame 3 lies on another grid"):
+        list(tracking)
+
+
 @pytest.mark.parametrize("flat", [False, True])
 def test_clicks_in_the_order_of_the_axes(flat):
     image, inside, outside = values(), [(5, 6, 7)], [(0, 1, 2), (11, 12, 13)]
@@ -172,11 +268,17 @@ def test_a_type_checker_sees_the_options(tmp_path):
         "accelsurf.segment('a.nii', start='otsu', energy='geodesic', mesh=['ply'])": "",
         "labels, result = accelsurf.segment_clicks(image, [(1, 2, 3)], return_result=True)": "",
         "accelsurf.segment_many('scans', 'out', start='otsu', jobs=2)": "",
+        "accelsurf.track([image, image], spacing=2.0, objects=image)": "",
+        "accelsurf.track(image, config=accelsurf.TrackConfig())": "",
+        "accelsurf.write(image, 'a.nii', spacing=(1.0, 1.0, 2.0))": "",
+        "accelsurf.evaluate(image, 'a.nii').dice + 1.0": "",
+        "accelsurf.track('a.nii', start='otsu', direction='both', friction='auto', max_steps=9)": "",
         "accelsurf.segment(image, smoothnes=1.0)": "smoothnes",
         "accelsurf.segment(image, flow='gradent')": "flow",
         "accelsurf.evolve(image, cfl='large')": "cfl",
         "accelsurf.segment_objects(image, image, max_stepps=3)": "max_stepps",
         "accelsurf.segment_many('scans', 'out', smoothness='no')": "smoothness",
+        "accelsurf.track(image, direction='back')": "direction",
         "accelsurf.segment_clicks(image, [(1, 2, 3)]).volume_mm3": "volume_mm3",
     }
     script = tmp_path / "options.py"

@@ -35,11 +35,15 @@ def test_a_port_that_is_taken_is_named(capsys):
     assert f"127.0.0.1:{port}: cannot be listened on" in capsys.readouterr().err
 
 
-def test_ctrl_c_ends_it_without_a_fault(tmp_path):
+@pytest.mark.parametrize(
+    ("number", "said", "code"),
+    [(signal.SIGINT, "", 0), (signal.SIGTERM, "interrupted: the server has ended\n", 128 + signal.SIGTERM)],
+)
+def test_ctrl_c_ends_it_without_a_fault(tmp_path, number, said, code):
     running = started(tmp_path)
     with urlopen(f"{running.address}/healthz", timeout=60) as answer:  # it has begun to serve
         assert answer.read() == b'{"ok":true}'
-    running.process.send_signal(signal.SIGINT)
+    running.process.send_signal(number)
     with running.process as process:
-        assert process.stdout.read() == "Ctrl-C ends it\n"
-    assert process.returncode == 0
+        assert process.stdout.read() == "Ctrl-C ends it\n" + said
+    assert process.returncode == code
