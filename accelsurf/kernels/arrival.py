@@ -57,7 +57,7 @@ class Queue(NamedTuple):
 
 
 @kernel
-def march(times, medium, tissue, grid, seeds, cap, late, max_count):
+def march(times, medium, tissue, grid, seeds, cap):
     """Accept voxels in the order of their arrival times, from the seeds outwards.
 
     Parameters
@@ -72,10 +72,6 @@ def march(times, medium, tissue, grid, seeds, cap, late, max_count):
         Each once. A seed starts also where nothing passes.
     cap : ndarray (n,) or (0,) float32
         A voxel is accepted only if its time is below its cap; without elements there is none.
-    late : (count, factor)
-        Once so many voxels, more than the seeds, are accepted, it goes on to ``factor`` times the time it has come to.
-    max_count : int
-        No more voxels than these are accepted.
 
     Returns
     -------
@@ -88,18 +84,16 @@ def march(times, medium, tissue, grid, seeds, cap, late, max_count):
     costs = np.empty(len(times))  # of the voxels that a front has come to; memory that nobody writes to costs nothing
     order = np.empty(max(FIRST_CAPACITY, len(seeds)), np.int64)
     order[: len(seeds)] = seeds
-    done, count, waiting, bucket, max_time = 0, len(seeds), 0, np.int64(0), np.inf
+    done, count, waiting, bucket = 0, len(seeds), 0, np.int64(0)
     while True:
         while done < count:
             if waiting + SIDES > len(queue.entries):
                 queue = larger(queue)
-            waiting += offer(times, costs, order[done], medium, tissue, grid, (cap, max_time, width), queue)
+            waiting += offer(times, costs, order[done], medium, tissue, grid, (cap, width), queue)
             done += 1
-        if waiting == 0 or count >= max_count:
+        if waiting == 0:
             break
         bucket = first_filled(queue, bucket)
-        if bucket * width > max_time:
-            break
         cell = leave(queue, bucket)
         waiting -= 1
         if times[cell] < 0.0 and np.int64(-times[cell] / width) <= bucket:
@@ -108,13 +102,6 @@ def march(times, medium, tissue, grid, seeds, cap, late, max_count):
                 order = np.concatenate((order, np.empty(count, np.int64)))
             order[count] = cell
             count += 1
-            if count == late[0]:
-                max_time = late[1] * ((bucket + 1) * width)
-    for _ in range(waiting):  # on their way, not arrived
-        bucket = first_filled(queue, bucket)
-        cell = leave(queue, bucket)
-        if times[cell] < 0.0:
-            times[cell] = np.inf
     return order[:count].copy()
 
 
@@ -122,9 +109,9 @@ def march(times, medium, tissue, grid, seeds, cap, late, max_count):
 def offer(times, costs, cell, medium, tissue, grid, limits, queue):
     """Enter the neighbours that a voxel with a final time brings an earlier one; returns how many.
 
-    ``limits`` are (cap, max_time, width of a bucket) of `march`; the queue has space for all.
+    ``limits`` are (cap, width of a bucket) of `march`; the queue has space for all.
     """
-    cap, max_time, width = limits
+    cap, width = limits
     iz, iy, ix = unravel(cell, grid)
     time, entered = times[cell], 0
     for side in range(SIDES):
@@ -144,7 +131,7 @@ def offer(times, costs, cell, medium, tissue, grid, limits, queue):
         if before == np.inf:
             costs[other] = cost_at(other, at, medium, tissue, grid)
         found = np.float32(upwind_time(times, other, at, costs[other], grid))
-        if found <= max_time and found < abs(before) and (len(cap) == 0 or found < cap[other]):
+        if found < abs(before) and (len(cap) == 0 or found < cap[other]):
             times[other] = -found
             enter(queue, np.int64(found / width), other)
             entered += 1

@@ -25,7 +25,7 @@ def marched(image, spacing, seeds, **given):
     times[flat] = 0
     medium = Medium(image.reshape(1, -1).astype(np.float32), given.pop("passes", np.zeros(0, bool)))
     cap = given.pop("cap", np.zeros(0, np.float32))
-    order = march(times, medium, tissue, grid, flat, cap, given.pop("late", (0, np.inf)), given.pop("max_count", 10**9))
+    order = march(times, medium, tissue, grid, flat, cap)
     return times.reshape(image.shape), order
 
 
@@ -60,27 +60,6 @@ def test_even_tissue_gives_distances():
     assert (np.abs(times / 0.02 - distance) < 0.05 * distance + 0.8).all()
     width = bucket_width(WEIGHTS, Grid(1, 1, 1, 1.0, 0.7, 0.9))
     assert np.diff(times.ravel()[order]).min() > -width
-
-
-@pytest.mark.nojit
-def test_it_ends_at_a_time_and_at_a_number():
-    image, spacing = noise("3D")
-    seed = [(5, 6, 6)]
-    times, order = marched(image, spacing, seed)
-    width = bucket_width(WEIGHTS, Grid(1, 1, 1, *spacing))
-    sorted_times, factor = np.sort(times, axis=None), 1.5
-    some, first = marched(image, spacing, seed, late=(300, factor))
-    level = factor * sorted_times[299]
-    assert sorted_times[300] < level < sorted_times[-1] - 3 * width
-    known = np.isfinite(some)
-    assert known[times <= level].all() and not known[times > level + (1 + factor) * width].any()
-    np.testing.assert_array_equal(some[known], times[known])
-    np.testing.assert_array_equal(np.sort(first), np.flatnonzero(known))
-    # Fewer than the seeds: no end.
-    np.testing.assert_array_equal(marched(image, spacing, seed, late=(0, 0.0))[0], times)
-    some, first = marched(image, spacing, seed, max_count=200)
-    np.testing.assert_array_equal(first, order[:200])
-    np.testing.assert_array_equal(np.isfinite(some).sum(), 200)
 
 
 @pytest.mark.nojit

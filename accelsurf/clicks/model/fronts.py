@@ -45,7 +45,7 @@ class Field(NamedTuple):
         A front does not come where its time would not be below ``cap`` (n,).
         """
         flat = np.ravel(times)
-        march(flat, self.medium, tissue, self.grid, seeds, cap, (0, np.inf), flat.size)
+        march(flat, self.medium, tissue, self.grid, seeds, cap)
         return flat.reshape(self.shape)
 
 
