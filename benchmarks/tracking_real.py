@@ -27,8 +27,9 @@ from scipy import ndimage
 from skimage.filters import threshold_otsu
 
 from accelsurf import io
-from accelsurf.image.sequence import ImageSequence, VolumeSequence
+from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
+from accelsurf.io.library_images import VolumeSequence
 from accelsurf.phantoms.motions import MovingPhantom, load_motion
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.track_config import TrackConfig

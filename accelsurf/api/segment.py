@@ -15,7 +15,7 @@ from accelsurf.correct.refine import with_corrections
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.grid.clicks import SIDES, Side
-from accelsurf.image.volume import Volume, plain_array
+from accelsurf.image.volume import Volume
 from accelsurf.io import LazyVolume
 from accelsurf.io.library_images import ImageLike, as_volume, from_library
 from accelsurf.run.arguments import given_clicks, psi_of, split_given, with_options
@@ -320,7 +320,7 @@ def _run_of(
 ) -> Run:
     """The run for the arguments of `segment`, `evolve` or `segment_objects`."""
     first = as_volume(image, spacing)
-    others = [_as_channel(channel, first) for channel in channels]
+    others = [as_volume(channel, None, "channel", first.geometry) for channel in channels]
     texts, given = split_given(options)
     clicks = [click for side in SIDES if side in given for click in given_clicks(side, given.pop(side), first)]
     arrays = {key: psi_of(key, value, first.geometry) for key, value in given.items()}
@@ -334,12 +334,3 @@ def _run_of(
             f"checkpoint: {config.checkpoint} was given without a file for it", "give segment() checkpoint_to=FILE"
         )
     return Run(first, config, energy, others, objects, arrays, clicks)
-
-
-def _as_channel(image: ImageLike, first: Volume) -> Volume:
-    """Return a further channel; of an array on the grid of the first."""
-    image = from_library(image, "channel")
-    if isinstance(image, (Volume, str, os.PathLike)):
-        return as_volume(image)
-    array = plain_array(image, "channel")
-    return Volume(array[np.newaxis] if array.ndim == 2 else array, first.geometry)

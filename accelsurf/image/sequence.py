@@ -66,47 +66,6 @@ class ImageSequence(ABC):
         """Read a frame that exists."""
 
 
-class VolumeSequence(ImageSequence):
-    """Frames that lie in memory.
-
-    Parameters
-    ----------
-    volumes : sequence of Volume
-        On one grid.
-    times : sequence of float, optional
-        Rising; 0, 1, 2, ... frames by default.
-    time_unit : {"s", "frame"}
-    source : str
-
-    Raises
-    ------
-    InputError
-        When there is no frame, grids differ, or the times do not rise.
-    """
-
-    def __init__(
-        self,
-        volumes: Sequence[Volume],
-        times: Sequence[float] | None = None,
-        time_unit: str = "frame",
-        source: str = "",
-    ) -> None:
-        if not volumes:
-            raise InputError("a sequence of no frames given, at least one expected")
-        self._volumes = tuple(volumes)
-        self.times = tuple(float(n) for n in (range(len(volumes)) if times is None else times))
-        self.time_unit, self.source, self.geometry = time_unit, source, volumes[0].geometry
-        if len(self.times) != len(volumes):
-            raise InputError(f"{len(self.times)} times given for {len(volumes)} frames, one for each expected")
-        check_times(self.times)
-        for number, volume in enumerate(volumes):
-            if difference := self.geometry.difference(volume.geometry):
-                raise InputError(f"frame {number} lies on another grid than frame 0: {difference}")
-
-    def _channels(self, number: int) -> list[Volume]:
-        return [self._volumes[number]]
-
-
 def check_times(times: Sequence[float]) -> None:
     """Refuse times of frames that do not rise.
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.image.sequence import ImageSequence, check_times
 from accelsurf.image.volume import Volume, array_on_grid
 from accelsurf.settings.registry import load
 from accelsurf.settings.wording import mm_of
@@ -37,7 +38,10 @@ class ItkImage(Protocol):
 ImageLike = Volume | os.PathLike[str] | ArrayLike | ItkImage
 
 
-def as_volume(image: ImageLike, spacing: float | Sequence[float] | None = None, name: str = "the image") -> Volume:
+def as_volume(
+    image: ImageLike, spacing: float | Sequence[float] | None = None, name: str = "the image",
+    grid: Geometry | None = None,
+) -> Volume:
     """Return an image as a volume.
 
     Parameters
@@ -48,6 +52,8 @@ def as_volume(image: ImageLike, spacing: float | Sequence[float] | None = None, 
         mm, of an array; 1 by default.
     name : str, optional
         What messages call it.
+    grid : Geometry, optional
+        Of an array without a spacing.
 
     Raises
     ------
@@ -67,6 +73,8 @@ def as_volume(image: ImageLike, spacing: float | Sequence[float] | None = None, 
     if not is_array or several or hasattr(given, "GetSpacing"):
         hint = "take a variable: dataset['NAME']" if several else "accelsurf.read(PATH) reads a file"
         raise InputError(f"{name}: a {type(given).__name__} was given, expected {_EXPECTED}", hint)
+    if grid is not None and spacing is None:
+        return Volume(array_on_grid(given, grid, name), grid)
     return Volume.from_array(given, 1.0 if spacing is None else spacing)
 
 
@@ -89,6 +97,51 @@ def array_of(image: ImageLike, geometry: Geometry, name: str) -> NDArray[Any]:
     """
     value = from_library(image, name)
     return array_on_grid(load(_READ)(value) if isinstance(value, (str, os.PathLike)) else value, geometry, name)
+
+
+class VolumeSequence(ImageSequence):
+    """Frames as `accelsurf.segment` takes images, on one grid; each is read or computed when it is asked for.
+
+    Parameters
+    ----------
+    frames : sequence of image, or array
+        Of an array the first axis is time.
+    times : float or sequence of float, optional
+        Seconds from one to the next, or when each was taken; by default frames are counted.
+    spacing : float or (hz, hy, hx), optional
+        mm, of arrays; 1 by default.
+
+    Raises
+    ------
+    InputError
+        When it is no sequence, its first frame cannot be used, or the times do not rise; of a frame, when it is asked
+        for, also when its grid is another.
+    """
+
+    def __init__(
+        self, frames: Any, times: float | Sequence[float] | None = None, spacing: float | Sequence[float] | None = None
+    ) -> None:
+        is_array = hasattr(frames, "__array__") and getattr(frames, "ndim", 0) > 2 and not hasattr(frames, "affine")
+        if not (is_array or isinstance(frames, (list, tuple))) or not len(frames):
+            raise InputError(
+                f"the sequence: a {type(frames).__name__} of no frames was given, expected a path, images in a list, "
+                "or an array (time, ...)",
+                "accelsurf.read_sequence(PATH) reads a file",
+            )
+        self._frames, self._spacing, self.source = frames, spacing, ""
+        step = 1.0 if times is None else times
+        self.times = tuple(step * n for n in range(len(frames))) if isinstance(step, (int, float)) else tuple(step)
+        self.time_unit = "frame" if times is None else "s"
+        if len(self.times) != len(frames):
+            raise InputError(f"{len(self.times)} times given for {len(frames)} frames, one for each expected")
+        check_times(self.times)
+        self.geometry = as_volume(frames[0], spacing, "frame 0").geometry
+
+    def _channels(self, number: int) -> list[Volume]:
+        volume = as_volume(self._frames[number], self._spacing, f"frame {number}")
+        if difference := self.geometry.difference(volume.geometry):
+            raise InputError(f"frame {number} lies on another grid than frame 0: {difference}")
+        return [volume]
 
 
 def from_library(value: Any, name: str = "the image") -> Any:

@@ -301,32 +301,23 @@ def _depth(
 
 
 def _nearby(
-    image: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    level: float,
-    sigmas: tuple[float, ...],
-    within: slice,
+    image: NDArray[np.float32], mask: NDArray[np.bool_], level: float, sigmas: tuple[float, ...], within: slice,
     shell: NDArray[np.int64],
 ) -> NDArray[np.float32]:
-    """Return means of the image over the voxels of a mask nearby, at the shell; where none is near, the level."""
-    weight = _smoothed(mask.astype(np.float32), sigmas, within, shell)
-    total = _smoothed(np.where(mask, image - np.float32(level), np.float32(0)), sigmas, within, shell)
-    return np.asarray(np.float32(level) + total / (weight + np.float32(1e-3)))
+    """Return means of the image over the voxels of a mask nearby, at the shell; where none is near, the level.
 
-
-def _smoothed(
-    values: NDArray[np.float32], sigmas: tuple[float, ...], within: slice, shell: NDArray[np.int64]
-) -> NDArray[np.float32]:
-    """Return a Gaussian filter of some planes at the shell's voxels; along the rows it is summed at these alone."""
-    of_planes, of_lines, of_rows = (gaussian_weights(sigma, 3.0) for sigma in sigmas)
-    between = np.empty_like(values)
-    smooth_across_rows(values, of_planes, 0, between)
-    values = np.empty_like(between[within])
-    smooth_across_rows(between[within], of_lines, 1, values)
-    far, nx = len(of_rows) - 1, values.shape[2]
-    row = np.pad(values.reshape(-1, nx), ((0, 0), (far, far)), "symmetric").ravel()
-    at = shell // nx * (nx + 2 * far) + shell % nx + far
-    out = of_rows[0] * row[at]
-    for step in range(far, 0, -1):
-        out += of_rows[step] * (row[at - step].astype(float) + row[at + step])
-    return np.asarray(out, np.float32)
+    They are Gaussian filters, along the rows at the shell's voxels alone.
+    """
+    sums, (of_planes, of_lines, of_rows) = [], (gaussian_weights(sigma, 3.0) for sigma in sigmas)
+    for values in (mask.astype(np.float32), np.where(mask, image - np.float32(level), np.float32(0))):
+        smooth = np.empty_like(values)
+        smooth_across_rows(values, of_planes, 0, smooth)
+        smooth_across_rows(smooth[within], of_lines, 1, values[within])
+        far, nx = len(of_rows) - 1, values.shape[2]
+        row = np.pad(values[within].reshape(-1, nx), ((0, 0), (far, far)), "symmetric").ravel()
+        at = shell // nx * (nx + 2 * far) + shell % nx + far
+        total = of_rows[0] * row[at]
+        for step in range(far, 0, -1):
+            total += of_rows[step] * (row[at - step].astype(float) + row[at + step])
+        sums.append(total.astype(np.float32))
+    return np.asarray(np.float32(level) + sums[1] / (sums[0] + np.float32(1e-3)))

@@ -32,7 +32,7 @@ from scipy.spatial import cKDTree
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.boxes import bounding_box, corner_of
-from accelsurf.image.volume import Volume, array_on_grid
+from accelsurf.image.volume import Volume
 from accelsurf.io import read_labels
 from accelsurf.io.library_images import ImageLike, as_volume, from_library
 
@@ -112,14 +112,9 @@ def evaluate(
     >>> m.hausdorff_mm, round(m.dice, 3), m.volume_pred_mm3
     (3.0, 0.667, 324.0)
     """
-    given = {name: from_library(image, name) for name, image in (("pred", pred), ("ref", ref))}
-    given = {name: read_labels(it) if isinstance(it, (str, os.PathLike)) else it for name, it in given.items()}
-    grid = next((image.geometry for image in given.values() if isinstance(image, Volume)), None)
-    first, second = (
-        as_volume(image, spacing, name) if grid is None or isinstance(image, Volume)
-        else Volume(array_on_grid(image, grid, name), grid)
-        for name, image in given.items()
-    )
+    pair = [read_labels(v) if isinstance(v, (str, os.PathLike)) else from_library(v, "labels") for v in (pred, ref)]
+    grid = next((image.geometry for image in pair if isinstance(image, Volume)), None)
+    first, second = as_volume(pair[0], spacing, "pred", grid), as_volume(pair[1], spacing, "ref", grid)
     check_same_grid(first, second)
     return agreement(_object(first), _object(second), first.geometry.spacing)
 

@@ -19,11 +19,11 @@ from numpy.typing import ArrayLike
 
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.evolution.serialization import from_bytes, to_bytes
-from accelsurf.image.sequence import ImageSequence, VolumeSequence
+from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
 from accelsurf.io import read_sequence
 from accelsurf.io.files import bytes_within, write_bytes
-from accelsurf.io.library_images import ImageLike, as_volume, from_library
+from accelsurf.io.library_images import ImageLike, VolumeSequence, from_library
 from accelsurf.levelset import Workers
 from accelsurf.run.checkpoint import FREE, digest_of, versions
 from accelsurf.run.setup import EnergyLike, ObjectsLike, seeded, thread_count
@@ -106,41 +106,6 @@ def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
         for path in (source, *(Path(file) for file in config.run.channel))
     )
     return JoinedSequence(first, others) if others else first
-
-
-class GivenFrames(ImageSequence):
-    """Frames as `accelsurf.segment` takes images; each is read or computed when it is asked for.
-
-    Parameters
-    ----------
-    frames : sequence of image, or array
-        Of an array the first axis is time.
-    frame_time : float or None
-        Seconds from one to the next.
-    spacing : float or (hz, hy, hx) or None
-        mm, of arrays.
-
-    Raises
-    ------
-    InputError
-        When it is no sequence, or its first frame cannot be used.
-    """
-
-    def __init__(self, frames: Any, frame_time: float | None, spacing: float | Sequence[float] | None) -> None:
-        is_array = hasattr(frames, "__array__") and getattr(frames, "ndim", 0) > 2 and not hasattr(frames, "affine")
-        if not (is_array or isinstance(frames, (list, tuple))) or not len(frames):
-            raise InputError(
-                f"the sequence: a {type(frames).__name__} was given, expected a path, images in a list, or an array "
-                "(time, ...)",
-                "accelsurf.read_sequence(PATH) reads a file",
-            )
-        self._frames, self._spacing, self.source = frames, spacing, ""
-        self.times = tuple(number * (frame_time or 1.0) for number in range(len(frames)))
-        self.time_unit = "frame" if frame_time is None else "s"
-        self.geometry = self._channels(0)[0].geometry
-
-    def _channels(self, number: int) -> list[Volume]:
-        return [as_volume(self._frames[number], self._spacing, f"frame {number}")]
 
 
 class Visit(NamedTuple):
@@ -414,18 +379,12 @@ def track(
     settings = config or TrackConfig()
     settings = settings.replace(**changes) if changes else settings
     starts = os.fspath(objects) if isinstance(objects, os.PathLike) else from_library(objects, "objects")
-    return Tracking(
-        _sequence_of(sequence, settings, spacing), settings, energy, starts, meshes, on_step, checkpoint_to
-    )
-
-
-def _sequence_of(given: Any, config: TrackConfig, spacing: float | tuple[float, float, float] | None) -> ImageSequence:
-    """Return the sequence that is tracked."""
-    if not isinstance(given, (ImageSequence, str, os.PathLike)):
-        return GivenFrames(given, config.frame_time, spacing)
-    if spacing is not None:
+    if not isinstance(sequence, (ImageSequence, str, os.PathLike)):
+        sequence = VolumeSequence(sequence, settings.frame_time, spacing)
+    elif spacing is not None:
         raise InputError("spacing given together with a sequence, which has its own", "leave spacing out")
-    return given if isinstance(given, ImageSequence) else open_sequence(Path(given), config)
+    frames = sequence if isinstance(sequence, ImageSequence) else open_sequence(Path(sequence), settings)
+    return Tracking(frames, settings, energy, starts, meshes, on_step, checkpoint_to)
 
 
 def small_runs() -> dict[str, Callable[[], Any]]:

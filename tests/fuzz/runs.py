@@ -63,8 +63,8 @@ def _result(config, state: bytes) -> dict[str, bytes]:
 
 
 def _of_track():
-    from accelsurf.image.sequence import VolumeSequence
     from accelsurf.image.volume import Volume
+    from accelsurf.io.library_images import VolumeSequence
     from accelsurf.settings.track_config import TrackConfig
     from accelsurf.track.output.frames import FrameStore
     from accelsurf.track.track import track

@@ -5,8 +5,8 @@ import pytest
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.image.sequence import VolumeSequence
 from accelsurf.image.volume import Volume
+from accelsurf.io.library_images import VolumeSequence
 
 
 def volume(value: float, spacing: float = 1.0) -> Volume:
@@ -14,18 +14,18 @@ def volume(value: float, spacing: float = 1.0) -> Volume:
 
 
 def test_frames_come_out_in_order_with_their_times() -> None:
-    sequence = VolumeSequence([volume(0), volume(1)], times=[0.5, 2.0], time_unit="s")
-    assert len(sequence) == 2 and sequence.times == (0.5, 2.0)
+    sequence = VolumeSequence([volume(0), volume(1)], times=[0.5, 2.0])
+    assert len(sequence) == 2 and sequence.times == (0.5, 2.0) and sequence.time_unit == "s"
     assert [float(sequence.frame(n).array[0, 0, 0]) for n in range(2)] == [0.0, 1.0]
 
 
 @pytest.mark.parametrize(
     ("volumes", "times"),
-    [([], None), ([volume(0), volume(1, 2.0)], None), ([volume(0), volume(1)], [1.0, 1.0]), ([volume(0)], [1.0, 2.0])],
+    [([], None), ([volume(0), volume(1, 2.0)], None), ([volume(0)] * 2, [1.0, 1.0]), ([volume(0)], [1.0, 2.0])],
 )
 def test_frames_that_are_no_sequence_are_refused(volumes: list[Volume], times: list[float] | None) -> None:
     with pytest.raises(InputError):
-        VolumeSequence(volumes, times)
+        VolumeSequence(volumes, times).frame(1)
 
 
 def test_a_frame_that_is_not_there_is_refused() -> None:

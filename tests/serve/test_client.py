@@ -1,7 +1,9 @@
 """The client that viewers use, against the server: each kind of prompt gives the labels of the library."""
 
 import gc
+import os
 from contextlib import ExitStack
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,13 @@ remote = pytest.importorskip("nnInteractive.inference.remote", reason="nninterac
 
 def phantom(name):
     """Image, spacing, truth and a voxel deep in it."""
+    if name == SCAN:
+        folder = Path(os.environ["ACCELSURF_VOLUMES"])
+        image, labels = (accelsurf.read(folder / f"fluo_nuclei1136{end}.nii.gz") for end in ("", "_ref"))
+        truth = labels.array == 26  # one that is whole
+        depth = ndimage.distance_transform_edt(truth, sampling=image.geometry.spacing)
+        middle = np.unravel_index(int(depth.argmax()), depth.shape)
+        return image.as_float32(), image.geometry.spacing, truth, tuple(int(at) for at in middle)
     random, shape, spacing, middles = {
         "thick slices": (1, (20, 44, 40), (2.0, 1.0, 1.0), [(10, 22, 20)]),
         "two that touch": (2, (26, 28, 42), (1.0, 1.0, 1.0), [(13, 14, 13), (13, 14, 29)]),
@@ -32,6 +41,9 @@ def phantom(name):
 
 #: A client that could not begin leaves its connection to the garbage.
 LEFT_OPEN = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+#: Noisy nuclei that touch, from the tests of plant-seg.
+SCAN = "public scan"
+NEEDS_SCAN = pytest.mark.skipif("ACCELSURF_VOLUMES" not in os.environ, reason="needs the scans")
 PHANTOMS = ("thick slices", "two that touch", "flat along the last axis")
 
 
@@ -108,7 +120,7 @@ def outlined(viewer, box, crop):
     return [(side, mask) for side, mask in (("inside", inside), ("outside", rim), ("outside", rest)) if mask.any()]
 
 
-@pytest.mark.parametrize("name", PHANTOMS)
+@pytest.mark.parametrize("name", [*PHANTOMS, pytest.param(SCAN, marks=NEEDS_SCAN)])
 def test_points(server, name):
     with Viewer(server, name) as viewer:
         viewer.client.add_point_interaction(viewer.middle, True)
@@ -124,7 +136,7 @@ def test_points(server, name):
         assert viewer.dice() > 0.6
 
 
-@pytest.mark.parametrize("name", PHANTOMS)
+@pytest.mark.parametrize("name", [*PHANTOMS, pytest.param(SCAN, marks=NEEDS_SCAN)])
 @pytest.mark.parametrize("kind", ["bbox", "lasso"])
 def test_outlines(server, name, kind):
     with Viewer(server, name) as viewer:
@@ -143,7 +155,7 @@ def test_outlines(server, name, kind):
         assert not viewer.labels[tuple(around)][~here[tuple(around)]].any()
 
 
-@pytest.mark.parametrize("name", PHANTOMS)
+@pytest.mark.parametrize("name", [*PHANTOMS, pytest.param(SCAN, marks=NEEDS_SCAN)])
 def test_scribbles(server, name):
     with Viewer(server, name) as viewer:
         box, crop = viewer.in_slice(ball(viewer, viewer.middle, 3.0 * min(viewer.spacing)))
@@ -157,14 +169,17 @@ def test_scribbles(server, name):
         assert np.array_equal(viewer.labels, library(viewer, [("inside", drawn > 0), ("outside", beyond > 0)]))
 
 
-@pytest.mark.parametrize("name", ["thick slices", "flat along the last axis"])
+@pytest.mark.parametrize(
+    "name", ["thick slices", "flat along the last axis", pytest.param(SCAN, marks=NEEDS_SCAN)]
+)
 def test_labels_to_begin_at_are_corrected_by_clicks(server, name):
     with Viewer(server, name) as viewer:
         cut = viewer.truth & (np.indices(viewer.image.shape)[1] > viewer.middle[1] - 4)
         viewer.client.add_initial_seg_interaction(cut.astype(np.uint8))
         assert np.array_equal(viewer.labels > 0, cut)
         before = viewer.dice()
-        missed = (viewer.middle[0], viewer.middle[1] - 6, viewer.middle[2])
+        depth = ndimage.distance_transform_edt(viewer.truth & ~cut, sampling=viewer.spacing)
+        missed = tuple(int(at) for at in np.unravel_index(int(depth.argmax()), depth.shape))
         viewer.client.add_point_interaction(missed, True)
         assert viewer.dice() > before
         assert viewer.labels[cut].all()

@@ -10,8 +10,8 @@ import numpy as np
 
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.geometry import Geometry
-from accelsurf.image.sequence import VolumeSequence
 from accelsurf.image.volume import Volume
+from accelsurf.io.library_images import VolumeSequence
 from accelsurf.track.records import FrameResult, Lineage, Link, SurfacePiece, Track, TrackedObject
 
 
@@ -59,7 +59,6 @@ def tracking(
     frames: Sequence[Mapping[int, Ball]],
     links: Sequence[Link] = (),
     times: Sequence[float] | None = None,
-    time_unit: str = "frame",
 ) -> Tracking:
     """Frames of balls by id, their images (1 inside, 0 outside), and the lineage that belongs to them."""
     volumes, objects = [], []
@@ -72,7 +71,7 @@ def tracking(
                 image[one.surface.box][one.surface.psi < 0] = 1.0
         volumes.append(Volume(image, geometry))
         objects.append(found)
-    sequence = VolumeSequence(volumes, times, time_unit)
+    sequence = VolumeSequence(volumes, times)
     results = tuple(
         FrameResult(number, sequence.times[number], volume, found)
         for number, (volume, found) in enumerate(zip(volumes, objects, strict=True))
@@ -102,7 +101,7 @@ def dividing_cells() -> Tracking:
             balls |= {3: Ball((5.0, 14.0, 12.0 - 2 * number), 2.5), 4: Ball((5.0, 14.0, 12.0 + 2 * number), 2.5)}
         frames.append(balls)
     links = [Link(2, 3, 3, "division"), Link(2, 4, 3, "division")]
-    return tracking(geometry, frames, links, [0.0, 0.5, 1.0, 1.5, 2.0], "s")
+    return tracking(geometry, frames, links, [0.0, 0.5, 1.0, 1.5, 2.0])
 
 
 def flat_cells() -> Tracking:

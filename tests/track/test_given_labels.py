@@ -5,8 +5,8 @@ import pytest
 from scipy import ndimage
 
 from accelsurf import cli, io
-from accelsurf.image.sequence import VolumeSequence
 from accelsurf.image.volume import Volume
+from accelsurf.io.library_images import VolumeSequence
 from accelsurf.phantoms.tissues import TissuePhantom, phantom_from
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.track import follower, frame_run

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.image.sequence import VolumeSequence
 from accelsurf.image.volume import Volume
+from accelsurf.io.library_images import VolumeSequence
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart
 from accelsurf.track import track as track_state
