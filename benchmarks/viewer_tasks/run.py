@@ -156,8 +156,14 @@ def begin_object(person: Person, number: int, wanted: np.ndarray, geometry: Geom
         person.click_widget("Add")
     draw_size(person, place, mm3)
     person.until(lambda now: now["undoable"] > before["undoable"], 300)
-    # The run plays from the release on; a key for it would pause it.
-    person.until(lambda now: now["stop"] is not None and not now["playing"], 600)
+    # The run plays from the release on; a key for it would pause it. A further object is a correction.
+    person.until(lambda now: now["stop"] is not None and not now["playing"] and has_begun(now, number), 600)
+
+
+def has_begun(now: dict[str, Any], number: int) -> bool:
+    """Whether an object has its surface."""
+    rows = now["state"]["object_rows"]
+    return len(rows) > number and all(row["volume"] for row in rows) and "correcting" not in now["message"]
 
 
 def show(person: Person, world: np.ndarray) -> None:
