@@ -1,12 +1,11 @@
 """Follow README and tutorials as a newcomer: each command as typed, in an empty folder; seconds and exit codes.
 
-    python -m benchmarks.newcomer [PAGE ...] [--scan FILE LABEL]... [--install] [-o results/newcomer.json]
+    python -m benchmarks.newcomer [PAGE ...] [--scan FILE LABEL]... [-o results/newcomer.json]
 
 PAGE is README, first-scan or by-clicks; default all. What `accelsurf fetch` would bring comes from ACCELSURF_VOLUMES,
 where it has that. With --scan the first two pages are followed again, with a scan in place of the example's: its places
-are read off LABEL of FILE_ref.nii.gz, and the blocks with letters for a reader's own coordinates are typed, too. A
-window is closed by its key once it is there. With --install the README's other lines run as well, in a copy of the
-repository and an environment of their own, all but scripts/test; without, they are named as left out.
+are read off LABEL of FILE_ref.nii.gz, and the blocks with letters for a reader's own coordinates are typed, too.
+Lines that install, build or check are not run here; they are named as left out.
 
 Seconds are those of a clock, and of the processor with all that a command starts. Pages that the file of results has
 already stay in it unless they are followed again. Exit code 1 when a command fails.
@@ -32,7 +31,6 @@ from accelsurf import io
 from accelsurf.image.volume import Volume
 from benchmarks.clicks.person import PersonClick, next_click
 from benchmarks.tutorial import FILE, ROOT, bring
-from tests.support.screen import own_screen
 
 PAGES = {"README": ROOT / "README.md"} | {
     name: ROOT / "docs" / "tutorial" / f"{name}.md" for name in ("first-scan", "by-clicks")
@@ -40,15 +38,12 @@ PAGES = {"README": ROOT / "README.md"} | {
 BLOCK = re.compile(r"```(console|python|text)\n(.*?)```", re.DOTALL)
 #: The examples' names in files.
 EXAMPLES = r"\b(torus|noisy|two_balls)(?=_seg|_truth|\.nii)"
-#: Runs all checks, for an hour.
-NEVER = "scripts/test"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pages", nargs="*", help="README, first-scan, by-clicks")
     parser.add_argument("--scan", nargs=2, action="append", default=[], metavar=("FILE", "LABEL"))
-    parser.add_argument("--install", action="store_true")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/newcomer.json")
     given = parser.parse_args()
     kept: dict[str, Any] = json.loads(given.output.read_text()) if given.output.exists() else {}
@@ -58,26 +53,18 @@ def main() -> int:
             (f"{page}, {Path(scan).name}", Path(scan), label) for scan, label in given.scan if page != "by-clicks"
         ]
         for name, scan, label in cases:
-            with tempfile.TemporaryDirectory() as folder, own_screen() as display:
-                rows = follow(PAGES[page], Path(folder), display, given.install and scan is None, scan, label)
+            with tempfile.TemporaryDirectory() as folder:
+                rows = follow(PAGES[page], Path(folder), scan, label)
             kept[name] = rows
             failed += sum(row["exit"] not in (0, None) for row in rows)
             given.output.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
     return 1 if failed else 0
 
 
-def follow(
-    page: Path, work: Path, display: str, install: bool, scan: Path | None, label: str
-) -> list[dict[str, Any]]:
+def follow(page: Path, work: Path, scan: Path | None, label: str) -> list[dict[str, Any]]:
     """Type what a page says in a folder; returns a row for each command."""
-    text, env = page.read_text(encoding="utf-8"), {**os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
-    if install:
-        subprocess.run(["git", "clone", "-q", ROOT, work], check=True)
-        subprocess.run([sys.executable, "-m", "venv", work / ".env"], check=True)
-        subprocess.run([work / ".env/bin/pip", "install", "-q", "uv"], check=True)
-        env = {key: value for key, value in env.items() if key != "PYTHONPATH"}
-    programs = work / ".env/bin" if install else Path(sys.executable).parent
-    env["PATH"] = f"{programs}{os.pathsep}{env['PATH']}"
+    text = page.read_text(encoding="utf-8")
+    env = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     if scan is not None:
         text = with_scan(text, work / "volumes", scan, int(label))
     for name, content in FILE.findall(text):
@@ -92,7 +79,7 @@ def follow(
                 line = "python typed.py"
             elif line.startswith("accelsurf synth") and scan is not None:
                 continue
-            elif line.startswith(NEVER) or not (install or line.startswith("accelsurf")):
+            elif not line.startswith("accelsurf"):
                 rows.append({"command": line, "seconds": None, "exit": None, "said": "left out"})
                 continue
             bring(line.split(), work)
@@ -106,12 +93,8 @@ def follow(
 def typed_in(line: str, work: Path, env: dict[str, str]) -> dict[str, Any]:
     """Run a line of a shell; seconds, exit code, and the last line of what it said, if it failed."""
     began, before = time.monotonic(), os.times()
-    options: Any = {"cwd": work, "env": env, "text": True}
-    run = subprocess.Popen(line, shell=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **options)
-    if "accelsurf view" in line:
-        look = ["timeout", "500", "xdotool", "search", "--sync", "--onlyvisible", "--name", "^accelsurf"]
-        subprocess.run([*look, "windowfocus", "--sync", "sleep", "5", "key", "ctrl+q"], env=env, check=False)
-    said = run.communicate()[0].strip().splitlines()
+    run = subprocess.run(line, shell=True, cwd=work, env=env, text=True, capture_output=True)
+    said = run.stderr.strip().splitlines()
     seconds, processor = time.monotonic() - began, sum(os.times()[2:4]) - sum(before[2:4])
     row = {"seconds": round(seconds, 1), "processor_s": round(processor, 1), "exit": run.returncode}
     return {**row, "said": " ".join(said[-2:]) if run.returncode else ""}
@@ -120,11 +103,8 @@ def typed_in(line: str, work: Path, env: dict[str, str]) -> dict[str, Any]:
 def have_scan(line: str, work: Path, scan: Path | None) -> None:
     """Put the scan into the folder that a reader is thought to have: ``scan.nii.gz``."""
     name = work / "scan.nii.gz"
-    if name.name in line.split() and not name.exists():
-        if scan is None:
-            words = ["synth", "torus", "-o", work / "volumes", "--quiet"]
-            subprocess.run([sys.executable, "-m", "accelsurf", *words], check=True)
-        name.symlink_to(work / "volumes/torus.nii.gz" if scan is None else scan.resolve())
+    if scan is not None and name.name in line.split() and not name.exists():
+        name.symlink_to(scan.resolve())
 
 
 def with_scan(text: str, volumes: Path, scan: Path, label: int) -> str:

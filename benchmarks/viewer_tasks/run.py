@@ -15,6 +15,7 @@ An earlier version, in which STL could not be chosen by the mouse, gets it by --
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import hashlib
 import json
@@ -28,7 +29,7 @@ from scipy import ndimage
 
 from accelsurf import cli, io
 from accelsurf.grid.geometry import Geometry
-from benchmarks.viewer_tasks.person import ROOT, Person
+from benchmarks.viewer_tasks.person import ROOT, GaveUp, Person
 from benchmarks.viewer_tasks.touching import touching_nuclei
 from tests.support.screen import own_screen
 
@@ -156,8 +157,14 @@ def begin_object(person: Person, number: int, wanted: np.ndarray, geometry: Geom
         person.click_widget("Add")
     draw_size(person, place, mm3)
     person.until(lambda now: now["undoable"] > before["undoable"], 300)
-    # The run plays from the release on; a key for it would pause it.
-    person.until(lambda now: now["stop"] is not None and not now["playing"], 600)
+    # The run plays from the release on; a key for it would pause it. A further object is a correction.
+    person.until(lambda now: now["stop"] is not None and not now["playing"] and has_begun(now, number), 600)
+
+
+def has_begun(now: dict[str, Any], number: int) -> bool:
+    """Whether an object has its surface."""
+    rows = now["state"]["object_rows"]
+    return len(rows) > number and all(row["volume"] for row in rows) and "correcting" not in now["message"]
 
 
 def show(person: Person, world: np.ndarray) -> None:
@@ -186,19 +193,23 @@ def draw_size(person: Person, place: np.ndarray, mm3: float) -> None:
     radius = (6.0 * mm3 / np.pi) ** (1 / 3) / 2
     way = person.pixel("axial", place + [radius, 0.0, 0.0]) - start
     shares = np.arange(0.1, 1.6, 0.03)
-    person.drag([start, *(start + share * way for share in shares)], stop=lambda: drawn_size(person) >= 0.97 * mm3)
+    shown = 0.0
+
+    def is_large() -> bool:
+        nonlocal shown
+        before = shown
+        with contextlib.suppress(GaveUp):  # a move of less than a pixel changes nothing
+            person.until(lambda now: size_in(now) != before, 10)
+        shown = size_in(person.now())
+        return shown >= 0.97 * mm3
+
+    person.drag([start, *(start + share * way for share in shares)], stop=is_large)
 
 
-def drawn_size(person: Person) -> float:
-    """The size that is written beside the outline, once it has been drawn for where the mouse is."""
-    before, end = None, time.monotonic() + 30.0
-    while time.monotonic() < end:
-        title = person.now()["titles"]["axial"]
-        if title == before and "size" in title:
-            return float(title.partition("size ")[2].partition(" mm3")[0].replace(" ", ""))
-        before = title
-        time.sleep(0.1)
-    return 0.0
+def size_in(now: dict[str, Any]) -> float:
+    """The size that is written beside the outline, mm3."""
+    written = now["titles"]["axial"].partition("size ")[2].partition(" mm3")[0].replace(" ", "")
+    return float(written) if written else 0.0
 
 
 def correct(person: Person, worst: dict[str, Any]) -> float:
