@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,11 +36,33 @@ from benchmarks.peers.measure import scans_folder
 
 ROOT = Path(__file__).resolve().parent.parent
 JSON, PAGE = ROOT / "docs/explanation/mend.json", ROOT / "docs/explanation/mend.md"
-#: Scans, how many objects of each, and who made the reference.
-REPORTED = {"ct_abdomen_hires": (2, "a network"), "mri_cord_iso": (1, "people"), "fluo_nuclei1136": (1, "people")}
-TUNED = {"ct_vertebra_l3": (1, "a program"), "mri_lung_0004": (1, "people"), "fluo_nuclei1135": (1, "people")}
-#: Voxels of an object that is played; voxels around it.
-SIZES, AROUND = (500, 10_000), 20
+
+
+class Chosen(NamedTuple):
+    """Objects of a scan: how many, who made the reference, least and most voxels, and the first id that is none."""
+
+    scan: str
+    count: int
+    made_by: str
+    sizes: tuple[int, int] = (500, 10_000)
+    below: int = 1 << 31
+
+
+#: What is reported, and what numbers were chosen on. FreeSurfer's ids from 1000 on are parts of the cortex, which have
+#: no edge between them.
+REPORTED = (
+    Chosen("ct_abdomen_hires", 2, "a network"), Chosen("ct_abdomen_hires", 2, "a network", (10_000, 150_000)),
+    Chosen("mri_brain256", 3, "a program", below=1000),
+    Chosen("mri_brain256", 1, "a program", (10_000, 60_000), below=1000),
+    Chosen("mri_cord_iso", 1, "people"), Chosen("mri_cord_thick", 1, "people"), Chosen("fluo_nuclei1136", 1, "people"),
+    Chosen("synthetic_nuclei", 2, "a simulation"),
+)
+TUNED = (
+    Chosen("ct_vertebra_l3", 1, "a program"), Chosen("mri_lung_0004", 1, "people"),
+    Chosen("fluo_nuclei1135", 1, "people"),
+)
+#: Voxels around an object that is played.
+AROUND = 20
 #: How far the border may move, smallest spacings; most clicks of a game; Dice that are wanted.
 TO_EDGES, MOST_CLICKS, WANTED = 3.0, 4, (0.90, 0.95)
 Mask = NDArray[np.bool_]
@@ -60,13 +82,13 @@ class Case(NamedTuple):
         return np.asarray(self.labels == self.id)
 
 
-def cases(scans: dict[str, tuple[int, str]], folder: Path) -> Iterator[Case]:
+def cases(chosen: Sequence[Chosen], folder: Path) -> Iterator[Case]:
     """Objects at equal steps of rank by size, of those that are neither tiny nor huge."""
-    for scan, (count, made_by) in scans.items():
+    for scan, count, made_by, (least, most), below in chosen:
         image = accelsurf.read(folder / f"{scan}.nii.gz")
         labels = accelsurf.read_labels(folder / f"{scan}_ref.nii.gz").array
         ids, sizes = np.unique(labels[labels > 0], return_counts=True)
-        fits = (sizes >= SIZES[0]) & (sizes <= SIZES[1])
+        fits = (sizes >= least) & (sizes <= most) & (ids < below)
         ids = ids[fits][np.argsort(-sizes[fits])]
         for rank in np.linspace(0, len(ids) - 1, count + 2)[1:-1]:
             id = int(ids[round(rank)])
@@ -105,12 +127,13 @@ def cut(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator) ->
 
 
 def spotted(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator) -> Mask:
-    """Eight islands and eight holes of one to two spacings."""
-    out = truth.copy()
+    """Eight islands and eight holes of one to two of the largest spacings, or depths of the object where it is thin."""
+    depth = float(ndimage.distance_transform_edt(truth, sampling=spacing).max())
+    out, size = truth.copy(), min(max(spacing), depth)
     for where, value in ((~ndimage.binary_dilation(truth, iterations=4), True), (ndimage.binary_erosion(truth), False)):
         places = np.argwhere(where)
         for place in places[random.integers(len(places), size=8)] if len(places) else ():
-            spot = _ball(truth.shape, spacing, place, random.uniform(1, 2) * max(spacing))
+            spot = _ball(truth.shape, spacing, place, random.uniform(1, 2) * size)
             out[spot & where if value else spot] = value
     return out
 
@@ -259,22 +282,31 @@ def main() -> None:
     parser.add_argument("--tuning", action="store_true")
     parser.add_argument("--render", action="store_true")
     parser.add_argument("--ways", default=",".join(WORSE), help="masks that are played; the rows of others stay")
+    parser.add_argument("--new", action="store_true", help="only masks without a row are played")
     options = parser.parse_args()
     if not options.render:
         ways = options.ways.split(",")
-        before = json.loads(JSON.read_text())["rows"] if set(ways) < set(WORSE) and not options.tuning else []
-        rows: list[dict[str, Any]] = [row for row in before if row["way"] not in ways]
+        rows = [row for row in _known() if options.new or row["way"] not in ways] if not options.tuning else []
         for case in cases(TUNED if options.tuning else REPORTED, scans_folder()):
+            known = [row for row in rows if (row["scan"], row["id"]) == (case.scan, case.id)]
+            missing = [way for way in ways if way not in {row["way"] for row in known}]
+            if not missing:
+                continue
             print(f"{case.scan} {case.id}: {int(case.truth.sum())} voxels", flush=True)
-            known = [row for row in before if (row["scan"], row["id"]) == (case.scan, case.id)]
-            for row in play(case, ways, known):
+            for row in play(case, missing, known):
                 rows.append(row)
                 if not options.tuning:
                     JSON.write_text(json.dumps({"to_edges": TO_EDGES, "rows": rows}, indent=1) + "\n")
         if options.tuning:
             print(page(rows))
             return
-    put_table(PAGE, "mend", page(json.loads(JSON.read_text())["rows"]), "python -m benchmarks")
+    put_table(PAGE, "mend", page(_known()), "python -m benchmarks")
+
+
+def _known() -> list[dict[str, Any]]:
+    """Rows that were made before."""
+    rows: list[dict[str, Any]] = json.loads(JSON.read_text())["rows"]
+    return rows
 
 
 if __name__ == "__main__":
