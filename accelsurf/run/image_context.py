@@ -25,7 +25,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.region_growing import otsu_level
 
 if TYPE_CHECKING:
-    from accelsurf.clicks.model import ClickModel  # a viewer without a run imports no compiler
+    from accelsurf.clicks.model import ClickModel, Scene  # a viewer without a run imports no compiler
     from accelsurf.clicks.model.confidence import Confidence
     from accelsurf.clicks.model.given import GivenMask
     from accelsurf.clicks.model.partition import BasinsOnce
@@ -113,6 +113,8 @@ class ModelInputs(NamedTuple):
         Which answer to the first click is taken, from 1.
     given : GivenMask or None
         The object before any click, where a label map shows it.
+    box_mm3 : float or None
+        Volume of the box that was drawn around the object.
     """
 
     size_mm3: float | None = None
@@ -121,6 +123,7 @@ class ModelInputs(NamedTuple):
     window: Window | None = None
     answer: int = 1
     given: GivenMask | None = None
+    box_mm3: float | None = None
 
 
 class ImageContext:
@@ -241,6 +244,15 @@ class ImageContext:
         """
         return self._with(clicks=clicks, _before=before, _model=[])
 
+    def scene(self) -> Scene:
+        """The images as the model of clicks reads them."""
+        from accelsurf.clicks.model import Scene
+        from accelsurf.clicks.model.windows import sizes_in_box
+
+        size, mask, _, window, _, _, box_mm3 = self._model_inputs
+        sizes = None if size is not None or box_mm3 is None else sizes_in_box(box_mm3)
+        return Scene(tuple(self.images), self.spacing, mask, window, sizes)
+
     def click_model(self, previous: ClickModel | None = None) -> ClickModel:
         """The model of the clicks on the object, computed once; it goes on from that of the first of them, if given.
 
@@ -249,25 +261,24 @@ class ImageContext:
         UsageError
             When there is no click inside, and no mask shows the object.
         """
-        from accelsurf.clicks.model import Scene, click_model
+        from accelsurf.clicks.model import click_model
         from accelsurf.clicks.model.given import corrected_model
         from accelsurf.clicks.model.partition import partition_model
 
-        size, mask, partition, window, answer, given = self._model_inputs
+        size, mask, partition, _, answer, given, _ = self._model_inputs
         if given is None and (self.clicks is None or not self.clicks.mask("inside").any()):
             raise UsageError("energy: seeded was given without a click inside", "give --inside point:X,Y,Z")
         clicks = self.clicks or Clicks((), self._shape)
         if not self._model:
             if given is not None:
-                scene = Scene(tuple(self.images), self.spacing, mask, window)
-                made = corrected_model(scene, given, clicks, previous=previous)
+                made = corrected_model(self.scene(), given, clicks, previous=previous)
             elif partition is not None:
                 made = partition_model(self.images, self.spacing, clicks, mask=mask, basins=partition)
             else:
                 before = self._before
                 if previous is None and before is not None and before.clicks is not None and before.clicks.ids():
                     previous = before.click_model()
-                scene = Scene(tuple(self.images), self.spacing, mask, window)
+                scene = self.scene()
                 if size is not None:  # what fills the image has no surface
                     size = min(size, _FILLS * float(np.prod(scene.whole_shape) * np.prod(self.spacing)))
                 made = click_model(scene, clicks, size_mm3=size, answer=answer, previous=previous)

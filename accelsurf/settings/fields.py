@@ -148,7 +148,8 @@ class SettingFields(BaseModel):
     box: str | None = setting(
         None,
         "Box around the object, X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox: nothing "
-        "outside of it is in the object, and energies learn from what lies around it.",
+        "outside of it is in the object, which is taken to fill between a quarter and a half of it unless --size says "
+        "more, and energies learn from what lies around it.",
         entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
     )
     flow: Annotated[str, OneOf(lambda: (flow_specs.AUTO, *flow_specs.FLOWS))] = setting(

@@ -10,6 +10,7 @@ import numpy as np
 from accelsurf.api.segment import segment
 from accelsurf.clicks.model import ClickModel, Scene, click_model
 from accelsurf.clicks.model.network import Network
+from accelsurf.clicks.model.windows import sizes_in_box
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.image.volume import Volume
@@ -112,8 +113,10 @@ class StartAlone:
         self.scene = Scene((image.as_float32(),), image.geometry.spacing)
         self.image, self.size = image, hints.size_mm3
         if hints.box is not None:
-            self.scene = self.scene._replace(open=np.zeros(image.geometry.shape, np.bool_))
-            self.scene.open[hints.box] = True
+            is_open = np.zeros(image.geometry.shape, np.bool_)
+            is_open[hints.box] = True
+            box_mm3 = float(np.count_nonzero(is_open)) * image.geometry.voxel_volume
+            self.scene = self.scene._replace(open=is_open, sizes=sizes_in_box(box_mm3))
         self.clicks = Clicks((), image.geometry.shape)
         self.model: ClickModel | None = None
 

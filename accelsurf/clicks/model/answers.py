@@ -87,9 +87,17 @@ class Levels:
         index = min(max(round(volume_mm3 / self.window.block_mm3), 1), len(self._sorted) - 1)
         return Answer(float(0.5 * (self._sorted[index - 1] + self._sorted[index])), volume_mm3)
 
+    def likeliest(self) -> Answer:
+        """The likeliest answer, as large as the scene says that the object may be."""
+        found, sizes = self.volume(FROM), self.window.scene.sizes
+        wanted = found if sizes is None else min(max(found, sizes[0]), sizes[1])
+        return Answer(FROM, found) if wanted == found else self.of_volume(wanted)
+
     def answers(self) -> tuple[Answer, ...]:
         """The likeliest answer; a part of it, where the volume changes least with the level; all that is alike."""
-        likeliest = self.volume(FROM)
+        first = self.likeliest()
+        likeliest = first.volume_mm3
+        assert likeliest is not None
         volumes = [self.volume(level) for level in LEVELS]
         parts = [
             (before / max(after, self.window.block_mm3), level, volume)
@@ -97,7 +105,7 @@ class Levels:
             if 0.0 < volume <= PART * likeliest
         ]
         part = [Answer(*min(parts)[1:], OF_PART)] if parts else []
-        return (Answer(FROM, likeliest), *part, Answer(None, None, OF_ALIKE))
+        return (first, *part, Answer(None, None, OF_ALIKE))
 
 
 class Alike(NamedTuple):

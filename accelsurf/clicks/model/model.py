@@ -218,7 +218,8 @@ def first_blocks(
 ) -> FirstBlocks:
     """Return an answer to the first click on blocks, which is what it shows but for its boundary; see `first_model`."""
     network = networks()["first"] if network is None else network
-    for window in _windows(scene, [seed], size_mm3):
+    least = scene.sizes[0] if size_mm3 is None and scene.sizes is not None else size_mm3
+    for window in _windows(scene, [seed], least):
         probability, levels = read_first(window, network)
         answers = levels.answers() if size_mm3 is None else (levels.of_volume(size_mm3),)
         if not _touches(_object(probability, answers[0], window), window):

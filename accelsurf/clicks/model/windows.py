@@ -30,6 +30,9 @@ MIN_RADIUS = 1.5
 DEEPER = 2.0
 #: A click of at least so many of the smallest spacings is as large as clicks get.
 LARGEST = 7.5
+#: Parts of a box that the object in it is taken to fill: a ball fills half, half of the objects in drawn scenes fill
+#: between .2 and .45.
+IN_BOX = (0.25, 0.5)
 #: Voxels of a click count as its core from this part of the largest depth on; at most so many are used.
 CORE, CORE_VOXELS = 0.95, 64
 
@@ -58,12 +61,15 @@ class Scene(NamedTuple):
         The object lies in it; None for everywhere.
     part : accelsurf.grid.window.Window or None
         The images are this part of larger ones.
+    sizes : (float, float) or None
+        Least and largest volume of the object by its first click, mm3, where that is known.
     """
 
     images: tuple[Floats, ...]
     spacing: Spacing
     open: Mask | None = None
     part: Part | None = None
+    sizes: tuple[float, float] | None = None
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -226,6 +232,11 @@ class Window:
     def on_voxels(self, field: Floats) -> Floats:
         """Values at the voxels of the box, linear between the middles of blocks."""
         return on_voxels(field, self.steps.tolist(), [side.stop - side.start for side in self.box])
+
+
+def sizes_in_box(volume_mm3: float) -> tuple[float, float]:
+    """Least and largest volume, mm3, of an object around which a box of a volume was drawn."""
+    return IN_BOX[0] * volume_mm3, IN_BOX[1] * volume_mm3
 
 
 def seed_of(click: Click, scene: Scene) -> Seed:

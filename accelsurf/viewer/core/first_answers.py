@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model import Answer, Scene, click_model
+from accelsurf.clicks.model import Answer, click_model
 from accelsurf.clicks.model.answers import OF_ALIKE
 from accelsurf.clicks.model.model import first_blocks
 from accelsurf.clicks.model.windows import Spacing, seed_of
@@ -112,7 +112,7 @@ def _found(run: Run, answer: Answer) -> FirstAnswer:
     evolving = run.objects[0]
     context = evolving.context
     assert context.clicks is not None
-    scene = Scene(tuple(context.images), context.spacing, context.model_inputs.mask, context.model_inputs.window)
+    scene = context.scene()
     if answer.number == OF_ALIKE:
         try:
             model = click_model(scene, context.clicks, answer=OF_ALIKE)

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from accelsurf.api.segment import segment
 from accelsurf.clicks.model import Scene, click_model
 from accelsurf.clicks.model.answers import OF_ALIKE
-from accelsurf.grid.boxes import whole_box
+from accelsurf.grid.boxes import bounding_box, whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
+from tests.support.part_and_whole import CLICK, part_and_whole
 
 
 def tube(shape, spacing):
@@ -104,3 +106,29 @@ def test_a_part_of_a_larger_image_asks_for_more():
     click_model(part, click(place, (48, 64, 150)))  # the likeliest answer is in it
     with pytest.raises(LeavesWindow):
         click_model(part, click(place, (48, 64, 150)), answer=OF_ALIKE)
+
+
+def test_a_box_says_about_how_large_the_object_is():
+    image, part, whole = part_and_whole()
+    found = {}
+    for name, mask in (("part", part), ("whole", whole)):
+        box = ",".join(str(n) for side in (0, 1) for n in (
+            (s.start, s.stop - 1)[side] for s in bounding_box(mask)[::-1])) + "vox"
+        found[name] = segment(image, inside=CLICK, box=box).labels > 0
+        assert dice(found[name], mask) > 0.8, name
+    assert found["whole"].sum() > 1.3 * found["part"].sum()
+    # A stated size says more.
+    small = segment(image, inside=CLICK, box=box, size="1ml").labels > 0
+    assert 500 < small.sum() * image.geometry.voxel_volume < 2000
+
+
+@pytest.mark.parametrize(("sizes", "wanted"), [(None, 1.0), ((0.5, 2.0), 1.0), ((0.1, 0.5), 0.5), ((3.0, 9.0), 3.0)])
+def test_the_likeliest_answer_is_as_large_as_it_may_be(sizes, wanted):
+    shape = (40, 40, 40)
+    z, y, x = np.indices(shape) - 19.5
+    far = np.sqrt(z**2 + y**2 + x**2)
+    image = (1.0 / (1.0 + np.exp((far - 9.0) / 3.0))).astype(np.float32)  # no edge, but all levels
+    clicks, free = click((19, 19, 19), shape), Scene((image,), (1.0, 1.0, 1.0))
+    volume = click_model(free, clicks).answers[0].volume_mm3
+    scene = free if sizes is None else free._replace(sizes=(sizes[0] * volume, sizes[1] * volume))
+    assert click_model(scene, clicks).answers[0].volume_mm3 == pytest.approx(wanted * volume)
