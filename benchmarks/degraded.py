@@ -75,11 +75,12 @@ ABSORBED, VIEWS, ELECTRONIC = 4.0, 180, 5.0
 MAX_STEPS = 20_000
 #: Settings that are no choice.
 FIXED = ("reach", "implied")
-MOMENTUM = "momentum"
+MOMENTUM, DESCENT = "momentum", "descent"
 #: Takes as long as all others together.
 SLOW = "Sobolev"
-FLOWS = {MOMENTUM: "constant-density", "descent": "gradient", "heavy ball": "momentum", SLOW: "sobolev"}
+FLOWS = {MOMENTUM: "constant-density", DESCENT: "gradient", "heavy ball": "momentum", SLOW: "sobolev"}
 BALL, CLICK = "ball", "click"
+COLOURS = "#D55E00", "#0072B2", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "0.55"
 #: Dice within which two methods are level.
 LEVEL = 0.01
 Array = NDArray[np.float32]
@@ -184,8 +185,8 @@ def projected(values: Array, sigma: float, random: np.random.Generator) -> NDArr
     scale = ABSORBED / rays.max()
 
     def back(rays: NDArray[Any]) -> NDArray[Any]:
-        slices = [iradon(each, angles, output_size=side, circle=False) for each in rays]
-        return np.stack(slices)[:, : values.shape[1], : values.shape[2]] / scale
+        slices = np.stack([iradon(each, angles, output_size=side, circle=False) for each in rays])
+        return slices[:, : values.shape[1], : values.shape[2]] / scale
 
     arriving = np.exp(-scale * rays)
     unit = float(np.std(back(random.normal(size=rays.shape) / np.sqrt(arriving))))
@@ -342,13 +343,7 @@ def measured(crop: Crop, start: str, name: str, settings: Settings) -> list[Any]
             labels, steps, reason = np.zeros(crop.truth.shape, np.bool_), None, f"refused: {error}"
     seconds = time.process_time() - began
     far = surfaces(labels, crop.truth, crop.spacing)["mean_voxels"]
-    return [
-        round(dice(labels, crop.truth), 4),
-        None if far is None else round(far, 3),
-        steps,
-        round(seconds, 3),
-        reason,
-    ]
+    return [round(dice(labels, crop.truth), 4), far and round(far, 3), steps, round(seconds, 3), reason]
 
 
 # -- the study -----------------------------------------------------------------------------------------------
@@ -375,7 +370,7 @@ def main() -> None:
                 })  # fmt: skip
                 place["noise"][str(part)] = round(crop.noise / abs(crop.contrast), 3)
                 facts["runs"][key] = measured(crop, start, name, settings)
-                print(f"{time.process_time():.0f} s {key}", facts["runs"][key], flush=True)
+                print(key, facts["runs"][key], flush=True)
                 save(facts)
     write(facts)
 
@@ -396,6 +391,7 @@ def tasks(facts: Facts) -> Iterator[tuple[int, str, str, str, dict[str, Any]]]:
                 if (name == SLOW) != slow or (is_tuned and (part != at or len(method.grid) == 1)):
                     continue
                 settings = method.grid if is_tuned else [best(facts, at, start, name)]
+                settings = settings if is_tuned or name not in FLOWS else [*settings, best(facts, at, start, MOMENTUM)]
                 yield from ((part, scan, start, name, each) for each in settings)
 
 
@@ -432,7 +428,6 @@ def save(facts: Facts) -> None:
 class Reported(NamedTuple):
     """A run of the half that is reported."""
 
-    scan: str
     dice: float
     far: float | None
     steps: int | None
@@ -440,22 +435,29 @@ class Reported(NamedTuple):
     stop: str
 
 
-def reported(facts: Facts, part: int, start: str, name: str) -> list[Reported]:
-    """The runs of a method at an exposure; none where it has not been run on all scans on which momentum has."""
-    runs = compared(facts, part, start)
-    return [Reported(scan, *each[name]) for scan, each in runs.items() if name in each]
+def compared(facts: Facts, part: int, start: str, settings_of: str = "") -> dict[str, dict[str, Reported]]:
+    """For each scan that is reported the runs at an exposure, by method: of those that have been run on all.
 
-
-def compared(facts: Facts, part: int, start: str) -> dict[str, dict[str, list[Any]]]:
-    """For each scan that is reported the runs at an exposure, by method: of those that have been run on all."""
+    Each has its own settings, or those that another method has, where it has been run with them.
+    """
     found = {}
     for scan in scans(False):
-        head = f"{scan}/{part}/{start}/"
-        runs = {key.split("/")[3]: row for key, row in facts["runs"].items() if key.startswith(head)}
-        if set(METHODS[start]) - {SLOW} <= set(runs):
+        runs = {}
+        for name in METHODS[start]:
+            chosen_by = settings_of or name
+            if all(key_of(each, CHOSEN_AT[part], start, chosen_by, settings) in facts["runs"]
+                   for each in scans(True) for settings in METHODS[start][chosen_by].grid[1:]):  # fmt: skip
+                key = key_of(scan, part, start, name, best(facts, CHOSEN_AT[part], start, chosen_by))
+                runs |= {name: Reported(*facts["runs"][key])} if key in facts["runs"] else {}
+        if {MOMENTUM, DESCENT} <= set(runs):
             found[scan] = runs
     everywhere = set(METHODS[start]).intersection(*found.values())
     return {scan: {name: runs[name] for name in METHODS[start] if name in everywhere} for scan, runs in found.items()}
+
+
+def reported(facts: Facts, part: int, start: str, name: str, settings_of: str = "") -> list[Reported]:
+    """The runs of a method at an exposure; none where it has not been run on all scans on which momentum has."""
+    return [runs[name] for runs in compared(facts, part, start, settings_of).values() if name in runs]
 
 
 def write(facts: Facts) -> None:
@@ -464,6 +466,7 @@ def write(facts: Facts) -> None:
     for start in METHODS:
         put_table(PAGE, f"from a {start}", "\n".join(table_of_methods(facts, start)), COMMAND)
         put_table(PAGE, f"against momentum, from a {start}", "\n".join(table_of_pairs(facts, start)), COMMAND)
+    put_table(PAGE, "settings", "\n".join(table_of_settings(facts)), COMMAND)
     draw(facts)
 
 
@@ -490,17 +493,15 @@ def table_of_methods(facts: Facts, start: str) -> list[str]:
     """A row for each exposure and method."""
     lines = head_of(("exposure", "method", "settings", "Dice", "distance", "steps", "seconds", "best", "no object"))
     for part in EXPOSURES:
-        winners = [max(runs, key=lambda name: runs[name][0]) for runs in compared(facts, part, start).values()]
+        winners = [max(runs, key=lambda name: runs[name].dice) for runs in compared(facts, part, start).values()]
         for name in METHODS[start]:
             runs = reported(facts, part, start, name)
             if not runs:
                 continue
             fars = [np.inf if run.far is None else run.far for run in runs]
             steps = [run.steps for run in runs if run.steps is not None]
-            settings = " ".join(
-                f"{k} {v:g}" for k, v in best(facts, CHOSEN_AT[part], start, name).items() if k not in FIXED
-            )
-            cells = [label_of(part), name, settings or "its own", f"{np.mean([run.dice for run in runs]):.3f}",
+            settings = said(best(facts, CHOSEN_AT[part], start, name))
+            cells = [label_of(part), name, settings, f"{np.mean([run.dice for run in runs]):.3f}",
                      f"{np.median(fars):.2f}", f"{np.median(steps):.0f}" if steps else "",
                      f"{np.median([run.seconds for run in runs]):.2f}", f"{winners.count(name)} of {len(runs)}",
                      str(sum(run.far is None for run in runs))]  # fmt: skip
@@ -511,51 +512,77 @@ def table_of_methods(facts: Facts, start: str) -> list[str]:
 def table_of_pairs(facts: Facts, start: str) -> list[str]:
     """For each method and exposure by how much momentum is better, and how often."""
     lines = head_of(("momentum less", *(label_of(part) for part in EXPOSURES)))
-    for name in list(METHODS[start])[1:]:
-        cells = [name]
+    flows = [(name, MOMENTUM) for name in list(FLOWS)[1:] if start == BALL]
+    for name, settings_of in [(name, "") for name in list(METHODS[start])[1:]] + flows:
+        cells = [name + (", settings of momentum" if settings_of else "")]
         for part in EXPOSURES:
-            others = reported(facts, part, start, name)
-            pairs = zip(reported(facts, part, start, MOMENTUM) if others else [], others, strict=True)
-            gains = np.array([mine.dice - other.dice for mine, other in pairs])
-            better, worse = int((gains > LEVEL).sum()), int((gains < -LEVEL).sum())
-            level = gains.size - better - worse
-            cells.append(f"{gains.mean():+.3f} ({better} better, {level} level, {worse} worse)" if gains.size else "")
+            others = reported(facts, part, start, name, settings_of)
+            mine = reported(facts, part, start, MOMENTUM, settings_of) if others else []
+            cells.append(compare(mine, others))
         lines.append(row_of(cells))
     return lines
 
 
+def compare(mine: list[Reported], others: list[Reported]) -> str:
+    """By how much the Dice of some runs is higher than that of others, how often, and the steps of the others."""
+    if not mine:
+        return ""
+    gains = np.array([run.dice - other.dice for run, other in zip(mine, others, strict=True)])
+    better, worse = int((gains > LEVEL).sum()), int((gains < -LEVEL).sum())
+    steps = [other.steps / run.steps for run, other in zip(mine, others, strict=True) if other.steps and run.steps]
+    times = f", {np.median(steps):.1f} x its steps" if steps else ""
+    return f"{gains.mean():+.3f} ({better} better, {gains.size - better - worse} level, {worse} worse){times}"
+
+
+def table_of_settings(facts: Facts) -> list[str]:
+    """For the flows from a ball each setting, on the half that settings are chosen on."""
+    lines = head_of(("exposure", "settings", *FLOWS, "momentum less descent"))
+    for part, settings in itertools.product(sorted(set(CHOSEN_AT.values())), FLOW_GRID):
+        keys = {name: [key_of(scan, part, BALL, name, settings) for scan in scans(True)] for name in FLOWS}
+        runs = {name: [Reported(*facts["runs"][key]) for key in each] for name, each in keys.items()
+                if all(key in facts["runs"] for key in each)}  # fmt: skip
+        dices = (f"{np.mean([run.dice for run in runs[name]]):.3f}" if name in runs else "" for name in FLOWS)
+        if {MOMENTUM, DESCENT} <= set(runs):
+            lines.append(row_of([label_of(part), said(settings), *dices, compare(runs[MOMENTUM], runs[DESCENT])]))
+    return lines
+
+
+def said(settings: Settings) -> str:
+    """Settings, as a reader has them."""
+    return " ".join(f"{key} {value:g}" for key, value in settings.items() if key not in FIXED) or "its own"
+
+
 def draw(facts: Facts) -> None:
-    """Draw Dice against noise, and for each scan which method is best, and by how much momentum is behind it."""
+    """Draw Dice against noise, and for each scan which method is best: momentum where it is level."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
-    from matplotlib.patches import Rectangle
 
-    colours = dict(
-        zip(METHODS[BALL], ("#D55E00", "#0072B2", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "0.55"), strict=True)
-    )
+    colours = dict(zip(METHODS[BALL], COLOURS, strict=True))
     names, parts = scans(False), [part for part in EXPOSURES if any(compared(facts, part, start) for start in METHODS)]
-    figure, axes = plt.subplots(2, 2, figsize=(11, 8.5), dpi=100, layout="constrained")
+    figure, axes = plt.subplots(2, 2, sharex="col", figsize=(11, 8.5), dpi=100, layout="constrained")
     for column, start in enumerate(METHODS):
         top, tiles = axes[0, column], axes[1, column]
-        for name, colour in colours.items():
-            means = [np.mean([run.dice for run in reported(facts, part, start, name)] or [np.nan]) for part in parts]
-            style = {"linewidth": 2.5, "zorder": 3} if name == MOMENTUM else {"linewidth": 1.2}
-            top.plot(range(len(parts)), means, marker="o", markersize=4, color=colour, label=name, **style)
+        for name, settings_of in [*((name, "") for name in colours), (DESCENT, MOMENTUM)]:
+            runs = [reported(facts, part, start, name, settings_of) for part in parts]
+            means = [np.mean([run.dice for run in each] or [np.nan]) for each in runs]
+            width, style = 2.5 if name == MOMENTUM else 1.2, ":" if settings_of else "-"
+            label = f"{name}, settings of momentum" if settings_of else name
+            top.plot(means, style, marker="o", color=colours[name], label=label, linewidth=width)
         top.set(title=f"from a {start}", ylabel="mean Dice", ylim=(0, 1))
-        for axis in (top, tiles):
-            axis.set_xticks(range(len(parts)), [label_of(part) for part in parts])
+        tiles.set_xticks(range(len(parts)), [label_of(part) for part in parts])
         for x, part in enumerate(parts):
             for scan, runs in compared(facts, part, start).items():
-                first = max(runs, key=lambda name: runs[name][0])
-                y, behind = names.index(scan), runs[first][0] - runs[MOMENTUM][0]
-                tiles.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, color=colours[first], alpha=0.75))
-                words = f"{runs[first][0]:.2f}" + (f"  ({behind:.2f})" if first != MOMENTUM else "")
+                first = max(runs, key=lambda name: runs[name].dice)
+                y, behind = names.index(scan), runs[first].dice - runs[MOMENTUM].dice
+                words = f"{runs[first].dice:.2f}" + (f"  ({behind:.2f})" if behind > LEVEL else "")
+                first = first if behind > LEVEL else MOMENTUM
+                tiles.add_patch(plt.Rectangle((x - 0.5, y - 0.5), 1, 1, color=colours[first], alpha=0.75))
                 tiles.text(x, y, words, ha="center", va="center", fontsize=8)
         tiles.set(xlim=(-0.5, len(parts) - 0.5), ylim=(len(names) - 0.5, -0.5), xlabel="exposure")
         tiles.set_yticks(range(len(names)), names, fontsize=8)
-        tiles.set_title("best method and its Dice (behind it: momentum)", fontsize=10)
+        tiles.set_title("best method and its Dice (how far momentum is behind)", fontsize=10)
     axes[0, 1].legend(frameon=False, fontsize=8, ncol=2)
     figure.savefig(PICTURE, metadata={"Software": None})
     plt.close(figure)
