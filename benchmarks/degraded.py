@@ -566,6 +566,8 @@ def draw(facts: Facts) -> None:
         top, tiles = axes[0, column], axes[1, column]
         for name, settings_of in [*((name, "") for name in colours), (DESCENT, MOMENTUM)]:
             runs = [reported(facts, part, start, name, settings_of) for part in parts]
+            if not any(runs):
+                continue
             means = [np.mean([run.dice for run in each] or [np.nan]) for each in runs]
             width, style = 2.5 if name == MOMENTUM else 1.2, ":" if settings_of else "-"
             label = f"{name}, settings of momentum" if settings_of else name
