@@ -86,6 +86,15 @@ def test_a_surface_that_is_driven_up_goes_back_and_ends_at_the_lowest_state(flow
     assert back[0].smoothing_work > 0 or flow is Gradient
 
 
+def test_a_run_that_begins_near_its_end_and_finds_nothing_lower_ends_where_it_began():
+    rule = StopRule(patience=3)
+    evolution = Evolution(LevelSet(radius() - 6.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=400, rule=rule)
+    potential = run(evolution)
+    assert evolution.stop.reason == "stalled" and str(lowest.PATIENCE_AT_START) in evolution.stop.message
+    assert evolution.stop.step == lowest.PATIENCE_AT_START and evolution.history[-1].returned
+    assert potential[-1] == pytest.approx(potential[0], rel=1e-9) and potential[-1] == potential.min()
+
+
 def test_motion_without_a_stop_rule_is_left_alone():
     evolution = Evolution(LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=12)
     potential = run(evolution)
