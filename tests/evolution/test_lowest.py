@@ -9,7 +9,7 @@ from accelsurf.energies import ChanVese, Energy, LocalRegion, RegionField
 from accelsurf.evolution import lowest
 from accelsurf.evolution.convergence import Restart, StopRule
 from accelsurf.evolution.loop import Evolution
-from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall
+from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.support.level_set_checks import check_level_set
 
@@ -87,11 +87,11 @@ def test_a_surface_that_is_driven_up_goes_back_and_ends_at_the_lowest_state(flow
 
 
 def test_a_run_that_begins_near_its_end_and_finds_nothing_lower_ends_where_it_began():
-    rule = StopRule(patience=3)
-    evolution = Evolution(LevelSet(radius() - 6.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=400, rule=rule)
+    surface, limits, rule = LevelSet(radius() - 6.0, (1.0, 1.0, 1.0)), StepLimits(0.1, 100.0), StopRule(patience=3)
+    evolution = Evolution(surface, misled(), Gradient(), limits, max_steps=400, rule=rule)
     potential = run(evolution)
     assert evolution.stop.reason == "stalled" and str(lowest.PATIENCE_AT_START) in evolution.stop.message
-    assert evolution.stop.step == lowest.PATIENCE_AT_START and evolution.history[-1].returned
+    assert evolution.stop.steps == lowest.PATIENCE_AT_START and evolution.history[-1].returned
     assert potential[-1] == pytest.approx(potential[0], rel=1e-9) and potential[-1] == potential.min()
 
 
