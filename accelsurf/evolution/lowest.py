@@ -60,7 +60,7 @@ def go_back(state: LoopState, n: int, area: np.ndarray, surface: LevelSet, flow:
 
 
 def patience(state: LoopState, near_end: bool) -> int:
-    """How many steps without a lower potential a run makes before it goes back; ``near_end`` is where it began."""
+    """Return after how many steps without a lower potential a run goes back; ``near_end`` is where it began."""
     at_start = near_end and state.lowest is not None and state.lowest.step <= state.first
     return PATIENCE_AT_START if at_start else PATIENCE
 
