@@ -271,7 +271,7 @@ class Evolution:
             if decision == "continue":
                 reason = None
             elif reason is None:
-                reason = Reason("stalled", lowest.NO_LOWER.format(lowest.PATIENCE))
+                reason = Reason("stalled", lowest.NO_LOWER.format(self._patience()))
             fraction, area = surface.fraction_and_area()
             potential = state.potential
         columns = self._columns(n, potential, fraction, area) | {"returned": decision != "stay"}
@@ -395,9 +395,12 @@ class Evolution:
         elif state.lowest is not None:
             self.state.lowest = lowest.completed(state.lowest, surface)
         since = n - max(state.returned_at, state.lowest.step if state.lowest else 0)
-        decision = lowest.decide(reason, state, surface, since, self.rule.motion)
+        decision = lowest.decide(reason, state, surface, since, self.rule.motion, self._patience())
         # On a coarse level the surface has only come near its end.
         return "stay" if decision == "end" and self.level > 0 and reason is not None else decision
+
+    def _patience(self) -> int:
+        return lowest.patience(self.state, self.rule is not None and self.rule.patience is not None)
 
     def _left_rest(self, n: int, columns: dict[str, Any]) -> FoundRest | None:
         """Watch for a rest; the one that the surface has just broken through from, if the run shall end at it."""

@@ -16,6 +16,8 @@ from accelsurf.levelset.checkpoint import band_state, complete_state
 
 #: A run goes back when it has found no lower potential in so many steps and the surface has moved away since.
 PATIENCE = 60
+#: The same of a run that begins near its end and has found nothing lower than its start: it goes back there and ends.
+PATIENCE_AT_START = 20
 #: How often an evolution goes back and continues with shorter steps; once if the surface is gone, which is quick to
 #: happen again. Then it ends.
 MAX_RETURNS, MAX_RETURNS_IF_GONE = 3, 1
@@ -57,7 +59,15 @@ def go_back(state: LoopState, n: int, area: np.ndarray, surface: LevelSet, flow:
         state.budget.record_loss(before - state.potential - flow.energy(area))
 
 
-def decide(reason: Reason | None, state: LoopState, surface: LevelSet, since: int, same: float) -> Decision:
+def patience(state: LoopState, near_end: bool) -> int:
+    """Return after how many steps without a lower potential a run goes back; ``near_end`` is where it began."""
+    at_start = near_end and state.lowest is not None and state.lowest.step <= state.first
+    return PATIENCE_AT_START if at_start else PATIENCE
+
+
+def decide(
+    reason: Reason | None, state: LoopState, surface: LevelSet, since: int, same: float, patient: int = PATIENCE
+) -> Decision:
     """Decide if the loop goes back to the lowest state.
 
     Parameters
@@ -72,6 +82,8 @@ def decide(reason: Reason | None, state: LoopState, surface: LevelSet, since: in
         Steps since the lowest state, or since it was last gone back to.
     same : float
         Mean distance, voxels, up to which two surfaces count as the same: the run just ends at the lower one.
+    patient : int
+        From `patience`.
     """
     lowest, returns = state.lowest, state.returns
     if lowest is None or not lowest.is_below(state.potential):
@@ -80,11 +92,11 @@ def decide(reason: Reason | None, state: LoopState, surface: LevelSet, since: in
     if name in ("vanished", "filled"):
         # If it happens again, what is left there is smaller than the grid resolves.
         return "continue" if returns < MAX_RETURNS_IF_GONE else "stay"
-    if name == "interrupted" or (name is None and (since == 0 or since % PATIENCE)):
+    if name == "interrupted" or (name is None and (since == 0 or since % patient)):
         return "stay"
     if name == "max-steps":
         return "end"
-    again: Decision = "continue" if returns < MAX_RETURNS else "end"
+    again: Decision = "continue" if returns < MAX_RETURNS and patient == PATIENCE else "end"
     if name == "diverged" or surface.distance_from(lowest.snapshot).mean > same:
         return again
     return "stay" if name is None else "end"

@@ -7,7 +7,7 @@ import numpy as np
 from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.grid import unravel, voxels_along
 from accelsurf.kernels.interpolate import band_rows, band_value_at, linear_band_value
-from accelsurf.kernels.march import OPEN, length
+from accelsurf.kernels.march import OPEN, is_within_reach, length
 from accelsurf.kernels.simd.cubic import cubic_rows
 
 #: The smallest distance that a cell may be given, as a part of the smallest spacing, so that psi has a sign.
@@ -29,13 +29,15 @@ def extent(cells, grid, out):
 
 
 @kernel(stage=Stage.BAND)
-def keep_mask(start, stop, grid, foot, state, half_width, keep):
-    """Mark in ``keep`` (n,) bool the slots whose foot is known and within ``half_width`` voxels.
+def keep_mask(start, stop, psi, grid, known, half_width, keep):
+    """Mark in ``keep`` (n,) bool the slots whose foot is known, within ``half_width`` voxels and `is_within_reach`.
 
-    ``state`` (n,) int8 as in `march`.
+    ``known`` = (cells, foot, state), a row for each slot, as in `march`.
     """
+    cells, foot, state = known
     for s in range(start, stop):
-        keep[s] = state[s] != OPEN and voxels_along(foot[s, 0], foot[s, 1], foot[s, 2], grid) <= half_width
+        voxels = voxels_along(foot[s, 0], foot[s, 1], foot[s, 2], grid)
+        keep[s] = state[s] != OPEN and voxels <= half_width and is_within_reach(psi, grid, cells[s], voxels)
 
 
 @kernel(stage=Stage.BAND)

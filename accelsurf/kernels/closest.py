@@ -10,12 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, unravel_in_vectors
+from accelsurf.kernels.grid import BATCH, THICK, neighbours, step_of, unravel, unravel_in_vectors
 from accelsurf.kernels.interpolate import LEVELS, enter_point, limited_in_vectors, limited_memory, value_and_gradient
 from accelsurf.kernels.simd.cubic import cubic
-
-#: Slices are thick from this ratio of the spacings on.
-THICK = 4.0
 
 
 @kernel

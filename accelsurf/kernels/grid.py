@@ -15,6 +15,8 @@ from accelsurf.kernels._jit import kernel
 BLOCK = 4096
 #: Cells whose arithmetic is done together, in rows: as they do not depend on each other, it runs in vectors.
 BATCH = 128
+#: Slices are thick from this ratio of the spacings on.
+THICK = 4.0
 
 
 class Grid(NamedTuple):
@@ -46,6 +48,12 @@ class DenseArrays(NamedTuple):
 
     psi: np.ndarray
     slot: np.ndarray
+
+
+@kernel
+def is_thick(grid):
+    """Test if the spacings differ so much that a length in voxels says little of one in mm."""
+    return max(grid.hz, max(grid.hy, grid.hx)) >= THICK * min(grid.hz, min(grid.hy, grid.hx))
 
 
 @kernel

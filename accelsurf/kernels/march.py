@@ -27,7 +27,7 @@ from accelsurf.kernels.closest import (
     is_between_signs,
     is_near_volume,
 )
-from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
+from accelsurf.kernels.grid import BATCH, is_thick, neighbours, step_of, unravel, voxels_along
 
 #: State of a slot's foot: not known yet; known; known, and a neighbour is not in the band.
 OPEN, FROZEN, EDGE = 0, 1, 2
@@ -35,6 +35,8 @@ OPEN, FROZEN, EDGE = 0, 1, 2
 MARGIN = 1.0
 #: A cell enters when it is at most this much beyond the band, voxels, by its neighbour's tangent plane.
 SLACK = 0.1
+#: Along each axis of a grid of thick slices the band extends so many voxels from a change of the sign.
+REACH = 3
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
@@ -189,8 +191,32 @@ def tangent_foot(foot, via, grid, cz, cy, cx, out):
     return voxels_along(cz, cy, cx, grid)
 
 
+@kernel
+def is_within_reach(psi, grid, cell, voxels):
+    """Test if a cell with a foot of so many ``voxels`` belongs to the band on thick slices; on other grids all do.
+
+    Where the spacings differ so much a foot may be long in voxels while the surface is near across the slices. So psi
+    must change its sign within `REACH` voxels: what is interpolated at the surface and beside it reads no others.
+    """
+    if voxels <= REACH or not is_thick(grid):
+        return True
+    iz, iy, ix = unravel(cell, grid)
+    inside = psi[np.uint64(cell)] < 0.0
+    for step in range(2 * REACH + 1):
+        # The nearest slices first: 0, 1, -1, 2 ...
+        az = iz + (step + 1) // 2 * (2 * (step % 2) - 1)
+        if az < 0 or az >= grid.nz:
+            continue
+        for ay in range(max(iy - REACH, 0), min(iy + REACH + 1, grid.ny)):
+            row = (az * grid.ny + ay) * grid.nx
+            for ax in range(max(ix - REACH, 0), min(ix + REACH + 1, grid.nx)):
+                if (psi[np.uint64(row + ax)] < 0.0) != inside:
+                    return True
+    return False
+
+
 @kernel(stage=Stage.CLOSEST_POINTS)
-def wake_neighbours(start, stop, slot, grid, known, sources, half_width, entering):
+def wake_neighbours(start, stop, dense, grid, known, sources, half_width, entering):
     """Mark the neighbours in the band of the slots ``sources`` (m,), whose feet are new or at its edge, as active.
 
     They may get a closer foot. A neighbour that is not in the band shall enter it when the tangent plane at the
@@ -212,14 +238,15 @@ def wake_neighbours(start, stop, slot, grid, known, sources, half_width, enterin
         for side in range(6):
             if near[side] < 0:
                 continue
-            other = slot[np.uint64(near[side])]
+            other = dense.slot[np.uint64(near[side])]
             if other >= 0:
                 # Several threads may write it here, all the same.
                 active[np.uint64(other)] = True
                 continue
             oz, oy, ox = step_of(side, grid)
             cz, cy, cx = foot[source, 0] - oz, foot[source, 1] - oy, foot[source, 2] - ox
-            if tangent_foot(foot, source, grid, cz, cy, cx, guess) <= half_width + SLACK:
+            voxels = tangent_foot(foot, source, grid, cz, cy, cx, guess)
+            if voxels <= half_width + SLACK and is_within_reach(dense.psi, grid, near[side], voxels):
                 sides |= 1 << side
         entering[row] = sides
 

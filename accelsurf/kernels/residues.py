@@ -35,6 +35,9 @@ MAX_LIMITED = 0.05
 #: Distance from the surface, voxels, within which cells have a residue of their own. Others have that of the cell
 #: nearest their foot: their feet then lie on the same surface as those beside it.
 OWN_RESIDUE = 1.0
+#: From this ratio of the spacings on most of the surface lies between two slices with no cell so near: cells that find
+#: none there keep a residue of their own.
+VERY_THICK = 16.0
 
 
 @kernel
@@ -109,6 +112,7 @@ def largest_residue(psi, grid, point, memory):
 def own_residues(start, stop, psi, grid, band, motion, out):
     """Residue (mm) of every cell within `OWN_RESIDUE`; 0 elsewhere, and beside no surface.
 
+    On slices as thick as `VERY_THICK` every cell has one whose foot is well inside the volume.
     ``psi`` is a distance and ``band`` its band, or psi has moved since, by ``motion`` = (velocity (n, 3), dt).
     ``out`` = (residue (n,) float32, near (n,) bool): whether the cell is so near.
     """
@@ -117,7 +121,7 @@ def own_residues(start, stop, psi, grid, band, motion, out):
     h = min(grid.hz, min(grid.hy, grid.hx))
     least, most = MIN_RESIDUE * h, MAX_RESIDUE * h
     limit = 2.0 * MAX_RESIDUE * max(grid.hz, max(grid.hy, grid.hx))
-    equal = grid.hz == grid.hy == grid.hx
+    equal, thick = grid.hz == grid.hy == grid.hx, max(grid.hz, max(grid.hy, grid.hx)) >= VERY_THICK * h
     lines, first = limited_memory(grid), np.zeros(BATCH, np.int64)
     furthest = 1.01 * OWN_RESIDUE * max(grid.hz, max(grid.hy, grid.hx))
     sy, sz = grid.nx, grid.ny * grid.nx
@@ -125,7 +129,7 @@ def own_residues(start, stop, psi, grid, band, motion, out):
         residue[s] = 0.0
         # The length of the foot, when psi was a distance.
         near[s] = abs(band.psi[s]) <= furthest and has_own_residue(s, grid, band)
-        if not near[s]:
+        if not near[s] and not thick:
             continue
         pz, py, px = known_point(s, grid, band, motion)
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
@@ -133,8 +137,10 @@ def own_residues(start, stop, psi, grid, band, motion, out):
         if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
             at = (bz * grid.ny + by) * grid.nx + bx
             value = cubic_value(psi, at, sy, sz, np.float32(pz - bz), np.float32(py - by), np.float32(px - bx))
-        else:
+        elif near[s]:
             value, _, _, _ = value_and_gradient(psi, grid, pz, py, px, w)
+        else:
+            continue
         size = abs(value) - least
         if abs(value) > most:
             # Beyond the largest voxel nothing is left in any direction.
@@ -147,7 +153,7 @@ def own_residues(start, stop, psi, grid, band, motion, out):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def distant_residues(start, stop, slot, grid, band, motion, out):
-    """Residue of every cell beyond `OWN_RESIDUE`: that of the cell nearest its foot, where that has one of its own.
+    """Residue of every cell beyond `OWN_RESIDUE`: that of the cell nearest its foot, where that is within.
 
     ``out`` as `own_residues` has filled it.
     """

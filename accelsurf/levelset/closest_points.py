@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.kernels import fast_marching, march, residues
+from accelsurf.kernels.grid import THICK
 from accelsurf.levelset.extension import FAST_MARCHING
 from accelsurf.levelset.measures import Motion, NarrowBand
 
@@ -37,7 +38,7 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
     room = n + n // 4 + 1024
     cells, to_closest, state = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int8)
     cells[:n] = surface.band.cells
-    inner, found = float(surface.gamma - 1.5 * max(grid.hz, grid.hy, grid.hx)), np.empty(n, np.int8)
+    inner, found = inner_distance(surface), np.empty(n, np.int8)
     residue, known_residues = np.zeros(room, np.float32), surface.residues
     limited = known_residues is None
     if known_residues is not None:
@@ -51,7 +52,7 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
     for _ in range(MAX_ROUNDS):
         known, entering = (cells, to_closest, state, active), np.empty(sources.size, np.uint8)
         around = grid, known, sources, surface.half_width
-        parallel(march.wake_neighbours, sources.size, dense.slot, *around, entering)
+        parallel(march.wake_neighbours, sources.size, dense, *around, entering)
         (cells, to_closest, state, active), size = surface.workers.serial(
             march.enter_neighbours, dense.slot, grid, known, size, sources, entering
         )
@@ -72,6 +73,13 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
     later = np.flatnonzero(refined_later[:size])
     parallel(march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited))
     return ClosestPoints(cells, to_closest, state, size)
+
+
+def inner_distance(surface: NarrowBand) -> float:
+    """Distance from the surface, mm, within which the neighbours of a cell are in the band."""
+    grid = surface.grid
+    finest, coarsest = min(grid.hz, grid.hy, grid.hx), max(grid.hz, grid.hy, grid.hx)
+    return float(surface.gamma - 1.5 * coarsest) if coarsest < THICK * finest else finest
 
 
 def find_residues(surface: NarrowBand, moved: Motion) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from accelsurf.kernels import fast_marching, march
 from accelsurf.kernels.band import MIN_DISTANCE
 from accelsurf.kernels.fast_marching import ACCEPTED, FAR
-from accelsurf.levelset.closest_points import MAX_ROUNDS, ClosestPoints, beside_surface
+from accelsurf.levelset.closest_points import MAX_ROUNDS, ClosestPoints, beside_surface, inner_distance
 from accelsurf.levelset.extension import FAST_MARCHING, ExtensionTable, extension_table
 from accelsurf.levelset.measures import NarrowBand
 from accelsurf.levelset.threads import Workers
@@ -54,8 +54,7 @@ def _find_closest_beside(surface: NarrowBand, front: np.ndarray, to_closest: np.
     parallel, grid, dense, n = surface.workers.parallel, surface.grid, surface.dense, surface.size
     known = surface.residues
     residue, limited = np.zeros(n, np.float32) if known is None else known.copy(), known is None
-    inner = float(surface.gamma - 1.5 * max(grid.hz, grid.hy, grid.hx))
-    start = inner, residue, limited
+    start = inner_distance(surface), residue, limited
     parallel(fast_marching.find_front_feet, front.size, dense, grid, surface.band, start, front, to_closest)
     state = np.full(n, march.OPEN, np.int8)
     state[front] = march.FROZEN

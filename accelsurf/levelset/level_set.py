@@ -331,7 +331,8 @@ class LevelSet:
         marching = self.extension == FAST_MARCHING
         cells, to_closest, state, total = (march_outwards if marching else find_closest_points)(self)
         keep = np.empty(total, np.bool_)
-        parallel(band_kernels.keep_mask, total, self.grid, to_closest, state, self.half_width, keep)
+        known = cells, to_closest, state
+        parallel(band_kernels.keep_mask, total, self.dense.psi, self.grid, known, self.half_width, keep)
         entered = n + np.flatnonzero(keep[n:])
         entered = entered[np.argsort(cells[entered], kind="stable")]
         order = self.workers.serial(band_kernels.merged_order, cells, n, keep, entered)

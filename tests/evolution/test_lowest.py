@@ -9,7 +9,7 @@ from accelsurf.energies import ChanVese, Energy, LocalRegion, RegionField
 from accelsurf.evolution import lowest
 from accelsurf.evolution.convergence import Restart, StopRule
 from accelsurf.evolution.loop import Evolution
-from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall
+from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.support.level_set_checks import check_level_set
 
@@ -84,6 +84,15 @@ def test_a_surface_that_is_driven_up_goes_back_and_ends_at_the_lowest_state(flow
         assert evolution.history[-1].volume_mm3 == pytest.approx(4 / 3 * np.pi * 6**3, rel=0.15)
     # What it went back from is in the account, and the steps became shorter.
     assert back[0].smoothing_work > 0 or flow is Gradient
+
+
+def test_a_run_that_begins_near_its_end_and_finds_nothing_lower_ends_where_it_began():
+    surface, limits, rule = LevelSet(radius() - 6.0, (1.0, 1.0, 1.0)), StepLimits(0.1, 100.0), StopRule(patience=3)
+    evolution = Evolution(surface, misled(), Gradient(), limits, max_steps=400, rule=rule)
+    potential = run(evolution)
+    assert evolution.stop.reason == "stalled" and str(lowest.PATIENCE_AT_START) in evolution.stop.message
+    assert evolution.stop.steps == lowest.PATIENCE_AT_START and evolution.history[-1].returned
+    assert potential[-1] == pytest.approx(potential[0], rel=1e-9) and potential[-1] == potential.min()
 
 
 def test_motion_without_a_stop_rule_is_left_alone():

@@ -31,8 +31,9 @@ def scattered(shape, seed, share=0.6):
 def test_keep_mask_drops_the_unknown_and_the_far():
     foot = np.array([(2.9, 0, 0), (3.1, 0, 0), (0, 0.99, 0), (0, 0, 0.71), (0, 0, 0)], np.float32)
     state = np.array([FROZEN, FROZEN, EDGE, FROZEN, OPEN], np.int8)
-    keep = np.ones(5, bool)
-    band_kernels.keep_mask(0, 5, reference.grid_of((5, 1, 1), SPACING), foot, state, 1.0, keep)
+    keep, psi = np.ones(5, bool), np.ones(5, np.float32)
+    grid = reference.grid_of((5, 1, 1), SPACING)
+    band_kernels.keep_mask(0, 5, psi, grid, (np.arange(5), foot, state), 1.0, keep)
     np.testing.assert_array_equal(keep, [True, False, True, False, False])
 
 

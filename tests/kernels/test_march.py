@@ -703,7 +703,7 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
         arrays = [np.concatenate([a, np.zeros((room, *a.shape[1:]), a.dtype)]) for a in arrays]
         entering, middle = np.full(sources.size, 255, np.uint8), sources.size // 3
         for first, last in ((middle, sources.size), (0, middle)):
-            march.wake_neighbours(first, last, dense.slot, grid, tuple(arrays), sources, half_width, entering)
+            march.wake_neighbours(first, last, dense, grid, tuple(arrays), sources, half_width, entering)
         np.testing.assert_array_equal(arrays[3][:n], active)
         arrays, total = march.enter_neighbours(dense.slot, grid, tuple(arrays), n, sources, entering)
         assert all(a.shape[0] >= total for a in arrays)
@@ -717,6 +717,22 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
         results.append(dense.slot.copy())
         np.testing.assert_array_equal(dense.slot[cells], np.arange(total))
     assert all((r == results[0]).all() for r in results)
+
+
+def test_the_band_on_thick_slices_goes_as_far_as_the_sign_changes_nearby():
+    """Beyond a few voxels of foot, where psi has both signs in the box around the cell; on other grids everywhere."""
+    psi = reference.smooth_noise((9, 14, 15), 16, 1.5)
+    box = 2 * march.REACH + 1
+    low, high = (f(psi, size=box, mode="nearest") for f in (ndimage.minimum_filter, ndimage.maximum_filter))
+    want = ((low < 0) & (high >= 0)).ravel()
+    thick, even = (reference.grid_of(psi.shape, spacing) for spacing in ((5.0, 1.0, 1.0), (3.0, 1.0, 1.0)))
+    far, near = march.REACH + 0.1, march.REACH - 0.1
+    flat = psi.ravel()
+    got = np.array([march.is_within_reach(flat, thick, cell, far) for cell in range(psi.size)])
+    np.testing.assert_array_equal(got, want)
+    assert 0 < want.sum() < want.size
+    assert all(march.is_within_reach(flat, thick, cell, near) for cell in range(psi.size))
+    assert all(march.is_within_reach(flat, even, cell, far) for cell in range(psi.size))
 
 
 def test_active_slots_are_taken_once_and_in_order():
