@@ -9,7 +9,7 @@ collect_ignore = []
 if importlib.util.find_spec("PySide6") is None or importlib.util.find_spec("pyvistaqt") is None:
     collect_ignore.append("accelsurf/viewer/window")
 if importlib.util.find_spec("napari") is None:
-    collect_ignore.append("accelsurf/napari/widget.py")
+    collect_ignore += ["accelsurf/napari/widget.py", "tests/support/remote_napari.py"]
 
 # Started in the background, a process and all that it starts ignore Ctrl-C; some tests send it to programs.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -93,7 +93,7 @@ def _extent_of(text: str, geometry: Geometry) -> Box:
     Examples
     --------
     >>> _extent_of("ball:4,4,4,2", Geometry((20, 20, 9), (1.0, 1.0, 1.0)))
-    (slice(3, 6, None), slice(3, 6, None), slice(3, 6, None))
+    (slice(2, 7, None), slice(2, 7, None), slice(2, 7, None))
     """
     if found := _clicks_of(text, "inside", geometry):
         return functools.reduce(enclosing, (click.box for click in found))

@@ -135,10 +135,11 @@ def test_without_start_and_energy_clicks_choose_both():
     truth = distance < 8
     assert 2 * (truth & (result.labels > 0)).sum() / (truth.sum() + result.labels.sum()) > 0.8
     assert result.stop.reason == "converged"
-    named = segment(volume, inside="ball:12,10,10,2", energy="chan-vese", threads=1, max_steps=0)
-    assert named.labels.sum() == segment(volume, start="ball:12,10,10,2", threads=1, max_steps=0).labels.sum()
-    both = segment(volume, inside="point:12,10,10", start="ball:12,10,10,2", energy="chan-vese", max_steps=0)
-    assert both.config.start == ("ball:12,10,10,2",) and both.labels.sum() == named.labels.sum()
+    # A click has the voxels on its rim, of which a start's surface passes through the centres.
+    named = segment(volume, inside="ball:12,10,10,2.1", energy="chan-vese", threads=1, max_steps=0)
+    assert named.labels.sum() == segment(volume, start="ball:12,10,10,2.1", threads=1, max_steps=0).labels.sum()
+    both = segment(volume, inside="point:12,10,10", start="ball:12,10,10,2.1", energy="chan-vese", max_steps=0)
+    assert both.config.start == ("ball:12,10,10,2.1",) and both.labels.sum() == named.labels.sum()
     assert RunConfig(inside="point:1,1,1", energy="chan-vese").energy == "chan-vese"
     assert RunConfig(inside="point:1,1,1").replace(cfl=0.4).energy == "seeded"
     assert RunConfig(energy="chan-vese").replace(inside="point:1,1,1").energy == "chan-vese"
@@ -225,7 +226,7 @@ def two_balls(tmp_path, rows, header="id,x,y,z,r,side"):
     return Volume.from_array(image.astype(np.float32)), str(file)
 
 
-ROWS = ("1,11,11,11,2,inside", "7,31,11,11,2,inside", "7,31,13,16,1.2,outside", "1,2,21,2,,inside", "0,21,2,2,2,inside")
+ROWS = ("1,11,11,11,1.9,inside", "7,31,11,11,1.9,inside", "7,31,13,16,1.2,outside", "1,2,21,2,,inside", "0,21,2,2,2,inside")
 
 
 @pytest.mark.sampled(1)
