@@ -226,7 +226,9 @@ def two_balls(tmp_path, rows, header="id,x,y,z,r,side"):
     return Volume.from_array(image.astype(np.float32)), str(file)
 
 
-ROWS = ("1,11,11,11,1.9,inside", "7,31,11,11,1.9,inside", "7,31,13,16,1.2,outside", "1,2,21,2,,inside", "0,21,2,2,2,inside")
+ROWS = (
+    "1,11,11,11,1.9,inside", "7,31,11,11,1.9,inside", "7,31,13,16,1.2,outside", "1,2,21,2,,inside", "0,21,2,2,2,inside"
+)
 
 
 @pytest.mark.sampled(1)
