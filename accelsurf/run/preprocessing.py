@@ -23,7 +23,7 @@ from accelsurf.image.volume import Volume, check_image
 from accelsurf.io import LazyVolume
 from accelsurf.run.clicks import placed
 from accelsurf.run.image_context import ImageContext, Mask, ModelInputs, Scale
-from accelsurf.run.region_of_interest import cropped, distance_of_mask, region_of_interest
+from accelsurf.run.region_of_interest import cropped, distance_of_mask
 from accelsurf.run.window_input import WindowInput, region_in, whole_of, window_of
 from accelsurf.settings import budgets, energy_expression
 from accelsurf.settings.run_config import RunConfig
@@ -243,10 +243,8 @@ def _context(
         partition = BasinsOnce()
     window = None if part is None else part.open_window
     box_mm3 = None
-    if config.box is not None and config.objects is None:  # of several objects it holds all
-        geometry = volumes[0].geometry
-        sides = [s.stop - s.start for s in region_of_interest(config.box, geometry, "box")]
-        box_mm3 = math.prod(sides) * geometry.voxel_volume
+    if limits is not None and config.box is not None and config.objects is None:  # of several objects it holds all
+        box_mm3 = float(np.count_nonzero(limits)) * volumes[0].geometry.voxel_volume
     inputs = ModelInputs(size, limits, partition, window, config.answer, box_mm3=box_mm3)
     context = context.with_model_inputs(inputs)
     # Likelihood learns from --foreground once; with update=yes it refuses it.

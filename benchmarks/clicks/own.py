@@ -130,13 +130,15 @@ class StartAlone:
 
     def other_answers(self) -> list[Mask]:
         """Labels of the other answers to the clicks so far, which a person may choose after the first one."""
-        return [model.inside_on(whole_box(model.clicks.shape)) for model in self._others()]
+        others = range(0 if self.model is None else len(self.model.answers) - 1)
+        return [self._other(number).inside_on(whole_box(self.clicks.shape)) for number in others]
 
     def take(self, number: int) -> Mask:
         """Labels of one of `other_answers`, from which the next click goes on."""
-        self.model = self._others()[number]
-        return self.model.inside_on(whole_box(self.model.clicks.shape))
+        self.model = self._other(number)
+        return self.model.inside_on(whole_box(self.clicks.shape))
 
-    def _others(self) -> list[ClickModel]:
-        numbers = [] if self.model is None else [answer.number for answer in self.model.answers[1:]]
-        return [click_model(self.scene, self.clicks, size_mm3=self.size, answer=number) for number in numbers]
+    def _other(self, number: int) -> ClickModel:
+        assert self.model is not None
+        answer = self.model.answers[1 + number].number
+        return click_model(self.scene, self.clicks, size_mm3=self.size, answer=answer)

@@ -118,6 +118,9 @@ def test_a_region_of_interest_is_scaled_by_its_own_values(image):
     assert_same(whole, part)
     whole, part, _ = both(image, inside="ball:70,60,60,3", box="48,38,38,92,82,85")
     assert_same(whole, part)
+    # Voxel indices are those of the whole image, and the size that a box tells is that of the whole box.
+    whole, part, _ = both(image, inside="ball:70,60,60,3", box="64,54,45,112,104,88vox")
+    assert_same(whole, part)
 
 
 def test_channels_are_read_in_the_same_windows(image):
