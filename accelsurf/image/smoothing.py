@@ -95,7 +95,7 @@ def reach_of(width: float, widths: float = REACH) -> int:
 
 
 def gaussian_weights(width: float, widths: float = REACH) -> NDArray[np.float64]:
-    """Weights of a voxel and of those up to ``widths`` widths, in voxels, to either side of it; of all they sum up to 1.
+    """Weights of a voxel and those up to ``widths`` widths, in voxels, to either side; of all they sum up to 1.
 
     Examples
     --------
