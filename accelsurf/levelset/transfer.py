@@ -7,11 +7,21 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Corner
+from accelsurf.grid.boxes import Corner, corner_of, widened
 from accelsurf.grid.pyramid import Level
 from accelsurf.kernels import transport
 from accelsurf.kernels.grid import Grid
 from accelsurf.levelset.level_set import LevelSet
+
+
+def slots_of(surface: LevelSet, level: Level) -> tuple[NDArray[np.int32], Level]:
+    """Slots of a band without its surface: raveled, in a box around the band, and that box of ``level``, its grid."""
+    low, high = surface.extent()
+    # A place between two cells is read from no further than the voxel beside the band.
+    z, y, x = (slice(int(first), int(last)) for first, last in zip(low, high, strict=True))
+    box = widened((z, y, x), surface.shape, (1, 1, 1))
+    slots = surface.dense.slot.reshape(surface.shape)[box]
+    return slots.flatten(), level.on_box(corner_of(box), slots.shape)
 
 
 def transfer_fields(

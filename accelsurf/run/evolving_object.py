@@ -18,7 +18,7 @@ from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.energies.constraints.contact import Neighbour, NonOverlap
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.evolution.loop import Evolution
-from accelsurf.evolution.multilevel import FAILED, prolong_surface, rule_on_level
+from accelsurf.evolution.multilevel import FAILED, rule_on_level
 from accelsurf.evolution.records import Step, Stop
 from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import Checkpoint, LoopState
@@ -28,7 +28,7 @@ from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.geometry import farthest
 from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.levelset import LevelSet, Workers
-from accelsurf.levelset.transfer import shift_fields
+from accelsurf.levelset.transfer import shift_fields, slots_of, transfer_fields
 from accelsurf.run.clicks import BallEdit, LevelClicks, apply_balls
 from accelsurf.run.image_context import ImageContext
 from accelsurf.run.start_pyramid import LevelInputs, StartPyramid, finer_box, to_finest
@@ -190,13 +190,19 @@ class EvolvingObject:
             self._begin_from_start(before.state.on_next_grid(with_fields=False))
             return
         self._starts.release()
-        mine = coarse.on_box(self.corner, before.surface.shape)
-        self.corner, shape = finer_box(self.corner, before.surface.shape, coarse, self.grid)
+        old, flow, state = before.surface, before.flow, before.state.on_next_grid(with_fields=True)
+        mine = coarse.on_box(self.corner, old.shape)
+        slots, slots_level = slots_of(old, mine)
+        self.corner, shape = finer_box(self.corner, old.shape, coarse, self.grid)
         theirs = self.grid.on_box(self.corner, shape)
-        psi = prolong(before.surface.psi, mine, theirs)
+        psi = prolong(old.psi, mine, theirs)
+        # The coarse image, psi and slots go before the finer band is built, where memory is highest.
+        del before, old, self.evolution, self.made
         self._clicks.apply(psi, self.level, box_at(self.corner, shape))
-        surface, fields = prolong_surface(psi, before.surface, before.flow, mine, theirs, self._setup.half_width)
-        self._evolve(surface, before.state.on_next_grid(with_fields=True), fields)
+        surface = self._surface_of(psi)
+        fields = transfer_fields(flow.fields, flow.fill_values, slots, slots_level, surface, theirs)
+        flow.change_grid(surface, theirs.places_in(mine))
+        self._evolve(surface, state, fields)
 
     def failed_on_level(self) -> Stop | None:
         """Why the level left no surface to continue from; None if it left one."""

@@ -54,11 +54,11 @@ def test_it_is_on_a_thin_object_too_and_goes_with_what_a_correction_takes_away()
 
 
 def test_the_nearest_voxel_is_found_however_far_it_is():
-    inside = np.zeros((9, 40, 50), bool)
-    inside[8, 2, 3] = inside[0, 39, 49] = True
-    assert nearest_inside((2.5, 20.0, 20.0), inside, (1.0, 1.0, 1.0)) == (8.0, 2.0, 3.0)
-    assert nearest_inside((2.5, 20.0, 20.0), inside, (9.0, 1.0, 1.0)) == (0.0, 39.0, 49.0)
-    assert nearest_inside((2.5, 20.0, 20.0), inside & False, (1.0, 1.0, 1.0)) is None
+    labels = np.zeros((9, 40, 50), np.uint8)
+    labels[8, 2, 3] = labels[0, 39, 49] = 2
+    assert nearest_inside((2.5, 20.0, 20.0), labels, (1.0, 1.0, 1.0)) == (8.0, 2.0, 3.0)
+    assert nearest_inside((2.5, 20.0, 20.0), labels, (9.0, 1.0, 1.0)) == (0.0, 39.0, 49.0)
+    assert nearest_inside((2.5, 20.0, 20.0), 0 * labels, (1.0, 1.0, 1.0)) is None
 
 
 def test_there_is_none_where_nothing_grew():
