@@ -1,7 +1,6 @@
 """accelsurf beside its peers: each benchmark leaves JSON and a picture, all together RESULTS.md.
 
 scripts/benchmark NAME...|all [--quick] [--volumes DIR] [--repeats N] [--threads N] [--results DIR]
-scripts/benchmark NAME...|all --check [...]       what fell by more than a tenth beside the kept results
 scripts/benchmark --render        RESULTS.md again, from the JSON files alone
 scripts/benchmark kernels [...]   the kernels, before and after a change (see CONTRIBUTING.md)
 """
@@ -18,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.figures.common import plain
-from benchmarks.peers import check as compare
 from benchmarks.peers import render
 from benchmarks.peers.measure import MissingError, Options, machine, scans_folder, set_threads
 
@@ -42,8 +40,6 @@ def main(arguments: list[str] | None = None) -> int:
     """Run what is named; 1 when a benchmark could not be run."""
     options = parse(arguments)
     results = options.results or HERE / "results" / ("quick" if options.quick else "")
-    if options.check:
-        return check(options, results)
     target = results / "RESULTS.md" if options.quick or options.results else HERE / "RESULTS.md"
     results.mkdir(parents=True, exist_ok=True)
     names = [name for name in BENCHMARKS if "all" in options.name or name in options.name]
@@ -51,25 +47,6 @@ def main(arguments: list[str] | None = None) -> int:
     failed = [name for name in names if not run(name, options, results)]
     print(f"written: {render.render(results, target)}")
     return 1 if failed else 0
-
-
-def check(options: argparse.Namespace, kept: Path) -> int:
-    """Run what is named beside the kept results, which stay; 1 when a ratio fell or there is none to compare."""
-    here = kept / "check"
-    here.mkdir(parents=True, exist_ok=True)
-    set_threads(options.threads)
-    lines: list[str] = []
-    for name in (name for name in BENCHMARKS if "all" in options.name or name in options.name):
-        if not render.json_path(kept, name).is_file():
-            lines.append(f"{name}: no kept result in {kept}, FAILED")
-        elif not run(name, options, here):
-            lines.append(f"{name}: not run, FAILED")
-        else:
-            before, now = (json.loads(render.json_path(folder, name).read_text()) for folder in (kept, here))
-            found = compare.changes(before, now)
-            lines += [f"{name}: {change}" for change in found] or [f"{name}: no pair of programs in both results"]
-    print("== check", *lines, sep="\n")
-    return 1 if any(line.endswith(("FELL", "FAILED")) for line in lines) else 0
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -85,7 +62,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--results", type=Path, help="folder for JSON and pictures (benchmarks/results)")
     parser.add_argument("--again", action="store_true", help="segment-real: time the best of the last search again")
-    parser.add_argument("--check", action="store_true", help="compare with the kept results, which stay as they are")
     parser.add_argument("--render", action="store_true", help="only write RESULTS.md again")
     options = parser.parse_args(arguments)
     if options.repeats < 1 or options.threads < 1:
@@ -95,7 +71,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         parser.error(f"{unknown[0]}: no such benchmark; there are {', '.join(BENCHMARKS)}, all")
     if options.again and options.name != ["segment-real"]:
         parser.error("--again is for segment-real alone: no other benchmark keeps its search")
-    if not options.name and (options.check or not options.render):
+    if not options.name and not options.render:
         parser.error("name a benchmark, or all, or --render")
     return options
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from dataclasses import replace
@@ -14,10 +15,9 @@ from scipy import ndimage
 
 from accelsurf.image.volume import Volume
 from accelsurf.starts.objects import ObjectStart
-from benchmarks import benchmark, defaults, real_scans
-from benchmarks.peers import baselines, contest, hard_works, march, objects, programs, render, scans
+from benchmarks import benchmark, defaults, real_scans, turns
+from benchmarks.peers import baselines, contest, hard_works, objects, programs, render, scans
 from benchmarks.peers.advance import grow, sparse_field
-from benchmarks.peers.check import changes
 from benchmarks.peers.clock import Clock
 from benchmarks.peers.measure import (
     MissingError,
@@ -267,31 +267,25 @@ def test_the_command_writes_json_with_machine_and_raw_times(
     assert "no such benchmark" in capsys.readouterr().err
 
 
-def test_a_check_names_what_fell_and_keeps_what_was_kept(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_a_work_that_became_slower_than_at_another_commit_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kept = result_of(12.0, pairs=[{"pair": "a / own", "ratio": 10.0}, {"pair": "gone / own", "ratio": 1.0}])
-    path = render.json_path(tmp_path, "march")
-    path.write_text(json.dumps(kept))
-    ratio = 9.5
-    monkeypatch.setattr(
-        march, "march", lambda options: result_of(9.0, pairs=[{"pair": "a / own", "ratio": ratio}])
-    )
-    command = ["march", "--check", "--results", str(tmp_path)]
-    assert benchmark.main(command) == 0
-    assert "march: a / own: 10 -> 9.5\n" in capsys.readouterr().out
-    ratio = 8.5
-    assert benchmark.main(command) == 1
-    assert "march: a / own: 10 -> 8.5, FELL" in capsys.readouterr().out
-    assert json.loads(path.read_text()) == kept and not (tmp_path / "RESULTS.md").exists()
-    assert benchmark.main(["step", "--check", "--results", str(tmp_path)]) == 1
-    assert "step: no kept result" in capsys.readouterr().out
+    monkeypatch.setattr(turns, "checked_out", lambda commit: contextlib.nullcontext(turns.ROOT))
+    for new, code, end in ((2.2, 0, "1.10\n"), (2.4, 1, "1.20  SLOWER\n"), (1.0, 0, "0.50\n")):
+        found = {"start": (1.0, 1.14), "click": (2.0, new)}
+        monkeypatch.setattr(turns, "in_turns", lambda *given, found=found: found)
+        assert turns.main([]) == code
+        assert capsys.readouterr().out.endswith(end)
 
 
-def test_a_ratio_that_should_be_small_fell_when_it_rose() -> None:
-    kept, now = ({"pairs": [{"pair": "own / copy", "ratio": ratio, "sense": "<="}]} for ratio in (2.0, 2.3))
-    assert [change.fell for change in changes(kept, now)] == [True]
-    assert [change.fell for change in changes(now, kept)] == [False]
+def test_a_tree_does_each_work_and_a_commit_that_is_not_there_is_one_line() -> None:
+    with turns.Child(turns.ROOT) as child:
+        assert child.seconds("advance") > 0
+        with pytest.raises(SystemExit, match="error: 'no such work' failed"):
+            child.seconds("no such work")
+    assert tuple(turns.works()) == turns.WORKS
+    with pytest.raises(SystemExit, match="error: no-such: git has no such commit"), turns.checked_out("no-such"):
+        pass
 
 
 @pytest.mark.parametrize(("study", "entries"), [(defaults, "rows"), (real_scans, "cases")])
