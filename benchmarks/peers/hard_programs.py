@@ -103,9 +103,8 @@ def _seeds_with_outside(work: Work) -> tuple[np.ndarray, int]:
 
 
 def _watershed(work: Work, settings: Settings) -> np.ndarray:
-    """scikit-image's watershed from the clicks, on the image, its gradient, or the depth within Otsu's threshold."""
+    """A library's watershed from the clicks, on the image, its gradient, or the depth within Otsu's threshold."""
     from skimage.filters import threshold_otsu
-    from skimage.segmentation import watershed
 
     smooth = ndimage.gaussian_filter(work.image, settings["sigma"])
     seeds, other = _seeds_with_outside(work)
@@ -116,8 +115,25 @@ def _watershed(work: Work, settings: Settings) -> np.ndarray:
         smooth = -ndimage.distance_transform_edt(mask)
     elif settings["flooded"] == "gradient":
         smooth = ndimage.gaussian_gradient_magnitude(work.image, settings["sigma"])
-    labels = watershed(smooth, seeds, mask=mask)
+    if settings["library"] == "mahotas":
+        from mahotas import cwatershed
+
+        labels = cwatershed(smooth, seeds)
+        labels = labels if mask is None else labels * mask
+    else:
+        from skimage.segmentation import watershed
+
+        labels = watershed(smooth, seeds, mask=mask)
     return np.where(labels == other, 0, labels)
+
+
+def _watersheds(sigmas: tuple[float, ...], flooded: tuple[str, ...]) -> list[Program]:
+    """That of both libraries, with the same settings to try."""
+    return [
+        Program(f"{library} watershed", _watershed, combinations(
+            sigma=sigmas, flooded=flooded, library=(library,)), module)
+        for library, module in (("scikit-image", "skimage"), ("mahotas", "mahotas"))
+    ]
 
 
 def _sato(work: Work, settings: Settings) -> np.ndarray:
@@ -171,8 +187,7 @@ PROGRAMS: dict[str, list[Program]] = {
     "neighbours": [
         Program(OWN, _own_clicks, [{}, {"presmooth": 1.0}]),
         _OTSU, _WALKER,
-        Program("scikit-image watershed", _watershed, combinations(
-            sigma=(1.0, 1.5, 2.0), flooded=("depth", "gradient"))),
+        *_watersheds((1.0, 1.5, 2.0), ("depth", "gradient")),
     ],
     "vessels": [
         Program(OWN, _own_start, [
@@ -187,7 +202,7 @@ PROGRAMS: dict[str, list[Program]] = {
     ],
     "cells": [
         Program(OWN, _own_partition, [{}]),
-        Program("scikit-image watershed", _watershed, combinations(sigma=(0.5, 1.0, 1.5), flooded=("value",))),
+        *_watersheds((0.5, 1.0, 1.5), ("value",)),
         Program("scikit-image random_walker", _walker, combinations(sigma=(0.7,), beta=(100.0,))),
     ],
 }

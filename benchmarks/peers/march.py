@@ -1,4 +1,4 @@
-"""`march`: a distance again, and two fields extended, against scikit-fmm; and whether the volume's size matters."""
+"""`march`: distances and extended fields against scikit-fmm, in growing volumes; arrival times against eikonalfm."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from accelsurf.clicks.model.fronts import field_of
+from accelsurf.kernels.arrival import Tissue
 from accelsurf.levelset import LevelSet
 from benchmarks.peers.measure import Options, Timing, goal, in_turn, repeated, set_threads, table, timed
 from benchmarks.peers.work import ball, bumpy, perturbed
@@ -47,13 +49,19 @@ def march(options: Options) -> dict[str, Any]:
         goals.append(goal("times faster than scikit-fmm", 20.0, None))
     goals.append(goal("spread of the cost over the volumes", 15.0, scaling, "<=", "%"))
     rows = [(name, t.median, 1e9 * t.median / cells) for name, t in times.items()]
+    fronts = arrivals(options)
     return {
         "work": f"redistance and extend two fields, half width 4, ball of radius {radius:g} in {side}^3, 1 thread",
         "threads": 1, "goals": goals, "pairs": pairs, "band_cells": cells,
         "times": {name: t.to_dict() for name, t in times.items()},
-        "sizes": sizes,
+        "sizes": sizes, "arrivals": fronts,
         "tables": [
             table("The same work", ("program", "seconds", "ns per band cell"), rows),
+            table(
+                f"Arrival times from the middle voxel at constant speed, {fronts[0]['side']}^3",
+                ("program", "seconds", "ns per voxel", "mean error, part of the time"),
+                [(f["program"], f["median_s"], f["ns_per_voxel"], f["mean_error"]) for f in fronts],
+            ),
             table(
                 "accelsurf, equal surface in growing volumes", ("volume", "band cells", "seconds", "ns per band cell"),
                 [(f"{s['side']}^3", s["band_cells"], s["median_s"], s["ns_per_cell"]) for s in sizes],
@@ -85,6 +93,33 @@ def scattered(surface: LevelSet, field: np.ndarray) -> np.ndarray:
 def redistance(surface: LevelSet, fields: list[np.ndarray]) -> Any:
     """What is timed."""
     return surface.redistance(fields)
+
+
+def arrivals(options: Options) -> list[dict[str, Any]]:
+    """Times of a front at constant speed from the middle voxel: what a click's model marches, and eikonalfm."""
+    side = 32 if options.quick else 128
+    middle = (side // 2,) * 3
+    exact = np.sqrt(sum((axis - side // 2) ** 2 for axis in np.ogrid[:side, :side, :side]))
+    field = field_of([np.zeros(exact.shape, np.float32)], (1.0, 1.0, 1.0))
+    tissue = Tissue(np.zeros(1), np.ones(1), np.ones(1), np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0]))
+    works: dict[str, Any] = {"accelsurf": lambda: field.times_from(tissue, exact == 0)}
+    if importlib.util.find_spec("eikonalfm") is None:
+        options.say("eikonalfm: skipped, it is not installed (pip install eikonalfm)")
+    else:
+        import eikonalfm
+
+        for order in (1, 2):
+            works[f"eikonalfm, order {order}"] = lambda order=order: eikonalfm.fast_marching(
+                np.ones(exact.shape), middle, (1.0,) * 3, order
+            )
+    far, lines = exact > 6.0, []
+    for name, timing in in_turn(works, dict.fromkeys(works, options.repeats)).items():
+        wrong = float(np.mean(np.abs(works[name]()[far] - exact[far]) / exact[far]))
+        lines.append({
+            "program": name, "side": side, **timing.to_dict(), "ns_per_voxel": 1e9 * timing.median / side**3,
+            "mean_error": wrong,
+        })
+    return lines
 
 
 def growing(options: Options) -> tuple[list[dict[str, Any]], float]:
