@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,12 +12,15 @@ from scipy.spatial import cKDTree
 
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.pyramid import Level, levels, prolong, restrict
 from accelsurf.image.volume import Volume
 from accelsurf.kernels import point_sampling
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.track.records import SurfacePiece
 
 Floats = NDArray[np.float64]
+#: Values on a box of a grid, by its first voxel and its shape.
+OnBox = Callable[[Corner, Corner], NDArray[Any]]
 #: Voxels between the band and the edge of its box after the box was laid out, and the fewest before a step.
 MARGIN, GUARD = 4, 2
 #: Surface that was not there before has the mean of so many cells of the front nearest to it.
@@ -28,16 +31,79 @@ OWN_PART = 0.2
 TOUCHING_PART = 0.1
 
 
+class Halving(NamedTuple):
+    """The frames' grid ``frame`` and one with ``geometry`` whose voxels are twice as large; ``fine`` and ``coarse`` say
+    how the two lie.
+    """
+
+    frame: Geometry
+    geometry: Geometry
+    fine: Level
+    coarse: Level
+
+    @property
+    def offset(self) -> Floats:
+        """The first voxel of the coarse grid (3,), mm along the axes from that of the frames'."""
+        return np.asarray(np.array(self.coarse.first) * self.frame.spacing)
+
+    def on_coarse(self, values: OnBox) -> OnBox:
+        """The means on the coarse grid of values on the frames'."""
+
+        def means(corner: Corner, shape: Corner) -> NDArray[Any]:
+            first, counts = self._in_frame(corner, shape)
+            found = np.asarray(values(first, counts), np.float32)
+            return restrict(found, self.fine.on_box(first, counts), self.coarse.on_box(corner, shape))
+
+        return means
+
+    def coarser(self, piece: SurfacePiece) -> SurfacePiece:
+        """A surface of the frames' grid on the coarse one."""
+        factors, corner = np.array(self.coarse.factors), np.array(piece.corner)
+        low, high = corner // factors, -(-(corner + piece.psi.shape) // factors)
+        first = int(low[0]), int(low[1]), int(low[2])
+
+        def psi_on(start: Corner, shape: Corner) -> NDArray[np.float32]:
+            return on_larger_box(piece.psi, corner, np.array(start), np.add(start, shape))
+
+        nz, ny, nx = (high - low).tolist()
+        return SurfacePiece(first, self.on_coarse(psi_on)(first, (nz, ny, nx)))
+
+    def finer(self, piece: SurfacePiece) -> SurfacePiece:
+        """A surface of the coarse grid, within it, on the frames' one."""
+        first, counts = self._in_frame(piece.corner, piece.psi.shape)
+        here = self.coarse.on_box(piece.corner, piece.psi.shape)
+        return SurfacePiece(first, prolong(piece.psi, here, self.fine.on_box(first, counts)))
+
+    def _in_frame(self, corner: Corner, shape: Sequence[int]) -> tuple[Corner, Corner]:
+        """First voxel and shape of a box of the coarse grid on the frames' one."""
+        factors = np.array(self.coarse.factors)
+        z, y, x = (np.array(corner) * factors).tolist()
+        odd = (factors > 1) & (np.array(self.coarse.first) == 0.0)
+        nz, ny, nx = (np.array(shape) * factors - odd).tolist()
+        return (z, y, x), (nz, ny, nx)
+
+
+def halving_of(frame: Geometry) -> Halving | None:
+    """The frames' grid and the next coarser one; None for planes and where too few voxels would be left."""
+    grids = levels(frame.shape, frame.spacing, 2)
+    if len(grids) < 2 or min(frame.shape) == 1:
+        return None
+    fine, coarse = grids
+    x, y, z = frame.index_to_world(coarse.first).tolist()
+    return Halving(frame, Geometry(coarse.shape, coarse.spacing, (x, y, z), frame.direction), fine, coarse)
+
+
 class BoxedSurface(NamedTuple):
     """A surface on its box.
 
-    ``surface``; ``corner`` (z, y, x), the first voxel of the box on the frames' grid, which may be below 0;
-    ``geometry`` of the frames.
+    ``surface``; ``corner`` (z, y, x), the first voxel of the box on its grid, which may be below 0; ``geometry`` of
+    this grid; ``halving``: None where it is the frames' grid, else how it lies in that.
     """
 
     surface: LevelSet
     corner: Corner
     geometry: Geometry
+    halving: Halving | None = None
 
     @property
     def spacing(self) -> Floats:
@@ -132,15 +198,26 @@ class BoxedSurface(NamedTuple):
         if (first >= last).any() or not self.surface.size:
             return SurfacePiece((0, 0, 0), np.ones((0, 0, 0), np.float32))
         psi = on_larger_box(self.surface.psi, corner, first, last)
-        return SurfacePiece((int(first[0]), int(first[1]), int(first[2])), psi)
+        piece = SurfacePiece((int(first[0]), int(first[1]), int(first[2])), psi)
+        return piece if self.halving is None else self.halving.finer(piece)
 
 
 def boxed_surface(
-    psi: NDArray[np.float32], corner: Corner, geometry: Geometry, half_width: float, workers: Workers
+    psi: NDArray[np.float32], corner: Corner, geometry: Geometry, half_width: float, workers: Workers,
+    halving: Halving | None = None,
 ) -> BoxedSurface:
-    """A surface on a box of the frames' grid, with a band of its own."""
+    """A surface on a box of a grid, with a band of its own."""
     surface = LevelSet(psi, geometry.spacing, half_width, workers)
-    return BoxedSurface(surface, corner, geometry).with_room((0, 0, 0))
+    return BoxedSurface(surface, corner, geometry, halving).with_room((0, 0, 0))
+
+
+def boxed_piece(
+    piece: SurfacePiece, frame: Geometry, half_width: float, workers: Workers, halving: Halving | None = None
+) -> BoxedSurface:
+    """A surface of the frames' grid on a box of that grid or of the coarser one."""
+    if halving is not None:
+        piece, frame = halving.coarser(piece), halving.geometry
+    return boxed_surface(piece.psi, piece.corner, frame, half_width, workers, halving)
 
 
 def on_larger_box(

@@ -36,11 +36,13 @@ from accelsurf.track.records import BAND, Identities, SurfacePiece, TrackedObjec
 #: What is nearer to a tracked object than so many voxels is no object of its own.
 APART = 2
 #: A run on a frame counts if that on the given frame, from the given surface, leaves it by a mean square of no more
-#: than this, in voxels, in so many steps. That is the rounding of labels: of a surface half a voxel off, half of the
-#: voxels differ.
-ROUNDING, TRIED_STEPS = 0.5, 40
+#: than this, in voxels, in the first and in the second number of steps. That is the rounding of labels: of a surface
+#: half a voxel off, half of the voxels differ.
+ROUNDING, TRIED_STEPS = 0.5, (5, 40)
 #: Least variance, voxels squared, of a predicted surface, and of what an appearance finds.
 MIN_PRIOR_DEVIATION, MIN_VARIANCE = 0.05, 0.25
+#: An object that no runs correct goes on with voxels twice as large from this depth on, voxels.
+HALVED_DEPTH = 4.0
 #: Of an object that the border of the grid cuts at least so many voxels must be there.
 MIN_CUT = 8
 
@@ -116,23 +118,38 @@ class Follower:
         """Learn from a frame whose surfaces are given, and lie in it now, how far a run on a frame can be trusted."""
         given = {followed.id: followed.momentum.piece for followed in self.objects if followed.is_in_grid}
         starts = [ObjectStart(id, *piece) for id, piece in given.items()]
-        run = self._run.replace(max_steps=min(TRIED_STEPS, self._run.max_steps))
-        found = measure(arrival.channels, starts, run, self._energy) if starts else {}
-        unit, trust = min(self._geometry.steps) ** 2, {}
+        unit, trust, holding = min(self._geometry.steps) ** 2, {}, set(given)
+        for steps in TRIED_STEPS:
+            if holding:
+                run = self._run.replace(max_steps=min(steps, self._run.max_steps))
+                found = measure(arrival.channels, starts, run, self._energy)
+                left = {id: mean_square(piece, found[id].surface, self._geometry) for id, piece in given.items()}
+                holding &= {id for id, square in left.items() if square <= ROUNDING * unit}
         for followed in [followed for followed in self.objects if followed.id in given]:
-            piece = given[followed.id]
-            holds = mean_square(piece, found[followed.id].surface, self._geometry) <= ROUNDING * unit
+            piece, holds = given[followed.id], followed.id in holding
+            depth = 2.0 * followed.volume_mm3 / max(followed.area_mm2, 1e-300)
             appearance = None if holds else appearance_of(arrival.channels[0], piece)
             if appearance is not None:
-                again = settled(followed.momentum.moved_surface(0.0), appearance, arrival.channels[0], 0.0)
-                off = mean_square(piece, again, self._geometry)
+                again = settled(self._at_rest(piece, depth).moved_surface(0.0), appearance, arrival.channels[0], 0.0)
+                off = mean_square(piece, again.surface, self._geometry)
                 lost = not math.isfinite(off)
                 appearance = None if lost else appearance._replace(variance=max(off, MIN_VARIANCE * unit))
             parts = max(1, len(separate_parts(piece)))
-            depth = 2.0 * followed.volume_mm3 / max(followed.area_mm2, 1e-300)
             trust[followed.id] = Trust(followed.profile, parts, depth, holds, appearance)
             followed.note_given(trust[followed.id])
         return trust
+
+    def _at_rest(self, piece: SurfacePiece, depth: float) -> SurfaceMomentum:
+        """A momentum of a surface at rest, on the grid on which one of that depth (mm) moves with the image."""
+        momentum = self._new_momentum()
+        momentum.start(piece.psi, piece.corner, self._geometry)
+        self._choose_grid(momentum, depth)
+        return momentum
+
+    def _choose_grid(self, momentum: SurfaceMomentum, depth: float) -> None:
+        """Let a surface of an object that no run corrects, of this depth (mm), go on with larger voxels."""
+        if depth >= HALVED_DEPTH * max(self._geometry.steps):
+            momentum.halve()
 
     def _add(self, id: int, found: Measured, arrival: Arrival, velocity: Triple | None) -> Followed:
         """Begin to follow an object."""
@@ -164,6 +181,8 @@ class Follower:
         tuple of TrackedObject
             In order of their ids.
         """
+        for followed in self.objects:
+            self._choose_grid(followed.momentum, followed.depth)
         self._steer(arrival)
         predicted = {followed.id: followed.momentum.predict(arrival.duration) for followed in self.objects}
         found = self._measure(predicted, arrival)
@@ -217,12 +236,12 @@ class Follower:
         taken = [predicted[id] for id in unrun]
         found = measure(arrival.channels, first, run, energy, arrival.refinements, taken) if first or not unrun else {}
         for followed in [followed for followed in predictable if followed.id in unrun]:
-            piece = predicted[followed.id]
-            if followed.appearance is not None:
-                prior = followed.prior(MIN_PRIOR_DEVIATION * min(self._geometry.steps) ** 2)
-                carried = followed.momentum.moved_surface(arrival.duration)
-                piece = settled(carried, followed.appearance, arrival.channels[0], prior)
-            found[followed.id] = measured_piece(piece, self._geometry)
+            if followed.appearance is None:
+                found[followed.id] = measured_piece(predicted[followed.id], self._geometry)
+                continue
+            prior = followed.prior(MIN_PRIOR_DEVIATION * min(self._geometry.steps) ** 2)
+            carried = followed.momentum.moved_surface(arrival.duration)
+            found[followed.id] = settled(carried, followed.appearance, arrival.channels[0], prior)
         if then:
             occupied = [measured.surface for measured in found.values() if measured.surface.psi.size]
             found |= measure(arrival.channels, then, run, energy, occupied=occupied)
@@ -239,10 +258,11 @@ class Follower:
             others = [other.surface for id, other in found.items() if id != followed.id]
             # Where what a run finds is not the object, the surface that goes with the image still may be.
             corrects = sure or followed.is_run or followed.appearance is not None
-            candidates = [(found.get(followed.id, NOTHING), corrects)]
-            if corrects and followed.goes_with_image and predicted[followed.id].has_inside:
-                candidates.append((measured_piece(predicted[followed.id], self._geometry), False))
-            for shown, is_run in candidates:
+            moves = corrects and followed.goes_with_image and predicted[followed.id].has_inside
+            for is_run in (True, False) if moves else (corrects,):
+                shown = found.get(followed.id, NOTHING)
+                if moves and not is_run:
+                    shown = measured_piece(predicted[followed.id], self._geometry)
                 if not shown.surface.psi.size:
                     continue
                 now = profile(image, shown.surface, others)

@@ -229,8 +229,8 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
     return False
 
 
-def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior: float) -> SurfacePiece:
-    """Run a surface in a frame, by an appearance, from the momentum that it has.
+def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior: float) -> Measured:
+    """Run a surface in a frame, by an appearance, from the momentum that it has; the chance of what it finds is even.
 
     The energy is U = int_inside (prior psi_0 - odds) dx + alpha A, psi_0 where it begins. The surface has constant
     density and a constant friction.
@@ -246,16 +246,18 @@ def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior:
         Weight of the distance from where it begins, 1/mm.
     """
     boxed, speed = carried
-    surface = boxed.surface
-    odds = appearance.evidence(image, boxed.corner, surface.shape)
+    surface, h = boxed.surface, min(image.geometry.steps)
+    evidence = functools.partial(appearance.evidence, image)
+    odds = (evidence if boxed.halving is None else boxed.halving.on_coarse(evidence))(boxed.corner, surface.shape)
     field = np.ascontiguousarray(prior * surface.psi - odds, np.float32)
-    h = surface.smallest_spacing
     flow = ConstantDensity(friction=FRICTION, lambda_=DRIVE * h)
     flow.start_moving(surface, [speed])
     rule = StopRule(window=4, motion=0.05, further=0.1, kinetic=1.0)
     for _ in Evolution(surface, RegionField(field, AREA * h), flow, StepLimits(), STEPS, None, rule, fields=[speed]):
         pass
-    return boxed.on_frame()
+    fraction, area = surface.fraction_and_area()
+    piece = boxed.on_frame()
+    return Measured(piece.tight(), surface.volume(fraction), float(area.sum()), 0.5) if piece.has_inside else NOTHING
 
 
 def measured_start(start: ObjectStart, geometry: Geometry) -> Measured:

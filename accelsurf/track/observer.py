@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.kernels import point_sampling
-from accelsurf.track.boxed_surface import BoxedSurface, Floats, boxed_surface
+from accelsurf.track.boxed_surface import BoxedSurface, Floats, boxed_piece, boxed_surface
 from accelsurf.track.records import SurfacePiece
 
 #: Damping of a round of the fit, in parts of a surface that looks all ways: along a plane no shift is determined.
@@ -125,7 +125,8 @@ def between(predicted: BoxedSurface, measured: BoxedSurface, found: Displacement
     psi = (1.0 - gain) * _resampled(first, -gain * found.shift, low, shape)
     psi += gain * _resampled(second, (1.0 - gain) * found.shift, low, shape)
     corner = int(low[0]), int(low[1]), int(low[2])
-    return boxed_surface(psi.astype(np.float32), corner, predicted.geometry, width, predicted.surface.workers)
+    like = predicted
+    return boxed_surface(psi.astype(np.float32), corner, like.geometry, width, like.surface.workers, like.halving)
 
 
 def _resampled(boxed: BoxedSurface, shift: Floats, low: NDArray[np.int64], shape: tuple[int, ...]) -> Floats:
@@ -202,5 +203,6 @@ def smoothed_by(boxed: BoxedSurface, values: Floats, weight: Floats) -> tuple[Fl
 
 def measured_surface(piece: SurfacePiece, predicted: BoxedSurface) -> BoxedSurface:
     """The piece that a frame shows, as a surface with a band like the predicted one's."""
-    surface = predicted.surface
-    return boxed_surface(piece.psi, piece.corner, predicted.geometry, surface.requested_half_width, surface.workers)
+    surface, halving = predicted.surface, predicted.halving
+    frame = predicted.geometry if halving is None else halving.frame
+    return boxed_piece(piece, frame, surface.requested_half_width, surface.workers, halving)

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 #: Voxels along each axis of the frames that warm up kernels, and the radius of the ball in them.
 WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
 #: Version of the state file; raised when its content changes.
-VERSION = 3
+VERSION = 4
 _BEGIN = "begin anew without --resume, with --overwrite"
 
 

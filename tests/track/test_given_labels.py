@@ -95,7 +95,7 @@ def test_displacement_and_variance_are_those_of_a_shifted_texture() -> None:
     seen = image_motion(before, now, SurfacePiece((0, 0, 0), psi), np.zeros(3))
     assert seen is not None and seen.likeness > 0.95
     middle = np.array([[15.0, 17.0, 18.0]]) * spacing
-    way, variance = seen.at(middle, np.array(spacing))
+    way, variance = seen.at(middle)
     np.testing.assert_allclose(way[0], np.array([0.6, -1.2, 2.3]) * spacing, atol=0.35)
     assert 0.0 < variance[0] < 0.1
     flat = Volume.from_array(np.zeros(texture.shape, np.float32), spacing)
@@ -141,7 +141,7 @@ def test_a_run_in_a_frame_begins_with_the_momentum_that_is_carried(
     momentum.start(psi, (0, 0, 0), image.geometry, (3.0, 0.0, 0.0))
     before = momentum.centroid()[0]
     found = frame_run.settled(momentum.moved_surface(1.0), nothing, image, 0.0)
-    inside = np.argwhere(found.psi < 0) + np.array(found.corner)
+    inside = np.argwhere(found.surface.psi < 0) + np.array(found.surface.corner)
     assert least < inside.mean(axis=0)[2] - 11.5 < most
     assert momentum.centroid()[0] == before
 
