@@ -10,6 +10,7 @@ becomes velocity as far as it is smooth over the surface and more than what the 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -167,14 +168,7 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
     total = float(area.sum())
     if total <= 0.0:
         return np.zeros_like(outward)
-    index = np.rint(predicted.index_on_box(points)).astype(np.int64)
-    at = tuple(np.clip(index, 0, np.array(surface.shape) - 1).T)
-
-    def smoothed_at(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        dense = np.zeros(surface.shape, np.float32)
-        dense.ravel()[surface.band.cells] = values
-        return gaussian_mm(dense, tuple(predicted.spacing), SMOOTH * surface.smallest_spacing)[at].astype(np.float64)
-
+    smoothed_at = _smoother(predicted)
     weight = np.maximum(smoothed_at(area), 1e-6 * float(area.max()))
     smooth = smoothed_at(area * outward) / weight
     smooth += smoothed_at(area * (outward - smooth)) / weight
@@ -184,21 +178,26 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
 
 def smoothed_by(boxed: BoxedSurface, values: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Smooth values (n, k) over a surface by their weights (n,), and return the mean weights (n,) too."""
-    surface, points = boxed.surface, boxed.closest_points()
-    area = surface.fraction_and_area()[1]
-    index = np.rint(boxed.index_on_box(points)).astype(np.int64)
-    at = tuple(np.clip(index, 0, np.array(surface.shape) - 1).T)
-
-    def smoothed_at(values: Floats) -> Floats:
-        dense = np.zeros(surface.shape, np.float32)
-        dense.ravel()[surface.band.cells] = values
-        return gaussian_mm(dense, tuple(boxed.spacing), SMOOTH * surface.smallest_spacing)[at].astype(np.float64)
-
+    area, smoothed_at = boxed.surface.fraction_and_area()[1], _smoother(boxed)
     there = np.maximum(smoothed_at(area), 1e-6 * float(area.max(initial=1e-30)))
     total = smoothed_at(area * weight)
     least = 1e-9 * max(float(total.max(initial=0.0)), 1e-30)
     columns = [smoothed_at(area * weight * column) / np.maximum(total, least) for column in values.T]
     return np.stack(columns, axis=1), total / there
+
+
+def _smoother(boxed: BoxedSurface) -> Callable[[Floats], Floats]:
+    """A function that takes values (n,) of a band to their Gaussian sums at the closest points of its cells."""
+    surface, spacing = boxed.surface, boxed.spacing
+    index = np.rint(boxed.index_on_box(boxed.closest_points())).astype(np.int64)
+    at = tuple(np.clip(index, 0, np.array(surface.shape) - 1).T)
+
+    def smoothed_at(values: Floats) -> Floats:
+        dense = np.zeros(surface.shape, np.float32)
+        dense.ravel()[surface.band.cells] = values
+        return gaussian_mm(dense, tuple(spacing), SMOOTH * surface.smallest_spacing)[at].astype(np.float64)
+
+    return smoothed_at
 
 
 def measured_surface(piece: SurfacePiece, predicted: BoxedSurface) -> BoxedSurface:
