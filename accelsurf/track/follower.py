@@ -41,6 +41,8 @@ APART = 2
 ROUNDING, TRIED_STEPS = 0.5, (5, 40)
 #: Least variance, voxels squared, of a predicted surface, and of what an appearance finds.
 MIN_PRIOR_DEVIATION, MIN_VARIANCE = 0.05, 0.25
+#: Tracks of objects that no runs correct are not trusted in a frame in which their mean quality is lower.
+TRUSTED = 0.6
 #: An object that no runs correct goes on with voxels twice as large from this depth on, voxels.
 HALVED_DEPTH = 4.0
 #: Of an object that the border of the grid cuts at least so many voxels must be there.
@@ -215,6 +217,12 @@ class Follower:
                 continue
             steered = momentum.steer(seen, arrival.duration, followed.drift)
             followed.note_motion(steered.innovation, steered.variance, seen.likeness)
+
+    @property
+    def is_doubtful(self) -> bool:
+        """True if the tracks cannot be trusted in the frame: the objects that no runs correct are mostly not found."""
+        found = [0.0 if followed.missing else followed.quality for followed in self.objects if not followed.is_run]
+        return bool(found) and sum(found) < TRUSTED * len(found)
 
     def in_frame(self, predicted: dict[int, SurfacePiece]) -> tuple[TrackedObject, ...]:
         """Return the records of the objects in the frame."""

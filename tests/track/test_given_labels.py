@@ -1,5 +1,7 @@
 """Sequences with one segmented frame: its labels stay, the image tells the motion, what is lost is said."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -165,6 +167,28 @@ def test_frames_without_evidence_are_marked_and_the_track_ends() -> None:
     assert seen[2] == [True] and seen[3] == [False] and seen[7] == []
     (only,) = run.lineage.tracks
     assert only.last == 2 and only.end in ("vanished", "lost")
+
+
+def test_tracks_that_cannot_be_trusted_are_said_to_be_so(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A cell that fades is refused in the frames in which it has faded; one that stays is not."""
+    phantom, faint = cell(), cell(inside=90.0)
+    frames = [phantom.frame(n) if n < 2 else faint.frame(n) for n in range(4)]
+    for sequence, doubtful in ((phantom, []), (VolumeSequence(frames), [2, 3])):
+        run = tracking(sequence, phantom.truth(0))
+        for _ in run:
+            pass
+        assert run.doubtful == doubtful
+    for number, frame in enumerate(frames):
+        io.write(frame, tmp_path / f"frame_{number}.nii.gz")
+    io.write_labels(Volume(phantom.truth(0), phantom.geometry), tmp_path / "given.nii.gz")
+    words = [
+        "track", str(tmp_path / "frame_*.nii.gz"), "--start", f"label:{tmp_path / 'given.nii.gz'}",
+        "-o", str(tmp_path / "out"), "--energy", "chan-vese",
+    ]  # fmt: skip
+    assert cli.execute(words) == 0
+    assert "these tracks cannot be trusted in 2 of 4 frames" in capsys.readouterr().out
+    (report,) = (json.loads(path.read_text()) for path in (tmp_path / "out").glob("*_report.json"))
+    assert any("cannot be trusted in 2 of 4 frames, the first of them frame 2" in line for line in report["warnings"])
 
 
 def test_a_tracking_of_given_labels_goes_on_to_the_same_bytes(tmp_path) -> None:
