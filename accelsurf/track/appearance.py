@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.grid.boxes import Box, Corner, box_at, widened
+from accelsurf.grid.boxes import Box, Corner, corner_of, shared, widened
 from accelsurf.image.volume import Volume
 from accelsurf.track.boxed_surface import Floats
 from accelsurf.track.records import SurfacePiece
@@ -95,8 +95,8 @@ def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
     step = min(geometry.steps)
     box = widened(surface.box, geometry.shape, [int(np.ceil(NEAR * step / h)) for h in geometry.spacing])
     inside = np.zeros([side.stop - side.start for side in box], np.bool_)
-    corner = [a - side.start for a, side in zip(surface.corner, box, strict=True)]
-    inside[box_at((corner[0], corner[1], corner[2]), surface.psi.shape)] = surface.psi < 0
+    there, mine = shared(corner_of(box), inside.shape, surface.corner, surface.psi.shape)
+    inside[there] = surface.psi[mine] < 0
     sampling = [h if n > 1 else 1.0 for h, n in zip(geometry.spacing, geometry.shape, strict=True)]
     if min(np.count_nonzero(inside), np.count_nonzero(~inside)) < MIN_VOXELS:
         return None

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.pyramid import Level, levels, prolong, restrict
+from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.image.volume import Volume
 from accelsurf.kernels import point_sampling
 from accelsurf.levelset import LevelSet, Workers
@@ -32,65 +32,59 @@ TOUCHING_PART = 0.1
 
 
 class Halving(NamedTuple):
-    """The frames' grid ``frame`` and one with ``geometry`` whose voxels are twice as large; ``fine`` and ``coarse`` say
-    how the two lie.
+    """The frames' grid ``frame``, and one with ``geometry`` whose voxels are ``factors`` (3,) as large: blocks of the
+    frames' voxels, the last of which may reach beyond the frame.
     """
 
     frame: Geometry
     geometry: Geometry
-    fine: Level
-    coarse: Level
+    factors: NDArray[np.int64]
 
     @property
     def offset(self) -> Floats:
         """The first voxel of the coarse grid (3,), mm along the axes from that of the frames'."""
-        return np.asarray(np.array(self.coarse.first) * self.frame.spacing)
+        return np.asarray(0.5 * (self.factors - 1) * self.frame.spacing)
 
     def on_coarse(self, values: OnBox) -> OnBox:
         """The means on the coarse grid of values on the frames'."""
 
         def means(corner: Corner, shape: Corner) -> NDArray[Any]:
-            first, counts = self._in_frame(corner, shape)
-            found = np.asarray(values(first, counts), np.float32)
-            return restrict(found, self.fine.on_box(first, counts), self.coarse.on_box(corner, shape))
+            (z, y, x), (nz, ny, nx) = (np.multiply(part, self.factors).tolist() for part in (corner, shape))
+            blocks = np.stack([shape, self.factors], axis=1).ravel().tolist()
+            return np.asarray(values((z, y, x), (nz, ny, nx)).reshape(blocks).mean(axis=(1, 3, 5)), np.float32)
 
         return means
 
     def coarser(self, piece: SurfacePiece) -> SurfacePiece:
         """A surface of the frames' grid on the coarse one."""
-        factors, corner = np.array(self.coarse.factors), np.array(piece.corner)
-        low, high = corner // factors, -(-(corner + piece.psi.shape) // factors)
-        first = int(low[0]), int(low[1]), int(low[2])
 
-        def psi_on(start: Corner, shape: Corner) -> NDArray[np.float32]:
-            return on_larger_box(piece.psi, corner, np.array(start), np.add(start, shape))
+        def psi_on(first: Corner, shape: Corner) -> NDArray[np.float32]:
+            return on_larger_box(piece.psi, np.array(piece.corner), np.array(first), np.add(first, shape))
 
-        nz, ny, nx = (high - low).tolist()
-        return SurfacePiece(first, self.on_coarse(psi_on)(first, (nz, ny, nx)))
+        z, y, x = (np.array(piece.corner) // self.factors).tolist()
+        nz, ny, nx = (-(-np.add(piece.corner, piece.psi.shape) // self.factors) - (z, y, x)).tolist()
+        return SurfacePiece((z, y, x), self.on_coarse(psi_on)((z, y, x), (nz, ny, nx)))
 
     def finer(self, piece: SurfacePiece) -> SurfacePiece:
         """A surface of the coarse grid, within it, on the frames' one."""
-        first, counts = self._in_frame(piece.corner, piece.psi.shape)
-        here = self.coarse.on_box(piece.corner, piece.psi.shape)
-        return SurfacePiece(first, prolong(piece.psi, here, self.fine.on_box(first, counts)))
-
-    def _in_frame(self, corner: Corner, shape: Sequence[int]) -> tuple[Corner, Corner]:
-        """First voxel and shape of a box of the coarse grid on the frames' one."""
-        factors = np.array(self.coarse.factors)
-        z, y, x = (np.array(corner) * factors).tolist()
-        odd = (factors > 1) & (np.array(self.coarse.first) == 0.0)
-        nz, ny, nx = (np.array(shape) * factors - odd).tolist()
-        return (z, y, x), (nz, ny, nx)
+        z, y, x = np.multiply(piece.corner, self.factors).tolist()
+        nz, ny, nx = np.minimum(np.multiply(piece.psi.shape, self.factors), np.subtract(self.frame.shape, (z, y, x)))
+        fine = Level(0, (1, 1, 1), (int(nz), int(ny), int(nx)), self.frame.spacing)
+        fz, fy, fx = self.factors.tolist()
+        first = 0.5 * (fz - 1), 0.5 * (fy - 1), 0.5 * (fx - 1)
+        here = Level(1, (fz, fy, fx), self.geometry.shape, self.geometry.spacing, first)
+        return SurfacePiece((z, y, x), prolong(piece.psi, here, fine))
 
 
 def halving_of(frame: Geometry) -> Halving | None:
-    """The frames' grid and the next coarser one; None for planes and where too few voxels would be left."""
-    grids = levels(frame.shape, frame.spacing, 2)
-    if len(grids) < 2 or min(frame.shape) == 1:
+    """The frames' grid and one half as fine along its finest axes; None for planes."""
+    if min(frame.shape) == 1:
         return None
-    fine, coarse = grids
-    x, y, z = frame.index_to_world(coarse.first).tolist()
-    return Halving(frame, Geometry(coarse.shape, coarse.spacing, (x, y, z), frame.direction), fine, coarse)
+    factors = np.where(np.array(frame.spacing) < 2.0 * min(frame.spacing), 2, 1)
+    nz, ny, nx = (-(-np.array(frame.shape) // factors)).tolist()
+    hz, hy, hx = np.multiply(frame.spacing, factors).tolist()
+    x, y, z = frame.index_to_world(0.5 * (factors - 1)).tolist()
+    return Halving(frame, Geometry((nz, ny, nx), (hz, hy, hx), (x, y, z), frame.direction), factors)
 
 
 class BoxedSurface(NamedTuple):
