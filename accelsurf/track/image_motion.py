@@ -26,8 +26,9 @@ RADIUS, ROUNDS = 3, 3
 #: In volumes every so many voxels are matched, along axes that are as fine as the finest and have so many voxels: an
 #: eighth of the cost, and the blur leaves no more. Least blur of what is matched, in its voxels.
 STRIDE, MIN_STRIDDEN, MIN_BLUR = 2, 16, 0.5
-#: The motion of a place of the surface is a mean over so many independent windows: it is smoothed over the surface.
-WINDOWS = 8.0
+#: The motion of a place of the surface is a mean over so many independent windows along each direction in the surface:
+#: it is smoothed over that.
+WINDOWS = 2.8
 #: Correlation of the neighbourhood with the next frame below which nothing is known of its motion.
 LIKE = 0.65
 #: The neighbourhood whose likeness counts: so many voxels to either side of the surface.
@@ -139,7 +140,7 @@ def _variance(reference: Floats, warped: Floats, blur: Floats) -> Floats:
     error = ndimage.gaussian_filter((reference - warped) ** 2, sigma)
     least = 1e-6 * max(float(np.trace(normal, axis1=-2, axis2=-1).mean()), 1e-12)
     inverse = np.linalg.inv(normal + least * np.eye(dim))
-    return np.asarray(error * np.trace(inverse, axis1=-2, axis2=-1) / dim / independent / WINDOWS)
+    return np.asarray(error * np.trace(inverse, axis1=-2, axis2=-1) / dim / independent / WINDOWS ** (dim - 1))
 
 
 def _near(surface: SurfacePiece, box: Box, width: float) -> NDArray[np.bool_]:
