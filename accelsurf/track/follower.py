@@ -442,13 +442,14 @@ class Follower:
 def mean_square(given: SurfacePiece, found: SurfacePiece, step: float) -> float:
     """Mean square distance (mm2) of a surface that was found from a given one; inf where nothing was found.
 
-    Where the given surface lies within a voxel, ``step`` (mm), it is the difference of the two distances.
+    Where the given surface lies within a voxel, ``step`` (mm), it is the difference of the two distances; 0 where there
+    is none.
     """
     if not found.has_inside:
         return math.inf
     first, near = np.array(given.corner), np.abs(given.psi) < step
     there = on_larger_box(found.psi, np.array(found.corner), first, first + given.psi.shape)
-    return float(((there - given.psi)[near] ** 2).mean())
+    return float(((there - given.psi)[near] ** 2).sum()) / max(1, int(near.sum()))
 
 
 def measured_part(piece: SurfacePiece, momentum: SurfaceMomentum, quality: float) -> Measured:
