@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.image.volume import Volume
+from accelsurf.io.library_images import VolumeSequence
 from accelsurf.phantoms.recipe_files import read_recipe
 from accelsurf.phantoms.tissues import TissuePhantom, TissueRecipe
 from accelsurf.settings.track_config import TrackConfig
@@ -94,9 +95,8 @@ def by_accelsurf(
     phantom: TissuePhantom, frames: Sequence[Volume], first: Labels
 ) -> tuple[list[NDArray[Any]], list[float]]:
     """Labels of all frames, and the lowest quality in each frame after the first."""
-    del frames
     config = TrackConfig(threads=1, energy="chan-vese", levels=1)
-    results = list(Tracking(phantom, config, objects=Volume(first, phantom.geometry)))
+    results = list(Tracking(VolumeSequence(frames), config, objects=Volume(first, phantom.geometry)))
     lowest = [min(tracked.quality for tracked in result.objects) if result.objects else 0.0 for result in results[1:]]
     return [result.labels(seen_only=False) for result in results], lowest
 
