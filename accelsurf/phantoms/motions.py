@@ -53,7 +53,7 @@ class Body(NamedTuple):
 
 
 class SequenceRecipe(BaseModel):
-    """What the recipes of all phantoms in time have. Lengths in mm; triples in the order x, y, z.
+    """Fields of the recipes of all phantoms in time. Lengths in mm; triples in the order x, y, z.
 
     Attributes
     ----------
