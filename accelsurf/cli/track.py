@@ -86,4 +86,6 @@ def _summary(case: TrackCase, done: Tracked) -> list[str]:
     lines = [f"{case.place.name}: {objects} object{'' if objects == 1 else 's'} in {done.frames} frames"]
     words = {"end of sequence": "to the end of the sequence"}
     lines += [f"  {count} {words.get(why, why)}" for why, count in ends.items()]
+    if done.doubtful:
+        lines.append(f"  these tracks cannot be trusted in {done.doubtful} of {done.frames} frames")
     return [*lines, f"  {(case.place.folder / case.place.name).absolute()}_tracks.csv"]

@@ -61,11 +61,14 @@ class TrackCase:
 
 @dataclass(frozen=True)
 class Tracked:
-    """A tracking that ended with a result: ``frames`` of the sequence, the ``lineage``, and the exit ``code``."""
+    """A tracking that ended with a result: ``frames`` of the sequence, the ``lineage``, the exit ``code``, and the
+    number of ``doubtful`` frames.
+    """
 
     frames: int
     lineage: Lineage
     code: int
+    doubtful: int
 
 
 def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
@@ -103,7 +106,8 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
         )
         try:
             _follow(case, tracking, outputs, watcher)
-            return Tracked(len(tracking.sequence), tracking.lineage, _finish(case, tracking, outputs, watcher))
+            code = _finish(case, tracking, outputs, watcher)
+            return Tracked(len(tracking.sequence), tracking.lineage, code, len(tracking.doubtful))
         except BaseException as error:
             outputs.abort(error)
             if isinstance(error, AccelsurfError) or not case.state.exists():
@@ -188,7 +192,11 @@ def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
 def _doubts(tracking: Tracking) -> list[str]:
     """Return doubts about the tracks, at most ten."""
     count = len(tracking.visits)
-    out = []
+    out = [
+        f"these tracks cannot be trusted in {len(tracking.doubtful)} of {count} frames, the first of them frame "
+        f"{min(tracking.doubtful)}: the image around the objects is not as it was in the given frame; give labels of a "
+        "frame nearer to these (--frame), or correct them (--correct)"
+    ] if tracking.doubtful else []
     for track in tracking.lineage.tracks:
         if track.end in ("vanished", "lost") and tracking.done == count:
             out.append(

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,19 +52,64 @@ class Body(NamedTuple):
         return 4.0 / 3.0 * math.pi * float(np.linalg.det(self.matrix))
 
 
-class MotionRecipe(BaseModel):
-    """Recipe of a moving phantom. Lengths in mm; triples in the order x, y, z.
+class SequenceRecipe(BaseModel):
+    """Fields of the recipes of all phantoms in time. Lengths in mm; triples in the order x, y, z.
 
     Attributes
     ----------
-    motion : str
-        translation, acceleration, rotation, deformation, beat, division, passing, bounce or return.
+    name : str
     shape, spacing : triples
-        Grid of every frame; one slice (z = 1) is a disc that moves in its plane.
+        Grid of every frame; its middle is the world's origin.
     frames : int
     frame_time : float or None
         Seconds between frames; None counts them.
     radius : float
+    seed : int
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = ""
+    shape: tuple[Count, Count, Count]
+    spacing: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
+    frames: Annotated[int, Field(strict=True, ge=2, le=10_000)] = 11
+    frame_time: Positive | None = None
+    radius: Positive
+    seed: Seed = 0
+
+    @model_validator(mode="after")
+    def _few_voxels(self) -> Self:
+        if math.prod(self.shape) > MAX_VOXELS:
+            raise ValueError(f"shape {self.shape} given, at most {MAX_VOXELS} voxels expected")
+        return self
+
+    @property
+    def geometry(self) -> Geometry:
+        """Grid of the frames."""
+        nx, ny, nz = self.shape
+        hx, hy, hz = self.spacing
+        corner = (-hx * (nx - 1) / 2, -hy * (ny - 1) / 2, -hz * (nz - 1) / 2)
+        return Geometry((nz, ny, nx), (hz, hy, hx), corner)
+
+    @property
+    def times(self) -> tuple[float, ...]:
+        """Times of the frames."""
+        return tuple((self.frame_time or 1.0) * n for n in range(self.frames))
+
+    @property
+    def time_unit(self) -> str:
+        """Unit of the times."""
+        return "s" if self.frame_time else "frame"
+
+
+class MotionRecipe(SequenceRecipe):
+    """Recipe of a moving phantom: of a `SequenceRecipe`, and of its bodies.
+
+    Attributes
+    ----------
+    motion : str
+        translation, acceleration, rotation, deformation, beat, division, passing, bounce or return; in one slice (z =
+        1) a disc moves in its plane.
     speed : float
         Radii in ten frames: of the translation; mean of the acceleration, which begins at rest; of the pieces of a
         division away from each other; of each of two bodies. For a rotation, turns in ten frames.
@@ -76,19 +121,9 @@ class MotionRecipe(BaseModel):
         Values; drift is the part of the contrast that is lost in ten frames.
     empty : tuple of int
         Frames that show nothing but the background.
-    seed : int
-    name : str
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     motion: Motion
-    name: str = ""
-    shape: tuple[Count, Count, Count]
-    spacing: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
-    frames: Annotated[int, Field(strict=True, ge=2, le=10_000)] = 11
-    frame_time: Positive | None = None
-    radius: Positive
     speed: NotNegative = 1.0
     direction: tuple[Real, Real, Real] = (1.0, 0.0, 0.0)
     period: Positive = 10.0
@@ -97,12 +132,9 @@ class MotionRecipe(BaseModel):
     noise: NotNegative = 0.0
     drift: Real = 0.0
     empty: tuple[Annotated[int, Field(strict=True, ge=0)], ...] = ()
-    seed: Seed = 0
 
     @model_validator(mode="after")
     def _checked(self) -> MotionRecipe:
-        if math.prod(self.shape) > MAX_VOXELS:
-            raise ValueError(f"shape {self.shape} given, at most {MAX_VOXELS} voxels expected")
         if self.contrast == 0.0:
             raise ValueError("contrast 0 given, another number expected (there would be nothing to see)")
         if not any(self.direction):
@@ -110,14 +142,6 @@ class MotionRecipe(BaseModel):
         if beyond := [frame for frame in self.empty if frame >= self.frames]:
             raise ValueError(f"empty: frame {beyond[0]} given, expected 0 to {self.frames - 1}")
         return self
-
-    @property
-    def geometry(self) -> Geometry:
-        """Grid of the frames: its middle is the world's origin."""
-        nx, ny, nz = self.shape
-        hx, hy, hz = self.spacing
-        corner = (-hx * (nx - 1) / 2, -hy * (ny - 1) / 2, -hz * (nz - 1) / 2)
-        return Geometry((nz, ny, nx), (hz, hy, hx), corner)
 
     @property
     def is_flat(self) -> bool:
@@ -243,9 +267,7 @@ class MovingPhantom(ImageSequence):
 
     def __init__(self, recipe: MotionRecipe) -> None:
         self.recipe, self.geometry, self.source = recipe, recipe.geometry, recipe.name
-        step = 1.0 if recipe.frame_time is None else recipe.frame_time
-        self.times = tuple(step * n for n in range(recipe.frames))
-        self.time_unit = "frame" if recipe.frame_time is None else "s"
+        self.times, self.time_unit = recipe.times, recipe.time_unit
 
     def _channels(self, number: int) -> list[Volume]:
         recipe = self.recipe

@@ -13,15 +13,14 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from scipy import ndimage
 
-from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
-from accelsurf.phantoms.motions import MovingPhantom, TruthRow, motion_from
+from accelsurf.phantoms.motions import MovingPhantom, SequenceRecipe, TruthRow, motion_from
 from accelsurf.phantoms.recipe_files import checked
-from accelsurf.phantoms.recipes import MAX_VOXELS, Count, NotNegative, Positive, Real, Seed
+from accelsurf.phantoms.recipes import NotNegative, Positive, Real
 
 Floats = NDArray[np.float64]
 Tissue = Literal["shell", "wall", "cell"]
@@ -44,21 +43,17 @@ class Material(NamedTuple):
     bright: NDArray[np.bool_]
 
 
-class TissueRecipe(BaseModel):
-    """Recipe of a phantom of tissue in time. Lengths in mm; triples in the order x, y, z.
+class TissueRecipe(SequenceRecipe):
+    """Recipe of a phantom of tissue in time: of a `SequenceRecipe`, whose radius is that of the chamber or the cell at
+    rest, on the outside, and of what moves.
 
     Attributes
     ----------
     tissue : str
         shell (object 1 is the wall of a chamber that beats and twists), wall (objects 1 and 2 are dark cavities with a
         wall between them that swings) or cell (object 1 is a cell whose lobes go round).
-    shape, spacing : triples
-        Grid of every frame.
-    frames : int
-    frame_time : float or None
-        Seconds between frames; None counts them.
-    radius, thickness : float
-        Of the chamber or the cell at rest, on the outside; of the wall.
+    thickness : float
+        Of the wall.
     amplitude : float
         Way that the wall goes to either side at most, or height of the lobes.
     period : float
@@ -73,19 +68,10 @@ class TissueRecipe(BaseModel):
         Part of the power of the scatterers that goes with the material; the others are new in each frame.
     grain : float
         Standard deviation of the blur.
-    seed : int
-    name : str
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     tissue: Tissue
-    name: str = ""
-    shape: tuple[Count, Count, Count]
-    spacing: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
     frames: Annotated[int, Field(strict=True, ge=2, le=10_000)] = 7
-    frame_time: Positive | None = None
-    radius: Positive
     thickness: Positive = 6.0
     amplitude: NotNegative = 4.0
     period: Positive = 7.0
@@ -95,23 +81,12 @@ class TissueRecipe(BaseModel):
     speckle: Share = 1.0
     coherence: Share = 0.5
     grain: Positive = 1.0
-    seed: Seed = 0
 
     @model_validator(mode="after")
     def _checked(self) -> TissueRecipe:
-        if math.prod(self.shape) > MAX_VOXELS:
-            raise ValueError(f"shape {self.shape} given, at most {MAX_VOXELS} voxels expected")
         if self.thickness + self.amplitude >= self.radius:
             raise ValueError("thickness and amplitude given, together less than the radius expected")
         return self
-
-    @property
-    def geometry(self) -> Geometry:
-        """Grid of the frames: its middle is the world's origin."""
-        nx, ny, nz = self.shape
-        hx, hy, hz = self.spacing
-        corner = (-hx * (nx - 1) / 2, -hy * (ny - 1) / 2, -hz * (nz - 1) / 2)
-        return Geometry((nz, ny, nx), (hz, hy, hx), corner)
 
     def material(self, time: float) -> Material:
         """The material at a time, in frames from the first."""
@@ -178,9 +153,7 @@ class TissuePhantom(ImageSequence):
 
     def __init__(self, recipe: TissueRecipe) -> None:
         self.recipe, self.geometry, self.source = recipe, recipe.geometry, recipe.name
-        step = 1.0 if recipe.frame_time is None else recipe.frame_time
-        self.times = tuple(step * n for n in range(recipe.frames))
-        self.time_unit = "frame" if recipe.frame_time is None else "s"
+        self.times, self.time_unit = recipe.times, recipe.time_unit
 
     def _channels(self, number: int) -> list[Volume]:
         recipe, material = self.recipe, self.recipe.material(number)

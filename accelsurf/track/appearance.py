@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.grid.boxes import Box, Corner, box_at, widened
+from accelsurf.grid.boxes import Box, Corner, corner_of, shared, widened
 from accelsurf.image.volume import Volume
 from accelsurf.track.boxed_surface import Floats
 from accelsurf.track.records import SurfacePiece
@@ -71,8 +71,14 @@ class Appearance(NamedTuple):
         return found[np.ix_(*(places - places[0] for places in index))]
 
     def _odds(self, features: Floats) -> Floats:
-        found = _with_products((features - self.center) / self.spread) @ self.weights + self.offset
-        return np.asarray(np.clip(found, -SURE, SURE))
+        """The odds at places whose features (k, ...) are given."""
+        count = len(self.center)
+        center, spread = (np.asarray(values[:, None], np.float32) for values in (self.center, self.spread))
+        near = (features.reshape(count, -1) - center) / spread
+        squares = np.zeros((count, count), np.float32)
+        squares[np.triu_indices(count)] = self.weights[count:]
+        found = ((squares @ near + self.weights[:count, None].astype(np.float32)) * near).sum(axis=0) + self.offset
+        return np.asarray(np.clip(found, -SURE, SURE)).reshape(features.shape[1:])
 
 
 def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
@@ -89,8 +95,8 @@ def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
     step = min(geometry.steps)
     box = widened(surface.box, geometry.shape, [int(np.ceil(NEAR * step / h)) for h in geometry.spacing])
     inside = np.zeros([side.stop - side.start for side in box], np.bool_)
-    corner = [a - side.start for a, side in zip(surface.corner, box, strict=True)]
-    inside[box_at((corner[0], corner[1], corner[2]), surface.psi.shape)] = surface.psi < 0
+    there, mine = shared(corner_of(box), inside.shape, surface.corner, surface.psi.shape)
+    inside[there] = surface.psi[mine] < 0
     sampling = [h if n > 1 else 1.0 for h, n in zip(geometry.spacing, geometry.shape, strict=True)]
     if min(np.count_nonzero(inside), np.count_nonzero(~inside)) < MIN_VOXELS:
         return None
@@ -98,12 +104,13 @@ def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
     near = np.abs(depth) <= NEAR * step
     if min(np.count_nonzero(inside[near]), np.count_nonzero(~inside[near])) < MIN_VOXELS:
         return None
-    features, label, depth = _features(image, box)[near], inside[near], depth[near]
-    spread = features.std(axis=0)
+    features, label, depth = _features(image, box)[:, near], inside[near], depth[near]
+    spread = features.std(axis=1, dtype=np.float64)
     if not spread.max() > 0.0:
         return None
-    learned = Appearance(features.mean(axis=0), np.maximum(spread, 1e-6 * spread.max()), np.zeros(0), 0.0, 0.0)
-    values = _with_products((features - learned.center) / learned.spread)
+    center = features.mean(axis=1, dtype=np.float64)
+    learned = Appearance(center, np.maximum(spread, 1e-6 * spread.max()), np.zeros(0), 0.0, 0.0)
+    values = _with_products((features.T - learned.center) / learned.spread)
     sides = values[label], values[~label]
     covariance = 0.5 * (np.cov(sides[0].T) + np.cov(sides[1].T))
     covariance += RIDGE * float(np.trace(covariance)) / len(covariance) * np.eye(len(covariance))
@@ -111,12 +118,12 @@ def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
     offset = -0.5 * float(weights @ (sides[0].mean(axis=0) + sides[1].mean(axis=0)))
     learned = learned._replace(weights=weights, offset=offset)
     at = np.abs(depth) <= SLOPE_NEAR * step
-    slope = float((depth[at] * learned._odds(features[at])).sum() / (depth[at] ** 2).sum())
+    slope = float((depth[at] * learned._odds(features[:, at])).sum() / (depth[at] ** 2).sum())
     return learned._replace(slope=slope) if slope > 0.0 else None
 
 
 def _features(image: Volume, box: Box) -> Floats:
-    """Means and standard deviations (nz, ny, nx, k) around the voxels of a box of a frame."""
+    """Means and standard deviations (k, nz, ny, nx) around the voxels of a box of a frame."""
     geometry = image.geometry
     step = min(geometry.steps)
     sigmas = [
@@ -125,15 +132,17 @@ def _features(image: Volume, box: Box) -> Floats:
     ]
     room = widened(box, geometry.shape, [int(np.ceil(END * sigma)) for sigma in sigmas[-1]])
     inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, room, strict=True))
-    values = image.array[room].astype(np.float64)
+    values = image.array[room]
+    middle = np.float32(values.mean(dtype=np.float64))  # squares of what is left have digits enough
+    values = values.astype(np.float32) - middle
     found = []
     for sigma in sigmas:
         mean, square = (ndimage.gaussian_filter(power, sigma, truncate=END)[inner] for power in (values, values**2))
-        found += [mean, np.sqrt(np.maximum(square - mean**2, 0.0))]
-    return np.stack(found, axis=-1)
+        found += [mean + middle, np.sqrt(np.maximum(square - mean**2, 0.0))]
+    return np.stack(found)
 
 
 def _with_products(features: Floats) -> Floats:
-    """Features (..., k) with all products of two of them."""
-    first, second = np.triu_indices(features.shape[-1])
-    return np.concatenate([features, features[..., first] * features[..., second]], axis=-1)
+    """Features (n, k) with all products of two of them."""
+    first, second = np.triu_indices(features.shape[1])
+    return np.concatenate([features, features[:, first] * features[:, second]], axis=1)

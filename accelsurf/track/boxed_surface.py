@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,12 +12,15 @@ from scipy.spatial import cKDTree
 
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.image.volume import Volume
 from accelsurf.kernels import point_sampling
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.track.records import SurfacePiece
 
 Floats = NDArray[np.float64]
+#: Values on a box of a grid, by its first voxel and its shape.
+OnBox = Callable[[Corner, Corner], NDArray[Any]]
 #: Voxels between the band and the edge of its box after the box was laid out, and the fewest before a step.
 MARGIN, GUARD = 4, 2
 #: Surface that was not there before has the mean of so many cells of the front nearest to it.
@@ -28,16 +31,73 @@ OWN_PART = 0.2
 TOUCHING_PART = 0.1
 
 
+class Halving(NamedTuple):
+    """The frames' grid ``frame``, and one with ``geometry`` whose voxels are ``factors`` (3,) as large: blocks of the
+    frames' voxels, the last of which may reach beyond the frame.
+    """
+
+    frame: Geometry
+    geometry: Geometry
+    factors: NDArray[np.int64]
+
+    @property
+    def offset(self) -> Floats:
+        """The first voxel of the coarse grid (3,), mm along the axes from that of the frames'."""
+        return np.asarray(0.5 * (self.factors - 1) * self.frame.spacing)
+
+    def on_coarse(self, values: OnBox) -> OnBox:
+        """The means on the coarse grid of values on the frames'."""
+
+        def means(corner: Corner, shape: Corner) -> NDArray[Any]:
+            (z, y, x), (nz, ny, nx) = (np.multiply(part, self.factors).tolist() for part in (corner, shape))
+            blocks = np.stack([shape, self.factors], axis=1).ravel().tolist()
+            return np.asarray(values((z, y, x), (nz, ny, nx)).reshape(blocks).mean(axis=(1, 3, 5)), np.float32)
+
+        return means
+
+    def coarser(self, piece: SurfacePiece) -> SurfacePiece:
+        """A surface of the frames' grid on the coarse one."""
+
+        def psi_on(first: Corner, shape: Corner) -> NDArray[np.float32]:
+            return on_larger_box(piece.psi, np.array(piece.corner), np.array(first), np.add(first, shape))
+
+        z, y, x = (np.array(piece.corner) // self.factors).tolist()
+        nz, ny, nx = (-(-np.add(piece.corner, piece.psi.shape) // self.factors) - (z, y, x)).tolist()
+        return SurfacePiece((z, y, x), self.on_coarse(psi_on)((z, y, x), (nz, ny, nx)))
+
+    def finer(self, piece: SurfacePiece) -> SurfacePiece:
+        """A surface of the coarse grid, within it, on the frames' one."""
+        z, y, x = np.multiply(piece.corner, self.factors).tolist()
+        nz, ny, nx = np.minimum(np.multiply(piece.psi.shape, self.factors), np.subtract(self.frame.shape, (z, y, x)))
+        fine = Level(0, (1, 1, 1), (int(nz), int(ny), int(nx)), self.frame.spacing)
+        fz, fy, fx = self.factors.tolist()
+        first = 0.5 * (fz - 1), 0.5 * (fy - 1), 0.5 * (fx - 1)
+        here = Level(1, (fz, fy, fx), self.geometry.shape, self.geometry.spacing, first)
+        return SurfacePiece((z, y, x), prolong(piece.psi, here, fine))
+
+
+def halving_of(frame: Geometry) -> Halving | None:
+    """The frames' grid and one half as fine along its finest axes; None for planes."""
+    if min(frame.shape) == 1:
+        return None
+    factors = np.where(np.array(frame.spacing) < 2.0 * min(frame.spacing), 2, 1)
+    nz, ny, nx = (-(-np.array(frame.shape) // factors)).tolist()
+    hz, hy, hx = np.multiply(frame.spacing, factors).tolist()
+    x, y, z = frame.index_to_world(0.5 * (factors - 1)).tolist()
+    return Halving(frame, Geometry((nz, ny, nx), (hz, hy, hx), (x, y, z), frame.direction), factors)
+
+
 class BoxedSurface(NamedTuple):
     """A surface on its box.
 
-    ``surface``; ``corner`` (z, y, x), the first voxel of the box on the frames' grid, which may be below 0;
-    ``geometry`` of the frames.
+    ``surface``; ``corner`` (z, y, x), the first voxel of the box on its grid, which may be below 0; ``geometry`` of
+    this grid; ``halving``: None where it is the frames' grid, else how it lies in that.
     """
 
     surface: LevelSet
     corner: Corner
     geometry: Geometry
+    halving: Halving | None = None
 
     @property
     def spacing(self) -> Floats:
@@ -132,15 +192,26 @@ class BoxedSurface(NamedTuple):
         if (first >= last).any() or not self.surface.size:
             return SurfacePiece((0, 0, 0), np.ones((0, 0, 0), np.float32))
         psi = on_larger_box(self.surface.psi, corner, first, last)
-        return SurfacePiece((int(first[0]), int(first[1]), int(first[2])), psi)
+        piece = SurfacePiece((int(first[0]), int(first[1]), int(first[2])), psi)
+        return piece if self.halving is None else self.halving.finer(piece)
 
 
 def boxed_surface(
-    psi: NDArray[np.float32], corner: Corner, geometry: Geometry, half_width: float, workers: Workers
+    psi: NDArray[np.float32], corner: Corner, geometry: Geometry, half_width: float, workers: Workers,
+    halving: Halving | None = None,
 ) -> BoxedSurface:
-    """A surface on a box of the frames' grid, with a band of its own."""
+    """A surface on a box of a grid, with a band of its own."""
     surface = LevelSet(psi, geometry.spacing, half_width, workers)
-    return BoxedSurface(surface, corner, geometry).with_room((0, 0, 0))
+    return BoxedSurface(surface, corner, geometry, halving).with_room((0, 0, 0))
+
+
+def boxed_piece(
+    piece: SurfacePiece, frame: Geometry, half_width: float, workers: Workers, halving: Halving | None = None
+) -> BoxedSurface:
+    """A surface of the frames' grid on a box of that grid or of the coarser one."""
+    if halving is not None:
+        piece, frame = halving.coarser(piece), halving.geometry
+    return boxed_surface(piece.psi, piece.corner, frame, half_width, workers, halving)
 
 
 def on_larger_box(

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.boxes import overlap, shared
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.track.records import SurfacePiece
@@ -95,14 +96,8 @@ def profile(image: Volume, surface: SurfacePiece, others: Sequence[SurfacePiece]
 
 def _leave_out(layer: NDArray[np.int64], surface: SurfacePiece, other: SurfacePiece, near: float) -> None:
     """Put voxels near another object into no layer, in place."""
-    low = [max(a, b) for a, b in zip(surface.corner, other.corner, strict=True)]
-    high = [
-        min(a + n, b + m)
-        for a, n, b, m in zip(surface.corner, surface.psi.shape, other.corner, other.psi.shape, strict=True)
-    ]
-    if all(a < b for a, b in zip(low, high, strict=True)):
-        mine = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, surface.corner, strict=True))
-        theirs = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, other.corner, strict=True))
+    if overlap(surface.box, other.box):
+        mine, theirs = shared(surface.corner, surface.psi.shape, other.corner, other.psi.shape)
         layer[mine][other.psi[theirs] < near] = 2 * LAYERS
 
 

@@ -202,6 +202,11 @@ class Followed:
         assert self.appearance is not None
         return self.appearance.slope * self.appearance.variance / max(self.variance, least)
 
+    @property
+    def depth(self) -> float:
+        """Depth of an object that no runs correct, mm, as `Trust` has it; 0 of others."""
+        return 0.0 if self.trust is None or self.trust.is_run else self.trust.depth
+
     def inherit(self, parent: Followed) -> None:
         """Take over what is known of the object that this was a part of."""
         if parent.trust is not None and not parent.trust.is_run:

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import box_at, corner_of, widened
-from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.boxes import corner_of, widened
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
@@ -24,7 +22,7 @@ from accelsurf.settings.track_config import TrackConfig
 from accelsurf.starts.objects import ObjectStart
 from accelsurf.track import evidence
 from accelsurf.track.appearance import appearance_of
-from accelsurf.track.boxed_surface import groups_of, separate_parts, touching
+from accelsurf.track.boxed_surface import groups_of, on_larger_box, separate_parts, touching
 from accelsurf.track.evidence import FACTOR, Profile, profile, volume_in_grid
 from accelsurf.track.followed import Followed, MeshCarrier, Trust, Whole, lies_on_border, restored
 from accelsurf.track.frame_run import NOTHING, Measured, following_settings, measure, measured_piece, settled
@@ -36,11 +34,14 @@ from accelsurf.track.records import BAND, Identities, SurfacePiece, TrackedObjec
 #: What is nearer to a tracked object than so many voxels is no object of its own.
 APART = 2
 #: A run on a frame counts if that on the given frame, from the given surface, leaves it by a mean square of no more
-#: than this, in voxels, in so many steps. That is the rounding of labels: of a surface half a voxel off, half of the
-#: voxels differ.
-ROUNDING, TRIED_STEPS = 0.5, 40
+#: than this, in voxels, in the first and in the second number of steps: half a voxel is the rounding of labels.
+ROUNDING, TRIED_STEPS = 0.3, (5, 40)
 #: Least variance, voxels squared, of a predicted surface, and of what an appearance finds.
 MIN_PRIOR_DEVIATION, MIN_VARIANCE = 0.05, 0.25
+#: Tracks of objects that no runs correct are not trusted in a frame in which their mean quality is lower.
+TRUSTED = 0.6
+#: An object that no runs correct goes on with voxels twice as large from this depth on, voxels.
+HALVED_DEPTH = 4.0
 #: Of an object that the border of the grid cuts at least so many voxels must be there.
 MIN_CUT = 8
 
@@ -116,23 +117,38 @@ class Follower:
         """Learn from a frame whose surfaces are given, and lie in it now, how far a run on a frame can be trusted."""
         given = {followed.id: followed.momentum.piece for followed in self.objects if followed.is_in_grid}
         starts = [ObjectStart(id, *piece) for id, piece in given.items()]
-        run = self._run.replace(max_steps=min(TRIED_STEPS, self._run.max_steps))
-        found = measure(arrival.channels, starts, run, self._energy) if starts else {}
-        unit, trust = min(self._geometry.steps) ** 2, {}
+        step, trust, holding = min(self._geometry.steps), {}, set(given)
+        for steps in TRIED_STEPS:
+            if holding:
+                run = self._run.replace(max_steps=min(steps, self._run.max_steps))
+                found = measure(arrival.channels, starts, run, self._energy)
+                left = {id: mean_square(piece, found[id].surface, step) for id, piece in given.items()}
+                holding &= {id for id, square in left.items() if square <= ROUNDING * step**2}
         for followed in [followed for followed in self.objects if followed.id in given]:
-            piece = given[followed.id]
-            holds = mean_square(piece, found[followed.id].surface, self._geometry) <= ROUNDING * unit
+            piece, holds = given[followed.id], followed.id in holding
+            depth = 2.0 * followed.volume_mm3 / max(followed.area_mm2, 1e-300)
             appearance = None if holds else appearance_of(arrival.channels[0], piece)
             if appearance is not None:
-                again = settled(followed.momentum.moved_surface(0.0), appearance, arrival.channels[0], 0.0)
-                off = mean_square(piece, again, self._geometry)
+                again = settled(self._at_rest(piece, depth).moved_surface(0.0), appearance, arrival.channels[0], 0.0)
+                off = mean_square(piece, again.surface, step)
                 lost = not math.isfinite(off)
-                appearance = None if lost else appearance._replace(variance=max(off, MIN_VARIANCE * unit))
+                appearance = None if lost else appearance._replace(variance=max(off, MIN_VARIANCE * step**2))
             parts = max(1, len(separate_parts(piece)))
-            depth = 2.0 * followed.volume_mm3 / max(followed.area_mm2, 1e-300)
             trust[followed.id] = Trust(followed.profile, parts, depth, holds, appearance)
             followed.note_given(trust[followed.id])
         return trust
+
+    def _at_rest(self, piece: SurfacePiece, depth: float) -> SurfaceMomentum:
+        """A momentum of a surface at rest, on the grid on which one of that depth (mm) moves with the image."""
+        momentum = self._new_momentum()
+        momentum.start(piece.psi, piece.corner, self._geometry)
+        self._choose_grid(momentum, depth)
+        return momentum
+
+    def _choose_grid(self, momentum: SurfaceMomentum, depth: float) -> None:
+        """Let a surface of an object that no run corrects, of this depth (mm), go on with larger voxels."""
+        if depth >= HALVED_DEPTH * max(self._geometry.steps):
+            momentum.halve()
 
     def _add(self, id: int, found: Measured, arrival: Arrival, velocity: Triple | None) -> Followed:
         """Begin to follow an object."""
@@ -164,6 +180,8 @@ class Follower:
         tuple of TrackedObject
             In order of their ids.
         """
+        for followed in self.objects:
+            self._choose_grid(followed.momentum, followed.depth)
         self._steer(arrival)
         predicted = {followed.id: followed.momentum.predict(arrival.duration) for followed in self.objects}
         found = self._measure(predicted, arrival)
@@ -197,6 +215,12 @@ class Follower:
             steered = momentum.steer(seen, arrival.duration, followed.drift)
             followed.note_motion(steered.innovation, steered.variance, seen.likeness)
 
+    @property
+    def is_doubtful(self) -> bool:
+        """True if the tracks cannot be trusted in the frame: the objects that no runs correct are mostly not found."""
+        found = [0.0 if followed.missing else followed.quality for followed in self.objects if not followed.is_run]
+        return bool(found) and sum(found) < TRUSTED * len(found)
+
     def in_frame(self, predicted: dict[int, SurfacePiece]) -> tuple[TrackedObject, ...]:
         """Return the records of the objects in the frame."""
         return tuple(followed.in_frame(predicted.get(followed.id), self._geometry) for followed in self.objects)
@@ -217,12 +241,12 @@ class Follower:
         taken = [predicted[id] for id in unrun]
         found = measure(arrival.channels, first, run, energy, arrival.refinements, taken) if first or not unrun else {}
         for followed in [followed for followed in predictable if followed.id in unrun]:
-            piece = predicted[followed.id]
-            if followed.appearance is not None:
-                prior = followed.prior(MIN_PRIOR_DEVIATION * min(self._geometry.steps) ** 2)
-                carried = followed.momentum.moved_surface(arrival.duration)
-                piece = settled(carried, followed.appearance, arrival.channels[0], prior)
-            found[followed.id] = measured_piece(piece, self._geometry)
+            if followed.appearance is None:
+                found[followed.id] = measured_piece(predicted[followed.id], self._geometry)
+                continue
+            prior = followed.prior(MIN_PRIOR_DEVIATION * min(self._geometry.steps) ** 2)
+            carried = followed.momentum.moved_surface(arrival.duration)
+            found[followed.id] = settled(carried, followed.appearance, arrival.channels[0], prior)
         if then:
             occupied = [measured.surface for measured in found.values() if measured.surface.psi.size]
             found |= measure(arrival.channels, then, run, energy, occupied=occupied)
@@ -239,10 +263,11 @@ class Follower:
             others = [other.surface for id, other in found.items() if id != followed.id]
             # Where what a run finds is not the object, the surface that goes with the image still may be.
             corrects = sure or followed.is_run or followed.appearance is not None
-            candidates = [(found.get(followed.id, NOTHING), corrects)]
-            if corrects and followed.goes_with_image and predicted[followed.id].has_inside:
-                candidates.append((measured_piece(predicted[followed.id], self._geometry), False))
-            for shown, is_run in candidates:
+            moves = corrects and followed.goes_with_image and predicted[followed.id].has_inside
+            for is_run in (True, False) if moves else (corrects,):
+                shown = found.get(followed.id, NOTHING)
+                if moves and not is_run:
+                    shown = measured_piece(predicted[followed.id], self._geometry)
                 if not shown.surface.psi.size:
                     continue
                 now = profile(image, shown.surface, others)
@@ -414,32 +439,17 @@ class Follower:
         self.objects = [restored(saved, self._new_momentum(), self._geometry) for saved in state]
 
 
-def mean_square(given: SurfacePiece, found: SurfacePiece, geometry: Geometry) -> float:
-    """Mean square distance (mm2) of a given surface from one that was found; inf where nothing was found."""
+def mean_square(given: SurfacePiece, found: SurfacePiece, step: float) -> float:
+    """Mean square distance (mm2) of a surface that was found from a given one; inf where nothing was found.
+
+    Where the given surface lies within a voxel, ``step`` (mm), it is the difference of the two distances; 0 where there
+    is none.
+    """
     if not found.has_inside:
         return math.inf
-    low = np.minimum(given.corner, found.corner)
-    high = np.maximum(np.add(given.corner, given.psi.shape), np.add(found.corner, found.psi.shape))
-    inside = [np.zeros(high - low, np.bool_) for _ in range(2)]
-    for mask, piece in zip(inside, (given, found), strict=True):
-        mask[box_at(np.subtract(piece.corner, low).tolist(), piece.psi.shape)] = piece.psi < 0
-    single = [n == 1 for n in geometry.shape]
-    border = inside[0] & ~ndimage.binary_erosion(inside[0], _cross(single), border_value=1)
-    if not border.any():
-        return 0.0
-    spacing = [geometry.spacing[a] for a in range(3)]
-    edge = inside[1] ^ ndimage.binary_erosion(inside[1], _cross(single), border_value=1)
-    away = ndimage.distance_transform_edt(~edge, spacing) if edge.any() else np.full(edge.shape, np.inf)
-    return float((away[border] ** 2).mean())
-
-
-def _cross(single: Sequence[bool]) -> NDArray[np.bool_]:
-    """The neighbours of a voxel across its faces, without axes of one slice."""
-    cross = ndimage.generate_binary_structure(3, 1)
-    for axis, alone in enumerate(single):
-        if alone:
-            cross[(slice(None),) * axis + ([0, 2],)] = False
-    return cross
+    first, near = np.array(given.corner), np.abs(given.psi) < step
+    there = on_larger_box(found.psi, np.array(found.corner), first, first + given.psi.shape)
+    return float(((there - given.psi)[near] ** 2).sum()) / max(1, int(near.sum()))
 
 
 def measured_part(piece: SurfacePiece, momentum: SurfaceMomentum, quality: float) -> Measured:

@@ -192,11 +192,9 @@ def _result(
 
 def _on_box(start: ObjectStart, box: Box) -> ObjectStart:
     """A start on a box of the frame, cut where that ends."""
-    extent = box_at(start.corner, start.psi.shape)
-    z, y, x = (slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(extent, box, strict=True))
-    psi = start.psi[tuple(slice(s.start - c, s.stop - c) for s, c in zip((z, y, x), start.corner, strict=True))]
-    corner = (z.start - box[0].start, y.start - box[1].start, x.start - box[2].start)
-    return ObjectStart(start.id, corner, np.ascontiguousarray(psi))
+    shape = [side.stop - side.start for side in box]
+    here, there = shared(corner_of(box), shape, start.corner, start.psi.shape)
+    return ObjectStart(start.id, corner_of(here), np.ascontiguousarray(start.psi[there]))
 
 
 def _core(start: ObjectStart, geometry: Geometry) -> Click:
@@ -208,11 +206,9 @@ def _free(occupied: Sequence[SurfacePiece], box: Box, geometry: Geometry) -> NDA
     """Psi on a box of the frame of all that others leave free."""
     psi = np.full(geometry.shape, -max(geometry.spacing), np.float32)
     for piece in occupied:
-        start = ObjectStart(0, piece.corner, piece.psi)
         if overlap(piece.box, box):
-            cut = _on_box(start, box)
-            here = psi[box_at(cut.corner, cut.psi.shape)]
-            np.maximum(here, -cut.psi, out=here)
+            here, there = shared(corner_of(box), psi.shape, piece.corner, piece.psi.shape)
+            psi[here] = np.maximum(psi[here], -piece.psi[there])
     return psi
 
 
@@ -229,8 +225,8 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
     return False
 
 
-def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior: float) -> SurfacePiece:
-    """Run a surface in a frame, by an appearance, from the momentum that it has.
+def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior: float) -> Measured:
+    """Run a surface in a frame, by an appearance, from the momentum that it has; the chance of what it finds is even.
 
     The energy is U = int_inside (prior psi_0 - odds) dx + alpha A, psi_0 where it begins. The surface has constant
     density and a constant friction.
@@ -246,35 +242,38 @@ def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior:
         Weight of the distance from where it begins, 1/mm.
     """
     boxed, speed = carried
-    surface = boxed.surface
-    odds = appearance.evidence(image, boxed.corner, surface.shape)
+    surface, h = boxed.surface, min(image.geometry.steps)
+    evidence = functools.partial(appearance.evidence, image)
+    odds = (evidence if boxed.halving is None else boxed.halving.on_coarse(evidence))(boxed.corner, surface.shape)
     field = np.ascontiguousarray(prior * surface.psi - odds, np.float32)
-    h = surface.smallest_spacing
     flow = ConstantDensity(friction=FRICTION, lambda_=DRIVE * h)
     flow.start_moving(surface, [speed])
     rule = StopRule(window=4, motion=0.05, further=0.1, kinetic=1.0)
     for _ in Evolution(surface, RegionField(field, AREA * h), flow, StepLimits(), STEPS, None, rule, fields=[speed]):
         pass
-    return boxed.on_frame()
+    piece = boxed.on_frame()
+    return _measures(piece.tight(), surface, 0.5) if piece.has_inside else NOTHING
+
+
+def _measures(piece: SurfacePiece, surface: LevelSet, quality: float) -> Measured:
+    fraction, area = surface.fraction_and_area()
+    return Measured(piece, surface.volume(fraction), float(area.sum()), quality)
 
 
 def measured_start(start: ObjectStart, geometry: Geometry) -> Measured:
     """Measure an object whose voxels are given: nothing of it is in doubt."""
     surface = LevelSet(start.psi, geometry.spacing, BAND)
-    fraction, area = surface.fraction_and_area()
     # The distance to the surface through the voxels' faces, on the same side in every voxel.
     least = np.float32(SIDE * min(geometry.steps))
     psi = np.where(start.psi < 0, np.minimum(surface.psi, -least), np.maximum(surface.psi, least))
-    return Measured(SurfacePiece(start.corner, psi), surface.volume(fraction), float(area.sum()), 1.0)
+    return _measures(SurfacePiece(start.corner, psi), surface, 1.0)
 
 
 def measured_piece(piece: SurfacePiece, geometry: Geometry) -> Measured:
     """Measure a surface; as nothing tells how good it is, its chance is even."""
     if not piece.has_inside:
         return NOTHING
-    surface = LevelSet(piece.psi, geometry.spacing, BAND)
-    fraction, area = surface.fraction_and_area()
-    return Measured(piece.tight(), surface.volume(fraction), float(area.sum()), 0.5)
+    return _measures(piece.tight(), LevelSet(piece.psi, geometry.spacing, BAND), 0.5)
 
 
 def measured(found: SegmentedObject, box: Box) -> Measured:

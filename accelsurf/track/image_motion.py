@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.registration import optical_flow_ilk
 
-from accelsurf.grid.boxes import Box, bounding_box, box_at, placed_at, widened
+from accelsurf.grid.boxes import Box, bounding_box, corner_of, placed_at, shared, widened
 from accelsurf.image.volume import Volume
 from accelsurf.track.boxed_surface import Floats
 from accelsurf.track.records import SurfacePiece
@@ -23,8 +23,12 @@ from accelsurf.track.records import SurfacePiece
 AROUND, BLUR = 12, 1.5
 #: Radius of the window of a match in voxels of the grid that is matched, and rounds of warping on each scale.
 RADIUS, ROUNDS = 3, 3
-#: In volumes every so many voxels are matched: an eighth of the cost, and the blur leaves no more.
-STRIDE = 2
+#: In volumes every so many voxels are matched, along axes that are as fine as the finest and have so many voxels: an
+#: eighth of the cost, and the blur leaves no more. Least blur of what is matched, in its voxels.
+STRIDE, MIN_STRIDDEN, MIN_BLUR = 2, 16, 0.5
+#: The motion of a place of the surface is a mean over so many independent windows along each direction in the surface:
+#: it is smoothed over that.
+WINDOWS = 2.8
 #: Correlation of the neighbourhood with the next frame below which nothing is known of its motion.
 LIKE = 0.65
 #: The neighbourhood whose likeness counts: so many voxels to either side of the surface.
@@ -36,24 +40,27 @@ class ImageMotion(NamedTuple):
 
     Attributes
     ----------
-    box : tuple of slice
-    displacement : ndarray (3, nz, ny, nx)
+    first : ndarray (3,)
+        The first voxel, mm along the grid's axes z, y, x from that of the frame.
+    step : ndarray (3,)
+        From one that was matched to the next, mm.
+    displacement : ndarray (3, mz, my, mx)
         To the next frame, mm along the grid's axes z, y, x.
-    variance : ndarray (nz, ny, nx)
-        Of each component, mm2; inf where the image has no structure.
+    variance : ndarray (mz, my, mx)
+        Of each component, mm2.
     likeness : float
         Correlation of the neighbourhood of the surface, moved, with the next frame; 1: the same but for gray scale.
     """
 
-    box: Box
+    first: Floats
+    step: Floats
     displacement: Floats
     variance: Floats
     likeness: float
 
-    def at(self, points: Floats, spacing: Floats) -> tuple[Floats, Floats]:
+    def at(self, points: Floats) -> tuple[Floats, Floats]:
         """Displacement (m, 3) and variance (m,) at points (m, 3), mm along the grid's axes z, y, x."""
-        corner = np.array([side.start for side in self.box])
-        index = (points / spacing - corner).T
+        index = ((points - self.first) / self.step).T
         moved = [ndimage.map_coordinates(part, index, order=1, mode="nearest") for part in self.displacement]
         return np.stack(moved, axis=1), ndimage.map_coordinates(self.variance, index, order=0, mode="nearest")
 
@@ -83,27 +90,26 @@ def image_motion(before: Volume, now: Volume, surface: SurfacePiece, expected: F
     wide = np.array([side.stop - side.start > 1 for side in box])
     h = np.array(before.geometry.spacing)
     shift = np.where(wide, np.rint(expected / h), 0.0)
-    stride = [STRIDE if n > 1 and wide.all() else 1 for n in wide]
-    first, second = (_blurred(volume, box, offset) for volume, offset in ((before, np.zeros(3)), (now, shift)))
-    every = tuple(slice(None, None, n) for n in stride)
-    matched = first[every], second[every]
-    scale = float(matched[0].std())
-    if scale == 0.0 or not np.isfinite(scale) or min(n for n, w in zip(matched[0].shape, wide, strict=True) if w) < 4:
+    finest = min(before.geometry.steps)
+    fine = (h < STRIDE * finest) & (np.array([side.stop - side.start for side in box]) >= MIN_STRIDDEN)
+    stride = np.where(wide.all() & fine, STRIDE, 1)
+    every = tuple(slice(None, None, n) for n in stride.tolist())
+    matched = [_blurred(volume, box, offset)[every] for volume, offset in ((before, np.zeros(3)), (now, shift))]
+    scale, counts = float(matched[0].std()), matched[0].shape
+    if scale == 0.0 or not np.isfinite(scale) or np.array(counts)[wide].min() < 4:
         return None
     reference, moving = (np.squeeze(image, tuple(np.flatnonzero(~wide))) / scale for image in matched)
     flow = optical_flow_ilk(reference, moving, radius=RADIUS, num_warp=ROUNDS, gaussian=True, dtype=np.float64)
     warped = ndimage.map_coordinates(moving, np.indices(flow.shape[1:]) + flow, order=1, mode="nearest")
-    variance = _variance(reference, warped)
-    steps = (h * stride)[wide]
-    dense = np.zeros((3, *matched[0].shape))
-    dense[wide] = (flow * steps.reshape(-1, *[1] * flow[0].ndim)).reshape(-1, *matched[0].shape)
-    to_full = np.indices(first.shape) / np.array(stride).reshape(3, 1, 1, 1)
-    moved = np.stack([ndimage.map_coordinates(part, to_full, order=1, mode="nearest") for part in dense])
-    spread = ndimage.map_coordinates(variance.reshape(matched[0].shape), to_full, order=0, mode="nearest")
-    near = _near(surface, box)[every]
-    likeness = _correlation(reference[near.reshape(reference.shape)], warped[near.reshape(reference.shape)])
-    moved += (shift * h).reshape(3, 1, 1, 1)
-    return ImageMotion(box, moved, spread * float(steps.min()) ** 2, likeness)
+    steps = h * stride
+    blur = np.maximum(BLUR * finest / steps, MIN_BLUR)[wide]
+    variance = _variance(reference, warped, blur).reshape(counts) * float(steps[wide].min()) ** 2
+    moved = np.zeros((3, *counts))
+    moved[wide] = flow.reshape(-1, *counts)
+    moved = moved * steps.reshape(3, 1, 1, 1) + (shift * h).reshape(3, 1, 1, 1)
+    near = _near(surface, box, NEAR * finest)[every].reshape(reference.shape)
+    likeness = _correlation(reference[near], warped[near])
+    return ImageMotion(np.array(corner_of(box)) * h, steps, moved, variance, likeness)
 
 
 def _blurred(volume: Volume, box: Box, offset: Floats) -> Floats:
@@ -118,12 +124,14 @@ def _blurred(volume: Volume, box: Box, offset: Floats) -> Floats:
     return np.asarray(ndimage.gaussian_filter(values, sigma, mode="nearest"))
 
 
-def _variance(reference: Floats, warped: Floats) -> Floats:
-    """Variance of a component of the flow, voxels of the matched grid squared: the mean over the axes."""
+def _variance(reference: Floats, warped: Floats, blur: Floats) -> Floats:
+    """Variance of a component of the flow, voxels of the matched grid squared: the mean over the axes.
+
+    ``blur`` (d,) is that of the images, in these voxels.
+    """
     dim = reference.ndim
     sigma = 0.25 * (2 * RADIUS + 1)
-    blur = BLUR / (STRIDE if dim == 3 else 1)
-    independent = max(1.0, (sigma / blur) ** dim)  # values of a window, which the blur has made alike
+    independent = max(1.0, float(np.prod(sigma / blur)))  # values of a window, which the blur has made alike
     gradient = np.gradient(warped)
     normal = np.empty((*reference.shape, dim, dim))
     for a in range(dim):
@@ -132,19 +140,15 @@ def _variance(reference: Floats, warped: Floats) -> Floats:
     error = ndimage.gaussian_filter((reference - warped) ** 2, sigma)
     least = 1e-6 * max(float(np.trace(normal, axis1=-2, axis2=-1).mean()), 1e-12)
     inverse = np.linalg.inv(normal + least * np.eye(dim))
-    return np.asarray(error * np.trace(inverse, axis1=-2, axis2=-1) / dim / independent)
+    return np.asarray(error * np.trace(inverse, axis1=-2, axis2=-1) / dim / independent / WINDOWS ** (dim - 1))
 
 
-def _near(surface: SurfacePiece, box: Box) -> NDArray[np.bool_]:
-    """Voxels of a box near the surface."""
-    inside = np.zeros([side.stop - side.start for side in box], np.bool_)
-    low = [side.start for side in box]
-    extent = box_at(surface.corner, surface.psi.shape)
-    cut = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(extent, box, strict=True))
-    mine = tuple(slice(a.start - c, a.stop - c) for a, c in zip(cut, surface.corner, strict=True))
-    inside[tuple(slice(a.start - c, a.stop - c) for a, c in zip(cut, low, strict=True))] = surface.psi[mine] < 0
-    distance = ndimage.distance_transform_edt(inside) + ndimage.distance_transform_edt(~inside)
-    return np.asarray(distance <= NEAR)
+def _near(surface: SurfacePiece, box: Box, width: float) -> NDArray[np.bool_]:
+    """Voxels of a box less than ``width`` (mm) off the surface."""
+    near = np.zeros([side.stop - side.start for side in box], np.bool_)
+    there, mine = shared(corner_of(box), near.shape, surface.corner, surface.psi.shape)
+    near[there] = np.abs(surface.psi[mine]) < width
+    return near
 
 
 def _correlation(a: Floats, b: Floats) -> float:

@@ -13,7 +13,16 @@ from scipy.spatial import cKDTree
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet, SurfaceState, Workers, checkpoint_surface, restore_surface
-from accelsurf.track.boxed_surface import BoxedSurface, Floats, boxed_surface, on_larger_box, sample_fields
+from accelsurf.track.boxed_surface import (
+    BoxedSurface,
+    Floats,
+    Halving,
+    boxed_piece,
+    boxed_surface,
+    halving_of,
+    on_larger_box,
+    sample_fields,
+)
 from accelsurf.track.observer import Displacement, between, displacement, measured_surface
 from accelsurf.track.records import SurfacePiece
 
@@ -113,6 +122,22 @@ class SurfaceMomentum(ABC):
         self._fields = self._fields_at_start(np.where(self._boxed.wide, moving, 0.0))
         self._points = np.zeros((0, 3))
         return self.piece
+
+    def halve(self) -> None:
+        """Go on with voxels twice as large, if the frames' grid has a coarser one."""
+        self._put_on_grid(halving_of(self._boxed.geometry) if self._boxed.halving is None else self._boxed.halving)
+
+    def _put_on_grid(self, halving: Halving | None) -> None:
+        """Go on on the frames' grid, or on a coarser one."""
+        old, piece = self._boxed, self.piece
+        if halving is old.halving or not piece.has_inside:
+            return
+        frame = old.geometry if old.halving is None else old.halving.frame
+        self._boxed = boxed_piece(piece, frame, self.half_width, self.workers, halving)
+        shift = sum((sign * at.offset for sign, at in ((1.0, halving), (-1.0, old.halving)) if at), np.zeros(3))
+        values, known = sample_fields(old, self._fields, self._boxed.closest_points() + shift)
+        self._fields = self._fields_on(self._boxed, values, known)
+        self._points = self._points - shift
 
     def predict(self, duration: float) -> SurfacePiece:
         """Coast for a time, in the sequence's unit; below 0 it goes back in time. The surface moves, no force acts.
@@ -222,6 +247,9 @@ class SurfaceMomentum(ABC):
     def merged(self, others: Sequence[SurfaceMomentum]) -> SurfaceMomentum:
         """The momentum of the union with others of the same model, each with its own velocities; without points."""
         sources = [momentum for momentum in (self, *others) if momentum._boxed.surface.size]
+        if len({momentum._boxed.geometry.shape for momentum in sources}) > 1:
+            for momentum in sources:
+                momentum._put_on_grid(None)
         if not sources:
             return self._on_surface(self._boxed, [self])
         return self._on_surface(_union([momentum._boxed for momentum in sources]), sources)
@@ -252,6 +280,7 @@ class SurfaceMomentum(ABC):
         """State as a value: arrays and numbers by name, for `restore`."""
         surface = checkpoint_surface(self._boxed.surface)
         return {
+            "halved": self._boxed.halving is not None,
             "corner": self._boxed.corner, "shape": self._boxed.surface.shape, "points": self._points,
             "fields": np.array(self._fields, np.float32).reshape(len(self._fields), -1),
             **{f"surface_{name}": value for name, value in surface._asdict().items()},
@@ -261,11 +290,13 @@ class SurfaceMomentum(ABC):
         """Go back to a `state` of a momentum of the same settings on the same grid; the same bytes follow."""
         names = SurfaceState._fields
         saved = SurfaceState(**{name: state[f"surface_{name}"] for name in names})
+        halving = halving_of(geometry) if state["halved"] else None
+        geometry = geometry if halving is None else halving.geometry
         shape = tuple(int(n) for n in state["shape"])
         surface = LevelSet(np.ones(shape, np.float32), geometry.spacing, self.half_width, self.workers)
         restore_surface(surface, saved._replace(inside_beyond=int(saved.inside_beyond)))
         z, y, x = (int(c) for c in state["corner"])
-        self._boxed = BoxedSurface(surface, (z, y, x), geometry)
+        self._boxed = BoxedSurface(surface, (z, y, x), geometry, halving)
         self._fields = [np.array(field, np.float32) for field in state["fields"]]
         self._points = np.array(state["points"], np.float64).reshape(-1, 3)
 
@@ -286,4 +317,5 @@ def _union(surfaces: Sequence[BoxedSurface]) -> BoxedSurface:
         psi = np.minimum(psi, on_larger_box(surface.surface.psi, np.array(surface.corner), first, last))
     like = surfaces[0]
     corner = int(first[0]), int(first[1]), int(first[2])
-    return boxed_surface(psi, corner, like.geometry, like.surface.requested_half_width, like.surface.workers)
+    width, workers = like.surface.requested_half_width, like.surface.workers
+    return boxed_surface(psi, corner, like.geometry, width, workers, like.halving)

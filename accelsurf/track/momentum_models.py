@@ -16,8 +16,8 @@ from accelsurf.track.momentum import Gains, SurfaceMomentum
 from accelsurf.track.observer import Displacement, in_frame, missing_velocity, smoothed_by
 from accelsurf.track.records import SurfacePiece
 
-#: Voxels that a surface may move in a step.
-CFL = 0.5
+#: Voxels that a surface may move in a step, and that one may whose motion the image has shown: less certain than that.
+CFL, STEERED_CFL = 0.5, 1.5
 #: Steps of a motion at most: speeds that run away, as where paths cross, end it.
 MAX_STEPS = 200
 #: A motion has ended when less than this part of its time is left: that is rounding.
@@ -31,7 +31,7 @@ MAX_RELATIVE = 32.0
 
 
 def coast(
-    boxed: BoxedSurface, fields: list[np.ndarray], duration: float, points: Floats
+    boxed: BoxedSurface, fields: list[np.ndarray], duration: float, points: Floats, cfl: float = CFL
 ) -> tuple[BoxedSurface, list[np.ndarray], Floats]:
     """Move a surface for ``duration`` > 0 as flowable mass, without any force or friction.
 
@@ -44,6 +44,8 @@ def coast(
     duration : float
     points : ndarray (m, 3)
         Material points near the surface, mm along the grid's axes.
+    cfl : float
+        Voxels that it may move in a step, at most 1.5.
 
     Returns
     -------
@@ -60,8 +62,8 @@ def coast(
             boxed = _relaid(boxed, flow)
         now = _now(boxed, flow)
         # The step follows the speed now; its curvature may speed a surface up, which must not be clipped.
-        step = min(left, CFL / max(_fastest(now, flow), CFL / duration))
-        plan = flow.move(now, StepLimits(2.0 * CFL, 100.0, step))
+        step = min(left, cfl / max(_fastest(now, flow), cfl / duration))
+        plan = flow.move(now, StepLimits(2.0 * cfl, 100.0, step))
         if not plan.dt > 0 or plan.velocity is None:
             break
         if len(points):
@@ -81,7 +83,7 @@ def _now(boxed: BoxedSurface, flow: FlowableMass) -> StepInput:
     surface = boxed.surface
     front = surface.front(flow.stencil_width(surface))
     none = np.zeros(surface.size, np.float32)
-    return StepInput(surface, front, none, surface.curvature(front), surface.fraction_and_area()[1], 0.0)
+    return StepInput(surface, front, none, none, surface.fraction_and_area()[1], 0.0)
 
 
 def _fastest(now: StepInput, flow: FlowableMass) -> float:
@@ -147,7 +149,7 @@ class FlowableMomentum(SurfaceMomentum):
         mean, free = self._mean_velocity(), self._free(duration)
         field = np.stack(self._fields[:3], axis=1).astype(np.float64)
         by_momentum = mean * duration + (field - mean) * math.copysign(free, duration)
-        found, spread = seen.at(points, boxed.spacing)
+        found, spread = seen.at(points if boxed.halving is None else points + boxed.halving.offset)
         least = MIN_SPREAD * boxed.surface.smallest_spacing**2
         certainty = np.where(in_frame(boxed, points), 1.0 / np.maximum(spread, least), 0.0)
         found, certainty = smoothed_by(boxed, np.where(wide, found, 0.0), certainty)
@@ -172,7 +174,7 @@ class FlowableMomentum(SurfaceMomentum):
         mean, h, sign = self._mean_velocity(), self._boxed.spacing, math.copysign(1.0, duration)
         voxels = np.rint(mean * duration / h)
         free = self._free(duration)
-        slowed = 1.0 if self._steered else math.exp(-self.friction * abs(duration))
+        slowed, cfl = (1.0, STEERED_CFL) if self._steered else (math.exp(-self.friction * abs(duration)), CFL)
         self._steered = False
         left = (mean * duration - voxels * h) / free
         relative = [sign * (field - m) + v for field, m, v in zip(self._fields[:3], mean, left, strict=True)]
@@ -181,7 +183,7 @@ class FlowableMomentum(SurfaceMomentum):
         fields = [np.asarray(field, np.float32) for field in (*relative, self._fields[3])]
         boxed = self._with_room(fields[:3], free)
         fields = transferred(self._boxed, fields, boxed)
-        boxed, fields, points = coast(boxed, fields, free, self._points)
+        boxed, fields, points = coast(boxed, fields, free, self._points, cfl)
         shift = [int(n) for n in voxels]
         self._boxed, self._points = boxed.shifted(shift), points + voxels * h
         moving = [sign * slowed * (field - v) + m for field, m, v in zip(fields[:3], mean, left, strict=True)]

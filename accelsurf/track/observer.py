@@ -10,6 +10,7 @@ becomes velocity as far as it is smooth over the surface and more than what the 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.kernels import point_sampling
-from accelsurf.track.boxed_surface import BoxedSurface, Floats, boxed_surface
+from accelsurf.track.boxed_surface import BoxedSurface, Floats, boxed_piece, boxed_surface
 from accelsurf.track.records import SurfacePiece
 
 #: Damping of a round of the fit, in parts of a surface that looks all ways: along a plane no shift is determined.
@@ -125,7 +126,8 @@ def between(predicted: BoxedSurface, measured: BoxedSurface, found: Displacement
     psi = (1.0 - gain) * _resampled(first, -gain * found.shift, low, shape)
     psi += gain * _resampled(second, (1.0 - gain) * found.shift, low, shape)
     corner = int(low[0]), int(low[1]), int(low[2])
-    return boxed_surface(psi.astype(np.float32), corner, predicted.geometry, width, predicted.surface.workers)
+    like = predicted
+    return boxed_surface(psi.astype(np.float32), corner, like.geometry, width, like.surface.workers, like.halving)
 
 
 def _resampled(boxed: BoxedSurface, shift: Floats, low: NDArray[np.int64], shape: tuple[int, ...]) -> Floats:
@@ -166,14 +168,7 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
     total = float(area.sum())
     if total <= 0.0:
         return np.zeros_like(outward)
-    index = np.rint(predicted.index_on_box(points)).astype(np.int64)
-    at = tuple(np.clip(index, 0, np.array(surface.shape) - 1).T)
-
-    def smoothed_at(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        dense = np.zeros(surface.shape, np.float32)
-        dense.ravel()[surface.band.cells] = values
-        return gaussian_mm(dense, tuple(predicted.spacing), SMOOTH * surface.smallest_spacing)[at].astype(np.float64)
-
+    smoothed_at = _smoother(predicted)
     weight = np.maximum(smoothed_at(area), 1e-6 * float(area.max()))
     smooth = smoothed_at(area * outward) / weight
     smooth += smoothed_at(area * (outward - smooth)) / weight
@@ -183,16 +178,7 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
 
 def smoothed_by(boxed: BoxedSurface, values: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Smooth values (n, k) over a surface by their weights (n,), and return the mean weights (n,) too."""
-    surface, points = boxed.surface, boxed.closest_points()
-    area = surface.fraction_and_area()[1]
-    index = np.rint(boxed.index_on_box(points)).astype(np.int64)
-    at = tuple(np.clip(index, 0, np.array(surface.shape) - 1).T)
-
-    def smoothed_at(values: Floats) -> Floats:
-        dense = np.zeros(surface.shape, np.float32)
-        dense.ravel()[surface.band.cells] = values
-        return gaussian_mm(dense, tuple(boxed.spacing), SMOOTH * surface.smallest_spacing)[at].astype(np.float64)
-
+    area, smoothed_at = boxed.surface.fraction_and_area()[1], _smoother(boxed)
     there = np.maximum(smoothed_at(area), 1e-6 * float(area.max(initial=1e-30)))
     total = smoothed_at(area * weight)
     least = 1e-9 * max(float(total.max(initial=0.0)), 1e-30)
@@ -200,7 +186,22 @@ def smoothed_by(boxed: BoxedSurface, values: Floats, weight: Floats) -> tuple[Fl
     return np.stack(columns, axis=1), total / there
 
 
+def _smoother(boxed: BoxedSurface) -> Callable[[Floats], Floats]:
+    """A function that takes values (n,) of a band to their Gaussian sums at the closest points of its cells."""
+    surface, spacing = boxed.surface, boxed.spacing
+    index = np.rint(boxed.index_on_box(boxed.closest_points())).astype(np.int64)
+    at = tuple(np.clip(index, 0, np.array(surface.shape) - 1).T)
+
+    def smoothed_at(values: Floats) -> Floats:
+        dense = np.zeros(surface.shape, np.float32)
+        dense.ravel()[surface.band.cells] = values
+        return gaussian_mm(dense, tuple(spacing), SMOOTH * surface.smallest_spacing)[at].astype(np.float64)
+
+    return smoothed_at
+
+
 def measured_surface(piece: SurfacePiece, predicted: BoxedSurface) -> BoxedSurface:
     """The piece that a frame shows, as a surface with a band like the predicted one's."""
-    surface = predicted.surface
-    return boxed_surface(piece.psi, piece.corner, predicted.geometry, surface.requested_half_width, surface.workers)
+    surface, halving = predicted.surface, predicted.halving
+    frame = predicted.geometry if halving is None else halving.frame
+    return boxed_piece(piece, frame, surface.requested_half_width, surface.workers, halving)

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 #: Voxels along each axis of the frames that warm up kernels, and the radius of the ball in them.
 WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
 #: Version of the state file; raised when its content changes.
-VERSION = 3
+VERSION = 4
 _BEGIN = "begin anew without --resume, with --overwrite"
 
 
@@ -163,6 +163,8 @@ class Tracking:
         How many of them are done.
     warnings : list of str
         Of the first frame.
+    doubtful : list of int
+        Frames, as they were done, whose tracks cannot be trusted: see `Follower.is_doubtful`.
     interrupted : bool
         Whether ``on_step`` has ended the tracking.
 
@@ -190,6 +192,7 @@ class Tracking:
         self._meshes, self._path = meshes, None if checkpoint_to is None else Path(checkpoint_to)
         self.visits, self.done = visits(config, len(sequence)), 0
         self.warnings: list[str] = []
+        self.doubtful: list[int] = []
         self.interrupted = False
         self._identities = Identities()
         self._first: tuple[tuple[int, Measured], ...] = ()
@@ -236,6 +239,7 @@ class Tracking:
             if before == self.config.frame and number < before and self.done > 1:
                 self._turn_back()
             objects = self._follower.advance(arrival)
+            self.doubtful += [number] if self._follower.is_doubtful else []
             if before == self.config.frame and number > before:
                 self._note_velocities()
         self.done += 1
@@ -310,7 +314,7 @@ class Tracking:
     def _state(self) -> TrackState:
         return TrackState(
             self.done, self.config.run.seed, self._first, dict(self._velocities), self._trust, self._identities.state(),
-            tuple(self._follower.state()), tuple(self.warnings),
+            tuple(self._follower.state()), tuple(self.warnings), tuple(self.doubtful),
         )
 
     def _restore(self, path: Path) -> None:
@@ -321,7 +325,7 @@ class Tracking:
         self._identities.restore(state.identities)
         self._follower = self._new_follower()
         self._follower.restore(state.objects)
-        self.done, self.warnings = state.done, list(state.warnings)
+        self.done, self.warnings, self.doubtful = state.done, list(state.warnings), list(state.doubtful)
         self._first, self._velocities, self._trust = state.first, state.velocities, state.trust
 
 
@@ -435,6 +439,7 @@ class TrackState(NamedTuple):
     objects : tuple of dict
         Those that are followed.
     warnings : tuple of str
+    doubtful : tuple of int
     """
 
     done: int
@@ -445,6 +450,7 @@ class TrackState(NamedTuple):
     identities: dict[str, Any]
     objects: tuple[dict[str, Any], ...]
     warnings: tuple[str, ...]
+    doubtful: tuple[int, ...]
 
 
 TYPES: dict[str, type] = {

@@ -143,3 +143,26 @@ def test_the_box_follows_the_surface() -> None:
         momentum.predict(1.0)
     assert isinstance(momentum._boxed, BoxedSurface) and max(momentum._boxed.surface.shape) < 32
     assert momentum.centroid() == pytest.approx((174.5, 174.5, 174.5), abs=0.01)
+
+
+def test_a_surface_goes_on_with_voxels_twice_as_large_and_back() -> None:
+    """It keeps place, velocity and size, from a state too; with one of the frames' grid it becomes one."""
+    geometry = Geometry((25, 24, 40), (1.0, 1.0, 1.0), (3.0, -2.0, 5.0))
+    start, axes = (12.2, 11.6, 10.7), (6.0, 7.0, 8.0)
+    momentum, again, other = (make_momentum("flowable-mass") for _ in range(3))
+    momentum.start(ellipsoid(geometry, start, axes), (0, 0, 0), geometry, (3.3, 0.2, 0.0))
+    other.start(ball(geometry, (12.0, 12.0, 34.0), 4.0), (0, 0, 0), geometry)
+    volumes, before, halved = momentum.volume() + other.volume(), momentum.centroid(), momentum._boxed.surface.size
+    momentum.halve()
+    momentum.halve()
+    assert momentum._boxed.surface.size < 0.35 * halved
+    assert momentum.centroid() == pytest.approx(before, abs=0.02)
+    again.restore(momentum.state(), geometry)
+    for moved in (momentum, again):
+        piece = moved.predict(2.0)
+        truth = ellipsoid(geometry, (12.2, 12.0, 17.3), axes)[piece.box]
+        assert np.abs(piece.psi - truth)[np.abs(truth) < 1.0].max() < 0.15
+    np.testing.assert_array_equal(momentum.piece.psi, again.piece.psi)
+    union = momentum.merged([other])
+    assert union.volume() == pytest.approx(volumes, rel=0.02)
+    assert momentum._boxed.geometry is geometry and momentum.mean_velocity()[0] == pytest.approx(3.3, abs=0.02)

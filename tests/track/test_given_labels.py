@@ -1,5 +1,7 @@
 """Sequences with one segmented frame: its labels stay, the image tells the motion, what is lost is said."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -95,7 +97,7 @@ def test_displacement_and_variance_are_those_of_a_shifted_texture() -> None:
     seen = image_motion(before, now, SurfacePiece((0, 0, 0), psi), np.zeros(3))
     assert seen is not None and seen.likeness > 0.95
     middle = np.array([[15.0, 17.0, 18.0]]) * spacing
-    way, variance = seen.at(middle, np.array(spacing))
+    way, variance = seen.at(middle)
     np.testing.assert_allclose(way[0], np.array([0.6, -1.2, 2.3]) * spacing, atol=0.35)
     assert 0.0 < variance[0] < 0.1
     flat = Volume.from_array(np.zeros(texture.shape, np.float32), spacing)
@@ -141,7 +143,7 @@ def test_a_run_in_a_frame_begins_with_the_momentum_that_is_carried(
     momentum.start(psi, (0, 0, 0), image.geometry, (3.0, 0.0, 0.0))
     before = momentum.centroid()[0]
     found = frame_run.settled(momentum.moved_surface(1.0), nothing, image, 0.0)
-    inside = np.argwhere(found.psi < 0) + np.array(found.corner)
+    inside = np.argwhere(found.surface.psi < 0) + np.array(found.surface.corner)
     assert least < inside.mean(axis=0)[2] - 11.5 < most
     assert momentum.centroid()[0] == before
 
@@ -165,6 +167,28 @@ def test_frames_without_evidence_are_marked_and_the_track_ends() -> None:
     assert seen[2] == [True] and seen[3] == [False] and seen[7] == []
     (only,) = run.lineage.tracks
     assert only.last == 2 and only.end in ("vanished", "lost")
+
+
+def test_tracks_that_cannot_be_trusted_are_said_to_be_so(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A cell that fades is refused in the frames in which it has faded; one that stays is not."""
+    phantom, faint = cell(), cell(inside=90.0)
+    frames = [phantom.frame(n) if n < 2 else faint.frame(n) for n in range(4)]
+    for sequence, doubtful in ((phantom, []), (VolumeSequence(frames), [2, 3])):
+        run = tracking(sequence, phantom.truth(0))
+        for _ in run:
+            pass
+        assert run.doubtful == doubtful
+    for number, frame in enumerate(frames):
+        io.write(frame, tmp_path / f"frame_{number}.nii.gz")
+    io.write_labels(Volume(phantom.truth(0), phantom.geometry), tmp_path / "given.nii.gz")
+    words = [
+        "track", str(tmp_path / "frame_*.nii.gz"), "--start", f"label:{tmp_path / 'given.nii.gz'}",
+        "-o", str(tmp_path / "out"), "--energy", "chan-vese",
+    ]  # fmt: skip
+    assert cli.execute(words) == 0
+    assert "these tracks cannot be trusted in 2 of 4 frames" in capsys.readouterr().out
+    (report,) = (json.loads(path.read_text()) for path in (tmp_path / "out").glob("*_report.json"))
+    assert any("cannot be trusted in 2 of 4 frames, the first of them frame 2" in line for line in report["warnings"])
 
 
 def test_a_tracking_of_given_labels_goes_on_to_the_same_bytes(tmp_path) -> None:
