@@ -285,6 +285,13 @@ def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int
     InputError
         With the first such voxel, as index and in mm.
     """
+    seen = np.zeros(clicks.shape, np.bool_)
+    for click in clicks.clicks:
+        if (seen[click.box] & click.mask).any():
+            break
+        seen[click.box] |= click.mask
+    else:
+        return  # no voxel is clicked twice
     for id in sorted({click.id for click in clicks.clicks}):
         of_object = clicks.of(id)
         both = of_object.mask("inside") & of_object.mask("outside")

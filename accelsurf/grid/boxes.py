@@ -168,7 +168,12 @@ def meeting(low: NDArray[np.integer], high: NDArray[np.integer]) -> list[list[in
 
 def overlap(first: Box, second: Box) -> bool:
     """Test if two boxes have a voxel in common."""
-    return all(a.start < b.stop and b.start < a.stop for a, b in zip(first, second, strict=True))
+    (a, b, c), (d, e, f) = first, second  # of many objects each looks at all others
+    return (
+        a.start < d.stop and d.start < a.stop
+        and b.start < e.stop and e.start < b.stop
+        and c.start < f.stop and f.start < c.stop
+    )  # fmt: skip
 
 
 def common(first: Box, second: Box) -> Box:

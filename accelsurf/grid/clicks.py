@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -108,17 +109,33 @@ class Clicks:
         0 included.
         """
         seen: list[Click] = []
-        for click in self.clicks:
-            owner = click.id if click.side == "inside" else None
+        for click, foreign in zip(self.clicks, self._foreign, strict=True):
             if click.id == id:
-                seen.append(click._replace(id=1, owner=owner))
-            elif click.side == "inside":
-                seen.append(click._replace(side="outside", id=1, owner=owner))
+                seen.append(click._replace(id=1, owner=click.id if click.side == "inside" else None))
+            elif foreign is not None:
+                seen.append(foreign)
         return Clicks(tuple(seen), self.shape)
+
+    @cached_property
+    def _foreign(self) -> tuple[Click | None, ...]:
+        """Each click as objects of other ids see it; None of outside clicks."""
+        sides = (click.side == "inside" for click in self.clicks)
+        return tuple(
+            click._replace(side="outside", id=1, owner=click.id) if is_inside else None
+            for click, is_inside in zip(self.clicks, sides, strict=True)
+        )
 
     def ids(self) -> tuple[int, ...]:
         """Return the ids that have inside clicks, in rising order."""
         return tuple(sorted({click.id for click in self.clicks if click.side == "inside"}))
+
+    def near(self, box: Box) -> Clicks:
+        """Return the clicks of which a voxel may lie in a box."""
+        return Clicks(tuple(click for click in self.clicks if overlap(click.box, box)), self.shape)
+
+    def on_side(self, side: Side) -> Clicks:
+        """Return the clicks on a side."""
+        return Clicks(tuple(click for click in self.clicks if click.side == side), self.shape)
 
     def on_box(self, box: Box) -> Clicks:
         """Return the clicks on a part of the grid, counted from its first voxel; what lies beyond is left out."""
