@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, on_box, overlap, shared
+from accelsurf.grid.boxes import Box, common, corner_of, counted_from, on_box, overlap, tightened
 
 Side = Literal["inside", "outside"]
 #: The two sides, and the id of the background.
@@ -59,12 +59,8 @@ class Click(NamedTuple):
                 mask = mask & ~click.mask_on(self.box)
         if mask is self.mask or np.array_equal(mask, self.mask):
             return self
-        box = bounding_box(mask)
-        if box is None:
-            return None
-        z, y, x = (a.start + b.start for a, b in zip(self.box, box, strict=True))
-        left = np.ascontiguousarray(mask[box])
-        return self._replace(box=box_at((z, y, x), left.shape), mask=left)
+        left = tightened(self.box, mask)
+        return None if left is None else self._replace(box=left[0], mask=left[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +115,9 @@ class Clicks:
     @cached_property
     def _foreign(self) -> tuple[Click | None, ...]:
         """Each click as objects of other ids see it; None of outside clicks."""
-        sides = (click.side == "inside" for click in self.clicks)
         return tuple(
-            click._replace(side="outside", id=1, owner=click.id) if is_inside else None
-            for click, is_inside in zip(self.clicks, sides, strict=True)
+            click._replace(side="outside", id=1, owner=click.id) if click.side == "inside" else None
+            for click in self.clicks
         )
 
     def ids(self) -> tuple[int, ...]:
@@ -139,9 +134,9 @@ class Clicks:
 
     def on_box(self, box: Box) -> Clicks:
         """Return the clicks on a part of the grid, counted from its first voxel; what lies beyond is left out."""
-        corner, shape = corner_of(box), tuple(s.stop - s.start for s in box)
-        clipped = (_click_on_box(click, corner, (shape[0], shape[1], shape[2])) for click in self.clicks)
-        return Clicks(tuple(click for click in clipped if click is not None), (shape[0], shape[1], shape[2]))
+        nz, ny, nx = (s.stop - s.start for s in box)
+        clipped = (_click_on_box(click, box) for click in self.clicks)
+        return Clicks(tuple(click for click in clipped if click is not None), (nz, ny, nx))
 
     def with_more(self, more: Iterable[Click]) -> Clicks:
         """Return these clicks and some after them."""
@@ -174,14 +169,10 @@ def _same(first: Click, second: Click) -> bool:
     return first is second or (same and np.array_equal(first.mask, second.mask))
 
 
-def _click_on_box(click: Click, corner: Corner, shape: tuple[int, int, int]) -> Click | None:
+def _click_on_box(click: Click, box: Box) -> Click | None:
     """A click on a box of the grid; None where it has no voxel there."""
-    first = tuple(a - b for a, b in zip(corner_of(click.box), corner, strict=True))
-    begin = (first[0], first[1], first[2])
-    low = [max(a, 0) for a in begin]
-    high = [min(a + n, m) for a, n, m in zip(begin, click.mask.shape, shape, strict=True)]
-    if any(a >= b for a, b in zip(low, high, strict=True)):
+    if not overlap(click.box, box):
         return None
-    theirs, mine = shared((0, 0, 0), shape, begin, click.mask.shape)
-    mask = click.mask[mine]
-    return click._replace(box=box_at(corner_of(theirs), mask.shape), mask=mask) if mask.any() else None
+    part = common(click.box, box)
+    mask = click.mask_on(part)
+    return click._replace(box=counted_from(part, corner_of(box)), mask=mask) if mask.any() else None

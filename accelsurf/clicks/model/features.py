@@ -13,17 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.morphology import reconstruction
 
-from accelsurf.clicks.model.fronts import (
-    COST,
-    CROSS,
-    EDGE,
-    MIN_RANGE,
-    MIN_SPREAD,
-    enough,
-    gradient,
-    robust,
-    times_from,
-)
+from accelsurf.clicks.model.fronts import COST, CROSS, EDGE, MIN_RANGE, MIN_SPREAD, enough, gradient, robust, times_from
 from accelsurf.clicks.model.windows import DEEPER, Floats, Mask, Seed, Window
 from accelsurf.image.blocks import block_means
 from accelsurf.kernels.arrival import Tissue, shortest_paths

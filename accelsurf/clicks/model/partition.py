@@ -9,6 +9,7 @@ them meet. The cost is that of the volume and of the sum of the objects' boxes.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -30,9 +31,9 @@ SMOOTHING, SHARES = 0.6, 1.0
 #: Shares are cut at so many of their widths.
 REACH = 4.0
 #: Cost per mm where a voxel looks like the clicks; the power of how many spreads it differs by, and most of these.
-LEAST, POWER, MOST_SPREADS = 0.2, 4, 10.0
+LEAST, POWER, MAX_SPREADS = 0.2, 4, 10.0
 #: What a front goes through: an image of costs.
-_COSTS = Tissue(np.zeros(1), np.ones(1), np.ones(1), np.array((LEAST, 0.0, 0.0, 1.0, 0.0, MOST_SPREADS**POWER)))
+_COSTS = Tissue(np.zeros(1), np.ones(1), np.ones(1), np.array((LEAST, 0.0, 0.0, 1.0, 0.0, MAX_SPREADS**POWER)))
 #: Labels of voxels of what is no object, or of an outside click; and where no front comes.
 NOBODY, UNREACHED = 0, -1
 
@@ -67,20 +68,17 @@ class BasinsOnce:
 
     def __init__(self) -> None:
         self._last: Basins | None = None
-        self._seen: tuple[tuple[object, ...], tuple[object, ...]] = (), ()
+        self._seen: tuple[object, ...] = ()
 
     def of(self, images: Sequence[Floats], spacing: Spacing, clicks: Clicks, mask: Mask | None) -> Basins:
         """The basins of clicks as one object sees them; those of the last time where clicks and images are the same."""
         if not all(click.side == "inside" or click.owner is not None for click in clicks.clicks):
             return basins_of(images, spacing, clicks.clicks, mask)  # some say nothing of the other objects
-        seen = tuple(images), tuple(click.mask for click in clicks.clicks)
-        if self._last is None or not all(map(_are_same, self._seen, seen)):
+        seen = *images, *(click.mask for click in clicks.clicks)
+        is_same = len(seen) == len(self._seen) and all(map(operator.is_, seen, self._seen))
+        if self._last is None or not is_same:
             self._last, self._seen = basins_of(images, spacing, clicks.clicks, mask), seen
         return self._last
-
-
-def _are_same(first: Sequence[object], second: Sequence[object]) -> bool:
-    return len(first) == len(second) and all(a is b for a, b in zip(first, second, strict=True))
 
 
 def owner_of(click: Click) -> int:
@@ -106,30 +104,26 @@ def basins_of(images: Sequence[Floats], spacing: Spacing, clicks: Sequence[Click
     firsts = {owner_of(click): click for click in reversed(clicks)}
     numbers = {owner: number for number, owner in enumerate(sorted(firsts.keys() | {NO_OBJECT}))}
     common = _common([learned(smooth, spacing, click) for owner, click in firsts.items() if owner != NO_OBJECT])
-    ground = [click for click in clicks if click.owner == NO_OBJECT]
-    rest = [click for click in clicks if click.owner != NO_OBJECT]
-    sooner = None
-    if ground:  # with one spread two tissues meet halfway between their values
-        tissues = (learned(smooth, spacing, click)._replace(spread=common.spread) for click in ground)
-        cost = np.minimum.reduce([_cost(smooth, tissue) for tissue in tissues])
-        sooner = times_from(_mask(ground, cost.shape), cost, spacing, _COSTS, mask)
+    seeds, ground = np.full(images[0].shape, UNREACHED, np.int32), np.zeros(images[0].shape, np.bool_)
+    sooner, beyond = None, np.full(ground.shape, np.inf, np.float32)
+    for click in clicks:
+        if click.owner == NO_OBJECT:  # with one spread two tissues meet halfway between their values
+            ground[click.box] |= click.mask
+            tissue = learned(smooth, spacing, click)._replace(spread=common.spread)
+            np.minimum(beyond, _cost(smooth, tissue), out=beyond)
+        else:
+            seeds[click.box][click.mask] = numbers[owner_of(click)]
+    if ground.any():
+        sooner = times_from(ground, beyond, spacing, _COSTS, mask)
     cost = _cost(smooth, common)
-    del smooth
-    times = times_from(_mask(rest, cost.shape), cost, spacing, _COSTS, mask, sooner)
+    del smooth, beyond
+    times = times_from(seeds != UNREACHED, cost, spacing, _COSTS, mask, sooner)
     del cost
-    labels = _nearest(times, rest, numbers)
+    labels = _nearest(times, seeds)
     if sooner is not None:
         labels[(labels == UNREACHED) & np.isfinite(sooner)] = NOBODY
     del times, sooner
     return _with_shares(numbers, labels, spacing, clicks)
-
-
-def _mask(clicks: Sequence[Click], shape: tuple[int, ...]) -> Mask:
-    """All voxels of some clicks."""
-    out = np.zeros(shape, np.bool_)
-    for click in clicks:
-        out[click.box] |= click.mask
-    return out
 
 
 def _cost(images: Sequence[Floats], tissue: Tissue) -> Floats:
@@ -137,7 +131,7 @@ def _cost(images: Sequence[Floats], tissue: Tissue) -> Floats:
     out = np.zeros(images[0].shape, np.float32)
     for image, median, spread in zip(images, tissue.median, tissue.spread, strict=True):
         np.maximum(out, np.abs(image - np.float32(median)) / np.float32(spread), out=out)
-    np.minimum(out, np.float32(MOST_SPREADS), out=out)
+    np.minimum(out, np.float32(MAX_SPREADS), out=out)
     return np.asarray(out**POWER)
 
 
@@ -150,8 +144,8 @@ def _common(tissues: Sequence[Tissue]) -> Tissue:
     return tissues[0]._replace(median=middle, spread=spread)
 
 
-def _nearest(times: Floats, clicks: Sequence[Click], numbers: dict[int, int]) -> NDArray[np.int32]:
-    """From whose clicks the front came to each voxel: back from voxel to earliest neighbour, by leaps."""
+def _nearest(times: Floats, seeds: NDArray[np.int32]) -> NDArray[np.int32]:
+    """From which seeds the front came to each voxel: back from voxel to earliest neighbour, by leaps."""
     kind = np.int32 if times.size < 2**31 else np.int64
     voxels = np.arange(times.size, dtype=kind).reshape(times.shape)
     before, earliest = voxels.copy(), times.copy()
@@ -162,16 +156,13 @@ def _nearest(times: Floats, clicks: Sequence[Click], numbers: dict[int, int]) ->
             is_earlier = times[theirs] < earliest[mine]
             earliest[mine][is_earlier] = times[theirs][is_earlier]
             before[mine][is_earlier] = voxels[theirs][is_earlier]
-    out = np.full(times.shape, UNREACHED, np.int32)
-    for click in clicks:
-        out[click.box][click.mask] = numbers[owner_of(click)]
-        before[click.box][click.mask] = voxels[click.box][click.mask]
+    before = np.where(seeds != UNREACHED, voxels, before)
     del voxels, earliest
     came = before.ravel()
     while True:
         farther = came[came]
         if np.array_equal(farther, came):
-            return np.where(np.isfinite(times), out.ravel()[came].reshape(times.shape), np.int32(UNREACHED))
+            return np.where(np.isfinite(times), seeds.ravel()[came].reshape(times.shape), np.int32(UNREACHED))
         came = farther
 
 
@@ -236,7 +227,7 @@ def partition_model(
     InputError
         When it has no inside click, or nothing is outside of it.
     """
-    mine = [click for click in clicks.clicks if click.side == "inside"]
+    mine = clicks.on_side("inside").clicks
     if not mine or len(mine) == len(clicks):
         raise InputError(
             "partition: clicks inside and outside of the object are needed", "give clicks in its neighbours too"
@@ -247,9 +238,7 @@ def partition_model(
     largest, first, second = found.largest[box], found.first[box], found.second[box]
     force = np.where(largest == number, np.minimum(second - first, -JUST), np.maximum(first - share, JUST))
     force[largest == UNREACHED] = 1.0
-    clicked = np.zeros(force.shape, np.bool_)
-    for click in mine:
-        clicked |= click.mask_on(box)
+    clicked = np.logical_or.reduce([click.mask_on(box) for click in mine])
     force[clicked] = CLICKED["inside"]
     start = connected_to(force < 0, clicked)
     force[~start] = np.maximum(force[~start], JUST)
