@@ -35,7 +35,7 @@ SCENES = {
 }  # fmt: skip
 #: Settings of cells; nuclei have no membranes, which noise could open. The walker solves a system for each object.
 CELLS: dict[str, Any] = {"preset": "membrane-cells"}
-NUCLEI: dict[str, Any] = {"energy": "partition:0", "presmooth": 0.0, "smoothness": 0.0}
+NUCLEI: dict[str, Any] = {"energy": "partition:0", "presmooth": "0.5vox", "smoothness": 0.0}
 MOST_WALKED = 10
 
 

@@ -27,7 +27,7 @@ from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.kernels.arrival import Tissue
 
 #: Smoothing of the image before anything is learned from it, and of the shares of objects; of the smallest spacing.
-SMOOTHING, SHARES = 0.6, 1.0
+SMOOTHING, SHARES = 0.3, 0.7
 #: Shares are cut at so many of their widths.
 REACH = 4.0
 #: Cost per mm where a voxel looks like the clicks; the power of how many spreads it differs by, and most of these.
