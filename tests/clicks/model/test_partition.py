@@ -121,5 +121,5 @@ def test_what_is_no_object_has_a_tissue_of_its_own(tmp_path):
     truth = np.where(z**2 + y**2 + (x + 8) ** 2 < 64, 1, 0) + np.where(z**2 + y**2 + (x - 8) ** 2 < 64, 2, 0)
     image = 100.0 * (truth > 0) + np.random.default_rng(0).normal(0.0, 20.0, truth.shape)
     path = table(tmp_path / "clicks.csv", [(1, (12, 16, 16)), (2, (12, 16, 32)), (0, (3, 3, 3))])
-    result = segment_objects(image, path, energy="partition:0", presmooth=0, smoothness=0)
+    result = segment_objects(image, path, energy="partition:0", presmooth="0.5vox", smoothness=0)
     assert mean_dice(result.labels, truth) > 0.95 and result.labels[2, 2, 2] == 0
