@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from accelsurf.clicks.model import ClickModel, Scene, click_model
 from accelsurf.clicks.model.given import GivenMask, corrected_model, model_of_mask
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import Box, bounding_box, box_at, enclosing, whole_box
+from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, placed_at, whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.image.volume import Volume, check_image
 from accelsurf.io.library_images import ImageLike, array_of, as_volume
@@ -281,7 +281,4 @@ def _changed(before: ClickModel | None, after: ClickModel | None) -> Box | None:
     for model in models:
         differs ^= model.inside_on(box)
     tight = bounding_box(differs)
-    if tight is None:
-        return None
-    z, y, x = (slice(side.start + part.start, side.start + part.stop) for side, part in zip(box, tight, strict=True))
-    return z, y, x
+    return None if tight is None else placed_at(tight, corner_of(box))

@@ -19,12 +19,13 @@ from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.boxes import (
     Box,
     Corner,
-    bounding_box,
     box_at,
     corner_of,
     enclosing,
+    meeting,
     on_box,
-    shared,
+    placed_at,
+    tightened,
     whole_box,
     widened,
 )
@@ -152,12 +153,7 @@ def segment_voxels(places: Floats, radii: Sequence[float] | Floats, geometry: Ge
     line = np.rint(np.linspace(first, last, count)).astype(int) - low
     line = line[((line >= 0) & (line < mask.shape)).all(axis=1)]
     mask[tuple(line.T)] = True
-    inner = bounding_box(mask)
-    if inner is None:
-        return None
-    corner = [int(a) + s.start for a, s in zip(low, inner, strict=True)]
-    mask = np.ascontiguousarray(mask[inner])
-    return box_at((corner[0], corner[1], corner[2]), mask.shape), mask
+    return tightened(box_at((int(low[0]), int(low[1]), int(low[2])), mask.shape), mask)
 
 
 def _extent(places: Floats, radii: Sequence[float] | Floats, geometry: Geometry) -> tuple[NDArray, NDArray]:
@@ -285,15 +281,21 @@ def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int
     InputError
         With the first such voxel, as index and in mm.
     """
-    for id in sorted({click.id for click in clicks.clicks}):
-        of_object = clicks.of(id)
-        both = of_object.mask("inside") & of_object.mask("outside")
-        if both.any():
-            where = voxel_named(np.argwhere(both)[0], geometry, first)
-            of = "" if {other.id for other in clicks.clicks} == {1} else f" of object {id}"
-            raise InputError(
-                f"clicks: {where} is clicked both inside and outside{of}", "take one away, or make one smaller"
-            )
+    boxes = np.array([[(side.start, side.stop) for side in click.box] for click in clicks.clicks]).reshape(-1, 3, 2)
+    found = []
+    for click, near in zip(clicks.clicks, meeting(boxes[..., 0], boxes[..., 1]), strict=True):
+        for other in (clicks.clicks[number] for number in near):
+            both = click.mask & other.mask_on(click.box)
+            if click.contradicts(other) and both.any():
+                voxel = np.argwhere(both)[0] + np.array(corner_of(click.box))
+                found.append((min(click.id, other.id), *voxel.tolist()))
+    if found:
+        id, *voxel = min(found)
+        of = "" if {click.id for click in clicks.clicks} == {1} else f" of object {id}"
+        where = voxel_named(np.array(voxel), geometry, first)
+        raise InputError(
+            f"clicks: {where} is clicked both inside and outside{of}", "take one away, or make one smaller"
+        )
 
 
 def check_left(before: Clicks, after: Clicks) -> None:
@@ -343,9 +345,9 @@ def point_voxels(
 
 def click_of_mask(side: Side, mask: NDArray[np.bool_], id: int = 1) -> Click:
     """Return a click of the voxels of a mask (nz, ny, nx), which has some."""
-    box = bounding_box(mask)
-    assert box is not None
-    return Click(side, box, np.ascontiguousarray(mask[box]), id)
+    tight = tightened(whole_box(mask.shape), mask)
+    assert tight is not None
+    return Click(side, *tight, id)
 
 
 def _click_of_ball(side: Side, centre: Sequence[float], radius: float, geometry: Geometry, id: int = 1) -> Click:
@@ -354,11 +356,9 @@ def _click_of_ball(side: Side, centre: Sequence[float], radius: float, geometry:
     a, b, c = (slice(int(i), int(i) + 1) for i in nearest)
     reach = [math.ceil(radius / h) + 1 for h in geometry.spacing]
     box = widened((a, b, c), geometry.shape, reach)
-    mask = np.asarray(ball_distance(box, geometry.spacing, centre, radius) <= _ROUNDED * radius)
-    inner = bounding_box(mask)
-    assert inner is not None
-    at: Box = tuple(slice(s.start + i.start, s.start + i.stop) for s, i in zip(box, inner, strict=True))  # type: ignore[assignment]
-    return Click(side, at, np.ascontiguousarray(mask[inner]), id)
+    tight = tightened(box, np.asarray(ball_distance(box, geometry.spacing, centre, radius) <= _ROUNDED * radius))
+    assert tight is not None
+    return Click(side, *tight, id)
 
 
 def click_of_voxels(side: Side, voxels: NDArray[np.int64], id: int = 1) -> Click:
@@ -491,11 +491,7 @@ def on_image(clicks: Clicks | None, first: Corner, shape: tuple[int, int, int]) 
     """
     if clicks is None or not clicks.clicks:
         return None
-    out = []
-    for click in clicks.clicks:
-        z, y, x = (a + b for a, b in zip(corner_of(click.box), first, strict=True))
-        out.append(click._replace(box=box_at((z, y, x), click.mask.shape)))
-    return Clicks(tuple(out), shape)
+    return Clicks(tuple(click._replace(box=placed_at(click.box, first)) for click in clicks.clicks), shape)
 
 
 def clicked_voxels(clicks: Clicks | None, id: int, first: Corner, box: Box) -> NDArray[np.bool_] | None:
@@ -516,10 +512,6 @@ def clicked_voxels(clicks: Clicks | None, id: int, first: Corner, box: Box) -> N
         return None
     marked = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
     for click in clicks.clicks:
-        if click.id != id:
-            continue
-        z, y, x = (a + b for a, b in zip(corner_of(click.box), first, strict=True))
-        mine, theirs = shared(corner_of(box), marked.shape, (z, y, x), click.mask.shape)
-        if all(s.start < s.stop for s in mine):
-            marked[mine] |= click.mask[theirs]
+        if click.id == id:
+            marked |= on_box(click.mask, placed_at(click.box, first), box, False)
     return marked

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
+
+import numpy as np
 
 from accelsurf.clicks import reading
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import bounding_box, corner_of, widened
+from accelsurf.grid.boxes import corner_of, enclosing, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import open_table, read_table
@@ -94,10 +97,12 @@ def starts_of(clicks: Clicks, geometry: Geometry, margin: int) -> list[ObjectSta
         Voxels around each object's clicks, where the grid has them.
     """
     out = []
-    for id in clicks.ids():
-        inside = clicks.mask("inside", id)
-        tight = bounding_box(inside)
-        assert tight is not None
+    inside: dict[int, list[Click]] = {id: [] for id in clicks.ids()}
+    for click in clicks.on_side("inside").clicks:
+        inside[click.id].append(click)
+    for id, mine in inside.items():
+        tight = functools.reduce(enclosing, (click.box for click in mine))
         box = widened(tight, geometry.shape, (margin, margin, margin))
-        out.append(ObjectStart(id, corner_of(box), starts.psi_of_mask(inside[box], geometry)))
+        mask = np.logical_or.reduce([click.mask_on(box) for click in mine])
+        out.append(ObjectStart(id, corner_of(box), starts.psi_of_mask(mask, geometry)))
     return out

@@ -30,7 +30,7 @@ from accelsurf.correct.region import NearRegion
 from accelsurf.energies import Energy, RegionField
 from accelsurf.energies.constraints.mask import MaskConstraint, mask_distance
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.boxes import Box, bounding_box, counted_from, placed_at, widened
+from accelsurf.grid.boxes import Box, bounding_box, box_at, counted_from, placed_at, tightened, widened
 from accelsurf.grid.click_bounds import ClickBounds, click_bounds
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.grid.pyramid import Level
@@ -225,10 +225,9 @@ def _pull(
 
 def _mask_of(surface: CorrectedSurface) -> BoxMask:
     """Return the voxels of an object."""
-    inside = surface.psi < 0
-    tight = bounding_box(inside)
+    tight = tightened(box_at(surface.corner, surface.psi.shape), surface.psi < 0)
     assert tight is not None  # it has voxels
-    return BoxMask(placed_at(tight, surface.corner), np.ascontiguousarray(inside[tight]))
+    return BoxMask(*tight)
 
 
 def _band(before: NDArray[np.float32], most: float, clicks: ClickBounds, spacing: float) -> ClickBounds:

@@ -29,7 +29,7 @@ from accelsurf.correct.region import NearRegion, around_clicks, automatic_near, 
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import Stop
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, counted_from, shared
+from accelsurf.grid.boxes import Box, box_at, counted_from, on_box, tightened
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.pyramid import Level
@@ -367,13 +367,6 @@ def _still_inside(
 
 def _wrong_part(click: Click, surface: CorrectedSurface) -> Click | None:
     """Return the voxels of a click that are not on its side, or None; beyond its array nothing is inside."""
-    inside = np.zeros(click.mask.shape, np.bool_)
-    mine, theirs = shared(corner_of(click.box), inside.shape, surface.corner, surface.psi.shape)
-    if all(s.start < s.stop for s in mine):
-        inside[mine] = surface.psi[theirs] < 0
-    wrong = click.mask & (inside != (click.side == "inside"))
-    tight = bounding_box(wrong)
-    if tight is None:
-        return None
-    z, y, x = (slice(s.start + b.start, s.stop + b.start) for s, b in zip(tight, click.box, strict=True))
-    return click._replace(box=(z, y, x), mask=wrong[tight])
+    inside = on_box(surface.psi, box_at(surface.corner, surface.psi.shape), click.box, 1.0) < 0
+    wrong = tightened(click.box, click.mask & (inside != (click.side == "inside")))
+    return None if wrong is None else click._replace(box=wrong[0], mask=wrong[1])

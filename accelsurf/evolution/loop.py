@@ -12,7 +12,7 @@ import numpy as np
 from accelsurf.energies import Energy
 from accelsurf.evolution import lowest, rests
 from accelsurf.evolution.convergence import Restart, StopRule, stalled, surface_is_gone
-from accelsurf.evolution.records import Reason, Step, StepFields, StepRecord, Stop
+from accelsurf.evolution.records import Reason, Step, StepFields, StepRecord, Stop, StopReason
 from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import COLUMNS, MASS_COLUMNS, Checkpoint, FoundRest, LoopState
 from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan
@@ -179,10 +179,10 @@ class Evolution:
         record = self._final_record(columns, began)._replace(edits=self.state.edits)
         return Step(record, self.surface, self.state.fields)
 
-    def end_as_given(self, message: str) -> None:
-        """End before the first step, with the reason ``given``."""
+    def end_at_once(self, reason: StopReason, message: str) -> None:
+        """End before the first step."""
         record = self.current().record
-        self.stop = Stop("given", record.step, record.t, message)
+        self.stop = Stop(reason, record.step, record.t, message)
         self.history.append(record)
 
     # -- edits ---------------------------------------------------------------------------------------------

@@ -44,6 +44,12 @@ def bounding_box(mask: NDArray[np.bool_], margin: int = 0) -> Box | None:
     return widened((box[0], box[1], box[2]), shape, (margin, margin, margin))
 
 
+def tightened(box: Box, mask: NDArray[np.bool_]) -> tuple[Box, NDArray[np.bool_]] | None:
+    """Return the box that just holds a mask on a box, and the mask on it; None where it has no voxel."""
+    inner = bounding_box(mask)
+    return None if inner is None else (placed_at(inner, corner_of(box)), np.ascontiguousarray(mask[inner]))
+
+
 def whole_box(shape: Sequence[int]) -> Box:
     """Return the box of all voxels of a grid.
 
@@ -168,7 +174,9 @@ def meeting(low: NDArray[np.integer], high: NDArray[np.integer]) -> list[list[in
 
 def overlap(first: Box, second: Box) -> bool:
     """Test if two boxes have a voxel in common."""
-    return all(a.start < b.stop and b.start < a.stop for a, b in zip(first, second, strict=True))
+    (a, b, c), (d, e, f) = first, second  # of many objects each looks at all others
+    low_meets = a.start < d.stop and b.start < e.stop and c.start < f.stop
+    return low_meets and d.start < a.stop and e.start < b.stop and f.start < c.stop
 
 
 def common(first: Box, second: Box) -> Box:

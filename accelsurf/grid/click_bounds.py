@@ -66,7 +66,18 @@ class ClickBounds(NamedTuple):
         return bool((values[self.high < 0] < 0).all() and (values[self.low > 0] >= 0).all())
 
 
-def click_bounds(clicks: Clicks, grid: Level) -> ClickBounds:
+class Distances(NamedTuple):
+    """Signed distance in ``mm`` of raveled ``cells`` to a click."""
+
+    cells: NDArray[np.int64]
+    mm: NDArray[np.float32]
+
+
+#: Distances to clicks on the finest level, by the identity of their masks, which live as long as the clicks here.
+KnownDistances = dict[int, tuple[Click, Distances | None]]
+
+
+def click_bounds(clicks: Clicks, grid: Level, known: KnownDistances | None = None) -> ClickBounds:
     """Return the bounds that the clicks on one object set on a level.
 
     Parameters
@@ -75,6 +86,8 @@ def click_bounds(clicks: Clicks, grid: Level) -> ClickBounds:
         On the grid of level 0, as `Clicks.of` returns them.
     grid : Level
         Whole. A voxel of a coarser level is on the side of the clicks that it holds; one with clicks of both is free.
+    known : dict, optional
+        Distances to clicks that other objects are near to as well; what is missing is added.
 
     Examples
     --------
@@ -86,14 +99,20 @@ def click_bounds(clicks: Clicks, grid: Level) -> ClickBounds:
     placed = [_on_level(click, grid) for click in clicks.clicks]
     clicked = [_cells_of((click for click in placed if click.side == side), grid.shape) for side in SIDES]
     free = np.intersect1d(clicked[0], clicked[1])
-    parts = [part for click in placed if (part := _bounds_of_click(click, free, grid)) is not None]
+    if known is None or grid.number > 0 or free.size:
+        known = {}
+    for click in placed:
+        if id(click.mask) not in known:
+            known[id(click.mask)] = click, _distances(click, free, grid)
+    found = ((known[id(click.mask)][1], click.side == "inside") for click in placed)
+    parts = [(part, is_inside) for part, is_inside in found if part is not None]
     if not parts:
         none = np.empty(0, np.float32)
         return ClickBounds(grid.shape, np.empty(0, np.int64), none, none)
-    cells, place = np.unique(np.concatenate([part[0] for part in parts]), return_inverse=True)
+    cells, place = np.unique(np.concatenate([part.cells for part, _ in parts]), return_inverse=True)
     low, high = np.full(cells.size, -np.inf, np.float32), np.full(cells.size, np.inf, np.float32)
-    distance = np.concatenate([part[1] for part in parts])
-    inside = np.concatenate([np.full(part[0].size, part[2]) for part in parts])
+    distance = np.concatenate([part.mm for part, _ in parts])
+    inside = np.concatenate([np.full(part.mm.size, is_inside) for part, is_inside in parts])
     np.minimum.at(high, place[inside], distance[inside])
     np.maximum.at(low, place[~inside], -distance[~inside])
     return ClickBounds(grid.shape, cells, low, high)
@@ -122,10 +141,8 @@ def _raveled(index: NDArray[np.int64], shape: tuple[int, int, int]) -> NDArray[n
     return np.ravel_multi_index(tuple(index.T), shape).astype(np.int64)
 
 
-def _bounds_of_click(
-    click: Click, free: NDArray[np.int64], grid: Level
-) -> tuple[NDArray[np.int64], NDArray[np.float32], bool] | None:
-    """Cells around a click on a level, the signed distance to it, mm, and whether it is inside."""
+def _distances(click: Click, free: NDArray[np.int64], grid: Level) -> Distances | None:
+    """Distances around a click on a level; None where all of its cells are ``free``."""
     box = widened(click.box, grid.shape, (MARGIN, MARGIN, MARGIN))
     mask = click.mask_on(box)
     cells = _raveled(np.argwhere(np.ones_like(mask)) + np.array(corner_of(box)), grid.shape)
@@ -137,5 +154,5 @@ def _bounds_of_click(
     distance = ndimage.distance_transform_edt(~mask, grid.spacing) - half
     if not mask.all():
         distance[mask] = half - ndimage.distance_transform_edt(mask, grid.spacing)[mask]
-    near = ndimage.binary_dilation(mask, np.ones((3, 3, 3), bool), MARGIN).reshape(-1)
-    return cells[near], distance.reshape(-1)[near].astype(np.float32), click.side == "inside"
+    near = ndimage.maximum_filter(mask, 2 * MARGIN + 1, mode="constant").reshape(-1)
+    return Distances(cells[near], distance.reshape(-1)[near].astype(np.float32))

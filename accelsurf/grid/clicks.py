@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, on_box, overlap, shared
+from accelsurf.grid.boxes import Box, common, corner_of, counted_from, on_box, overlap, tightened
 
 Side = Literal["inside", "outside"]
 #: The two sides, and the id of the background.
@@ -58,12 +59,8 @@ class Click(NamedTuple):
                 mask = mask & ~click.mask_on(self.box)
         if mask is self.mask or np.array_equal(mask, self.mask):
             return self
-        box = bounding_box(mask)
-        if box is None:
-            return None
-        z, y, x = (a.start + b.start for a, b in zip(self.box, box, strict=True))
-        left = np.ascontiguousarray(mask[box])
-        return self._replace(box=box_at((z, y, x), left.shape), mask=left)
+        left = tightened(self.box, mask)
+        return None if left is None else self._replace(box=left[0], mask=left[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,23 +105,38 @@ class Clicks:
         0 included.
         """
         seen: list[Click] = []
-        for click in self.clicks:
-            owner = click.id if click.side == "inside" else None
+        for click, foreign in zip(self.clicks, self._foreign, strict=True):
             if click.id == id:
-                seen.append(click._replace(id=1, owner=owner))
-            elif click.side == "inside":
-                seen.append(click._replace(side="outside", id=1, owner=owner))
+                seen.append(click._replace(id=1, owner=click.id if click.side == "inside" else None))
+            elif foreign is not None:
+                seen.append(foreign)
         return Clicks(tuple(seen), self.shape)
+
+    @cached_property
+    def _foreign(self) -> tuple[Click | None, ...]:
+        """Each click as objects of other ids see it; None of outside clicks."""
+        return tuple(
+            click._replace(side="outside", id=1, owner=click.id) if click.side == "inside" else None
+            for click in self.clicks
+        )
 
     def ids(self) -> tuple[int, ...]:
         """Return the ids that have inside clicks, in rising order."""
         return tuple(sorted({click.id for click in self.clicks if click.side == "inside"}))
 
+    def near(self, box: Box) -> Clicks:
+        """Return the clicks of which a voxel may lie in a box."""
+        return Clicks(tuple(click for click in self.clicks if overlap(click.box, box)), self.shape)
+
+    def on_side(self, side: Side) -> Clicks:
+        """Return the clicks on a side."""
+        return Clicks(tuple(click for click in self.clicks if click.side == side), self.shape)
+
     def on_box(self, box: Box) -> Clicks:
         """Return the clicks on a part of the grid, counted from its first voxel; what lies beyond is left out."""
-        corner, shape = corner_of(box), tuple(s.stop - s.start for s in box)
-        clipped = (_click_on_box(click, corner, (shape[0], shape[1], shape[2])) for click in self.clicks)
-        return Clicks(tuple(click for click in clipped if click is not None), (shape[0], shape[1], shape[2]))
+        nz, ny, nx = (s.stop - s.start for s in box)
+        clipped = (_click_on_box(click, box) for click in self.clicks)
+        return Clicks(tuple(click for click in clipped if click is not None), (nz, ny, nx))
 
     def with_more(self, more: Iterable[Click]) -> Clicks:
         """Return these clicks and some after them."""
@@ -157,14 +169,10 @@ def _same(first: Click, second: Click) -> bool:
     return first is second or (same and np.array_equal(first.mask, second.mask))
 
 
-def _click_on_box(click: Click, corner: Corner, shape: tuple[int, int, int]) -> Click | None:
+def _click_on_box(click: Click, box: Box) -> Click | None:
     """A click on a box of the grid; None where it has no voxel there."""
-    first = tuple(a - b for a, b in zip(corner_of(click.box), corner, strict=True))
-    begin = (first[0], first[1], first[2])
-    low = [max(a, 0) for a in begin]
-    high = [min(a + n, m) for a, n, m in zip(begin, click.mask.shape, shape, strict=True)]
-    if any(a >= b for a, b in zip(low, high, strict=True)):
+    if not overlap(click.box, box):
         return None
-    theirs, mine = shared((0, 0, 0), shape, begin, click.mask.shape)
-    mask = click.mask[mine]
-    return click._replace(box=box_at(corner_of(theirs), mask.shape), mask=mask) if mask.any() else None
+    part = common(click.box, box)
+    mask = click.mask_on(part)
+    return click._replace(box=counted_from(part, corner_of(box)), mask=mask) if mask.any() else None

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import check_contradictions, check_left, clicks_of, voxel_named
 from accelsurf.errors import AccelsurfError, InputError, UsageError
-from accelsurf.grid.boxes import Box, Corner, whole_box
-from accelsurf.grid.click_bounds import ClickBounds, click_bounds
+from accelsurf.grid.boxes import Box, Corner, corner_of, whole_box, widened
+from accelsurf.grid.click_bounds import MARGIN, ClickBounds, click_bounds
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.grid.pyramid import Level
 from accelsurf.image.volume import Volume
 from accelsurf.run.image_context import ImageContext
-from accelsurf.run.start_pyramid import LevelArrays
+from accelsurf.run.start_pyramid import LevelArrays, LevelInputs
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import energy_settings
 from accelsurf.settings.corrections import Correction
@@ -206,31 +206,33 @@ class LevelClicks:
     ----------
     context : ImageContext
         Of the object.
-    grids : sequence of Level
-        Finest first.
+    inputs : LevelInputs
+        Of the run.
     """
 
-    def __init__(self, context: ImageContext, grids: Sequence[Level]) -> None:
-        self._context, self._grids = context, grids
-        self._bounds: dict[int, ClickBounds] = {}
+    def __init__(self, context: ImageContext, inputs: LevelInputs) -> None:
+        self._context, self._grids, self._known = context, inputs.grids, inputs.known_distances
+        self._bounds: dict[int, tuple[Box, ClickBounds]] = {}
         self._field: LevelArrays | None = None
 
     def bounds(self, level: int, box: Box | None = None) -> ClickBounds | None:
         """Return the bounds on a box of a level; None without clicks there."""
-        if self._context.clicks is None:
+        clicks, grid = self._context.clicks, self._grids[level]
+        if clicks is None:
             return None
-        if level not in self._bounds:
-            self._bounds[level] = click_bounds(self._context.clicks, self._grids[level])
-        whole = self._bounds[level]
-        if box is None:
-            return whole if whole.cells.size else None
-        shape = tuple(s.stop - s.start for s in box)
-        found = whole.on_box((box[0].start, box[1].start, box[2].start), shape)
+        seen, box = whole_box(grid.shape), box or whole_box(grid.shape)
+        if level == 0:  # of the clicks in many other objects most are far away
+            seen = widened(box, grid.shape, (MARGIN, MARGIN, MARGIN))
+        known = self._bounds.get(level)
+        if known is None or known[0] != seen:
+            near = clicks.near(seen) if level == 0 else clicks
+            known = self._bounds[level] = seen, click_bounds(near, grid, self._known)
+        found = known[1].on_box(corner_of(box), tuple(s.stop - s.start for s in box))
         return found if found.cells.size else None
 
     def apply(self, psi: NDArray[np.float32], level: int, box: Box | None = None) -> None:
         """Bring psi on a box of a level within the bounds, in place."""
-        bounds = self.bounds(level, box or whole_box(psi.shape))
+        bounds = self.bounds(level, box)
         if bounds is not None:
             bounds.apply(psi)
 
@@ -238,12 +240,16 @@ class LevelClicks:
         self, low: NDArray[np.int64], high: NDArray[np.int64], level: int
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return first voxel and the one after the last of an object on a level, with its clicks inside."""
-        bounds = self.bounds(level)
-        extent = None if bounds is None else bounds.extent()
+        clicks = self._context.clicks
+        if clicks is None:
+            return low, high
+        extent = click_bounds(clicks.on_side("inside"), self._grids[level], self._known).extent()
         return (low, high) if extent is None else (np.minimum(low, extent[0]), np.maximum(high, extent[1]))
 
     def field(self, level: int, box: Box) -> NDArray[np.float32]:
         """Return the field of the object's model on a box of a level."""
+        if level == 0:
+            return self._context.click_model().field_on(box)
         if self._field is None:
             self._field = LevelArrays(self._context.model_field(), self._grids)
         return self._field.on(level, box)

@@ -78,7 +78,7 @@ class EvolvingObject:
         self._among_others = among_others
         self._max_steps, self._stop_requested = max_steps, False
         self._starts = StartPyramid(start, inputs.grids)
-        self._clicks = LevelClicks(solver.context, inputs.grids)
+        self._clicks = LevelClicks(solver.context, inputs)
         self.corner: Corner = (0, 0, 0)
         self.made: MadeEnergy
         self.evolution: Evolution
@@ -335,7 +335,7 @@ class EvolvingObject:
         before, self._solver, self.reactivations = self._solver, solver, 0
         if solver.context is before.context:
             return False
-        self._clicks = LevelClicks(solver.context, self._inputs.grids)
+        self._clicks = LevelClicks(solver.context, self._inputs)
         return True
 
     def edit(self, solver: ObjectSolver, new_energy: bool, balls: tuple[BallEdit, ...]) -> None:
@@ -348,7 +348,7 @@ class EvolvingObject:
             # The old energy acts on the present grid until the new one begins.
             extents = [ball.extent(self.grid) for ball in balls if ball.kind == "add"]
             none = np.array(self.grid.shape), np.zeros(3, np.int64)
-            extents.append(LevelClicks(solver.context, self._inputs.grids).extended(*none, self.level))
+            extents.append(LevelClicks(solver.context, self._inputs).extended(*none, self.level))
             for low, high in extents:
                 if (low < high).all():
                     self._make_room(low, high)

@@ -301,8 +301,6 @@ class ImageContext:
         model, shape = self.click_model(), self.images[0].shape
         box = whole_box(shape) if box is None else box
         inside, half = model.inside_on(box), np.float32(0.5 * min(axis_steps(shape, self.spacing)))
-        if model.is_partition:  # its F is flat, and says no place between voxels
-            return np.where(inside, -half, half)
         # F crosses 0 between voxels: the surface begins there, and not at the faces of voxels.
         depth = half * np.clip(np.abs(model.field_on(box)), np.float32(_MIN_DEPTH), np.float32(1.0))
         return np.asarray(np.where(inside, -depth, depth), np.float32)

@@ -130,6 +130,7 @@ class Run:
         self._inputs = LevelInputs(self.prepared.images, distance, grids)
         is_given = self.prepared.other_labels is not None
         self.level_warnings = [] if is_given else thin_start_warnings(starts, self.geometry, self.has_ids)
+        is_least = named and begin.at_least
         del begin
         self._max_steps = config.max_steps
         self._all = tuple(self._object(place, *start) for place, start in enumerate(zip(starts, contexts, strict=True)))
@@ -141,8 +142,10 @@ class Run:
         self._begin_first_level()
         if is_given:
             for evolving in self._all:
-                evolving.evolution.end_as_given("its surface is that of the label map")
+                evolving.evolution.end_at_once("given", "its surface is that of the label map")
         else:
+            for evolving in self._all if is_least else ():
+                evolving.evolution.end_at_once("converged", "it has the voxels that are nearest to its clicks")
             self.level_warnings += start_checks(self._all, starts, self.prepared, self.has_ids)
         moved = self.flow_choice.applied(config)
         self.level_warnings += [

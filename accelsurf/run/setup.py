@@ -218,6 +218,16 @@ def begins_at_model(config: RunConfig) -> bool:
     return is_shown and all(TERMS[term.name].uses_model for term in terms)
 
 
+def is_least_at_model(config: RunConfig) -> bool:
+    """Return True if nothing can move objects that part the space from where the model of their clicks shows them.
+
+    Without a weight of the area their energy is the sum of F inside, least where F < 0.
+    """
+    terms = energy_expression.parse(config.energy)
+    moved = config.smoothness or config.noise or config.edit or config.max_volume or config.levels not in ("auto", 1)
+    return not moved and all(term.name == "partition" and term.settings.get("area") == 0 for term in terms)
+
+
 def stop_rule(config: RunConfig, levels: int) -> StopRule:
     """Return the rule by which a run on a number of levels has converged on the finest one.
 

@@ -23,7 +23,7 @@ from accelsurf.run.checkpoint import digest_of
 from accelsurf.run.ensemble import union_of, within
 from accelsurf.run.image_context import ImageContext
 from accelsurf.run.preprocessing import PreprocessedInput, preprocess, uses_model
-from accelsurf.run.setup import thread_count
+from accelsurf.run.setup import is_least_at_model, thread_count
 from accelsurf.run.window_input import WindowInput
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts import objects as object_starts
@@ -54,6 +54,8 @@ class RunStart:
         On the grid of the region of interest, in order of their ids; 0 first, where the background competes.
     contexts : list of ImageContext
         Of the same objects.
+    at_least : bool
+        The first surfaces are where the energy that ``config`` names is least.
     """
 
     config: RunConfig
@@ -63,6 +65,7 @@ class RunStart:
     prepared: PreprocessedInput
     starts: list[ObjectStart]
     contexts: list[ImageContext]
+    at_least: bool = False
 
 
 def start_of_run(
@@ -123,7 +126,8 @@ def start_of_run(
         contexts = [_context_of(start, prepared, bool(surfaces)) for start in starts]
         if table is not None and uses_model(config):
             starts = _of_models(starts, contexts, prepared.geometry, thread_count(config))
-    return RunStart(config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
+    at_least = table is not None and is_least_at_model(config)
+    return RunStart(config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts, at_least)
 
 
 def _start_of_labels(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, Corner, corner_of
+from accelsurf.grid.click_bounds import KnownDistances
 from accelsurf.grid.geometry import farthest
 from accelsurf.grid.pyramid import Level, prolong, restrict
 from accelsurf.starts.objects import ObjectStart
@@ -157,12 +158,19 @@ class LevelInputs:
         Signed distance of the mask there, mm, negative within.
     grids : sequence of Level
         Finest first.
+
+    Attributes
+    ----------
+    grids : tuple of Level
+    known_distances : dict
+        Distances to clicks on the finest, see `click_bounds`; they are added by who needs them.
     """
 
     def __init__(
         self, images: Sequence[NDArray[np.float32]], mask_distance: NDArray[np.float32] | None, grids: Sequence[Level]
     ) -> None:
         self.grids = tuple(grids)
+        self.known_distances: KnownDistances = {}
         self._images = [LevelArrays(image, self.grids) for image in images]
         self._mask_distance = None if mask_distance is None else LevelArrays(mask_distance, self.grids)
 

@@ -243,8 +243,8 @@ TERMS: Registry[TermSpec] = Registry(
     ),
     TermSpec(
         "partition",
-        "what is nearer to the object's own clicks than to those of the others, where edges are far: cells between "
-        "membranes; needs clicks in each of them",
+        "what is nearer to the object's own clicks than to those of the others, where what looks different is far: "
+        "cells between membranes, nuclei; needs clicks in each of them",
         f"{_MAKERS}:seeded",
         {"area": Number(0.0, help="weight of the area beside --smoothness, mm; of the model unless given")},
         uses_model=True,

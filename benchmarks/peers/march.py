@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.clicks.model.fronts import field_of
+from accelsurf.clicks.model.fronts import times_from
 from accelsurf.kernels.arrival import Tissue
 from accelsurf.levelset import LevelSet
 from benchmarks.peers.measure import Options, Timing, goal, in_turn, repeated, set_threads, table, timed
@@ -100,9 +100,9 @@ def arrivals(options: Options) -> list[dict[str, Any]]:
     side = 32 if options.quick else 128
     middle = (side // 2,) * 3
     exact = np.sqrt(sum((axis - side // 2) ** 2 for axis in np.ogrid[:side, :side, :side]))
-    field = field_of([np.zeros(exact.shape, np.float32)], (1.0, 1.0, 1.0))
+    image = np.zeros(exact.shape, np.float32)
     tissue = Tissue(np.zeros(1), np.ones(1), np.ones(1), np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0]))
-    works: dict[str, Any] = {"accelsurf": lambda: field.times_from(tissue, exact == 0)}
+    works: dict[str, Any] = {"accelsurf": lambda: times_from(exact == 0, image, (1.0, 1.0, 1.0), tissue)}
     if importlib.util.find_spec("eikonalfm") is None:
         options.say("eikonalfm: skipped, it is not installed (pip install eikonalfm)")
     else:

@@ -13,17 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.morphology import reconstruction
 
-from accelsurf.clicks.model.fronts import (
-    COST,
-    CROSS,
-    EDGE,
-    MIN_RANGE,
-    MIN_SPREAD,
-    enough,
-    field_of,
-    gradient,
-    robust,
-)
+from accelsurf.clicks.model.fronts import COST, CROSS, EDGE, MIN_RANGE, MIN_SPREAD, enough, gradient, robust, times_from
 from accelsurf.clicks.model.windows import DEEPER, Floats, Mask, Seed, Window
 from accelsurf.image.blocks import block_means
 from accelsurf.kernels.arrival import Tissue, shortest_paths
@@ -69,7 +59,7 @@ class Looks:
         """Arrival times of a front from seeds, slower at edges and where values differ from the median."""
         edge = EDGE * max(self.noise, 1e-6 * spread) / self.window.step
         tissue = Tissue(np.array([median]), np.array([spread]), np.array([edge]), np.array(COST))
-        return field_of([self.values], self.window.size.tolist()).times_from(tissue, seeds)
+        return times_from(seeds, self.values, self.window.size.tolist(), tissue)
 
     def paths(self, seeds: Mask) -> Floats:
         """Geodesic distance from seeds, where a change of the values is what costs."""

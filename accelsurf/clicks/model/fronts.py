@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.clicks.model.windows import Floats, Mask, Spacing
-from accelsurf.grid.boxes import Box, widened
+from accelsurf.grid.boxes import widened
 from accelsurf.grid.clicks import Click
 from accelsurf.kernels.arrival import Medium, Tissue, march
 from accelsurf.kernels.grid import Grid
@@ -21,47 +20,26 @@ COST, EDGE = (0.02, 0.1, 50.0, 0.15, 2.0, 16.0), 6.0
 #: A click of fewer voxels learns from its neighbours too. A spread is at least so many median gradients per voxel, and
 #: at least this part of the range of the values.
 MIN_VOXELS, MIN_SPREAD, MIN_RANGE = 20, 3.0, 1e-3
-_ALL_OPEN, _NO_CAP = np.zeros(0, np.bool_), np.zeros(0, np.float32)
 
 
-class Field(NamedTuple):
-    """Channels that fronts march through, where they may go, and their grid."""
+def times_from(
+    seeds: Mask,
+    image: Floats,
+    spacing: Sequence[float],
+    tissue: Tissue,
+    open: Mask | None = None,
+    sooner_than: Floats | None = None,
+) -> Floats:
+    """Return arrival times (nz, ny, nx) of a front from ``seeds``; inf where it does not come.
 
-    medium: Medium
-    grid: Grid
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """(nz, ny, nx)."""
-        return self.grid.nz, self.grid.ny, self.grid.nx
-
-    def images_on(self, box: Box) -> list[Floats]:
-        """The channels on a box."""
-        return [image.reshape(self.shape)[box] for image in self.medium.values]
-
-    def times(self, tissue: Tissue, times: Floats, seeds: NDArray[np.int64], cap: Floats = _NO_CAP) -> Floats:
-        """Times (nz, ny, nx) also where they are inf, from flat ``seeds``, where they are not; ``times`` is used up.
-
-        A front does not come where its time would not be below ``cap`` (n,).
-        """
-        flat = np.ravel(times)
-        march(flat, self.medium, tissue, self.grid, seeds, cap)
-        return flat.reshape(self.shape)
-
-
-    def times_from(self, tissue: Tissue, seeds: Mask, cap: Floats = _NO_CAP) -> Floats:
-        """Times (nz, ny, nx) from ``seeds``, where they are 0; ``cap`` as of `times`."""
-        begin = np.where(seeds, np.float32(0.0), np.float32(np.inf))
-        return self.times(tissue, begin, np.flatnonzero(seeds), cap)
-
-
-def field_of(images: Sequence[Floats], spacing: Sequence[float], open: Mask | None = None) -> Field:
-    """The channels for fronts on their grid; a single one is not copied."""
-    nz, ny, nx = images[0].shape
-    channels = [np.ravel(image) for image in images]
-    values = channels[0][None] if len(channels) == 1 else np.stack(channels)
-    passes = _ALL_OPEN if open is None else np.ascontiguousarray(open).ravel()
-    return Field(Medium(values, passes), Grid(nz, ny, nx, *(float(h) for h in spacing)))
+    It does not come where nothing is ``open``, nor where its time would not be ``sooner_than``.
+    """
+    times = np.where(seeds, np.float32(0.0), np.float32(np.inf))
+    passes = np.zeros(0, np.bool_) if open is None else np.ascontiguousarray(open).ravel()
+    cap = np.zeros(0, np.float32) if sooner_than is None else sooner_than.ravel()
+    grid = Grid(*times.shape, *(float(h) for h in spacing))
+    march(times.reshape(-1), Medium(np.ravel(image)[None], passes), tissue, grid, np.flatnonzero(seeds), cap)
+    return times
 
 
 def robust(values: NDArray[np.floating]) -> tuple[float, float]:
@@ -102,19 +80,3 @@ def learned(images: Sequence[Floats], spacing: Spacing, click: Click) -> Tissue:
         found.append((middle, max(spread, MIN_SPREAD * noise * smallest, least), EDGE * max(noise, least / smallest)))
     median, deviation, edge = (np.array(column, np.float64) for column in zip(*found, strict=True))
     return Tissue(median, deviation, edge, np.array(COST))
-
-
-def balance(inside: Floats, outside: Floats) -> Floats:
-    """(T_in - T_out)/(T_in + T_out): -1 at the inside clicks, 1 outside; 1 where T_in is inf, 0 where both are 0.
-
-    Examples
-    --------
-    >>> balance(np.array([0, 1, 3, 0, np.inf], np.float32), np.array([1, 3, 1, 0, 2], np.float32)).tolist()
-    [-1.0, -0.5, 0.5, 0.0, 1.0]
-    """
-    with np.errstate(invalid="ignore"):
-        out = (inside - outside) / (inside + outside)
-    out[np.isinf(outside)] = -1.0
-    out[np.isinf(inside)] = 1.0
-    out[inside + outside == 0.0] = 0.0
-    return out

@@ -19,8 +19,11 @@ from accelsurf.grid.boxes import (
     connected_to,
     corner_of,
     enclosing,
+    on_box,
     overlap,
+    placed_at,
     shared,
+    tightened,
     widened,
 )
 from accelsurf.grid.clicks import Click, Clicks
@@ -63,11 +66,9 @@ def model_of_mask(given: GivenMask, shape: tuple[int, int, int], spacing: Spacin
     if tight is None:
         return ClickModel(Clicks((), shape), box_at((0, 0, 0), (1, 1, 1)), np.ones((1, 1, 1), np.float32),
                           np.zeros((1, 1, 1), np.bool_))
-    z, y, x = (slice(b.start + t.start, b.start + t.stop) for b, t in zip(given.box, tight, strict=True))
-    margin = [max(int(AROUND * (s.stop - s.start)), int(RAMP) + 1) for s in (z, y, x)]
-    box = widened((z, y, x), shape, margin)
-    inside = np.zeros([s.stop - s.start for s in box], np.bool_)
-    inside[shared(corner_of(box), inside.shape, corner_of((z, y, x)), given.mask[tight].shape)[0]] = given.mask[tight]
+    margin = [max(int(AROUND * (s.stop - s.start)), int(RAMP) + 1) for s in tight]
+    box = widened(placed_at(tight, corner_of(given.box)), shape, margin)
+    inside = on_box(given.mask, given.box, box, False)
     field = _ramp(inside, axis_steps(shape, spacing), spacing)
     return ClickModel(Clicks((), shape), box, field, field < 0)
 
@@ -132,12 +133,10 @@ def _core_of(given: GivenMask, spacing: Spacing) -> Click:
     middle = np.unravel_index(int(np.argmax(depth)), depth.shape)
     axes = np.ogrid[tuple(slice(0, n) for n in depth.shape)]
     far = sum(((axis - at) * h) ** 2 for axis, at, h in zip(axes, middle, spacing, strict=True))
-    ball = (far <= (0.5 * depth[middle]) ** 2) & around
-    tight = bounding_box(ball)
+    z, y, x = (side.start - m for side, m in zip(given.box, margin, strict=True))
+    tight = tightened(box_at((z, y, x), around.shape), (far <= (0.5 * depth[middle]) ** 2) & around)
     assert tight is not None  # its middle is in it
-    z, y, x = (b.start + t.start - m for b, t, m in zip(given.box, tight, margin, strict=True))
-    mask = np.ascontiguousarray(ball[tight])
-    return Click("inside", box_at((z, y, x), mask.shape), mask)
+    return Click("inside", *tight)
 
 
 def _near_click(after: ClickModel, before: ClickModel, seed: Seed, scene: Scene) -> ClickModel:

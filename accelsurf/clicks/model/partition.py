@@ -1,11 +1,15 @@
-"""Cells that fill a space: each voxel belongs to the click that comes to it at the lowest cost, whatever lies behind.
+"""Objects that part a space: each voxel belongs to the click that comes to it at the lowest cost.
 
-No likelihood and no surroundings: neighbours look alike, and only membranes between them tell them apart. One march
-from all clicks says where the cells are; marches within each cell say how much nearer the next one is.
+One model for all of them. One march from all clicks says which voxels are whose; a path is about as long as its worst
+place is unlike the clicks, as in a watershed, and where nothing differs the nearer click has the voxel. What is no
+object competes with a tissue of its own. The shares of the objects around each voxel say where, between voxels, two of
+them meet. The cost is that of the volume and of the sum of the objects' boxes.
 """
 
 from __future__ import annotations
 
+import math
+import operator
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -13,40 +17,50 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.clicks.model.fronts import CROSS, Field, balance, field_of, learned
-from accelsurf.clicks.model.model import CLICKED, ClickModel
+from accelsurf.clicks.model.fronts import learned, times_from
+from accelsurf.clicks.model.model import CLICKED, JUST, ClickModel
 from accelsurf.clicks.model.windows import Floats, Mask, Spacing
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import Box, bounding_box, connected_to, whole_box
+from accelsurf.grid.boxes import Box, connected_to, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.kernels.arrival import Tissue
 
-#: Smoothing of the image before anything is learned from it, of the smallest spacing.
-SMOOTHING = 0.6
+#: Smoothing of the image before anything is learned from it, and of the shares of objects; of the smallest spacing.
+SMOOTHING, SHARES = 0.3, 0.7
+#: Shares are cut at so many of their widths.
+REACH = 4.0
+#: Cost per mm where a voxel looks like the clicks; the power of how many spreads it differs by, and most of these.
+LEAST, POWER, MAX_SPREADS = 0.2, 4, 10.0
+#: What a front goes through: an image of costs.
+_COSTS = Tissue(np.zeros(1), np.ones(1), np.ones(1), np.array((LEAST, 0.0, 0.0, 1.0, 0.0, MAX_SPREADS**POWER)))
+#: Labels of voxels of what is no object, or of an outside click; and where no front comes.
+NOBODY, UNREACHED = 0, -1
 
 
 class Basins(NamedTuple):
-    """Basins, which all objects share.
+    """Voxels of all objects, which have the numbers from 1 on in the order of their ids.
 
     Attributes
     ----------
-    field : Field
-    tissue : Tissue
-        That the marches go through.
-    clicks : tuple of Click
-        Those inside of an object, or of what is no object.
-    times : ndarray (nz, ny, nx) float32
-        Arrival times from all of them.
-    nearest : ndarray (n,) int32
-        The click from which the front comes, by its number; -1 where none does.
+    numbers : dict of int to int
+        Number of each owner of clicks.
+    labels : ndarray (nz, ny, nx) int32
+        Number of the owner from whose clicks a front comes first; `NOBODY`, `UNREACHED`.
+    boxes : list of tuple of slice
+        Of the voxels of each number, with room for what its share reaches.
+    first, second : ndarray (nz, ny, nx) float32
+        The largest share of a number in the voxels around each, and the next.
+    largest : ndarray (nz, ny, nx) int32
+        Whose the largest is; its own in a clicked voxel.
     """
 
-    field: Field
-    tissue: Tissue
-    clicks: tuple[Click, ...]
-    times: Floats
-    nearest: NDArray[np.int32]
+    numbers: dict[int, int]
+    labels: NDArray[np.int32]
+    boxes: list[Box]
+    first: Floats
+    second: Floats
+    largest: NDArray[np.int32]
 
 
 class BasinsOnce:
@@ -54,32 +68,26 @@ class BasinsOnce:
 
     def __init__(self) -> None:
         self._last: Basins | None = None
-        self._seen: tuple[Floats, ...] = ()
+        self._seen: tuple[object, ...] = ()
 
     def of(self, images: Sequence[Floats], spacing: Spacing, clicks: Clicks, mask: Mask | None) -> Basins:
         """The basins of clicks as one object sees them; those of the last time where clicks and images are the same."""
-        owned, last = tuple(click for click in clicks.clicks if _is_owned(click)), self._last
-        if last is None or not _are_same(self._seen, images) or not _are_same(_masks(last.clicks), _masks(owned)):
-            last = basins_of(images, spacing, owned, mask)
-            self._last, self._seen = last, tuple(images)
-        return last
+        if not all(click.side == "inside" or click.owner is not None for click in clicks.clicks):
+            return basins_of(images, spacing, clicks.clicks, mask)  # some say nothing of the other objects
+        seen = *images, *(click.mask for click in clicks.clicks)
+        is_same = len(seen) == len(self._seen) and all(map(operator.is_, seen, self._seen))
+        if self._last is None or not is_same:
+            self._last, self._seen = basins_of(images, spacing, clicks.clicks, mask), seen
+        return self._last
 
 
-def _is_owned(click: Click) -> bool:
-    """Test if it lies inside of something, and says the same to all objects."""
-    return click.side == "inside" or click.owner is not None
+def owner_of(click: Click) -> int:
+    """Return the id inside which an object sees a click; `NO_OBJECT` of one that is outside of it alone."""
+    return click.owner if click.owner is not None else click.id if click.side == "inside" else NO_OBJECT
 
 
-def _are_same(first: Sequence[object], second: Sequence[object]) -> bool:
-    return len(first) == len(second) and all(a is b for a, b in zip(first, second, strict=True))
-
-
-def _masks(clicks: Sequence[Click]) -> list[Mask]:
-    return [click.mask for click in clicks]
-
-
-def basins_of(images: Sequence[Floats], spacing: Spacing, clicks: tuple[Click, ...], mask: Mask | None) -> Basins:
-    """The basins of clicks inside of objects, or of what is no object.
+def basins_of(images: Sequence[Floats], spacing: Spacing, clicks: Sequence[Click], mask: Mask | None) -> Basins:
+    """Find the basins of clicks.
 
     Parameters
     ----------
@@ -87,26 +95,44 @@ def basins_of(images: Sequence[Floats], spacing: Spacing, clicks: tuple[Click, .
         The channels, as they are evolved.
     spacing : (hz, hy, hx)
         mm.
-    clicks : tuple of Click
-        No two of different owners share a voxel.
+    clicks : sequence of Click
+        As one object sees them; no two of different owners share a voxel.
     mask : ndarray (nz, ny, nx) of bool, optional
         All objects lie in it.
     """
     smooth = [gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in images]
-    field = field_of(smooth, spacing, mask)
-    firsts = {click.owner: click for click in reversed(clicks) if click.owner != NO_OBJECT}
-    tissue = _common([learned(smooth, spacing, click) for click in firsts.values()])
-    seeds = [_voxels(click, field.shape) for click in clicks]
-    clicked = np.zeros(field.shape, np.bool_)
-    clicked.ravel()[np.concatenate(seeds)] = True
-    times = field.times_from(tissue, clicked)
-    return Basins(field, tissue, clicks, times, _nearest(times, seeds))
+    firsts = {owner_of(click): click for click in reversed(clicks)}
+    numbers = {owner: number for number, owner in enumerate(sorted(firsts.keys() | {NO_OBJECT}))}
+    common = _common([learned(smooth, spacing, click) for owner, click in firsts.items() if owner != NO_OBJECT])
+    seeds, ground = np.full(images[0].shape, UNREACHED, np.int32), np.zeros(images[0].shape, np.bool_)
+    sooner, beyond = None, np.full(ground.shape, np.inf, np.float32)
+    for click in clicks:
+        if click.owner == NO_OBJECT:  # with one spread two tissues meet halfway between their values
+            ground[click.box] |= click.mask
+            tissue = learned(smooth, spacing, click)._replace(spread=common.spread)
+            np.minimum(beyond, _cost(smooth, tissue), out=beyond)
+        else:
+            seeds[click.box][click.mask] = numbers[owner_of(click)]
+    if ground.any():
+        sooner = times_from(ground, beyond, spacing, _COSTS, mask)
+    cost = _cost(smooth, common)
+    del smooth, beyond
+    times = times_from(seeds != UNREACHED, cost, spacing, _COSTS, mask, sooner)
+    del cost
+    labels = _nearest(times, seeds)
+    if sooner is not None:
+        labels[(labels == UNREACHED) & np.isfinite(sooner)] = NOBODY
+    del times, sooner
+    return _with_shares(numbers, labels, spacing, clicks)
 
 
-def _voxels(click: Click, shape: tuple[int, int, int]) -> NDArray[np.int64]:
-    """The voxels of a click, as flat indices."""
-    where = [axis + side.start for axis, side in zip(np.nonzero(click.mask), click.box, strict=True)]
-    return np.ravel_multi_index(tuple(where), shape).astype(np.int64)
+def _cost(images: Sequence[Floats], tissue: Tissue) -> Floats:
+    """Cost of each voxel: a power of how many spreads it differs by from a tissue, in the channel where most."""
+    out = np.zeros(images[0].shape, np.float32)
+    for image, median, spread in zip(images, tissue.median, tissue.spread, strict=True):
+        np.maximum(out, np.abs(image - np.float32(median)) / np.float32(spread), out=out)
+    np.minimum(out, np.float32(MAX_SPREADS), out=out)
+    return np.asarray(out**POWER)
 
 
 def _common(tissues: Sequence[Tissue]) -> Tissue:
@@ -115,14 +141,13 @@ def _common(tissues: Sequence[Tissue]) -> Tissue:
     middle = np.median(medians, axis=0)
     apart = 1.4826 * np.median(np.abs(medians - middle), axis=0)
     spread = np.maximum(np.median([tissue.spread for tissue in tissues], axis=0), apart)
-    return tissues[0]._replace(
-        median=middle, spread=spread, gradient=np.median([tissue.gradient for tissue in tissues], axis=0)
-    )
+    return tissues[0]._replace(median=middle, spread=spread)
 
 
-def _nearest(times: Floats, seeds: Sequence[NDArray[np.int64]]) -> NDArray[np.int32]:
-    """From which of the seeds the front came to each voxel: back from voxel to earliest neighbour, by leaps."""
-    voxels = np.arange(times.size).reshape(times.shape)
+def _nearest(times: Floats, seeds: NDArray[np.int32]) -> NDArray[np.int32]:
+    """From which seeds the front came to each voxel: back from voxel to earliest neighbour, by leaps."""
+    kind = np.int32 if times.size < 2**31 else np.int64
+    voxels = np.arange(times.size, dtype=kind).reshape(times.shape)
     before, earliest = voxels.copy(), times.copy()
     for axis in range(3):
         ends = slice(1, None), slice(None, -1)
@@ -131,14 +156,45 @@ def _nearest(times: Floats, seeds: Sequence[NDArray[np.int64]]) -> NDArray[np.in
             is_earlier = times[theirs] < earliest[mine]
             earliest[mine][is_earlier] = times[theirs][is_earlier]
             before[mine][is_earlier] = voxels[theirs][is_earlier]
-    out, came = np.full(times.size, -1, np.int32), before.ravel()
-    for number, seed in enumerate(seeds):
-        out[seed], came[seed] = number, seed
+    before = np.where(seeds != UNREACHED, voxels, before)
+    del voxels, earliest
+    came = before.ravel()
     while True:
         farther = came[came]
         if np.array_equal(farther, came):
-            return np.where(np.isfinite(times.ravel()), out[came], np.int32(-1))
+            return np.where(np.isfinite(times), seeds.ravel()[came].reshape(times.shape), np.int32(UNREACHED))
         came = farther
+
+
+def _with_shares(
+    numbers: dict[int, int], labels: NDArray[np.int32], spacing: Spacing, clicks: Sequence[Click]
+) -> Basins:
+    """The basins with the shares of all numbers."""
+    margin = [math.ceil(REACH * SHARES * min(spacing) / h) for h in spacing]
+    tight = ndimage.find_objects(labels, max(numbers.values()))
+    whole = whole_box(labels.shape)
+    found = Basins(
+        numbers, labels, [whole, *(whole if box is None else widened(box, labels.shape, margin) for box in tight)],
+        np.zeros(labels.shape, np.float32), np.zeros(labels.shape, np.float32), labels.copy(),
+    )
+    for number, box in enumerate(found.boxes):
+        if number == NOBODY and not (labels == NOBODY).any():
+            continue
+        share, first, second = _share(found, number, spacing), found.first[box], found.second[box]
+        is_more = share > first
+        second[...] = np.where(is_more, first, np.maximum(second, share))
+        first[is_more], found.largest[box][is_more] = share[is_more], number
+    for click in clicks:
+        found.largest[click.box][click.mask] = numbers[owner_of(click)]
+        found.first[click.box][click.mask], found.second[click.box][click.mask] = 1.0, 0.0
+    found.largest[labels == UNREACHED] = UNREACHED
+    return found
+
+
+def _share(found: Basins, number: int, spacing: Spacing) -> Floats:
+    """The share of a number in what is around each voxel of its box."""
+    mine = found.labels[found.boxes[number]] == number
+    return gaussian_mm(mine.astype(np.float32), spacing, SHARES * min(spacing))
 
 
 def partition_model(
@@ -151,8 +207,7 @@ def partition_model(
 ) -> ClickModel:
     """Make the model of one of several objects that touch.
 
-    F = (T_in - T_out) / (T_in + T_out), with the arrival times from its own clicks and from those of all others, and 1
-    where others come earlier. All go through one tissue, that of the first clicks of all objects.
+    F is the largest share of another object in what is around a voxel, less that of its own.
 
     Parameters
     ----------
@@ -172,31 +227,19 @@ def partition_model(
     InputError
         When it has no inside click, or nothing is outside of it.
     """
-    inside, outside = clicks.mask("inside"), clicks.mask("outside")
-    if not inside.any() or not outside.any():
+    mine = clicks.on_side("inside").clicks
+    if not mine or len(mine) == len(clicks):
         raise InputError(
             "partition: clicks inside and outside of the object are needed", "give clicks in its neighbours too"
         )
     found = (basins or BasinsOnce()).of(images, spacing, clicks, mask)
-    if not all(map(_is_owned, clicks.clicks)):  # they say something of this object alone
-        times, seeds = np.where(outside, np.float32(0.0), np.float32(np.inf)), outside
-        box = whole_box(inside.shape)
-    else:
-        box, times, seeds = _at_other_basins(found, [click.side == "inside" for click in clicks.clicks])
-    field = field_of(found.field.images_on(box), spacing, None if mask is None else mask[box])
-    others = field.times(found.tissue, times, np.flatnonzero(seeds))
-    # Where others come earlier it is none of the object's: the march need not go there.
-    mine = field.times_from(found.tissue, inside[box], others.ravel())
-    force = balance(mine, others)
-    force[inside[box]], force[outside[box]] = CLICKED["inside"], CLICKED["outside"]
-    start = connected_to(force < 0, inside[box])
-    return ClickModel(clicks, box, force, start, is_partition=True)
-
-
-def _at_other_basins(found: Basins, is_own: Sequence[bool]) -> tuple[Box, Floats, Mask]:
-    """A box that holds the basins of own clicks, the times in all others there, and their voxels beside the own."""
-    mine = np.append(is_own, False)[found.nearest].reshape(found.field.shape)  # of -1 the last
-    box = bounding_box(mine, 1)
-    assert box is not None  # the clicks are among them
-    times = np.where(mine[box], np.float32(np.inf), found.times[box])
-    return box, times, ndimage.binary_dilation(mine[box], CROSS) & np.isfinite(times)
+    number = found.numbers[owner_of(mine[0])]
+    box, share = found.boxes[number], _share(found, number, spacing)
+    largest, first, second = found.largest[box], found.first[box], found.second[box]
+    force = np.where(largest == number, np.minimum(second - first, -JUST), np.maximum(first - share, JUST))
+    force[largest == UNREACHED] = 1.0
+    clicked = np.logical_or.reduce([click.mask_on(box) for click in mine])
+    force[clicked] = CLICKED["inside"]
+    start = connected_to(force < 0, clicked)
+    force[~start] = np.maximum(force[~start], JUST)
+    return ClickModel(clicks, box, force.astype(np.float32), start, is_partition=True)
