@@ -36,10 +36,11 @@ def main() -> None:
     parser.add_argument("--max-steps", type=int, default=400)
     parser.add_argument("--levels", type=int, default=1)
     parser.add_argument("--energy", default="chan-vese:area=0", help="by default one that lets a surface follow noise")
+    parser.add_argument("--seed", type=int, default=0, help="of the noise")
     options = parser.parse_args()
     rows = []
     for noise, shape, flow in itertools.product(NOISES, STARTS, FLOWS):
-        image = phantom(shape, noise)
+        image = phantom(shape, noise, options.seed)
         config = RunConfig(
             energy=options.energy, flow=flow, levels=options.levels, max_steps=options.max_steps, threads=1,
             start=(STARTS[shape],), smoothness=0.0,
@@ -52,7 +53,7 @@ def main() -> None:
     options.output.write_text(json.dumps({"voxels": N, "levels": options.levels, "runs": rows}, indent=1) + "\n")
 
 
-def phantom(shape: str, noise: float) -> NDArray[np.float32]:
+def phantom(shape: str, noise: float, seed: int = 0) -> NDArray[np.float32]:
     """A shape of value 1 in 0, with Gaussian noise."""
     z, y, x = np.indices((N, N, N)) - 0.5 * (N - 1)
     if shape == "ball":
@@ -62,7 +63,7 @@ def phantom(shape: str, noise: float) -> NDArray[np.float32]:
     else:
         plate = (abs(z) < 0.15 * N) & (abs(y) < 0.3 * N) & (abs(x) < 0.3 * N)
         image = 1.0 * (plate & ~((y > -0.05 * N) & (x > -0.05 * N)))
-    return (image + np.random.default_rng(0).normal(0, noise, image.shape)).astype(np.float32)
+    return (image + np.random.default_rng(seed).normal(0, noise, image.shape)).astype(np.float32)
 
 
 def measured(image: NDArray[np.float32], config: RunConfig, further: float | None) -> dict[str, Any]:
