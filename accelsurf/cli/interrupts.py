@@ -151,6 +151,19 @@ class Interrupts:
         return 128 + self.number if self.count else code
 
 
+class WorkerInterrupts(Interrupts):
+    """The handler of a worker process: further signals do nothing, as the process that started it can end it."""
+
+    def __call__(self, number: int, frame: FrameType | None = None) -> None:
+        """Take the first signal as `Interrupts` does."""
+        if not self.count:
+            super().__call__(number, frame)
+
+    def exit_code(self, code: int) -> int:
+        """Return the exit code as it is: a case whose files are finished has succeeded."""
+        return code
+
+
 @contextmanager
 def default_handling() -> Iterator[None]:
     """Give Ctrl-C back to Python: for an event loop that has a way of its own to end."""
