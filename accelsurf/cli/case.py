@@ -151,8 +151,6 @@ class Place:
         return paths | {"report": self.report_path}
 
 
-#: What follows the present step of a correction that is interrupted.
-LEAVING = "leaving all files as they are"
 #: Computes the result of a case.
 Compute = Callable[["Place", RunConfig, "Watcher", "Log"], "Result"]
 
@@ -444,7 +442,8 @@ def evolve(
     """Run one or several objects with progress, without writing anything but checkpoints to the file ``state``."""
     from accelsurf.api.segment import segment, segment_objects
 
-    with watcher.watch(name, config.max_steps, "keeping its state" if state is not None else LEAVING):
+    then = "leaving all files as they are" if state is None else "keeping its state"
+    with watcher.watch(name, config.max_steps, then):
         if config.objects is not None:
             return segment_objects(
                 volume, channels=channels, config=config, on_step=watcher.on_step, on_warning=watcher.on_warning,

@@ -159,10 +159,6 @@ class WorkerInterrupts(Interrupts):
         if not self.count:
             super().__call__(number, frame)
 
-    def exit_code(self, code: int) -> int:
-        """Return the exit code as it is: a case whose files are finished has succeeded."""
-        return code
-
 
 @contextmanager
 def default_handling() -> Iterator[None]:

@@ -181,13 +181,13 @@ class _CorrectedRun:
         self._changes: tuple[Any, ...] = ()
 
     def __call__(self, place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
-        from accelsurf.cli.case import LEAVING, read_image
+        from accelsurf.cli.case import read_image
         from accelsurf.correct.refiner import Refiner
         from accelsurf.correct.restored import restored
 
         volume, *more = read_image(place, config, log)
         _check_image(self._source, log.checksum)
-        with watcher.watch(place.name, config.max_steps, LEAVING):
+        with watcher.watch(place.name, config.max_steps, "leaving all files as they are"):
             refiner = Refiner(log.timed("load", lambda: restored(self._source.state, volume, more)))
             for correction in self._corrections:
                 self._changes += refiner.apply(correction, on_step=watcher.on_step)
