@@ -88,6 +88,7 @@ def test_grey_values_zoom_pan_and_layouts_in_the_page(served, browser):
     until(lambda: hand.at(beside) == pytest.approx(middle, abs=0.3))
     browser.find_element("id", "whole").click()
     until(lambda: hand.at(beside) == pytest.approx(before, abs=0.2))
+    browser.find_element("id", "tool-look").click()  # with Size a double click is two clicks
     ActionChains(browser).move_to_element_with_offset(hand.picture, *axial).double_click().perform()
     until(lambda: (state(served)["layout"], state(served)["large"]) == ("single", "axial"))
     ActionChains(browser).double_click().perform()
