@@ -143,7 +143,8 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
     def listed():
         """What the page's list says of each object."""
         texts = "return [...document.querySelectorAll('.objects .ml')].map(one => one.textContent)"
-        return [words for words in browser.execute_script(texts) if re.fullmatch(r"[\d.]+ ml", words)]
+        shown = [words for words in browser.execute_script(texts) if re.fullmatch(r"[\d.]+ (ml|mm3)", words)]
+        return [viewing.ml({"volume": words}) for words in shown]
 
     def count_is(count, total=None):
         """The objects, once there are so many, and the picture shows their volumes, ml together."""
@@ -153,7 +154,7 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
             )
 
         found = until(lambda: is_seen(found := rows()) and found, 120)
-        until(lambda: [float(words.removesuffix(" ml")) for words in listed()] == [one["ml"] for one in found])
+        until(lambda: listed() == [one["ml"] for one in found])
         return found
 
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -554,8 +553,8 @@ def clicks_in_words(side: Side, where: Sequence[str], object_id: int | None = No
 
     Examples
     --------
-    >>> clicks_in_words("inside", ["ball:1.20007,-2,35.15432,4"])
-    'inside: ball:1.2,-2,35.15,4'
+    >>> clicks_in_words("inside", ["ball:1,2,3,4"])
+    'inside: ball:1,2,3,4'
     >>> clicks_in_words("outside", ["path:1,2,3,4;5,6,7,4"], 2)
     'outside: stroke of 2 places, object 2'
     """
@@ -563,13 +562,7 @@ def clicks_in_words(side: Side, where: Sequence[str], object_id: int | None = No
     if len(where) == 1 and where[0].startswith("path:"):
         return f"{side}: stroke of {where[0].count(';') + 1} places{whose}"
     more = f" and {len(where) - 1} more" if len(where) > 1 else ""
-    return f"{side}: {_rounded(where[0])}{more}{whose}"
-
-
-def _rounded(where: str) -> str:
-    """Return a place with four digits of each number, as a list has little room."""
-    return re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.4g}", where)
-
+    return f"{side}: {where[0]}{more}{whose}"
 
 def balls_in_words(kind: str, balls: Sequence[str], object_id: int | None = None) -> str:
     """Return balls that were added or removed in words.
@@ -582,5 +575,5 @@ def balls_in_words(kind: str, balls: Sequence[str], object_id: int | None = None
     'removed a stroke of 2 balls'
     """
     whose = "" if object_id is None else f" {'to' if kind == 'add' else 'from'} object {object_id}"
-    what = _rounded(balls[0]) if len(balls) == 1 else f"a stroke of {len(balls)} balls"
+    what = balls[0] if len(balls) == 1 else f"a stroke of {len(balls)} balls"
     return f"{'added' if kind == 'add' else 'removed'} {what}{whose}"

@@ -55,7 +55,7 @@ class ObjectsPanel(Section):
         table.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         header = table.horizontalHeader()
         header.setMinimumSectionSize(20)
-        volume = table.fontMetrics().horizontalAdvance("888.8 mm3") + 10
+        volume = table.fontMetrics().horizontalAdvance("888.8 mm3") + 18
         for column, width in {_SEEN: 22, _COLOR: 20, _VOLUME: volume, _WORD: 76}.items():
             header.setSectionResizeMode(column, QHeaderView.ResizeMode.Fixed)
             table.setColumnWidth(column, width)
