@@ -166,6 +166,8 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
             left, right = (hand.at((axial[0] + way, axial[1]))[0] for way in (-40, 40))
             other = round(axial[0] - 40 + (48 - left) * 80 / (right - left)), axial[1]
             browser.find_element("id", "play").click()
+            # The volume is that of the picture, which follows the run; the start has 524 mm3.
+            until(lambda: state(served)["object_rows"][0]["volume"].endswith(" ml"), 120)
             (first,) = count_is(1)
             # Where the mouse is goes on the clipboard, as settings take it.
             allowed = {"permissions": ["clipboardReadWrite", "clipboardSanitizedWrite"], "origin": served.origin}
