@@ -1,8 +1,8 @@
 """Batches that are killed at seeded moments, and go on: do they end with the same bytes, and is nothing left behind?
 
 Each trial kills once or twice, at any moment from the first to the last: all processes of the batch, its parent alone
-(the workers must end with it), or one worker alone (its case fails and the others go on). Then ``--resume`` must make
-what an undisturbed batch makes.
+(the workers must end with it), or one worker alone (its case fails and the others go on); or the parent gets Ctrl-C,
+and what runs keeps its state. Then ``--resume`` must make what an undisturbed batch makes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from benchmarks import case_files
 from benchmarks.resumed import without_effort
 
 SHAPE, CASES = (36, 40, 44), 5
-KINDS = ("all processes", "parent", "worker")
+KINDS = ("all processes", "parent", "worker", "Ctrl-C")
 #: Kills of one batch before it may end, at the most.
 MAX_KILLS = 2
 #: Seconds that workers have to end with their parent.
@@ -107,7 +107,8 @@ def killed(
             program.wait(300)  # it goes on without the case
         else:
             struck = True
-            (os.killpg if kind == "all processes" else os.kill)(program.pid, signal.SIGKILL)
+            number = signal.SIGINT if kind == "Ctrl-C" else signal.SIGKILL
+            (os.killpg if kind == "all processes" else os.kill)(program.pid, number)
             program.wait()
     deadline = time.perf_counter() + LEAVE_SECONDS
     while (left := session_of(program.pid)) and time.perf_counter() < deadline:

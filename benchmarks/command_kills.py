@@ -1,8 +1,9 @@
-"""Commands that replace an earlier result and are killed at seeded moments: refine, track and movie.
+"""Commands that replace an earlier result and are ended at seeded moments: refine, track and movie.
 
-Each trial begins with the files of an earlier result, kills the command that replaces them, and has the next command
-look at the folder. Then the files must be all old or all new, byte for byte, and nothing may be left beside them. Every
-few trials the command is given once more: it must end with the files of one that was never killed.
+Each trial begins with the files of an earlier result and ends the command that replaces them by SIGKILL, SIGINT or
+SIGTERM. The next command looks at the folder. Then the files must be all old or all new, byte for byte, and nothing may
+be left beside them. Every few trials the command is given once more: it must end with the files of one that was never
+ended.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -46,10 +48,13 @@ class Command:
         Of the output folder, the command lines that make an earlier result.
     new : callable
         Of the output folder, the command line that is killed.
+    signals : tuple of int
+        Those that must leave old files or new ones.
     """
 
     old: Callable[[Path], list[list[str]]]
     new: Callable[[Path], list[str]]
+    signals: tuple[int, ...] = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM)
 
 
 def prepared(folder: Path) -> dict[str, Command]:
@@ -76,6 +81,7 @@ def prepared(folder: Path) -> dict[str, Command]:
         "movie": Command(
             lambda out: [[*movie, "--max-steps", "3", "-o", str(out / "a.gif")]],
             lambda out: [*movie, "--max-steps", "8", "-o", str(out / "a.gif")],
+            (signal.SIGKILL,),  # at the others it writes the steps so far
         ),
     }
 
@@ -165,21 +171,25 @@ class Trial:
         self._copied(self.folder / "old", out)
         program = started(self.command.new(out))
         moment = self._wait(program, chance, out)
-        program.kill()
-        program.communicate()
-        counts["kills" if program.returncode < 0 else "ended before the kill"] += 1
-        return [f"{moment}: {fault}" for fault in self._faults(out, to_the_end, counts)]
+        number = chance.choice(self.command.signals)
+        program.send_signal(number)
+        _, error = program.communicate(timeout=600)
+        counts[signal.Signals(number).name if program.returncode else "ended before the signal"] += 1
+        faults = self._faults(out, to_the_end, counts)
+        if program.returncode not in (0, -number, 128 + number) or "Traceback" in error:
+            faults.append(f"exit {program.returncode}: {error[-300:]}")
+        return [f"{signal.Signals(number).name} {moment}: {fault}" for fault in faults]
 
     def _wait(self, program: subprocess.Popen[str], chance: random.Random, out: Path) -> str:
         """Wait for a random moment: of the whole command, or from its first draft on."""
         if chance.random() < 0.5:
             moment = chance.uniform(0.0, 1.05 * self.seconds)
             wait_until(program, lambda: False, moment)
-            return f"killed after {moment:.3f} s"
+            return f"after {moment:.3f} s"
         wait_until(program, lambda: any(out.glob(".*/new/*")), 60.0)
         moment = chance.uniform(0.0, WRITING_SECONDS)
         wait_until(program, lambda: False, moment)
-        return f"killed {moment:.4f} s after the first draft"
+        return f"{moment:.4f} s after the first draft"
 
     def _faults(self, out: Path, to_the_end: bool, counts: Counter[str]) -> list[str]:
         faults = []

@@ -81,13 +81,15 @@ def applied(options: Options, tried: str, at_the_fault: str) -> Options | None:
     {'start': 'otsu', 'outside': 'point:1,2,3'}
     >>> applied({"inside": "ball:1,2,3,4", "size": "9ml"}, "it without --size", "")
     {'inside': 'ball:1,2,3,4'}
+    >>> applied({"start": "otsu"}, "--inside at the object in place of --start", "inside point:1,2,3")
+    {'inside': ('point:1,2,3',)}
     """
+    gone = re.findall(r"--([a-z-]+)", tried.partition("in place of")[2] or tried.partition("without")[2])
+    out = {key: value for key, value in options.items() if key.replace("_", "-") not in gone}
     if tried in AT_THE_FAULT or tried.startswith(AT_THE_FAULT[1]):
         side, _, place = at_the_fault.partition(" ")
         before = options.get(side, ()) if tried == AT_THE_FAULT[0] else ()
-        return {**options, side: (*((before,) if isinstance(before, str) else before), place)}
-    gone = re.findall(r"--([a-z-]+)", tried.partition("in place of")[2] or tried.partition("without")[2])
-    out = {key: value for key, value in options.items() if key.replace("_", "-") not in gone}
+        return {**out, side: (*((before,) if isinstance(before, str) else before), place)}
     if "without" in tried:
         return out
     found = re.match(r"--([a-z-]+)(?: ([^ ]+?))?(?:,? |,?$)", tried.partition(" in place of")[0])

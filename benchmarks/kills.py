@@ -9,7 +9,7 @@ change from run to run, so that old and new files differ, and so do their names.
 * resumed: SIGKILL at random moments of a run that writes its state; repeated with ``--resume`` it must end with the
   files of one that was not killed (`benchmarks.resumed`).
 * batch: the same for batches of several workers: all processes, the parent, or one worker (`benchmarks.batch_kills`).
-* refine, track, movie: SIGKILL of commands that replace an earlier result (`benchmarks.command_kills`).
+* refine, track, movie: signals to commands that replace an earlier result (`benchmarks.command_kills`).
 
 After each the files must be those that one report names, by their checksums: all old or all new. Whatever is hidden
 must go with the next run. ``python -m benchmarks.kills --help`` lists the options; the table in

@@ -108,7 +108,7 @@ def seconds_of_session(source: Path, start: str, steps: int) -> tuple[float, flo
         session.single_step().result()
         session.wait()
         began, spent = time.perf_counter(), time.process_time()
-        session.play_to(1 + steps).result()
+        session.play(1 + steps).result()
         session.wait()
         return time.perf_counter() - began, time.process_time() - spent
 

@@ -99,6 +99,10 @@ class Pool(Protocol):
         """Let `events` raise `Interrupted` soon; the only method that another thread may call."""
         ...
 
+    def stop(self) -> Iterator[Ended]:
+        """Let the jobs that run keep their state and end; yield those that end with a result."""
+        ...
+
     def close(self) -> None:
         """End the jobs that still run, and free everything."""
         ...
@@ -205,6 +209,17 @@ class LocalPool:
         """Let `events` raise `Interrupted` soon; the only method that another thread may call."""
         with suppress(OSError):  # it has been closed
             self._bell.send_bytes(b"now")
+
+    def stop(self) -> Iterator[Ended]:
+        """Send SIGTERM to all workers and wait for them, however long; yield the jobs that end with a result."""
+        for worker in self._workers:
+            worker.process.terminate()
+        for worker in self._workers:
+            with suppress(EOFError, OSError):  # it has ended
+                while worker.job is not None:
+                    message = worker.connection.recv()
+                    if message != READY:
+                        yield worker.end_job(*message)
 
     def close(self) -> None:
         """End all workers at once, those at work too."""
@@ -359,6 +374,10 @@ class InlinePool:
         """Let `events` raise `Interrupted` soon; the only method that another thread may call."""
         self._interrupted = True
 
+    def stop(self) -> Iterator[Ended]:
+        """Yield nothing: no job runs while nobody waits for it."""
+        return iter(())
+
     def close(self) -> None:
         """Forget the jobs that wait."""
         self._waiting.clear()
@@ -367,7 +386,8 @@ class InlinePool:
 def serve(connection: Connection, function: Callable[[Any], Any], prepare: Callable[[], None] | None) -> None:
     """Run jobs as they come, and send back a pair of result and `Failure` of each, one of them None.
 
-    Ctrl-C in a terminal reaches all processes of a program; what it means is for the one that started this.
+    Ctrl-C in a terminal reaches all processes of a program; what it means is for the one that started this. SIGTERM
+    ends the process, if ``prepare`` has given it a handler after the state of the job is kept.
 
     Parameters
     ----------
@@ -388,6 +408,9 @@ def serve(connection: Connection, function: Callable[[Any], Any], prepare: Calla
             _send(connection, run_job(function, job[0]))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return  # nobody is there any more
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGTERM)
 
 
 def run_job(function: Callable[[Any], Any], payload: Any) -> Reply:

@@ -108,6 +108,8 @@ class Batch:
     Attributes
     ----------
     names : TableNames
+    running : set of str
+        Ids of the cases that run now.
     """
 
     def __init__(
@@ -129,7 +131,7 @@ class Batch:
             "threads": admission.threads,
             "memory_bytes": admission.bytes,
         }
-        self._running: set[str] = set()
+        self.running: set[str] = set()
 
     @classmethod
     def planned(
@@ -203,16 +205,23 @@ class Batch:
         for event in pool.events():
             match event:
                 case Started(id):
-                    self._running.add(id)
+                    self.running.add(id)
                     observer.started(id)
                 case Ended(id, value, failure):
                     outcome: Outcome = value if failure is None else lost(by_id[id], failure)
-                    self._running.discard(id)
+                    self.running.discard(id)
                     try:
                         tables.add(outcome)
                     except OutputError as error:  # at the end it counts
                         observer.warned(error.message)
                     observer.ended(outcome, left.after(id, time.monotonic() - began))
+
+    def stop(self, pool: Pool, tables: Tables) -> None:
+        """Let the cases that run keep their state; those that end with a result are in the tables."""
+        for ended in pool.stop():
+            if ended.failure is None:
+                self.running.discard(ended.key)
+                tables.put([ended.value])
 
     def end_early(self, pool: Pool, tables: Tables, exit_code: int) -> None:
         """End what runs, remove its staging files, and write the tables as they are.
@@ -226,7 +235,7 @@ class Batch:
         """
         pool.close()
         for task in self.tasks:
-            if task.case.id in self._running and task.folder.is_dir():
+            if task.case.id in self.running and task.folder.is_dir():
                 recover(task.folder)
         with suppress(OutputError):  # another error is on its way
             tables.write("interrupted", exit_code)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -249,6 +250,10 @@ def _run(
             try:
                 work.run(pool, tables, progress, batch_case.lost_outcome, resume)
             except BaseException as error:
+                if isinstance(error, KeyboardInterrupt) and work.running:
+                    say("interrupted: the cases that run keep their state (press again to quit at once)")
+                    with suppress(KeyboardInterrupt):
+                        work.stop(pool, tables)
                 with uninterrupted():
                     work.end_early(pool, tables, interrupts.exit_code(getattr(error, "exit_code", 1)))
                 interrupts.note(

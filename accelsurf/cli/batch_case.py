@@ -19,6 +19,7 @@ from accelsurf.batch.outcome import CaseTask, Outcome, outcome_of_report
 from accelsurf.batch.pool import Failure
 from accelsurf.cli import track_case
 from accelsurf.cli.case import Place, check_reference, report_failure, run_case
+from accelsurf.cli.interrupts import WorkerInterrupts
 from accelsurf.cli.options import Display
 from accelsurf.cli.progress import Watcher
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
@@ -47,7 +48,8 @@ _FAILURES = {
 
 
 def load() -> None:
-    """Load the modules that every case needs."""
+    """Load the modules that every case needs; from now on SIGTERM lets a case keep its state."""
+    WorkerInterrupts().install()
     for name in _LOADED:
         importlib.import_module(name)
 

@@ -259,7 +259,7 @@ def run_case(
     AccelsurfError
         When there is no result; the report has been written then, and an earlier result is as it was.
     KeyboardInterrupt
-        After Ctrl-C; its state is kept for ``--resume``.
+        After Ctrl-C; its state is kept for ``--resume``. A correction has no state, and leaves all files as they were.
     """
     log = Log()
     inputs = place.inputs(config)
@@ -279,7 +279,8 @@ def run_case(
             if not files.committed:
                 files.discard()
                 log.outputs.clear()
-                _write_failure(case, config, failure)
+                if place.has_checkpoint or not isinstance(failure, KeyboardInterrupt):
+                    _write_failure(case, config, failure)
                 if place.has_checkpoint:
                     note_state(watcher, place.checkpoint_path)
             raise
@@ -364,7 +365,8 @@ def evolve_at(
     place: Place, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher, log: Log
 ) -> Result:
     """Run a case from its start, or from its checkpoint where it is to go on and there is one."""
-    result = evolve(place.name, volume, channels, config, watcher, state_of(place, config))
+    state = state_of(place, config) if place.has_checkpoint else None
+    result = evolve(place.name, volume, channels, config, watcher, state)
     log.warnings.extend(result.warnings)
     return result
 
@@ -435,12 +437,13 @@ def check_reference(truth: Volume, volume: Volume) -> None:
 
 
 def evolve(
-    name: str, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher, state: CheckpointFile
+    name: str, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher, state: CheckpointFile | None
 ) -> Result:
     """Run one or several objects with progress, without writing anything but checkpoints to the file ``state``."""
     from accelsurf.api.segment import segment, segment_objects
 
-    with watcher.watch(name, config.max_steps):
+    then = "leaving all files as they are" if state is None else "keeping its state"
+    with watcher.watch(name, config.max_steps, then):
         if config.objects is not None:
             return segment_objects(
                 volume, channels=channels, config=config, on_step=watcher.on_step, on_warning=watcher.on_warning,

@@ -151,6 +151,15 @@ class Interrupts:
         return 128 + self.number if self.count else code
 
 
+class WorkerInterrupts(Interrupts):
+    """The handler of a worker process: further signals do nothing, as the process that started it can end it."""
+
+    def __call__(self, number: int, frame: FrameType | None = None) -> None:
+        """Take the first signal as `Interrupts` does."""
+        if not self.count:
+            super().__call__(number, frame)
+
+
 @contextmanager
 def default_handling() -> Iterator[None]:
     """Give Ctrl-C back to Python: for an event loop that has a way of its own to end."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from accelsurf.cli.interrupts import Interrupts, resuming_command
 from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.settings.corrections import Correction, corrections_in_order
@@ -98,8 +99,9 @@ def refine(
     """Correct the result of a run by clicks: the surface moves near them, and beyond it every byte stays.
 
     Or have other objects: a new one, two merged, one split. The run's files are replaced, all at once, unless another
-    folder is given. A correction that fails leaves them as they are. What accelsurf segment or refine wrote with its
-    state (NAME_state.npz) can be refined; NAME_run.toml has all settings and corrections, for segment --config.
+    folder is given. A correction that fails or is interrupted leaves them as they are. What accelsurf segment or refine
+    wrote with its state (NAME_state.npz) can be refined; NAME_run.toml has all settings and corrections, for segment
+    --config.
 
     With --labels an image and a label map are given in place of a result: a mask that is nearly right, whoever made it.
     What is not asked for keeps its labels and is not entered.
@@ -128,6 +130,8 @@ def refine(
     strict
         Exit with 4 when the correction ends before it has converged, with 5 when the result is doubtful.
     """
+    again = resuming_command().removesuffix(" --resume")
+    Interrupts.current().note(f"no file is changed; to begin again: {again}")
     given = {"inside": inside, "outside": outside, "near": near, "object": object, **vars(objects or ObjectOptions())}
     corrections = corrections_in_order({**given, **vars(whole or WholeOptions())})
     if labels is not None:
@@ -161,7 +165,8 @@ def _mend(
     if other is not None:
         raise UsageError("--image: was given with --labels", "the image comes first: refine SCAN --labels MASK")
     config = RunConfig(labels=labels, refine=corrections)
-    place = Place.for_image(image, required(output, "-o DIR, the output folder,"), overwrite)
+    folder = required(output, "-o DIR, the output folder,")
+    place = replace(Place.for_image(image, folder, overwrite), has_checkpoint=False)
     done = run_case(place, config, Watcher(display or Display()), strict)
     if display is None or not display.quiet:
         print("\n".join(done.summary_lines(place.name)))
@@ -182,7 +187,7 @@ class _CorrectedRun:
 
         volume, *more = read_image(place, config, log)
         _check_image(self._source, log.checksum)
-        with watcher.watch(place.name, config.max_steps, "leaving the result as it was"):
+        with watcher.watch(place.name, config.max_steps, "leaving all files as they are"):
             refiner = Refiner(log.timed("load", lambda: restored(self._source.state, volume, more)))
             for correction in self._corrections:
                 self._changes += refiner.apply(correction, on_step=watcher.on_step)

@@ -202,11 +202,12 @@ def _warnings(
         # Neither more steps nor a click at the most doubtful place was found to help (benchmarks/hints.py).
         warnings.append(f"leak: {stop.message}{at_rest}")
     if found.probability < warning_threshold(model_kind(found)) and found.next_click is not None:
-        # No place is named: a click where the surface has the least evidence was found to help in few cases.
+        # No place is named: a click where the surface has the least evidence was found to help in few cases. A run
+        # without clicks is seldom mended by one, and mostly by clicks from the first step on.
         sure = f"{found.probability:.0%} likely to be good"
-        warnings.append(
-            f"doubt: probably not right ({why(found)}; {sure}); try --inside or --outside where it is most wrong"
-        )
+        at_fault = "or --outside where it is most wrong"
+        tried = at_fault if found.beyond_clicks is not None else "at the object in place of --start"
+        warnings.append(f"doubt: probably not right ({why(found)}; {sure}); try --inside {tried}")
     if found.next_click is None and stop.reason not in ("vanished", "filled"):
         tried = f"; try --inside ball:{_larger_ball(inside, geometry)}" if inside.any() else ""
         warnings.append(f"doubt: the object is too small to judge ({volume_text(last)}){tried}")

@@ -22,6 +22,7 @@ from accelsurf.cli import case
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.output.pictures import preview
+from accelsurf.run.checkpoint import read_checkpoint
 from tests.support.batch_jobs import InlinePool
 
 SIZE = 16
@@ -81,7 +82,7 @@ def report(out, name="batch_report.json"):
 
 
 def contents(folder):
-    """The bytes of a case's files, without what is seconds, and without the report and record."""
+    """The bytes of a case's files, without what the work took, and without the report and record."""
     found = {}
     for path in sorted(folder.iterdir()):
         if path.suffix == ".json":
@@ -89,7 +90,8 @@ def contents(folder):
         found[path.name] = path.read_bytes()
         if path.suffix == ".csv":
             rows = list(csv.DictReader(path.read_text().splitlines()))
-            found[path.name] = [{key: value for key, value in row.items() if key != "seconds"} for row in rows]
+            effort = ("seconds", "cells_visited")
+            found[path.name] = [{key: value for key, value in row.items() if key not in effort} for row in rows]
     return found
 
 
@@ -431,9 +433,10 @@ def test_settings_of_a_preset_in_a_cell_are_under_options_and_over_the_file(inli
 # ------------------------------------------------------------------------------------------------------- real workers
 
 
-def started(out, scans, *words):
+def started(out, scans, *words, **more):
     command = [sys.executable, "-m", "accelsurf", "batch", scans, "-o", out, *START, "--progress", "json", *words]
-    return subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    both = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen([str(word) for word in command], text=True, **both, **more)
 
 
 def read_until(program, event, name):
@@ -493,6 +496,32 @@ def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
         "quick": "ok", "endless": "waiting", "waits": "waiting",
     }
     assert report(out)["status"] == "interrupted" and report(out)["exit_code"] == 130
+
+
+@pytest.mark.parametrize(("number", "send"), [(signal.SIGINT, os.kill), (signal.SIGTERM, os.killpg)])
+def test_a_case_that_was_interrupted_goes_on_to_the_same_bytes(scans, tmp_path, number, send):
+    """The signal comes to the program alone, or as from a cluster to all its processes."""
+    out = tmp_path / "out"
+    words = (scans / "a.nii.gz", "--noise", "0.05", "--seed", "7", "--levels", "1", "--max-steps")
+    program = started(out, *words, "100000000", start_new_session=True)
+    with program:
+        read_until(program, "start", "a")
+        while program.poll() is None and not list(out.glob("a/.*")):
+            time.sleep(0.01)
+        time.sleep(1)
+        send(program.pid, number)
+        rest = program.stderr.read()
+    assert program.returncode == 128 + number and "keep their state (" in rest and "Traceback" not in rest
+    assert {path.name for path in (out / "a").iterdir()} == {"a_report.json", "a_checkpoint.npz"}
+    assert json.loads((out / "a" / "a_report.json").read_text())["status"] == "interrupted"
+    assert table(out)["a"]["status"] == "waiting"
+    steps = read_checkpoint(out / "a" / "a_checkpoint.npz")[1].step + 20
+    resumed = started(out, *words, steps, "--resume")
+    assert resumed.communicate()[0] and resumed.returncode == 0
+    whole = started(tmp_path / "whole", *words, steps)
+    assert whole.communicate()[0] and whole.returncode == 0
+    assert table(out)["a"]["steps"] == str(steps)
+    assert contents(out / "a") == contents(tmp_path / "whole" / "a")
 
 
 def _alive(pid):

@@ -1,7 +1,11 @@
 """``accelsurf refine``: files in, files out, and what is refused."""
 
 import json
+import shlex
 import shutil
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -129,6 +133,27 @@ def test_a_failed_correction_leaves_the_result(folder):
     assert run("refine", folder, "--outside", "ball:14,14,12,16vox", "--near", "60") == 5  # nothing is left
     after = content(folder)
     assert {name: after[name] for name in before} == before
+
+
+@pytest.mark.parametrize(("number", "mends"), [(signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGINT, True)])
+def test_an_interrupted_correction_leaves_every_byte_and_names_the_command(folder, scan, tmp_path, number, mends):
+    before = content(folder)
+    target = ("--labels", str(folder / "ball_seg.nii.gz"), "-o", str(tmp_path / "mended")) if mends else ()
+    words = ("refine", str(scan if mends else folder), *target, *CLICK)
+    program = subprocess.Popen(
+        [sys.executable, "-m", "accelsurf", *words, "--progress", "json"], stderr=subprocess.PIPE, text=True
+    )
+    for line in program.stderr:
+        if line.startswith("{") and json.loads(line)["event"] == "step":
+            program.send_signal(number)
+            break
+    _, error = program.communicate(timeout=60)
+    assert program.returncode == 128 + number, error
+    assert content(folder) == before and not list((tmp_path / "mended").glob("*"))
+    again = error.splitlines()[-1].partition("interrupted: no file is changed; to begin again: accelsurf ")[2]
+    assert shlex.split(again) == [*words, "--progress", "json"]
+    assert run(*shlex.split(again)) == 0
+    assert (content(folder) == before) == mends
 
 
 def test_files_that_somebody_changed_are_not_replaced(folder, capsys):

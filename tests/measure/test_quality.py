@@ -135,7 +135,7 @@ def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
     assert cli.execute([*words, "-o", str(tmp_path / "one")]) == 0
     told = capsys.readouterr()
     assert ("warning: doubt: " in told.err) == (case == "edge")
-    assert ("try --inside or --outside where it is most wrong" in told.err) == (case == "edge")
+    assert ("try --inside at the object in place of --start" in told.err) == (case == "edge")
     assert "likely to be good; most doubtful near " in told.out
     noted = case in ("border", "necks", "edge")
     assert (f"note: {case}: " in told.out) == noted and "note: " not in told.err.replace("note: compiling", "")

@@ -347,7 +347,7 @@ def test_a_name_is_taken_once(toys):
 def _panel():
     from PySide6.QtWidgets import QApplication
 
-    from accelsurf.viewer.actions.settings import SettingsFeature
+    from accelsurf.viewer.actions.settings_rows import SettingsFeature
     from accelsurf.viewer.core.status import Status
     from accelsurf.viewer.window.settings_panel import SettingsPanel
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QAbstractButton, QDialogButtonBox, QListWidget, QMessageBox, QWidget
+from PySide6.QtWidgets import QAbstractButton, QDialogButtonBox, QListView, QMessageBox, QWidget
 
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.opening import Opening, ViewerSettings
@@ -78,15 +78,16 @@ def places(window: MainWindow) -> dict[str, list[int]]:
     if isinstance(dialog, QMessageBox):
         found |= {f"answer-{one.property('name')}": middle(one) for one in dialog.buttons()}
     elif dialog is not None:
-        found |= {f"choice-{n}": at for n, at in rows(dialog.list)}
+        found |= {f"choice-{n}": at for n, at in rows(dialog.findChild(QListView))}
         buttons = dialog.findChild(QDialogButtonBox).findChildren(QAbstractButton)
         found |= {one.text().replace("&", "").lower(): middle(one) for one in buttons}
     return found
 
 
-def rows(made: QListWidget) -> list[tuple[int, list[int]]]:
+def rows(made: QListView) -> list[tuple[int, list[int]]]:
     """Where the rows of a list are."""
-    shown = [(n, made.visualItemRect(made.item(n)).center()) for n in range(made.count())]
+    model = made.model()
+    shown = [(n, made.visualRect(model.index(n, 0)).center()) for n in range(model.rowCount())]
     points = [(n, made.viewport().mapToGlobal(place)) for n, place in shown]
     return [(n, [point.x(), point.y()]) for n, point in points]
 

@@ -7,7 +7,7 @@ from accelsurf import io
 
 def at(session, step):
     """The session, when it has made so many steps."""
-    session.play_to(step).result(60)
+    session.play(step).result(60)
     assert session.wait(60) and session.status.step == step
     return session
 

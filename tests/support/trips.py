@@ -206,7 +206,7 @@ def click_trip(clicked: bool, after_end: bool) -> Trip:
         session = Session(volume, options(clicked).replace(keep_state="yes"))
         scene = Scene(volume, size=(960, 544))
         with session:
-            (session.play() if after_end else session.play_to(3)).result(60)
+            (session.play() if after_end else session.play(3)).result(60)
             assert session.wait(120) and (session.status.stop is not None) == after_end
             actions = Actions(session, scene)
             while (view := session.next_view()) is None:

@@ -531,7 +531,7 @@ def test_a_stroke_and_the_list_of_changes_in_the_page(tmp_path):
             until(lambda: browser.find_element("id", "tool-inside").get_attribute("aria-checked") == "true")
             width, height = picture.size["width"], picture.size["height"]
             before = picture.get_attribute("src")
-            chain = ActionChains(browser).move_to_element_with_offset(picture, int(0.11 * width), int(-0.25 * height))
+            chain = ActionChains(browser).move_to_element_with_offset(picture, int(-0.2 * width), int(-0.1 * height))
             chain.click_and_hold()
             for _ in range(4):
                 chain.move_by_offset(6, 1)

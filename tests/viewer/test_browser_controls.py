@@ -88,6 +88,7 @@ def test_grey_values_zoom_pan_and_layouts_in_the_page(served, browser):
     until(lambda: hand.at(beside) == pytest.approx(middle, abs=0.3))
     browser.find_element("id", "whole").click()
     until(lambda: hand.at(beside) == pytest.approx(before, abs=0.2))
+    browser.find_element("id", "tool-look").click()  # with Size a double click is two clicks
     ActionChains(browser).move_to_element_with_offset(hand.picture, *axial).double_click().perform()
     until(lambda: (state(served)["layout"], state(served)["large"]) == ("single", "axial"))
     ActionChains(browser).double_click().perform()
@@ -142,7 +143,8 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
     def listed():
         """What the page's list says of each object."""
         texts = "return [...document.querySelectorAll('.objects .ml')].map(one => one.textContent)"
-        return [words for words in browser.execute_script(texts) if re.fullmatch(r"[\d.]+ ml", words)]
+        shown = [words for words in browser.execute_script(texts) if re.fullmatch(r"[\d.]+ (ml|mm3)", words)]
+        return [viewing.ml({"volume": words}) for words in shown]
 
     def count_is(count, total=None):
         """The objects, once there are so many, and the picture shows their volumes, ml together."""
@@ -152,7 +154,7 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
             )
 
         found = until(lambda: is_seen(found := rows()) and found, 120)
-        until(lambda: [float(words.removesuffix(" ml")) for words in listed()] == [one["ml"] for one in found])
+        until(lambda: listed() == [one["ml"] for one in found])
         return found
 
     try:
@@ -164,6 +166,8 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
             left, right = (hand.at((axial[0] + way, axial[1]))[0] for way in (-40, 40))
             other = round(axial[0] - 40 + (48 - left) * 80 / (right - left)), axial[1]
             browser.find_element("id", "play").click()
+            # The volume is that of the picture, which follows the run; the start has 524 mm3.
+            until(lambda: state(served)["object_rows"][0]["volume"].endswith(" ml"), 120)
             (first,) = count_is(1)
             # Where the mouse is goes on the clipboard, as settings take it.
             allowed = {"permissions": ["clipboardReadWrite", "clipboardSanitizedWrite"], "origin": served.origin}

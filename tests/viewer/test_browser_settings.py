@@ -44,6 +44,7 @@ def line(element):
 def fill(browser, element, name, text, enter=True):
     from selenium.webdriver.common.keys import Keys
 
+    browser.execute_script("document.querySelectorAll('details').forEach(one => one.open = true)")
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", element(name))
     element(name).click()
     element(name).send_keys(Keys.CONTROL, "a")

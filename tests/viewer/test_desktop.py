@@ -209,8 +209,8 @@ def test_balls_brushes_undo(person):
     person.key("ctrl+z")
     person.until(lambda now: now["start"] == before["start"])
     person.click("grow")
-    person.drag((x + 30, y), (x + 40, y), (x + 50, y))
-    grown = person.until(lambda now: len(now["edits"]) >= 2 and now["drawn"][1] > before["drawn"][1] * 1.05)
+    person.drag((x + 60, y), (x + 80, y), (x + 100, y))  # across its edge
+    grown = person.until(lambda now: len(now["edits"]) >= 2 and now["drawn"][1] > before["drawn"][1] * 1.03)
     assert all("add" in edit for edit in grown["edits"])
     person.key("k")
     x, y = tiles["space"]
@@ -249,7 +249,7 @@ def test_strokes_history_and_where_to_click_next(screen, tmp_path):
     person, image = at_left_ball(screen, tmp_path, values)
     try:
         person.key("space")
-        first = person.until(lambda now: now["stop"] and not now["playing"], 120)
+        first = person.until(lambda now: now["stop"] and now["drawn"][0] == now["step"], 120)
         doubtful = person.until(lambda now: now["state"]["uncertain"])
         person.key("n")
         person.until(lambda now: now["state"]["uncertain_at"] == 1 and now["cursor"] != doubtful["cursor"])

@@ -94,7 +94,7 @@ def test_an_object_is_begun_by_a_click_and_the_active_one_takes_strokes(session,
 
 
 def test_while_the_run_goes_on_a_new_object_waits_for_its_end(session, tmp_path):
-    session.play_to(3).result(60)
+    session.play(3).result(60)
     assert session.wait(60) and session.status.stop is None
     session.add_click("inside", press(2), 2).result(60)
     assert session.status.objects == (1, 2) and "when the run has ended" in session.status.message
@@ -248,7 +248,7 @@ BAD = (
 
 @pytest.mark.parametrize("request_", BAD, ids=map(str, range(len(BAD))))
 def test_bad_requests_change_nothing_and_say_one_line(actions, request_):
-    actions.session.play_to(1).result(60)
+    actions.session.play(1).result(60)
     before = settled(actions)["object_rows"]
     if request_[0] in ("object_split", "object_remove"):
         actions.session.play().result(60)

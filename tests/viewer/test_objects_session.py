@@ -14,7 +14,7 @@ from accelsurf.errors import OutputError, UsageError
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.actions import Actions
-from accelsurf.viewer.core.nearest_object import nearest_object
+from accelsurf.viewer.core.corrected_run import nearest_object
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import two_balls, viewing
@@ -134,7 +134,7 @@ def test_a_session_on_two_levels_is_repeated(config, tmp_path):
         assert two.wait(60) and two.status.step == 3
         seen = views(two)[-1].frame
         assert seen.level == 1 and [surface.level.number for surface in seen.surfaces] == [1, 1]
-        two.play_to(end).result(60)
+        two.play(end).result(60)
         assert two.wait(120) and labels_of(two, tmp_path)[0] == straight[0]
 
 

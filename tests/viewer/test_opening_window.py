@@ -81,7 +81,7 @@ class Visitor(Person):
         self.focus()
 
     def until_open(self, name):
-        return self.until(lambda now: now.get("name") == name and now["drawn"], 120)
+        return self.until(lambda now: now.get("name") == name, 120)
 
     def close(self):
         self.focus()

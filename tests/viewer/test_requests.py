@@ -10,7 +10,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.files import FilesFeature
 from accelsurf.viewer.actions.picture import MAX_SIZE, MIN_SIZE
-from accelsurf.viewer.actions.settings import SETTINGS
+from accelsurf.viewer.actions.settings_rows import SETTINGS
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing

@@ -281,7 +281,7 @@ def test_levels_are_one_unless_asked_for(tmp_path):
         assert two.wait(60) and two.status.step == 3
         two.change(smoothness=0.2).result(60)
         two.undo().result(60)
-        two.play_to(end).result(60)
+        two.play(end).result(60)
         assert two.wait(120)
         assert labels_of(two, tmp_path)[0] == straight
 
@@ -371,7 +371,7 @@ def test_the_end_is_prompt_and_saves_first(tmp_path):
 def test_frames_come_when_asked_for_and_the_last_is_of_the_last_state(session):
     first = views(session)
     assert first and first[-1].frame.step == 0
-    session.play_to(12).result(60)
+    session.play(12).result(60)
     seen = views(session)
     last = seen[-1]
     assert last.frame.step == 12 == last.status.step and not last.status.playing
@@ -396,13 +396,13 @@ def test_frames_are_made_only_when_asked_for_and_change_nothing(tmp_path, monkey
         assert not made
         labels = labels_of(unseen, tmp_path / "a")[0]
     with Session(volume(), RunConfig(start=START)) as seen:
-        seen.play_to(15)
+        seen.play(15)
         assert len(views(seen)) >= 1 and made
         assert labels_of(seen, tmp_path / "b")[0] == labels
 
 
 def test_frames_are_few_enough(session, monkeypatch):
-    session.play_to(60).result(60)
+    session.play(60).result(60)
     began = time.perf_counter()
     running = [view for view in views(session, 60) if view.status.playing]
     spent = time.perf_counter() - began

@@ -141,12 +141,12 @@ def test_a_press_outside_or_of_several_objects_is_refused(tmp_path):
 def test_clicks_are_edits_and_hold():
     volume, own = scan()
     with Session(volume, RunConfig(inside=PRESS, levels=1)) as session:
-        session.play_to(5).result()
+        session.play(5).result()
         assert session.wait(60)
         session.add_click("outside", "ball:18,18,25,3").result()
         (edit,) = session.status.edits
         assert (edit.step, edit.outside, edit.inside) == (5, ("ball:18,18,25,3",), ())
-        session.play_to(12).result()
+        session.play(12).result()
         assert session.wait(60)
         session.next_view()
         session.wait(10)

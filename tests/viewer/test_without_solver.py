@@ -50,7 +50,7 @@ session.start_preparing()
 session.ready.result(120)
 note("prepared")
 known = {name for name in sys.modules if name.startswith("accelsurf.")}
-session.play_to(2).result()
+session.play(2).result()
 session.wait()
 actions.state()
 print(json.dumps(["later", sorted({name for name in sys.modules if name.startswith("accelsurf.")} - known)]))

@@ -21,7 +21,7 @@ from accelsurf.viewer.actions.mouse import MouseFeature, TouchFeature
 from accelsurf.viewer.actions.objects import ObjectsFeature
 from accelsurf.viewer.actions.picture import PictureFeature
 from accelsurf.viewer.actions.run import HistoryFeature, RunFeature
-from accelsurf.viewer.actions.settings import SettingsFeature
+from accelsurf.viewer.actions.settings_rows import SettingsFeature
 from accelsurf.viewer.actions.slices import SlicesFeature
 from accelsurf.viewer.actions.tool import Feature, Key, P, Tool, carry_out, first_radius
 from accelsurf.viewer.actions.tools import ORDER, CorrectionsFeature

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -61,6 +62,8 @@ class ChangeLog:
 
     def add(self, before: Moment, line: str) -> None:
         """Note what was in force before a change that has been made; what was undone is forgotten."""
+        # A list has little room: four digits of each number are enough there.
+        line = re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.4g}", line)
         self._done.append(_Change(line, before))
         self._undone.clear()
         self._renew()

@@ -16,13 +16,17 @@ from accelsurf.correct.refiner import Change, Refiner
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, counted_from, enclosing, placed_at
+from accelsurf.grid.geometry import Geometry
 from accelsurf.output.pictures.preview_content import marks_of
+from accelsurf.run.clicks import BallEdit
 from accelsurf.run.ensemble import overall_stop
+from accelsurf.run.evolving_object import EvolvingObject
 from accelsurf.run.result import BoxMask, Result
 from accelsurf.run.run import Run
+from accelsurf.settings.coordinates import split_suffix
 from accelsurf.settings.corrections import Correction
+from accelsurf.starts import starts
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame, histories_of_run, volume_interval
-from accelsurf.viewer.core.nearest_object import distance_of, nearest_object, place_of
 from accelsurf.viewer.core.saving import repeating
 
 if TYPE_CHECKING:
@@ -167,9 +171,9 @@ class Corrections:
         if self._refiner is None or not self._refiner.has_ids:
             return nearest_object(run, place) if run.has_ids else None
         geometry = run.geometry
-        centre = place_of(place, geometry)
+        centre = _place_of(place, geometry)
         distances = {
-            surface.id: distance_of(surface.psi, surface.corner, self._boxes[surface.id], centre, geometry.spacing)
+            surface.id: _distance_of(surface.psi, surface.corner, self._boxes[surface.id], centre, geometry.spacing)
             for surface in self._refiner.surfaces
         }
         return min(distances, key=lambda id: distances[id])
@@ -183,7 +187,7 @@ class Corrections:
             return None
         if self._refiner is None and not run.has_ids and object_id == run.objects[0].id:
             return None
-        return self._begun(run).taken(place_of(ball, run.geometry), object_id)
+        return self._begun(run).taken(_place_of(ball, run.geometry), object_id)
 
     def result(self) -> Result | None:
         """Return the corrected result, whose settings repeat run and corrections; None where none was made."""
@@ -239,3 +243,87 @@ def _within(box: Box, shape: tuple[int, ...]) -> Box:
         slice(max(s.start - AROUND, 0), max(min(s.stop + AROUND, n), 0)) for s, n in zip(box, shape, strict=True)
     )
     return z, y, x
+
+
+def nearest_object(run: Run, where: str) -> int:
+    """Return the id of the object that is nearest to a place; the one that contains it, if there is one.
+
+    Parameters
+    ----------
+    run : Run
+        Between two steps.
+    where : str
+        ``ball:X,Y,Z,R``, of which it is the centre, ``point:X,Y,Z``, or ``path:X,Y,Z,R;...``, which begins there.
+
+    Raises
+    ------
+    UsageError, InputError
+        When it is no such place or lies outside.
+    """
+    centre = BallEdit("add", *starts.ball_of(_as_ball(where, run.geometry), run.geometry)).on_level(run.grid)[0]
+    return min(run.objects, key=lambda evolving: _distance(evolving, centre)).id
+
+
+def _place_of(where: str, geometry: Geometry) -> NDArray[np.float64]:
+    """A place, as `nearest_object` takes it, as an index (z, y, x) of a grid."""
+    return np.array(starts.ball_of(_as_ball(where, geometry), geometry)[0], float)
+
+
+def _distance_of(
+    psi: NDArray[np.float32], corner: Corner, box: Box | None, place: NDArray[np.float64],
+    spacing: tuple[float, float, float],
+) -> float:
+    """Distance, mm, of an index (z, y, x) from an object; below 0 in it; inf where it has no voxel.
+
+    Its psi begins at voxel ``corner``; it may be inside in ``box`` alone, which is counted as ``place``.
+    """
+    if box is None:
+        return float("inf")
+    z, y, x = (slice(max(s.start - c, 0), max(s.stop - c, 0)) for s, c in zip(box, corner, strict=True))
+    part = psi[z, y, x]
+    at = place - np.array(corner) - np.array([z.start, y.start, x.start])
+    return _depth(part, at) or _away(np.argwhere(part < 0), at, spacing)
+
+
+def _as_ball(where: str, geometry: Geometry) -> str:
+    """A ball at a place."""
+    kind, _, rest = where.partition(":")
+    if kind in ("point", "path"):
+        body, suffix = split_suffix(rest)
+        first = body.partition(";")[0].split(",")[:3]
+        try:
+            numbers = [repr(number) for number in suffix.in_lps([float(word) for word in first])]
+        except ValueError:
+            numbers = first  # the reader of the ball says what is wrong
+        # Its voxel has its centre within a ball of this radius.
+        radius = float(np.linalg.norm(geometry.spacing)) + 1.0
+        where = f"ball:{','.join(numbers)},{radius:g}{'vox' if suffix.vox else ''}"
+    return where
+
+
+def _distance(evolving: EvolvingObject, place: np.ndarray) -> float:
+    """Distance, mm, of an index (z, y, x) on the level's grid from an object; not above 0 in it; inf without a surface.
+
+    Accurate to about a voxel.
+    """
+    surface = evolving.surface
+    if surface.size == 0:
+        return float("inf")
+    at = place - evolving.corner
+    cells = surface.band.cells[surface.band.psi < 0]
+    inside = np.stack(np.unravel_index(cells, surface.shape), axis=1)
+    return _depth(surface.psi, at) or _away(inside, at, evolving.grid.spacing)
+
+
+def _depth(psi: NDArray[np.float32], place: NDArray[np.float64]) -> float:
+    """Psi at the voxel of a place where that is inside, which is below 0; else 0."""
+    voxel = np.rint(place).astype(int)
+    is_there = (voxel >= 0).all() and (voxel < psi.shape).all()
+    return min(float(psi[tuple(voxel)]), 0.0) if is_there else 0.0
+
+
+def _away(
+    voxels: NDArray[np.int64], place: NDArray[np.float64], spacing: tuple[float, float, float]
+) -> float:
+    """Distance, mm, of a place from the nearest of some voxels (n, 3); inf where there are none."""
+    return float(np.linalg.norm((voxels - place) * spacing, axis=1).min(initial=np.inf))

@@ -74,7 +74,7 @@ class Session:
     >>> z, y, x = np.indices((24, 24, 24)) - 11.5
     >>> image = Volume.from_array((x**2 + y**2 + z**2 < 8**2) * 100.0)
     >>> with Session(image, RunConfig(start="ball:9,9,9,4")) as session:
-    ...     session.play_to(5).result()
+    ...     session.play(5).result()
     ...     is_paused = session.wait()
     ...     session.change(smoothness=0.2).result()
     ...     session.status.step, session.status.settings.smoothness, session.status.edits[0].step
@@ -187,13 +187,12 @@ class Session:
 
     # -- commands, carried out between two steps ------------------------------------------------------------
 
-    def play(self) -> Future[None]:
-        """Make steps until the run ends or is paused; a converged run continues, with its stop rule reset."""
-        return self._do(lambda timeline: timeline.play())
+    def play(self, last_step: int = -1) -> Future[None]:
+        """Make steps until there are ``last_step``, with -1 until the run ends or is paused.
 
-    def play_to(self, step: int) -> Future[None]:
-        """Make steps until there are so many."""
-        return self._do(lambda timeline: timeline.play(step))
+        A converged run continues, with its stop rule reset.
+        """
+        return self._do(lambda timeline: timeline.play(last_step))
 
     def single_step(self) -> Future[None]:
         """Make one step; asked for twice at once, two. A run that plays is paused after it."""

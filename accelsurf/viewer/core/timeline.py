@@ -564,7 +564,6 @@ def clicks_in_words(side: Side, where: Sequence[str], object_id: int | None = No
     more = f" and {len(where) - 1} more" if len(where) > 1 else ""
     return f"{side}: {where[0]}{more}{whose}"
 
-
 def balls_in_words(kind: str, balls: Sequence[str], object_id: int | None = None) -> str:
     """Return balls that were added or removed in words.
 

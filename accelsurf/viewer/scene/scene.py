@@ -183,7 +183,7 @@ class Scene:
         self._show_flat(frame)
         lines = [line for line in (self.title, *caption(frame, self.geometry, self.unit)) if line]
         if self.space is not None:
-            self.space.title.text = "\n".join(lines)
+            self.space.title.text = "\n".join(lines).replace(" = ", "\n= ")
         else:
             next(iter(self.slice_tiles.values())).title.text = "   ".join(lines)
 

@@ -427,7 +427,7 @@ class ResultPanel(Section):
         self.where.setText(f"{at} of {count}" if at else f"{count} places" if count else "")
 
 
-#: Lines of the history that are in sight at once.
+#: Lines of the history that are in sight at once, at most.
 LINES = 4
 
 
@@ -439,12 +439,11 @@ class HistoryPanel(Section):
         self.list = QListWidget()
         self.list.setAccessibleName("changes")
         self.list.setToolTip("A click goes back, or forward again, to what was in force after that change")
-        self.list.setFixedHeight(LINES * self.list.fontMetrics().lineSpacing() + 14)
         # A long line ends in an ellipsis, with all of it in its tip: a bar below would cover one of the few lines.
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.list.itemClicked.connect(lambda item: self.ask("change", self.list.row(item)))
         framed(QVBoxLayout(self.body)).addWidget(self.list)
-        self._shown: list[Any] = []
+        self._shown: list[Any] | None = None
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the changes, those that are undone in grey."""
@@ -461,6 +460,8 @@ class HistoryPanel(Section):
                 if not change["done"]:
                     item.setForeground(grey)
                 self.list.addItem(item)
+            lines = min(self.list.count(), LINES)
+            self.list.setFixedHeight(lines * self.list.sizeHintForRow(0) + 2 * self.list.frameWidth() + 8)
             done = sum(change["done"] for change in self._shown)
             self.list.setCurrentRow(done)
             self.list.scrollToItem(self.list.item(done))

@@ -17,7 +17,7 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import SIZE
 from accelsurf.viewer.window.appearance import palette, sheet
 from accelsurf.viewer.window.desktop import Window, application
-from accelsurf.viewer.window.start_page import ChoiceDialog, StartPage, question_box
+from accelsurf.viewer.window.start_page import StartPage, choice_dialog, question_box
 
 #: How often it looks for what has been opened, milliseconds.
 POLL_MS = 30
@@ -165,8 +165,8 @@ class MainWindow(QMainWindow):
             ))
             self.dialog = box
         elif state["choices"]:
-            choice = ChoiceDialog(self, state["choices"])
-            choice.accepted.connect(lambda: self._answered("choose", choice.list.currentRow()))
+            choice, rows = choice_dialog(self, state["choices"])
+            choice.accepted.connect(lambda: self._answered("choose", rows.currentIndex().row()))
             choice.rejected.connect(lambda: self._answered("answer", "cancel"))
             self.dialog = choice
         else:

@@ -28,7 +28,7 @@ from accelsurf.viewer.window.section_panel import ScrollGuard, Section, button, 
 Index = QModelIndex | QPersistentModelIndex
 COLUMNS = ("", "", "Name", "Volume", "State")
 _SEEN, _COLOR, _NAME, _VOLUME, _WORD = range(5)
-#: Rows that are in sight at once.
+#: Rows that are in sight at once, at most.
 ROWS = 4
 
 
@@ -53,9 +53,10 @@ class ObjectsPanel(Section):
         table.verticalHeader().hide()
         table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         table.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
-        table.setFixedHeight((ROWS + 1) * (table.fontMetrics().lineSpacing() + 9))
         header = table.horizontalHeader()
-        for column, width in {_SEEN: 22, _COLOR: 20, _VOLUME: 76, _WORD: 76}.items():
+        header.setMinimumSectionSize(20)
+        volume = table.fontMetrics().horizontalAdvance("888.8 mm3") + 18
+        for column, width in {_SEEN: 22, _COLOR: 20, _VOLUME: volume, _WORD: 76}.items():
             header.setSectionResizeMode(column, QHeaderView.ResizeMode.Fixed)
             table.setColumnWidth(column, width)
         header.setSectionResizeMode(_NAME, QHeaderView.ResizeMode.Stretch)
@@ -98,6 +99,7 @@ class ObjectsPanel(Section):
         self._rows, self._active = rows, active
         with QSignalBlocker(self.table):
             self.table.setRowCount(len(rows))
+            self.table.setFixedHeight((min(len(rows), ROWS) + 1) * (self.table.fontMetrics().lineSpacing() + 9))
             for place, row in enumerate(rows):
                 self._fill(place, row)
             # With Ctrl several are chosen, of which the last one is active.

@@ -7,10 +7,10 @@ from typing import Any
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
-    QDialog,
-    QDialogButtonBox,
     QHBoxLayout,
+    QInputDialog,
     QLabel,
+    QListView,
     QListWidget,
     QListWidgetItem,
     QMessageBox,
@@ -124,30 +124,19 @@ def _fill(made: QListWidget, rows: Sequence[tuple[str, str, bool]]) -> None:
         made.addItem(item)
 
 
-class ChoiceDialog(QDialog):
-    """Asks which of several images of a file or folder is meant.
-
-    Parameters
-    ----------
-    parent : QWidget
-    texts : sequence of str
-    """
-
-    def __init__(self, parent: QWidget, texts: Sequence[str]) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Which image?")
-        self.list = QListWidget()
-        self.list.addItems(list(texts))
-        self.list.setCurrentRow(0)
-        self.list.setMinimumSize(560, 240)
-        self.list.itemActivated.connect(lambda _: self.accept())
-        buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
-        buttons.accepted.connect(self.accept)
-        buttons.rejected.connect(self.reject)
-        column = QVBoxLayout(self)
-        column.addWidget(QLabel(f"{len(texts)} images are in it:"))
-        column.addWidget(self.list)
-        column.addWidget(buttons)
+def choice_dialog(parent: QWidget, texts: Sequence[str]) -> tuple[QInputDialog, QListView]:
+    """Return a dialog that asks which of several images of a file or folder is meant, and the list in it."""
+    dialog = QInputDialog(parent)
+    dialog.setOption(QInputDialog.InputDialogOption.UseListViewForComboBoxItems)
+    dialog.setComboBoxItems(list(texts))
+    dialog.setWindowTitle("Which image?")
+    dialog.setLabelText(f"{len(texts)} images are in it:")
+    dialog.setOkButtonText("Open")
+    dialog.resize(560, 300)
+    view = dialog.findChild(QListView)
+    view.setCurrentIndex(view.model().index(0, 0))
+    view.activated.connect(dialog.accept)
+    return dialog, view
 
 
 def question_box(parent: QWidget, text: str, answers: Sequence[tuple[str, str]]) -> QMessageBox:
