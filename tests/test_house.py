@@ -15,8 +15,8 @@ PACKAGE = ROOT / "accelsurf"
 
 #: Figures of the house (``scripts/house``) and the most that each may be: so that it does not grow back.
 LIMITS = {
-    "modules": 397,
-    "code lines": 52_650,
+    "modules": 395,
+    "code lines": 52_750,
     "files of the largest folder": 30,
     "parameters that are unnamed tuples": 0,
     "summaries without a verb or noun first": 0,
