@@ -162,7 +162,7 @@ class RunConfig(SettingFields):
         --------
         >>> RunConfig(flow="gradient", gravity=0.1).unused()
         ['gravity']
-        >>> RunConfig(preset="mr-brain", energy="geodesic").unused()
+        >>> RunConfig(preset="mr-brain", energy="geodesic", cfl=0.5, tolerance=0.1).unused()
         ['balance', 'epsilon', 'preset']
         """
         changed = (key for key in type(self).model_fields if getattr(self, key) != default_of(key))

@@ -499,10 +499,15 @@ def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("number", "send"), [(signal.SIGINT, os.kill), (signal.SIGTERM, os.killpg)])
-def test_a_case_that_was_interrupted_goes_on_to_the_same_bytes(scans, tmp_path, number, send):
+def test_a_case_that_was_interrupted_goes_on_to_the_same_bytes(tmp_path, number, send, monkeypatch):
     """The signal comes to the program alone, or as from a cluster to all its processes."""
     out = tmp_path / "out"
-    words = (scans / "a.nii.gz", "--noise", "0.05", "--seed", "7", "--levels", "1", "--max-steps")
+    # Large, and with noise: it goes on for many seconds.
+    monkeypatch.setattr(sys.modules[__name__], "SIZE", 96)
+    (tmp_path / "truth").mkdir()
+    image(tmp_path / "scans" / "a.nii.gz", 36.0)
+    noise = "--noise", "0.05", "--seed", "7", "--tolerance", "1e-6"
+    words = (tmp_path / "scans" / "a.nii.gz", *noise, "--levels", "1", "--max-steps")
     program = started(out, *words, "100000000", start_new_session=True)
     with program:
         read_until(program, "start", "a")

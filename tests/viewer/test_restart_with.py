@@ -82,17 +82,17 @@ def test_what_is_wrong_changes_nothing(session, settings, kind, named):
 
 
 def test_a_preset_overrides_what_was_chosen_and_gives_way_to_the_next(session):
-    session.change(energy="likelihood", smoothness=0.7, cfl=0.3).result(60)
+    session.change(energy="likelihood", smoothness=0.7, percentile=90.0).result(60)
     session.restart_with(preset="mr-brain").result(60)
     now = session.status.settings
     assert {key: getattr(now, key) for key in PRESETS["mr-brain"].settings} == dict(PRESETS["mr-brain"].settings)
-    assert now.cfl == 0.3 and now.preset == "mr-brain"
+    assert now.percentile == 90.0 and now.preset == "mr-brain"
     assert "preset mr-brain: " in session.status.message and "energy chan-vese" in session.status.message
     session.restart_with(preset="fluorescence-nucleus").result(60)
     now = session.status.settings
     assert (now.energy, now.presmooth, now.balance, now.epsilon) == ("local-region", "1vox", 1.0, 1.5)
     session.restart_with(preset=None).result(60)
-    assert session.status.settings.energy == "chan-vese" and session.status.settings.cfl == 0.3
+    assert session.status.settings.energy == "chan-vese" and session.status.settings.percentile == 90.0
 
 
 @pytest.fixture

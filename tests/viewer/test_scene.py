@@ -397,7 +397,7 @@ def test_lengths_are_in_the_unit_of_the_file(scene_of):
     scene.update(frames[-1], [history])
     scene.screenshot()
     said = written(scene)
-    assert " mm3 = " in said and " ml" in said and "10 mm" in said and " um" not in said
+    assert " mm3\n= " in said and " ml" in said and "10 mm" in said and " um" not in said
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.5, 2.0, 3.0])
