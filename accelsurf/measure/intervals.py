@@ -25,7 +25,7 @@ from accelsurf.image.noise import noise_of
 from accelsurf.image.smoothing import gaussian_weights
 from accelsurf.kernels.smoothing import smooth_across_rows
 from accelsurf.measure.diameters import longest_line
-from accelsurf.measure.surface_mesh import extract
+from accelsurf.measure.surface_mesh import crossings
 
 #: Half the shell's thickness, and where what is beside the object ends: voxels along the surface's normal.
 SHELL, BESIDE = 1.5, 3.0
@@ -239,7 +239,7 @@ def _diameter(shares: NDArray[np.float32], geometry: Geometry, box: Box) -> tupl
     if not (half < 0).any():
         return None
     part = Geometry(half.shape, geometry.spacing, tuple(geometry.index_to_world(corner_of(box))), geometry.direction)
-    first, last = longest_line(extract(half, part).vertices)
+    first, last = longest_line(part.index_to_world(crossings(half, part)[0]))
     length = float(np.linalg.norm(last - first))
     along = geometry.direction.T @ (last - first) / length
     return length, float(np.linalg.norm(along * geometry.spacing_xyz))

@@ -164,12 +164,7 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
     """
     if psi.shape != geometry.shape:
         raise InputError(f"psi of shape {psi.shape} given, the grid's {geometry.shape} expected")
-    box = bounding_box(psi < 0)
-    if box is None:
-        raise EmptyResultError("no voxel is inside: there is no surface", hint="the object vanished; start larger")
-    block, positions = _closed_block(psi, box, NODE_MARGIN * min(geometry.spacing))
-    nodes, faces, _, _ = marching_cubes(block, level=0.0)
-    zyx = np.stack([np.interp(nodes[:, a], np.arange(len(positions[a])), positions[a]) for a in range(3)], axis=1)
+    zyx, faces = crossings(psi, geometry)
     zyx, faces = _merge_cap_edges(zyx, faces, geometry.shape)
     zyx = on_edges(zyx, psi, geometry.spacing, NODE_MARGIN * min(geometry.spacing))
     zyx = balanced(zyx, faces, psi, geometry.spacing)
@@ -178,6 +173,23 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
     if np.linalg.det(geometry.direction) > 0.0:
         faces = faces[:, ::-1]
     return Surface(geometry.index_to_world(zyx), np.ascontiguousarray(faces, dtype=np.int32))
+
+
+def crossings(psi: NDArray[np.float32], geometry: Geometry) -> tuple[Floats, NDArray[np.int32]]:
+    """Return the places (n, 3), as indices, where psi is 0 between two voxels, and the triangles between them.
+
+    Raises
+    ------
+    EmptyResultError
+        When no voxel is inside.
+    """
+    box = bounding_box(psi < 0)
+    if box is None:
+        raise EmptyResultError("no voxel is inside: there is no surface", hint="the object vanished; start larger")
+    block, positions = _closed_block(psi, box, NODE_MARGIN * min(geometry.spacing))
+    nodes, faces, _, _ = marching_cubes(block, level=0.0)
+    zyx = np.stack([np.interp(nodes[:, a], np.arange(len(positions[a])), positions[a]) for a in range(3)], axis=1)
+    return zyx, faces
 
 
 def _closed_block(
