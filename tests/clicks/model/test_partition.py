@@ -123,3 +123,15 @@ def test_what_is_no_object_has_a_tissue_of_its_own(tmp_path):
     path = table(tmp_path / "clicks.csv", [(1, (12, 16, 16)), (2, (12, 16, 32)), (0, (3, 3, 3))])
     result = segment_objects(image, path, energy="partition:0", presmooth="0.5vox", smoothness=0)
     assert mean_dice(result.labels, truth) > 0.95 and result.labels[2, 2, 2] == 0
+
+
+def test_the_ground_holds_far_from_its_click(tmp_path):
+    """Two balls, near to the ground's click and far from it, keep their sizes."""
+    z, y, x = np.indices((20, 20, 600)) - np.array([10.0, 10.0, 0.0])[:, None, None, None]
+    truth = np.where(z**2 + y**2 + (x - 30) ** 2 < 36, 1, 0) + np.where(z**2 + y**2 + (x - 580) ** 2 < 36, 2, 0)
+    blurred = ndimage.gaussian_filter(100.0 * (truth > 0), 1.5)
+    image = blurred + np.random.default_rng(0).normal(0.0, 10.0, truth.shape)
+    path = table(tmp_path / "clicks.csv", [(1, (10, 10, 30)), (2, (10, 10, 580)), (0, (10, 10, 5))])
+    result = segment_objects(image, path, energy="partition:0", presmooth="0.5vox", smoothness=0)
+    near, far = (int((result.labels == id).sum()) for id in (1, 2))
+    assert abs(far / near - 1.0) < 0.15
