@@ -101,7 +101,7 @@ class Child:
         self._process.communicate()
 
     def seconds(self, work: str) -> float:
-        """Processor seconds of a work done once."""
+        """Processor seconds of a turn of a work: once, or as often as `REPEATS` has it."""
         assert self._process.stdin and self._process.stdout
         self._process.stdin.write(work + "\n")
         self._process.stdin.flush()
