@@ -184,5 +184,5 @@ def finished(
             if asked:
                 run.request_stop()
         result = result_of(run)
-    late = nearest_inside(growth.place(), result.labels, grid.spacing)
+    late = nearest_inside(growth.place(), result.inside_on, grid.shape, grid.spacing)
     return replace(result, late_leakage=late, warnings=[*result.warnings, *notes])

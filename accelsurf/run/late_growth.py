@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.evolution.records import Step
-from accelsurf.grid.boxes import Corner, widened
+from accelsurf.grid.boxes import Box, Corner, widened
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
 from accelsurf.kernels.statistics import sums_by_cube
@@ -153,33 +153,40 @@ class LateLeakage:
         return z, y, x
 
 
-def nearest_inside(place: Place | None, labels: NDArray[np.integer[Any]], spacing: Sequence[float]) -> Place | None:
+def nearest_inside(
+    place: Place | None, inside: Callable[[Box], NDArray[np.bool_]], shape: Sequence[int], spacing: Sequence[float]
+) -> Place | None:
     """Return the voxel of an object nearest to where it grew: the middle of a cube may lie beside its surface.
 
     Parameters
     ----------
     place : (z, y, x) or None
         Index in the grid.
-    labels : ndarray (nz, ny, nx) of int
-        Above 0 in an object.
+    inside : callable
+        Returns the voxels of a box of the grid that are in an object.
+    shape : sequence of int
+        (nz, ny, nx) of the grid.
     spacing : sequence of float
         (hz, hy, hx) in mm.
 
     Examples
     --------
-    >>> nearest_inside((0.0, 2.5, 7.5), 1 * (np.arange(40).reshape(1, 5, 8) == 22), (1.0, 1.0, 1.0))
+    >>> nearest_inside((0.0, 2.5, 7.5), (np.arange(40).reshape(1, 5, 8) == 22).__getitem__, (1, 5, 8), (1.0, 1.0, 1.0))
     (0.0, 2.0, 6.0)
     """
-    if place is None or not labels.any():
+    if place is None:
         return None
-    voxel = tuple(min(max(round(at), 0), n - 1) for at, n in zip(place, labels.shape, strict=True))
+    voxel = tuple(min(max(round(at), 0), n - 1) for at, n in zip(place, shape, strict=True))
     at, reach = (slice(voxel[0], voxel[0] + 1), slice(voxel[1], voxel[1] + 1), slice(voxel[2], voxel[2] + 1)), 0.0
     while True:
         reach = 2.0 * reach or BLOCK * max(spacing)
-        box = widened(at, labels.shape, [math.ceil(reach / h) for h in spacing])
-        found = np.argwhere(labels[box] > 0) + [part.start for part in box]
+        box = widened(at, shape, [math.ceil(reach / h) for h in spacing])
+        found = np.argwhere(inside(box)) + [part.start for part in box]
         away = (((found - place) * np.asarray(spacing)) ** 2).sum(axis=1)
+        is_whole = box == widened(at, shape, shape)
+        if is_whole and not away.size:
+            return None
         # Beyond the box lies nothing nearer than its reach, but for a voxel.
-        if away.size and (away.min() <= (reach - max(spacing)) ** 2 or box == widened(at, labels.shape, labels.shape)):
+        if away.size and (is_whole or away.min() <= (reach - max(spacing)) ** 2):
             z, y, x = (float(i) for i in found[int(np.argmin(away))])
             return z, y, x

@@ -299,6 +299,11 @@ class Result:
             labels[segmented.box][segmented.labels > 0] = segmented.id
         return labels
 
+    def inside_on(self, box: Box) -> NDArray[np.bool_]:
+        """True where the centre of a voxel of a box of the grid is in an object."""
+        # Of one object without its labels: while the run's arrays are held, they would raise the peak of memory.
+        return self.labels[box] > 0 if self.has_ids else self._one.psi[box] < 0
+
     @property
     def label_ids(self) -> tuple[int, ...]:
         """Ids of the objects, and the other labels of a map that is mended; in rising order."""

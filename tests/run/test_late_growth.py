@@ -24,6 +24,7 @@ def test_it_is_the_far_end_of_what_was_filled_last(mask, levels):
     region[3:, 4:, 2:] = True
     options = {"mask": region} if mask else {}
     result = segment(image, start="ball:14,14,14,5", levels=levels, smoothness=0.05, **options)
+    assert "labels" not in vars(result.objects[0])  # they are made once the run's arrays are gone
     assert result.labels[14, 14, 54]  # it has got there
     z, y, x = result.late_leakage
     assert x > 40 and abs(y - 14) < 7 and abs(z - 14) < 7
@@ -56,9 +57,10 @@ def test_it_is_on_a_thin_object_too_and_goes_with_what_a_correction_takes_away()
 def test_the_nearest_voxel_is_found_however_far_it_is():
     labels = np.zeros((9, 40, 50), np.uint8)
     labels[8, 2, 3] = labels[0, 39, 49] = 2
-    assert nearest_inside((2.5, 20.0, 20.0), labels, (1.0, 1.0, 1.0)) == (8.0, 2.0, 3.0)
-    assert nearest_inside((2.5, 20.0, 20.0), labels, (9.0, 1.0, 1.0)) == (0.0, 39.0, 49.0)
-    assert nearest_inside((2.5, 20.0, 20.0), 0 * labels, (1.0, 1.0, 1.0)) is None
+    inside = (labels > 0).__getitem__
+    assert nearest_inside((2.5, 20.0, 20.0), inside, labels.shape, (1.0, 1.0, 1.0)) == (8.0, 2.0, 3.0)
+    assert nearest_inside((2.5, 20.0, 20.0), inside, labels.shape, (9.0, 1.0, 1.0)) == (0.0, 39.0, 49.0)
+    assert nearest_inside((2.5, 20.0, 20.0), (labels > 9).__getitem__, labels.shape, (1.0, 1.0, 1.0)) is None
 
 
 def test_there_is_none_where_nothing_grew():
