@@ -27,7 +27,7 @@ def objects():
 BALL = {"start": "ball:9,11,12,3"}
 RUNS = {
     "levels": {**BALL, "levels": 2, "max_steps": 70, "tolerance": 0.3},
-    "clicks": {"inside": "ball:9,11,12,2", "outside": "point:21,11,12", "max_steps": 15},
+    "clicks": {"inside": "ball:9,11,12,2", "outside": "point:21,11,12", "cfl": 0.3, "max_steps": 15},
     "objects": {"objects": objects(), "max_steps": 15},
     "noise": {**BALL, "noise": 0.2, "seed": 3, "max_steps": 12},
     "edits": {**BALL, "edit": ["step=4 smoothness=0.4", "step=8 add=ball:21,11,12,2"], "max_steps": 14},
