@@ -213,6 +213,7 @@ class LevelClicks:
     def __init__(self, context: ImageContext, inputs: LevelInputs) -> None:
         self._context, self._grids, self._known = context, inputs.grids, inputs.known_distances
         self._bounds: dict[int, tuple[Box, ClickBounds]] = {}
+        self._last: tuple[int, Box, ClickBounds] | None = None
         self._field: LevelArrays | None = None
 
     def bounds(self, level: int, box: Box | None = None) -> ClickBounds | None:
@@ -220,7 +221,9 @@ class LevelClicks:
         clicks, grid = self._context.clicks, self._grids[level]
         if clicks is None:
             return None
-        seen, box = whole_box(grid.shape), box or whole_box(grid.shape)
+        seen, box, last = whole_box(grid.shape), box or whole_box(grid.shape), self._last
+        if last is not None and last[:2] == (level, box):
+            return last[2] if last[2].cells.size else None
         if level == 0:  # of the clicks in many other objects most are far away
             seen = widened(box, grid.shape, (MARGIN, MARGIN, MARGIN))
         known = self._bounds.get(level)
@@ -228,6 +231,7 @@ class LevelClicks:
             near = clicks.near(seen) if level == 0 else clicks
             known = self._bounds[level] = seen, click_bounds(near, grid, self._known)
         found = known[1].on_box(corner_of(box), tuple(s.stop - s.start for s in box))
+        self._last = level, box, found
         return found if found.cells.size else None
 
     def apply(self, psi: NDArray[np.float32], level: int, box: Box | None = None) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import Step, Stop, StopReason
-from accelsurf.grid.boxes import Corner, box_at, meeting, shared
+from accelsurf.grid.boxes import Corner, bounding_box, box_at, meeting
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
@@ -171,24 +171,32 @@ class Ensemble:
     def separated(self, mask_distance: NDArray[np.float32] | None) -> list[tuple[Corner, NDArray[np.float32]]]:
         """First voxel and psi of each object on the finest grid, cut where it meets another: none overlap."""
         parts = [evolving.psi_on_finest() for evolving in self._objects]
-        low = np.array([corner for corner, _ in parts])
-        high = low + np.array([psi.shape for _, psi in parts])
+        # One cuts another only where it is deeper inside than the other is outside.
+        deepest = max(-float(psi.min()) for _, psi in parts)
+        low, high = (np.array(ends) for ends in zip(*(_ends(at, psi < deepest) for at, psi in parts), strict=True))
         out = []
         for i, near in enumerate(meeting(low, high)):
             corner, uncut = parts[i]
             psi = uncut.copy()
             for j in near:
                 at, theirs_psi = parts[j]
-                mine, theirs = shared(corner, uncut.shape, at, theirs_psi.shape)
+                first, end = np.maximum(low[i], low[j]), np.minimum(high[i], high[j])
+                mine, theirs = (box_at(tuple(first - c), tuple(end - first)) for c in (corner, at))
                 a, b = uncut[mine], theirs_psi[theirs]
-                np.maximum(psi[mine], np.float32(0.5) * (a - b), out=psi[mine])
-                # Where both are equally deep the lower id has the voxel.
-                tie = (a == b) & (a < 0)
-                psi[mine][tie] = np.float32(-1e-6 if i < j else 1e-6) * np.float32(self._smallest)
+                cut = np.float32(0.5) * (a - b)
+                # Where both are equally deep the lower id has the voxel, unless a third is deeper.
+                cut[(a == b) & (a < 0)] = np.float32(-1e-6 if i < j else 1e-6) * np.float32(self._smallest)
+                np.maximum(psi[mine], cut, out=psi[mine])
             if mask_distance is not None:
                 psi = np.maximum(psi, mask_distance[box_at(corner, psi.shape)])
             out.append((corner, psi))
         return out
+
+
+def _ends(corner: Corner, near: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first voxel of a mask on a box of the grid, and the one after its last; equal where it is empty."""
+    box = bounding_box(near) or box_at((0, 0, 0), (0, 0, 0))
+    return np.add(corner, [part.start for part in box]), np.add(corner, [part.stop for part in box])
 
 
 def union_of(starts: Sequence[ObjectStart], geometry: Geometry) -> NDArray[np.float32]:
