@@ -7,6 +7,7 @@ the blocks say of its place.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy import ndimage
 from accelsurf.clicks.model.fronts import MIN_RANGE
 from accelsurf.clicks.model.network import Network
 from accelsurf.clicks.model.windows import Floats, Mask
+from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.image.blocks import block_means
 from accelsurf.image.smoothing import gaussian_mm
 
@@ -53,9 +55,13 @@ def features_near(
     """
     mm = np.asarray(spacing)
     width, finest = float(np.max(mm * steps)), float(mm[[n > 1 for n in image.shape]].min())
-    within, beyond = (ndimage.distance_transform_edt(part, sampling=mm) for part in (inside, ~inside))
-    distance = (beyond - within).astype(np.float32)  # from voxel to voxel: half a step off on either side
-    band = np.abs(distance) <= REACH * width + MORE * finest
+    reach = REACH * width + MORE * finest
+    distance = np.full(inside.shape, np.float32(np.inf))
+    if (found := bounding_box(inside)) is not None:  # farther away no distance is looked at
+        box = widened(found, inside.shape, [math.ceil(reach / h) + 1 for h in mm])
+        within, beyond = (ndimage.distance_transform_edt(part, sampling=mm) for part in (inside[box], ~inside[box]))
+        distance[box] = beyond - within  # from voxel to voxel: half a step off on either side
+    band = np.abs(distance) <= reach
     where = np.flatnonzero(band if near is None else band & near)
     counted = np.where(np.abs(distance) <= MIXED * finest, np.float32(LITTLE), np.float32(1.0))
     blocks, sides = [int(n) for n in steps], []
