@@ -45,7 +45,7 @@ FIGURES = (
             (rf"best of its answers[^|]*\| {_N}",)),
     Figures("README.md", rf"spleen in CT, .*?Dice {_N}", "docs/tutorial/by-clicks.md", (f"tutorial spleen -->{_N}",)),
     Figures(
-        "README.md", rf"Dice {_N} in {_N} s \(`--balance .*?\(c3d\) {_N} in {_N} s; .*? {_N} in {_N} s",
+        "README.md", rf"Dice {_N} in {_N} s \(`--preset .*?\(c3d\) {_N} in {_N} s; .*? {_N} in {_N} s",
         f"{_RESULTS}/benchmark_segment-real.json",
         tuple(f"programs/{name}/{key}" for name in _BRAIN for key in ("dice", "median_s")),
     ),

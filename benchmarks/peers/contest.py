@@ -46,7 +46,7 @@ def time_best(
     """Time the best setting of every program in turn, and collect its results."""
     trials, calls = dict(trials), dict(calls)
     tops = {name: best(tried) for name, tried in trials.items()}
-    for trial in level(trials):
+    for trial in (trial for trial in level(trials) if trial.settings != tops[OWN].settings):
         tops[LEVEL], trials[LEVEL], calls[LEVEL] = trial, trials[OWN], calls[OWN]
     highest = max(top.dice for name, top in tops.items() if name not in BASELINES)
     good = [t.seconds for n, t in tops.items() if n in PEERS and t.dice >= highest - BEHIND]
@@ -92,14 +92,11 @@ def judge(
         return [goal(f"{label}: times faster than the best peer", wanted, None)], pairs
     top = best(Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in peers.items())
     highest = max(facts["dice"] for facts in peers.values())
-    name = top.settings["name"]
+    name, as_good = top.settings["name"], programs.get(LEVEL, own if own["dice"] >= highest else None)
+    faster = None if as_good is None else top.seconds / as_good["median_s"]
     return [
         goal(f"{label}: Dice less the best peer's", 0.0, own["dice"] - highest, unit=""),
-        goal(
-            f"{label}: times faster than the best peer ({name}), at no lower Dice than any",
-            wanted,
-            top.seconds / programs[LEVEL]["median_s"] if LEVEL in programs else None,
-        ),
+        goal(f"{label}: times faster than the best peer ({name}), at no lower Dice than any", wanted, faster),
         goal(f"{label}: the same at its own best Dice", wanted, top.seconds / own["median_s"]),
         *_beside_baselines(own, {name: facts for name, facts in others.items() if name in BASELINES}, label),
     ], pairs
