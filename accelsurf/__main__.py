@@ -6,9 +6,9 @@ import gc
 import os
 from typing import NoReturn
 
-#: So many new containers before Python looks for cycles among the youngest. What is imported and loaded makes 300,000
-#: that stay, which Python's own 700 would have looked through 450 times, and three times from the first one on.
-GC_THRESHOLD = 50_000
+#: So many new containers before Python looks for cycles among the youngest. What is imported, loaded and drawn makes
+#: 400,000 that stay, which Python's own 700 would have looked through 450 times; steps make none that stay.
+GC_THRESHOLD = 500_000
 
 
 def main() -> NoReturn:

@@ -132,6 +132,8 @@ def loading() -> Iterator[None]:
         yield
     finally:
         gc.freeze()
+        # Less than the program's: a window is open for hours, and what it has shown may be in a cycle.
+        gc.set_threshold(min(gc.get_threshold()[0], 50_000))
         if was_enabled:
             gc.enable()
 

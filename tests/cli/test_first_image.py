@@ -116,7 +116,8 @@ def test_garbage_is_looked_for_again_after_loading():
         "import gc\nfrom accelsurf.cli.view import loading\n"
         "try:\n    with loading():\n        assert not gc.isenabled()\n        import email.mime.text\n        1 / 0\n"
         "except ZeroDivisionError:\n    print(gc.isenabled(), gc.get_freeze_count() > 1000)\n"
-        "gc.disable()\nwith loading():\n    pass\nprint(gc.isenabled())"
+        "gc.disable()\ngc.set_threshold(500_000)\nwith loading():\n    pass\n"
+        "print(gc.isenabled(), gc.get_threshold()[0])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.stdout.split() == ["True", "True", "False"], done.stderr
+    assert done.stdout.split() == ["True", "True", "False", "50000"], done.stderr

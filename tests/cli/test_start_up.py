@@ -163,6 +163,18 @@ def test_the_program_alone_looks_for_cycles_less_often(started, expected):
     assert ended.stdout.splitlines()[-1] == f"{expected} True"
 
 
+def test_no_time_of_a_run_goes_into_looking_for_cycles(ball):
+    words = ["segment", str(ball), "-o", str(ball.parent / "out"), "--max-steps", "5", "--start", "ball:0,0,0,4"]
+    assert execute(words) == 0  # compiles what nobody has compiled before
+    code = (
+        "import atexit, gc, sys; from accelsurf.__main__ import main; before = gc.get_stats()[0]['collections']; "
+        "atexit.register(lambda: print(gc.get_stats()[0]['collections'] - before, flush=True)); "
+        f"sys.argv[1:] = {[*words, '--overwrite', '--quiet']!r}; main()"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.stdout.splitlines()[-1] == "0", ended.stderr
+
+
 def test_the_viewer_loads_nothing_of_scipy_that_its_first_picture_does_not_need():
     code = (
         "import sys, accelsurf.viewer.actions.opening\n"

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-import matplotlib
+import matplotlib.axis
 import numpy as np
 import pytest
 from matplotlib import image as mpl_image
@@ -213,6 +213,19 @@ def test_slices_are_the_largest_panels_and_have_two_ticks_at_least(figures):
             for axis, ends in ((each.xaxis, each.get_xlim()), (each.yaxis, each.get_ylim())):
                 shown = [tick for tick in axis.get_major_locator()() if min(ends) <= tick <= max(ends)]
                 assert len(shown) >= 2
+
+
+def test_ticks_are_laid_out_only_where_there_is_a_scale_and_never_for_a_title(figures, monkeypatch):
+    asked = []
+    monkeypatch.setattr(matplotlib.axis.Axis, "get_tightbbox", lambda *args, **options: asked.append(args))
+    preview.preview_png(content(*ball_on_grid()))
+    assert not asked
+    shown = {axes.get_title(): [axis.get_visible() for axis in (axes.xaxis, axes.yaxis)] for axes in figures[0].axes}
+    assert shown.pop("Surface") == [False, False]
+    assert shown.pop("") == [False, True]  # the second scale of the energies
+    assert shown.pop("Energy and kinetic energy") == [True, True]
+    assert len(shown) >= 3
+    assert all(shown[title] == [True, True] for title in shown)
 
 
 def test_scales_are_in_the_unit_of_the_file(figures):

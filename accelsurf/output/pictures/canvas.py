@@ -118,10 +118,11 @@ class Canvas:
         """Return new axes in a box, with the values ``x`` at its left and right, ``y`` at its lower and upper side."""
         place = box.left / self.width, 1 - box.bottom / self.height, box.width / self.width, box.height / self.height
         axes = self.figure.add_axes(place, xlim=x, ylim=y, facecolor="none", frame_on=frame)
-        axes.tick_params(left=False, bottom=False, labelleft=False, labelbottom=False)
         # A user's own settings of matplotlib may have both.
         axes.grid(False)
         axes.minorticks_off()
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_visible(False)  # until it gets a scale
         for spine in axes.spines.values():
             spine.set(edgecolor=PALE, linewidth=1)
         return axes
@@ -180,10 +181,9 @@ def write_scales(
     from matplotlib.ticker import MaxNLocator
 
     for axis, pixels in ((axes.xaxis, axes.bbox.width / 70), (axes.yaxis, axes.bbox.height / 45)):
-        axis.set_major_locator(MaxNLocator(max(2, int(pixels)), steps=[1, 2, 5, 10]))
-    axes.ticklabel_format(useOffset=False, scilimits=(-3, 5), useMathText=False)
-    for axis in (axes.xaxis, axes.yaxis):
+        axis.set(visible=True, major_locator=MaxNLocator(max(2, int(pixels)), steps=[1, 2, 5, 10]))
         axis.get_offset_text().set(color=INK, **font(TICK_SIZE))
+    axes.ticklabel_format(useOffset=False, scilimits=(-3, 5), useMathText=False)
     axes.tick_params(
         bottom=True, labelbottom=True, left=not right, labelleft=not right, right=right, labelright=right, length=4,
         width=1, pad=3.5, direction="out", color=PALE, labelcolor=INK, labelsize=TICK_SIZE, labelfontfamily=_FONT,
@@ -232,7 +232,8 @@ def tick_step(low: float, high: float, pixels: float, room: float) -> float:
 def write_title(axes: Axes, text: str) -> None:
     """Write above axes, each line shortened if it is wider than they are and half as much again."""
     lines = (fitting(line, TITLE_SIZE, 1.3 * axes.bbox.width) for line in text.split("\n"))
-    axes.set_title("\n".join(lines), pad=7, color=INK, **font(TITLE_SIZE))
+    # With a height of its own matplotlib does not lay out all ticks once more, to see whether any is in the way.
+    axes.set_title("\n".join(lines), y=1, pad=7, color=INK, **font(TITLE_SIZE))
 
 
 def write_legend(axes: Axes, lines: Sequence[Any], names: Sequence[str], place: Any, **options: Any) -> None:
@@ -250,9 +251,8 @@ def write_legend(axes: Axes, lines: Sequence[Any], names: Sequence[str], place: 
 def draw_scale_bar(axes: Axes, unit: str = "mm", color: str = INK, rim: Sequence[AbstractPathEffect] = ()) -> None:
     """Draw a bar of a round length, about a quarter of axes in mm, in their lower right corner."""
     left, right = axes.get_xlim()
-    per_pixel = (right - left) / axes.bbox.width
     length = round_step(0.25 * in_unit(right - left, unit))
-    end = right - 10 * per_pixel
+    end = right - 10 * ((right - left) / axes.bbox.width)
     first = end - length / in_unit(1.0, unit)
     at = 9 / axes.bbox.height
     axes.plot(

@@ -185,8 +185,8 @@ def draw_energies(canvas: Canvas, panel: Box, history: Sequence[StepRecord], lef
         second.set(xlim=axes.get_xlim(), ylim=(0.0, 1.05 * max(kinetic)), frame_on=False)
         second.plot([row.step for row in history], kinetic, color=VERMILION, linestyle=DASHED, linewidth=2)
         second.grid(False)
-        second.xaxis.set_visible(False)
         write_scales(second, "", "kinetic energy (dashed)", color=VERMILION, right=True)
+        second.xaxis.set_visible(False)
     restarts = [row.step for row in history if row.restarted]
     if restarts:
         (marks,) = axes.plot(
