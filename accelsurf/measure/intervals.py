@@ -285,11 +285,7 @@ def _depth(
     extent 0.
     """
     flat, near = psi.ravel(), np.flatnonzero(np.abs(psi) <= 1.01 * BESIDE * max(spacing))
-    slopes, stride = [], psi.size
-    for at, n, h in zip(np.unravel_index(near, psi.shape), psi.shape, spacing, strict=True):
-        stride //= n
-        down, up = (at > 0).astype(np.int64), (at < n - 1).astype(np.int64)
-        slopes.append((flat[near + up * stride] - flat[near - down * stride]) / ((down + up) * h).astype(np.float32))
+    slopes = [np.gradient(psi, h, axis=axis).reshape(-1).take(near) for axis, h in enumerate(spacing)]
     steep = np.sqrt(sum(np.square(slope) for slope in slopes))
     long = np.sqrt(sum(np.square(slope * np.float32(h)) for slope, h in zip(slopes, spacing, strict=True)))
     depth, extent = np.where(psi < 0, np.float32(-np.inf), np.float32(np.inf)), np.zeros_like(psi)
@@ -316,8 +312,8 @@ def _nearby(
         far, nx = len(of_rows) - 1, values.shape[2]
         row = np.pad(values[within].reshape(-1, nx), ((0, 0), (far, far)), "symmetric").ravel()
         at = shell // nx * (nx + 2 * far) + shell % nx + far
-        total = of_rows[0] * row[at]
+        total = of_rows[0] * row.take(at)
         for step in range(far, 0, -1):
-            total += of_rows[step] * (row[at - step].astype(float) + row[at + step])
+            total += of_rows[step] * (row.take(at - step).astype(float) + row.take(at + step))
         sums.append(total.astype(np.float32))
     return np.asarray(np.float32(level) + sums[1] / (sums[0] + np.float32(1e-3)))
