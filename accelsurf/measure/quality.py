@@ -287,14 +287,14 @@ def _rim_fraction(inside: NDArray[np.bool_]) -> float:
     if box is None:
         return 1.0
     part = inside[box]
-    deep = np.count_nonzero(ndimage.binary_erosion(part, border_value=1))
+    deep = np.count_nonzero(places.eroded(part))
     return 1.0 - float(deep) / float(np.count_nonzero(part))
 
 
 def _unlike_fraction(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: ValueRange) -> float:
     """Share of the object, without the voxels next to its surface, with values outside of an interval."""
     box = _around(inside, 1)
-    part = ndimage.binary_erosion(inside[box], border_value=1)
+    part = places.eroded(inside[box])
     values = image[box][part if part.any() else inside[box]]
     return float(((values < learned.low) | (values > learned.high)).mean()) if values.size else 0.0
 
@@ -317,8 +317,9 @@ def no_edge_fraction(
         smooth = gaussian_mm(image[low:high], spacing, scale)
         before, after = planes.start - low, planes.stop - low
         part = inside[low:high]
-        within_rim = ndimage.binary_erosion(part, border_value=1)
-        deep = ndimage.binary_erosion(within_rim, iterations=INTERIOR_DEPTH - 1, border_value=1)
+        within_rim = deep = places.eroded(part)
+        for _ in range(INTERIOR_DEPTH - 1):
+            deep = places.eroded(deep)
         for mask, found, each in ((part & ~within_rim, on_surface, 1), (deep, within, every)):
             slab = mask[before:after]
             found.append(gradients(smooth, spacing, np.flatnonzero(slab)[::each] + before * slab[0].size))
@@ -358,8 +359,10 @@ def parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
     # An object that meets the border continues beyond it; a single slice has no depth across.
     padded = np.pad(body, [(NECK, NECK) if n > 1 else (0, 0) for n in inside.shape], mode="edge")
     del parts, body
-    cores, count = ndimage.label(_deeper_than_neck(padded))
-    if count < 2:
+    cores, count = ndimage.label(places.eroded(padded, NECK))
+    large = LARGE_PART * np.count_nonzero(padded)
+    rooms = (math.prod(s.stop - s.start + 2 * (NECK + 1) for s in core) for core in ndimage.find_objects(cores))
+    if sum(room >= large for room in rooms) < 2:
         return 1
     # Only so many parts can be large; numbered as bytes they need a quarter of the memory.
     sizes = np.bincount(cores.ravel(), minlength=count + 1)
@@ -374,16 +377,4 @@ def parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
         grown = ndimage.maximum_filter(reach, 3)
         np.copyto(reach, grown, where=(reach == 0) & padded)
     volumes = np.bincount(reach.ravel())[1:]
-    return max(1, int((volumes >= LARGE_PART * padded.sum()).sum()))
-
-
-def _deeper_than_neck(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Voxels of a mask with no other voxel within `NECK` voxels; beyond the array the mask continues."""
-    reach = [NECK if n > 1 else 0 for n in mask.shape]
-    deep = mask.copy()
-    offsets = np.indices([2 * r + 1 for r in reach]).reshape(3, -1).T - reach
-    for offset in offsets[(offsets**2).sum(axis=1) <= NECK**2]:
-        here = tuple(slice(max(0, -o), n - max(0, o)) for o, n in zip(offset, mask.shape, strict=True))
-        there = tuple(slice(max(0, o), n - max(0, -o)) for o, n in zip(offset, mask.shape, strict=True))
-        deep[here] &= mask[there]
-    return deep
+    return max(1, int((volumes >= large).sum()))
