@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, counted_from, whole_box, widened
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, counted_from, whole_box, widened
 
 #: Voxels of a step; the surface is sampled at about so many places; sigma, voxels, that normals are smoothed with.
 STEP, SAMPLES, NORMAL_SIGMA = 1.5, 20_000, 1.0
@@ -30,6 +30,8 @@ APART = 3.0
 MIN_NOISE = 0.05
 
 Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +75,7 @@ class Evidence:
 
 
 def gather(
-    inside: NDArray[np.bool_],
-    image: NDArray[np.float32],
-    spacing: tuple[float, float, float],
-    clicked: NDArray[np.bool_] | None = None,
+    inside: Mask, image: Image, spacing: tuple[float, float, float], clicked: Mask | None = None
 ) -> Evidence | None:
     """The evidence for the surface of a mask; None where nothing of it lies within the image.
 
@@ -152,7 +151,7 @@ def uncertain_places(
     return out
 
 
-def _first_largest(totals: Floats, among: NDArray[np.bool_]) -> int:
+def _first_largest(totals: Floats, among: Mask) -> int:
     """The largest of some numbers; of those that are equal but for rounding the first."""
     best, most = 0, -1.0
     for i in np.flatnonzero(among):
@@ -161,7 +160,7 @@ def _first_largest(totals: Floats, among: NDArray[np.bool_]) -> int:
     return best
 
 
-def eroded(mask: NDArray[np.bool_], voxels: int = 1) -> NDArray[np.bool_]:
+def eroded(mask: Mask, voxels: int = 1) -> Mask:
     """Voxels of a mask with no other voxel within so many voxels; beyond the array the mask continues."""
     reach = [voxels if n > 1 else 0 for n in mask.shape]
     deep = mask.copy()
@@ -173,9 +172,7 @@ def eroded(mask: NDArray[np.bool_], voxels: int = 1) -> NDArray[np.bool_]:
     return deep
 
 
-def _places(
-    inside: NDArray[np.bool_], rim: NDArray[np.bool_], spacing: Sequence[float]
-) -> tuple[NDArray[np.int64], Floats]:
+def _places(inside: Mask, rim: Mask, spacing: Sequence[float]) -> tuple[NDArray[np.int64], Floats]:
     """Voxels of the rim, (n, 3), and the outward normal of the surface there: 1 voxel long along its axis."""
     cells = np.flatnonzero(rim)
     cells = cells[:: max(1, cells.size // SAMPLES)]
@@ -194,7 +191,7 @@ def _places(
     return index[known].astype(np.int64), normal[known] / longest[known, None]
 
 
-def _sampled(values: NDArray[np.float32], index: NDArray[np.int64], normal: Floats, voxels: float) -> Floats:
+def _sampled(values: Image, index: NDArray[np.int64], normal: Floats, voxels: float) -> Floats:
     """The image at places (n,) so many voxels outward; linear, the border's values beyond the border."""
     at = (index + voxels * normal).T
     return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest"), np.float64)
@@ -214,9 +211,7 @@ def _rising(value: Floats, half: float) -> Floats:
     return square / (1.0 + square)
 
 
-def _near_click(
-    index: NDArray[np.int64], clicked: NDArray[np.bool_] | None, inside: NDArray[np.bool_], spacing: Sequence[float]
-) -> Floats:
+def _near_click(index: NDArray[np.int64], clicked: Mask | None, inside: Mask, spacing: Sequence[float]) -> Floats:
     """1 beside a click, falling over a part of the object's radius."""
     if clicked is None or not clicked.any():
         return np.zeros(len(index))
@@ -230,7 +225,7 @@ def _near_click(
     return np.asarray(np.exp(-0.5 * (away / radius) ** 2))
 
 
-def _deepest(inside: NDArray[np.bool_], spacing: Sequence[float]) -> tuple[int, int, int]:
+def _deepest(inside: Mask, spacing: Sequence[float]) -> Corner:
     """The voxel farthest from the surface, the first of several; the border is none."""
     if inside.all():
         return _deepest_within(inside, whole_box(inside.shape), 0.0, spacing)[1]
@@ -246,9 +241,7 @@ def _deepest(inside: NDArray[np.bool_], spacing: Sequence[float]) -> tuple[int, 
     return _deepest_within(inside, may_be, reach, spacing)[1]
 
 
-def _deepest_within(
-    inside: NDArray[np.bool_], blocks: Box, reach: float, spacing: Sequence[float]
-) -> tuple[float, tuple[int, int, int]]:
+def _deepest_within(inside: Mask, blocks: Box, reach: float, spacing: Sequence[float]) -> tuple[float, Corner]:
     """The depth of the deepest voxel of a box of blocks, and which that is; none there is deeper than ``reach``."""
     z, y, x = (slice(2 * part.start, min(2 * part.stop, n)) for part, n in zip(blocks, inside.shape, strict=True))
     box = z, y, x
@@ -272,8 +265,7 @@ def _deepest_within(
 
 
 def _drift(
-    inside: NDArray[np.bool_], deeper: NDArray[np.bool_], values: NDArray[np.float32], spacing: Sequence[float],
-    deviation: float, floor: float,
+    inside: Mask, deeper: Mask, values: Image, spacing: Sequence[float], deviation: float, floor: float
 ) -> float:
     """Largest difference of the medians of shells around the deepest point, in units of the object's deviation."""
     middle = _deepest(inside, spacing)

@@ -21,6 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Psi = NDArray[np.float32]
+Numbers = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
 #: The cubic is used where the second differences at both ends have one sign, and the smaller at least this part of the
 #: larger: on a ball of radius 2 voxels they do.
@@ -60,9 +63,7 @@ MAX_WAY = 0.7
 AT_A_TIME = 1 << 14
 
 
-def on_edges(
-    zyx: Floats, psi: NDArray[np.float32], spacing: tuple[float, float, float], margin: float
-) -> Floats:
+def on_edges(zyx: Floats, psi: Psi, spacing: tuple[float, float, float], margin: float) -> Floats:
     """Move vertices along their edges of the grid to the zero of psi there.
 
     Parameters
@@ -93,7 +94,7 @@ def on_edges(
     return placed
 
 
-def _zeros_along(zyx: Floats, axis: int, psi: NDArray[np.float32], h: float, margin: float) -> Floats:
+def _zeros_along(zyx: Floats, axis: int, psi: Psi, h: float, margin: float) -> Floats:
     """Positions along ``axis``, of spacing ``h``, of the zeros between the nodes around each vertex."""
     n = psi.shape[axis]
     index = _nearest(zyx, psi.shape)
@@ -125,22 +126,18 @@ def _zeros_along(zyx: Floats, axis: int, psi: NDArray[np.float32], h: float, mar
     return first + 0.5 * (left + right)
 
 
-def _nearest(zyx: Floats, shape: tuple[int, ...]) -> NDArray[np.int64]:
+def _nearest(zyx: Floats, shape: tuple[int, ...]) -> Numbers:
     """Index of the voxel nearest to each position, within the volume."""
     return np.clip(np.rint(zyx).astype(np.int64), 0, np.array(shape) - 1)
 
 
-def _on_cap(zyx: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def _on_cap(zyx: Floats, shape: tuple[int, ...]) -> Mask:
     """Test which coordinates lie on the volume's outer faces, (n, 3)."""
     return (zyx == -0.5) | (zyx == np.array(shape) - 0.5)
 
 
 def balanced(
-    zyx: Floats,
-    faces: NDArray[np.integer],
-    psi: NDArray[np.float32],
-    spacing: tuple[float, float, float],
-    across: int | None = None,
+    zyx: Floats, faces: NDArray[np.integer], psi: Psi, spacing: tuple[float, float, float], across: int | None = None
 ) -> Floats:
     """Move vertices along the normals so that they enclose the volume (area) of the surface (curve) that they lie on.
 
@@ -198,7 +195,7 @@ def _parts(count: int) -> Iterator[slice]:
     return (slice(start, start + AT_A_TIME) for start in range(0, count, AT_A_TIME))
 
 
-def _gaps(at: Floats, normals: Floats, corners: NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
+def _gaps(at: Floats, normals: Floats, corners: Numbers) -> tuple[Floats, Floats, Floats]:
     """Size of each face, how far the surface is from it on average, and the least cosine between its normals."""
     found, at, normals = np.empty((3, corners.shape[1])), _by_axis(at), _by_axis(normals)
     for some in _parts(corners.shape[1]):
@@ -211,7 +208,7 @@ def _gaps(at: Floats, normals: Floats, corners: NDArray[np.intp]) -> tuple[Float
     return found[0], found[1], found[2]
 
 
-def _within(normals: Floats, known: NDArray[np.bool_], across: int) -> tuple[Floats, NDArray[np.bool_]]:
+def _within(normals: Floats, known: Mask, across: int) -> tuple[Floats, Mask]:
     """Normals of the curve in which a slice cuts the surface; where the slice all but touches it they say nothing."""
     inside = normals.copy()
     inside[:, across] = 0.0
@@ -219,14 +216,12 @@ def _within(normals: Floats, known: NDArray[np.bool_], across: int) -> tuple[Flo
     return inside / np.maximum(length, MIN_IN_PLANE)[:, None], known & (length >= MIN_IN_PLANE)
 
 
-def _per_vertex(corners: NDArray[np.intp], values: Floats, n: int) -> Floats:
+def _per_vertex(corners: Numbers, values: Floats, n: int) -> Floats:
     """Sum over the faces around each of the ``n`` vertices."""
     return np.asarray(sum(np.bincount(vertex, values, n) for vertex in corners))
 
 
-def _normals(
-    zyx: Floats, on_cap: NDArray[np.bool_], psi: NDArray[np.float32], h: Floats
-) -> tuple[Floats, NDArray[np.bool_]]:
+def _normals(zyx: Floats, on_cap: Mask, psi: Psi, h: Floats) -> tuple[Floats, Mask]:
     """Outward unit normals (n, 3) by centred differences, linear between the two nodes of an edge; where known (n,)."""
     flat, last, gradient = np.ascontiguousarray(psi).ravel(), np.array(psi.shape) - 1, np.empty(zyx.shape)
     for some in _parts(len(zyx)):
@@ -241,9 +236,7 @@ def _normals(
     return gradient / np.maximum(norm, MIN_SLOPE)[:, None], known
 
 
-def _slopes(
-    flat: NDArray[np.float32], nodes: NDArray[np.int64], shape: tuple[int, ...], h: Floats
-) -> Iterator[Floats]:
+def _slopes(flat: Psi, nodes: Numbers, shape: tuple[int, ...], h: Floats) -> Iterator[Floats]:
     """Centred differences along each axis at nodes (3, n) of a raveled volume, one-sided on the border."""
     index, stride = np.ravel_multi_index(tuple(nodes), shape), flat.size
     for place, n, step in zip(nodes, shape, h, strict=True):
@@ -253,10 +246,7 @@ def _slopes(
         yield difference / (np.maximum(before + after, 1) * step)
 
 
-def with_zero_means(
-    zyx: Floats, corners: NDArray[np.intp], rough: NDArray[np.bool_], psi: NDArray[np.float32], h: Floats,
-    outward: Floats,
-) -> Floats:
+def with_zero_means(zyx: Floats, corners: Numbers, rough: Mask, psi: Psi, h: Floats, outward: Floats) -> Floats:
     """Move vertices of the ``rough`` faces of small parts along the mesh's normals until psi is 0 on average there.
 
     Parameters
@@ -282,13 +272,15 @@ def with_zero_means(
     if not rough.any():
         return zyx
     normals, turned = _mesh_normals(zyx * h, corners, outward), corners[:, rough]
-    small = np.flatnonzero(_among(turned[:, _least_cosine(_by_axis(normals).take(turned, axis=1)) < BENT], len(zyx)))
+    bent = turned[:, _least_cosine(_by_axis(normals).take(turned, axis=1)) < BENT]
+    small = np.flatnonzero(np.bincount(bent.ravel()))
     small = small[_is_small(zyx[small], psi, h)]
-    active = _among(small[_is_distance(zyx[small], normals[small], psi, h)], len(zyx))
+    active = np.zeros(len(zyx), np.bool_)
+    active[small[_is_distance(zyx[small], normals[small], psi, h)]] = True
     around = corners[:, active[corners].any(axis=0)]
     if not around.size:
         return zyx
-    is_used = _among(around, len(zyx))
+    is_used = np.bincount(around.ravel(), minlength=len(zyx)) > 0
     numbers, local = np.flatnonzero(is_used), (np.cumsum(is_used) - 1)[around]
     sides, side_of = _sides(local)
     start, along, free = zyx[numbers], normals[numbers], active[numbers]
@@ -308,17 +300,7 @@ def with_zero_means(
     return out
 
 
-def _among(numbers: NDArray[np.integer], n: int) -> NDArray[np.bool_]:
-    """Test which of ``n`` vertices are among ``numbers``."""
-    found = np.zeros(n, np.bool_)
-    found[numbers] = True
-    return found
-
-
-def _means(
-    psi: NDArray[np.float32], at: Floats, corners: NDArray[np.intp], sides: NDArray[np.intp],
-    side_of: NDArray[np.intp],
-) -> Floats:
+def _means(psi: Psi, at: Floats, corners: Numbers, sides: Numbers, side_of: Numbers) -> Floats:
     """Mean of psi over each face, exact for quadratic functions; ``sides`` and ``side_of`` as `_sides` gives them."""
     means = cubic_at(psi, (at[sides[0]] + at[sides[1]]) / 2)[side_of].mean(axis=0)
     if len(corners) == 2:
@@ -327,7 +309,7 @@ def _means(
     return np.asarray(means)
 
 
-def _sides(corners: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _sides(corners: Numbers) -> tuple[Numbers, Numbers]:
     """Vertex numbers of each side of the faces once (2, k), and which of these sides a face has (3, m) or (1, m)."""
     if len(corners) == 2:
         return corners, np.arange(corners.shape[1])[None]
@@ -336,7 +318,7 @@ def _sides(corners: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp
     return np.stack(np.divmod(keys, count)), which.reshape(corners.shape)
 
 
-def cubic_at(psi: NDArray[np.float32], at: Floats) -> Floats:
+def cubic_at(psi: Psi, at: Floats) -> Floats:
     """Interpolate psi at index positions (n, 3) by the cubic of four nodes per axis; beyond the border it is mirrored.
 
     Along an axis of one slice psi does not vary.
@@ -373,13 +355,13 @@ def _weights(u: Floats, n: int) -> list[Floats]:
     return [-before * (u - 2) / 6, after * (u - 1) / 2, -after * u / 2, before * (u + 1) / 6]
 
 
-def _mirrored(index: NDArray[np.int64], n: int) -> NDArray[np.int64]:
+def _mirrored(index: Numbers, n: int) -> Numbers:
     """Indices, those beyond the border mirrored at the outer face of its voxels."""
     index = np.where(index < 0, -1 - index, index)
     return np.clip(np.where(index >= n, 2 * n - 1 - index, index), 0, n - 1)
 
 
-def _is_small(zyx: Floats, psi: NDArray[np.float32], h: Floats) -> NDArray[np.bool_]:
+def _is_small(zyx: Floats, psi: Psi, h: Floats) -> Mask:
     """Test if the object, or the space around it, is small at each vertex, (n,): see `THICK`.
 
     From the voxel of the vertex on the way leads to the deepest of the voxels around, one by one. Not where psi changes
@@ -401,9 +383,7 @@ def _is_small(zyx: Floats, psi: NDArray[np.float32], h: Floats) -> NDArray[np.bo
     return (small & ~steep)[of_vertex]
 
 
-def _deepest_around(
-    cells: NDArray[np.int64], side: int, flat: NDArray[np.float32], shape: tuple[int, ...], h: Floats
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _deepest_around(cells: Numbers, side: int, flat: Psi, shape: tuple[int, ...], h: Floats) -> tuple[Numbers, Mask]:
     """Return which of a cell and those around it is deepest on a side, and if psi changes by too much between them."""
     deepest, steep = cells.copy(), np.zeros(cells.shape, np.bool_)
     for some in _parts(cells.size):
@@ -423,7 +403,7 @@ def _deepest_around(
     return deepest, steep
 
 
-def _is_distance(zyx: Floats, normals: Floats, psi: NDArray[np.float32], h: Floats) -> NDArray[np.bool_]:
+def _is_distance(zyx: Floats, normals: Floats, psi: Psi, h: Floats) -> Mask:
     """Test if psi rises as a distance does along the normal of each vertex, outside or inside, (n,)."""
     voxel = np.linalg.norm(normals * h, axis=1)
     way = voxel[:, None] * normals / h
@@ -432,7 +412,7 @@ def _is_distance(zyx: Floats, normals: Floats, psi: NDArray[np.float32], h: Floa
     return np.asarray(most >= SMALL_MIN_SLOPE * voxel)
 
 
-def _mesh_normals(at: Floats, corners: NDArray[np.intp], outward: Floats) -> Floats:
+def _mesh_normals(at: Floats, corners: Numbers, outward: Floats) -> Floats:
     """Outward unit normals of the mesh at its vertices (n, 3), by the sizes of the faces around each."""
     across = _area_vectors(at, corners)
     normals = np.stack([_per_vertex(corners, along_axis, len(at)) for along_axis in across], axis=1)
@@ -461,7 +441,7 @@ def _least_cosine(normals: Floats) -> Floats:
     return np.asarray((normals * np.roll(normals, -1, axis=1)).sum(axis=0).min(axis=0))
 
 
-def _area_vectors(at: Floats, corners: NDArray[np.intp]) -> Floats:
+def _area_vectors(at: Floats, corners: Numbers) -> Floats:
     """Vectors across the faces (3, m): as long as twice a triangle's area; within the slice, as a segment is long."""
     found, at = np.empty((3, corners.shape[1])), _by_axis(at)
     # The axis along which no segment goes.
