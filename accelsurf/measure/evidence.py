@@ -236,17 +236,15 @@ def _deepest(inside: Mask, spacing: Sequence[float]) -> Corner:
     depths = ndimage.distance_transform_edt(blocks[:, :, ::2] & blocks[:, :, 1::2], [2.0 * h for h in spacing])
     reach, at = float(depths.max()) + diagonal, np.unravel_index(depths.argmax(), depths.shape)
     least, _ = _deepest_within(inside, box_at((int(at[0]), int(at[1]), int(at[2])), (1, 1, 1)), reach, spacing)
-    may_be = bounding_box(depths >= least - 1.000001 * diagonal)
-    assert may_be is not None  # it has that block
+    may_be = bounding_box(depths >= least - 1.000001 * diagonal) or whole_box(depths.shape)
     return _deepest_within(inside, may_be, reach, spacing)[1]
 
 
 def _deepest_within(inside: Mask, blocks: Box, reach: float, spacing: Sequence[float]) -> tuple[float, Corner]:
     """The depth of the deepest voxel of a box of blocks, and which that is; none there is deeper than ``reach``."""
     z, y, x = (slice(2 * part.start, min(2 * part.stop, n)) for part, n in zip(blocks, inside.shape, strict=True))
-    box = z, y, x
-    around = widened(box, inside.shape, [int(reach / h) + 2 for h in spacing])
-    planes, lines, rows = counted_from(box, corner_of(around))
+    around = widened((z, y, x), inside.shape, [int(reach / h) + 2 for h in spacing])
+    planes, lines, rows = counted_from((z, y, x), corner_of(around))
     # The nearest voxels outside, and the distances to them plane by plane: all distances at once take four times that.
     nearest = ndimage.distance_transform_edt(
         np.pad(inside[around], 1, mode="edge"), sampling=spacing, return_distances=False, return_indices=True

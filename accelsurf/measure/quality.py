@@ -346,6 +346,7 @@ def parts_beyond_necks(inside: Mask) -> int:
     del parts, body
     cores, count = ndimage.label(places.eroded(padded, NECK))
     large = LARGE_PART * np.count_nonzero(padded)
+    # A core grows by at most so many voxels to either side.
     rooms = (math.prod(s.stop - s.start + 2 * (NECK + 1) for s in core) for core in ndimage.find_objects(cores))
     if sum(room >= large for room in rooms) < 2:
         return 1

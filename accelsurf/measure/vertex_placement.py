@@ -87,10 +87,9 @@ def on_edges(zyx: Floats, psi: Psi, spacing: tuple[float, float, float], margin:
     on_edge = between.sum(axis=1) == 1
     placed = zyx.copy()
     for axis in range(3):
-        all_along = np.flatnonzero(on_edge & between[:, axis])
-        for some in _parts(all_along.size):
-            which = all_along[some]
-            placed[which, axis] = _zeros_along(zyx[which], axis, psi, spacing[axis], margin)
+        which = np.flatnonzero(on_edge & between[:, axis])
+        for some in _chunks(which.size):
+            placed[which[some], axis] = _zeros_along(zyx[which[some]], axis, psi, spacing[axis], margin)
     return placed
 
 
@@ -167,16 +166,15 @@ def balanced(
     # The surface meets the outer faces at a right angle, as psi is continued there: its rim moves on the face.
     normals[on_cap] = 0.0
     size, gap, cosine = _gaps(zyx * h, normals, corners)
-    # Around an edge or a corner of the object no curvature says where the surface is.
     is_known = known[corners].all(axis=0)
-    smooth = is_known & (cosine > MIN_COSINE)
     # The thickness of a slice does not count.
     moving = (step for a, (step, n) in enumerate(zip(spacing, psi.shape, strict=True)) if n > 1 and a != across)
     most = MAX_GAP * min(moving, default=h.min())
-    gap = np.clip(np.where(smooth, gap, 0.0), -most, most)
+    # Around an edge or a corner of the object no curvature says where the surface is.
+    gap = np.clip(np.where(is_known & (cosine > MIN_COSINE), gap, 0.0), -most, most)
     # Caps are flat, and have no share in the rim's displacement.
-    is_cap = on_cap.T.take(corners, axis=1).all(axis=1).any(axis=0)
-    size[is_cap] = 0.0
+    free = ~on_cap.T.take(corners, axis=1).all(axis=1).any(axis=0)
+    size[~free] = 0.0
 
     around = np.maximum(_per_vertex(corners, size, len(zyx)), 1e-300)
     distance = _per_vertex(corners, size * gap, len(zyx)) / around
@@ -185,12 +183,10 @@ def balanced(
     placed = np.asarray(zyx + distance[:, None] * normals / h)
     # In the slice of a volume psi is no distance from the contour.
     rough = ~is_known | (cosine < TURNED)
-    if across is not None:
-        return placed
-    return with_zero_means(placed, corners[:, ~is_cap], rough[~is_cap], psi, h, normals)
+    return placed if across is not None else with_zero_means(placed, corners[:, free], rough[free], psi, h, normals)
 
 
-def _parts(count: int) -> Iterator[slice]:
+def _chunks(count: int) -> Iterator[slice]:
     """Cut a range into parts of `AT_A_TIME`."""
     return (slice(start, start + AT_A_TIME) for start in range(0, count, AT_A_TIME))
 
@@ -198,7 +194,7 @@ def _parts(count: int) -> Iterator[slice]:
 def _gaps(at: Floats, normals: Floats, corners: Numbers) -> tuple[Floats, Floats, Floats]:
     """Size of each face, how far the surface is from it on average, and the least cosine between its normals."""
     found, at, normals = np.empty((3, corners.shape[1])), _by_axis(at), _by_axis(normals)
-    for some in _parts(corners.shape[1]):
+    for some in _chunks(corners.shape[1]):
         places, directions = (vectors.take(corners[:, some], axis=1) for vectors in (at, normals))
         edges, turns = np.roll(places, -1, axis=1) - places, np.roll(directions, -1, axis=1) - directions
         found[0, some] = _lengths(_cross(edges[:, 0], edges[:, 1]) if len(corners) == 3 else edges[:, 0])
@@ -224,7 +220,7 @@ def _per_vertex(corners: Numbers, values: Floats, n: int) -> Floats:
 def _normals(zyx: Floats, on_cap: Mask, psi: Psi, h: Floats) -> tuple[Floats, Mask]:
     """Outward unit normals (n, 3) by centred differences, linear between the two nodes of an edge; where known (n,)."""
     flat, last, gradient = np.ascontiguousarray(psi).ravel(), np.array(psi.shape) - 1, np.empty(zyx.shape)
-    for some in _parts(len(zyx)):
+    for some in _chunks(len(zyx)):
         at, is_capped = zyx[some], on_cap[some]
         low = np.clip(np.floor(np.where(is_capped, np.rint(at), at)).astype(np.int64), 0, last)
         part = np.where(is_capped, 0.0, at - low).max(axis=1)
@@ -337,7 +333,7 @@ def cubic_at(psi: Psi, at: Floats) -> Floats:
     else:
         begin[:] = 0
     flat, strides = np.ascontiguousarray(psi).ravel(), (psi.shape[1] * psi.shape[2], psi.shape[2], 1)
-    for some in _parts(len(value)):
+    for some in _chunks(len(value)):
         nodes = sum((first[a, some] - begin[a]) * strides[a] for a in range(3))
         of_planes, of_lines, of_places = (_weights(at[a, some] - (first[a, some] + 1), n) for a, n in enumerate(shape))
         for (plane, of_plane), (line, of_line) in itertools.product(enumerate(of_planes), enumerate(of_lines)):
@@ -386,20 +382,19 @@ def _is_small(zyx: Floats, psi: Psi, h: Floats) -> Mask:
 def _deepest_around(cells: Numbers, side: int, flat: Psi, shape: tuple[int, ...], h: Floats) -> tuple[Numbers, Mask]:
     """Return which of a cell and those around it is deepest on a side, and if psi changes by too much between them."""
     deepest, steep = cells.copy(), np.zeros(cells.shape, np.bool_)
-    for some in _parts(cells.size):
+    for some in _chunks(cells.size):
         here, stride, steps = cells[some], flat.size, []
         for place, n in zip(np.unravel_index(here, shape), shape, strict=True):
             stride //= n
             steps.append([(np.clip(place + shift, 0, n - 1) - place) * stride for shift in (-1, 0, 1)])
-        level = side * flat[here]
-        depth = level.copy()
+        level = depth = side * flat[here]
         for shift in itertools.product((-1, 0, 1), repeat=3):
             other = here + sum(steps[axis][k + 1] for axis, k in enumerate(shift))
             value = side * flat.take(other)
             steep[some] |= np.abs(value - level) > MAX_SLOPE * np.linalg.norm(shift * h)
             deeper = value > depth
             np.copyto(deepest[some], other, where=deeper)
-            np.copyto(depth, value, where=deeper)
+            depth = np.where(deeper, value, depth)
     return deepest, steep
 
 
@@ -414,8 +409,7 @@ def _is_distance(zyx: Floats, normals: Floats, psi: Psi, h: Floats) -> Mask:
 
 def _mesh_normals(at: Floats, corners: Numbers, outward: Floats) -> Floats:
     """Outward unit normals of the mesh at its vertices (n, 3), by the sizes of the faces around each."""
-    across = _area_vectors(at, corners)
-    normals = np.stack([_per_vertex(corners, along_axis, len(at)) for along_axis in across], axis=1)
+    normals = np.stack([_per_vertex(corners, across, len(at)) for across in _area_vectors(at, corners)], axis=1)
     normals[outward == 0.0] = 0.0
     normals *= np.sign((normals * outward).sum()) or 1.0
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None])
@@ -446,7 +440,7 @@ def _area_vectors(at: Floats, corners: Numbers) -> Floats:
     found, at = np.empty((3, corners.shape[1])), _by_axis(at)
     # The axis along which no segment goes.
     flat = np.eye(3)[int(np.ptp(at, axis=1).argmin())][:, None]
-    for some in _parts(corners.shape[1]):
+    for some in _chunks(corners.shape[1]):
         places = at.take(corners[:, some], axis=1)
         along = places[:, 1:] - places[:, :1]
         found[:, some] = _cross(along[:, 0], along[:, 1] if len(corners) == 3 else flat)
