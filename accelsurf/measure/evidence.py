@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import bounding_box, corner_of
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, counted_from, whole_box, widened
 
 #: Voxels of a step; the surface is sampled at about so many places; sigma, voxels, that normals are smoothed with.
 STEP, SAMPLES, NORMAL_SIGMA = 1.5, 20_000, 1.0
@@ -30,6 +30,8 @@ APART = 3.0
 MIN_NOISE = 0.05
 
 Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +75,7 @@ class Evidence:
 
 
 def gather(
-    inside: NDArray[np.bool_],
-    image: NDArray[np.float32],
-    spacing: tuple[float, float, float],
-    clicked: NDArray[np.bool_] | None = None,
+    inside: Mask, image: Image, spacing: tuple[float, float, float], clicked: Mask | None = None
 ) -> Evidence | None:
     """The evidence for the surface of a mask; None where nothing of it lies within the image.
 
@@ -94,11 +93,12 @@ def gather(
     if box is None:
         return None
     part, values = inside[box], image[box]
-    index, normal = _places(part, spacing)
+    deeper = eroded(part)
+    index, normal = _places(part, part & ~deeper, spacing)
     if not len(index):
         return None
     near, deep, out = (_sampled(values, index, normal, k * STEP) for k in (-1.0, -3.0, 1.0))
-    core = values[ndimage.binary_erosion(part, border_value=1)]
+    core = values[deeper]
     core = core if core.size > 20 else values[part]
     middle, deviation = _median_and_deviation(core)
     beside = _median_and_deviation(out)[1]
@@ -111,7 +111,8 @@ def gather(
     places = index + corner
     return Evidence(
         places, _rising(across, HALF_EDGE), _rising(gain, HALF_MODEL), _near_click(places, clicked, inside, spacing),
-        float(np.median(across)), float((unlike < LIKE).mean()), _drift(part, values, spacing, deviation, floor),
+        float(np.median(across)), float((unlike < LIKE).mean()),
+        _drift(part, deeper, values, spacing, deviation, floor),
     )
 
 
@@ -129,18 +130,18 @@ def uncertain_places(
     places = (evidence.index - evidence.index.min(axis=0)) * np.asarray(spacing)
     radius = max(PATCH * (0.75 * max(volume_mm3, 1e-30) / np.pi) ** (1.0 / 3.0), 2.0 * max(spacing))
     # Blocks of half a patch stand for the places in them.
-    blocks, member = np.unique((places / (0.5 * radius)).astype(np.int64), axis=0, return_inverse=True)
-    member = member.reshape(-1)
-    counts = np.bincount(member, minlength=len(blocks)).astype(np.float64)
-    sums = np.bincount(member, uncertainty, len(blocks))
-    middles = np.stack([np.bincount(member, places[:, a], len(blocks)) for a in range(3)], axis=1) / counts[:, None]
-    totals, shares = np.zeros(len(blocks)), np.zeros(len(blocks))
+    blocks = (places / (0.5 * radius)).astype(np.int64).T
+    _, member = np.unique(np.ravel_multi_index(tuple(blocks), blocks.max(axis=1) + 1), return_inverse=True)
+    counts = np.bincount(member).astype(np.float64)
+    sums = np.bincount(member, uncertainty)
+    middles = np.stack([np.bincount(member, places[:, a]) for a in range(3)], axis=1) / counts[:, None]
+    totals, shares = np.zeros((2, len(counts)))
     for i, middle in enumerate(middles):
         weight = np.exp(-0.5 * ((middles - middle) ** 2).sum(axis=1) / radius**2)
         totals[i] = float((weight * sums).sum())
         shares[i] = totals[i] / float((weight * counts).sum())
     out: list[tuple[tuple[int, int, int], float]] = []
-    far = np.ones(len(blocks), np.bool_)
+    far = np.ones(len(counts), np.bool_)
     while len(out) < count and far.any():
         best = _first_largest(totals, far)
         members = np.flatnonzero(member == best)
@@ -150,7 +151,7 @@ def uncertain_places(
     return out
 
 
-def _first_largest(totals: Floats, among: NDArray[np.bool_]) -> int:
+def _first_largest(totals: Floats, among: Mask) -> int:
     """The largest of some numbers; of those that are equal but for rounding the first."""
     best, most = 0, -1.0
     for i in np.flatnonzero(among):
@@ -159,9 +160,20 @@ def _first_largest(totals: Floats, among: NDArray[np.bool_]) -> int:
     return best
 
 
-def _places(inside: NDArray[np.bool_], spacing: Sequence[float]) -> tuple[NDArray[np.int64], Floats]:
-    """Voxels next to the surface on its inside, (n, 3), and the outward normal there: 1 voxel long along its axis."""
-    rim = inside & ~ndimage.binary_erosion(inside, border_value=1)
+def eroded(mask: Mask, voxels: int = 1) -> Mask:
+    """Voxels of a mask with no other voxel within so many voxels; beyond the array the mask continues."""
+    reach = [voxels if n > 1 else 0 for n in mask.shape]
+    deep = mask.copy()
+    offsets = np.indices([2 * r + 1 for r in reach]).reshape(3, -1).T - reach
+    for offset in offsets[(offsets**2).sum(axis=1) <= voxels**2]:
+        here = tuple(slice(max(0, -o), n - max(0, o)) for o, n in zip(offset, mask.shape, strict=True))
+        there = tuple(slice(max(0, o), n - max(0, -o)) for o, n in zip(offset, mask.shape, strict=True))
+        deep[here] &= mask[there]
+    return deep
+
+
+def _places(inside: Mask, rim: Mask, spacing: Sequence[float]) -> tuple[NDArray[np.int64], Floats]:
+    """Voxels of the rim, (n, 3), and the outward normal of the surface there: 1 voxel long along its axis."""
     cells = np.flatnonzero(rim)
     cells = cells[:: max(1, cells.size // SAMPLES)]
     index = np.stack(np.unravel_index(cells, inside.shape), axis=1)
@@ -179,7 +191,7 @@ def _places(inside: NDArray[np.bool_], spacing: Sequence[float]) -> tuple[NDArra
     return index[known].astype(np.int64), normal[known] / longest[known, None]
 
 
-def _sampled(values: NDArray[np.float32], index: NDArray[np.int64], normal: Floats, voxels: float) -> Floats:
+def _sampled(values: Image, index: NDArray[np.int64], normal: Floats, voxels: float) -> Floats:
     """The image at places (n,) so many voxels outward; linear, the border's values beyond the border."""
     at = (index + voxels * normal).T
     return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest"), np.float64)
@@ -199,9 +211,7 @@ def _rising(value: Floats, half: float) -> Floats:
     return square / (1.0 + square)
 
 
-def _near_click(
-    index: NDArray[np.int64], clicked: NDArray[np.bool_] | None, inside: NDArray[np.bool_], spacing: Sequence[float]
-) -> Floats:
+def _near_click(index: NDArray[np.int64], clicked: Mask | None, inside: Mask, spacing: Sequence[float]) -> Floats:
     """1 beside a click, falling over a part of the object's radius."""
     if clicked is None or not clicked.any():
         return np.zeros(len(index))
@@ -215,31 +225,49 @@ def _near_click(
     return np.asarray(np.exp(-0.5 * (away / radius) ** 2))
 
 
-def _deepest(inside: NDArray[np.bool_], spacing: Sequence[float]) -> tuple[int, int, int]:
+def _deepest(inside: Mask, spacing: Sequence[float]) -> Corner:
     """The voxel farthest from the surface, the first of several; the border is none."""
+    if inside.all():
+        return _deepest_within(inside, whole_box(inside.shape), 0.0, spacing)[1]
+    # Distances between blocks of two voxels along each axis are those between their voxels but for a diagonal.
+    blocks, diagonal = np.pad(inside, [(0, n % 2) for n in inside.shape], mode="edge"), float(np.linalg.norm(spacing))
+    blocks = blocks[::2] & blocks[1::2]
+    blocks = blocks[:, ::2] & blocks[:, 1::2]
+    depths = ndimage.distance_transform_edt(blocks[:, :, ::2] & blocks[:, :, 1::2], [2.0 * h for h in spacing])
+    reach, at = float(depths.max()) + diagonal, np.unravel_index(depths.argmax(), depths.shape)
+    least, _ = _deepest_within(inside, box_at((int(at[0]), int(at[1]), int(at[2])), (1, 1, 1)), reach, spacing)
+    may_be = bounding_box(depths >= least - 1.000001 * diagonal) or whole_box(depths.shape)
+    return _deepest_within(inside, may_be, reach, spacing)[1]
+
+
+def _deepest_within(inside: Mask, blocks: Box, reach: float, spacing: Sequence[float]) -> tuple[float, Corner]:
+    """The depth of the deepest voxel of a box of blocks, and which that is; none there is deeper than ``reach``."""
+    z, y, x = (slice(2 * part.start, min(2 * part.stop, n)) for part, n in zip(blocks, inside.shape, strict=True))
+    around = widened((z, y, x), inside.shape, [int(reach / h) + 2 for h in spacing])
+    planes, lines, rows = counted_from((z, y, x), corner_of(around))
     # The nearest voxels outside, and the distances to them plane by plane: all distances at once take four times that.
     nearest = ndimage.distance_transform_edt(
-        np.pad(inside, 1, mode="edge"), sampling=spacing, return_distances=False, return_indices=True
-    )
+        np.pad(inside[around], 1, mode="edge"), sampling=spacing, return_distances=False, return_indices=True
+    )[:, 1:-1, 1:-1, 1:-1]
     most, place = -1.0, (0, 0, 0)
-    y, x = (np.arange(1, n + 1) for n in inside.shape[1:])
-    for k in range(inside.shape[0]):
-        at = nearest[:, k + 1, 1:-1, 1:-1]
-        offsets = (at[0] - (k + 1)) * spacing[0], (at[1] - y[:, None]) * spacing[1], (at[2] - x) * spacing[2]
+    across, along = (np.arange(part.start + 1, part.stop + 1) for part in (lines, rows))
+    for k in range(planes.start, planes.stop):
+        at = nearest[:, k, lines, rows]
+        offsets = (at[0] - (k + 1)) * spacing[0], (at[1] - across[:, None]) * spacing[1], (at[2] - along) * spacing[2]
         depth = np.sqrt(offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2)
         found = int(np.argmax(depth))
         if depth.flat[found] > most:
-            most, place = float(depth.flat[found]), (k, found // len(x), found % len(x))
-    return place
+            line, row = divmod(found, len(along))
+            most, place = float(depth.flat[found]), (k - planes.start + z.start, line + y.start, row + x.start)
+    return most, place
 
 
 def _drift(
-    inside: NDArray[np.bool_], values: NDArray[np.float32], spacing: Sequence[float], deviation: float, floor: float
+    inside: Mask, deeper: Mask, values: Image, spacing: Sequence[float], deviation: float, floor: float
 ) -> float:
     """Largest difference of the medians of shells around the deepest point, in units of the object's deviation."""
     middle = _deepest(inside, spacing)
-    core = ndimage.binary_erosion(inside, border_value=1)
-    core = core if core.sum() > 20 else inside
+    core = deeper if np.count_nonzero(deeper) > 20 else inside
     z, y, x = (((np.arange(n) - m) * h) ** 2 for n, m, h in zip(inside.shape, middle, spacing, strict=True))
     away = np.concatenate([(z[k] + y[:, None] + x)[plane] for k, plane in enumerate(core)])
     ordered = values[core][np.argsort(away, kind="stable")]

@@ -27,6 +27,9 @@ from accelsurf.kernels.smoothing import smooth_across_rows
 from accelsurf.measure.diameters import longest_line
 from accelsurf.measure.surface_mesh import crossings
 
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
 #: Half the shell's thickness, and where what is beside the object ends: voxels along the surface's normal.
 SHELL, BESIDE = 1.5, 3.0
 #: Levels nearby are means over a Gaussian of this sigma: voxels, of slices thicker than two pixels more pixels.
@@ -177,7 +180,7 @@ class _Sums(NamedTuple):
 
 
 def edge_measures(
-    psi: NDArray[np.float32], image: NDArray[np.float32], geometry: Geometry, volume_mm3: float, area_mm2: float
+    psi: Image, image: Image, geometry: Geometry, volume_mm3: float, area_mm2: float
 ) -> EdgeMeasures | None:
     """Measure an object by the image around its surface; None where it has no edge at all, or is one slice.
 
@@ -228,7 +231,7 @@ def edge_measures(
     )
 
 
-def _diameter(shares: NDArray[np.float32], geometry: Geometry, box: Box) -> tuple[float, float] | None:
+def _diameter(shares: Image, geometry: Geometry, box: Box) -> tuple[float, float] | None:
     """Return the diameter of the surface where shares are 1/2, and a voxel's extent along it, mm."""
     widths = [SMOOTH * (min(geometry.spacing) / h) ** 0.5 for h in geometry.spacing]
     half = np.float32(0.5) - ndimage.gaussian_filter(np.clip(shares, -1.0, 2.0), widths)
@@ -246,12 +249,7 @@ def _diameter(shares: NDArray[np.float32], geometry: Geometry, box: Box) -> tupl
 
 
 def _measure_shell(
-    shares: NDArray[np.float32],
-    psi: NDArray[np.float32],
-    image: NDArray[np.float32],
-    moved: float,
-    spacing: tuple[float, float, float],
-    levels: _Levels,
+    shares: Image, psi: Image, image: Image, moved: float, spacing: tuple[float, float, float], levels: _Levels
 ) -> _Sums:
     """Write the share of each voxel, and return sums over the shell around psi = ``moved``; some planes at a time."""
     halo, sums = 1 + int(np.ceil(3.0 * levels.sigmas[0])), np.zeros(7)
@@ -276,20 +274,14 @@ def _measure_shell(
     return _Sums(*sums.tolist())
 
 
-def _depth(
-    psi: NDArray[np.float32], spacing: tuple[float, float, float]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _depth(psi: Image, spacing: tuple[float, float, float]) -> tuple[Image, Image]:
     """Return psi in voxels along its normal, and the extent of a voxel along that, mm.
 
     Where psi is constant, and where it is more than the shell and what is beside it take, the depth is infinite and the
     extent 0.
     """
     flat, near = psi.ravel(), np.flatnonzero(np.abs(psi) <= 1.01 * BESIDE * max(spacing))
-    slopes, stride = [], psi.size
-    for at, n, h in zip(np.unravel_index(near, psi.shape), psi.shape, spacing, strict=True):
-        stride //= n
-        down, up = (at > 0).astype(np.int64), (at < n - 1).astype(np.int64)
-        slopes.append((flat[near + up * stride] - flat[near - down * stride]) / ((down + up) * h).astype(np.float32))
+    slopes = [np.gradient(psi, h, axis=axis).reshape(-1).take(near) for axis, h in enumerate(spacing)]
     steep = np.sqrt(sum(np.square(slope) for slope in slopes))
     long = np.sqrt(sum(np.square(slope * np.float32(h)) for slope, h in zip(slopes, spacing, strict=True)))
     depth, extent = np.where(psi < 0, np.float32(-np.inf), np.float32(np.inf)), np.zeros_like(psi)
@@ -301,9 +293,8 @@ def _depth(
 
 
 def _nearby(
-    image: NDArray[np.float32], mask: NDArray[np.bool_], level: float, sigmas: tuple[float, ...], within: slice,
-    shell: NDArray[np.int64],
-) -> NDArray[np.float32]:
+    image: Image, mask: Mask, level: float, sigmas: tuple[float, ...], within: slice, shell: NDArray[np.int64]
+) -> Image:
     """Return means of the image over the voxels of a mask nearby, at the shell; where none is near, the level.
 
     They are Gaussian filters, along the rows at the shell's voxels alone.
@@ -316,8 +307,8 @@ def _nearby(
         far, nx = len(of_rows) - 1, values.shape[2]
         row = np.pad(values[within].reshape(-1, nx), ((0, 0), (far, far)), "symmetric").ravel()
         at = shell // nx * (nx + 2 * far) + shell % nx + far
-        total = of_rows[0] * row[at]
+        total = of_rows[0] * row.take(at)
         for step in range(far, 0, -1):
-            total += of_rows[step] * (row[at - step].astype(float) + row[at + step])
+            total += of_rows[step] * (row.take(at - step).astype(float) + row.take(at + step))
         sums.append(total.astype(np.float32))
     return np.asarray(np.float32(level) + sums[1] / (sums[0] + np.float32(1e-3)))

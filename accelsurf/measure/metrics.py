@@ -76,9 +76,7 @@ class Metrics:
         return {name: None if math.isnan(value) else value for name, value in asdict(self).items()}
 
 
-def evaluate(
-    pred: ImageLike, ref: ImageLike, *, spacing: float | tuple[float, float, float] | None = None
-) -> Metrics:
+def evaluate(pred: ImageLike, ref: ImageLike, *, spacing: float | tuple[float, float, float] | None = None) -> Metrics:
     """Compare two label maps on the same grid.
 
     Parameters

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord, Stop
     from accelsurf.measure.evidence import Evidence
 
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
 #: A note is made beyond these: fraction of the surface on the border, and without an edge; contrast across the surface
 #: in units of the noise; relative growth over the last steps; share of the object unlike what was learned. A Gaussian
 #: has 1.2 % beyond the bounds.
@@ -58,14 +61,8 @@ class ValueRange(NamedTuple):
 
 
 def assess(
-    labels: NDArray[np.uint8],
-    image: NDArray[np.float32],
-    geometry: Geometry,
-    history: Sequence[StepRecord],
-    stop: Stop,
-    learned: ValueRange | None = None,
-    plateaus: Sequence[PlateauNote] = (),
-    clicked: NDArray[np.bool_] | None = None,
+    labels: NDArray[np.uint8], image: Image, geometry: Geometry, history: Sequence[StepRecord], stop: Stop,
+    learned: ValueRange | None = None, plateaus: Sequence[PlateauNote] = (), clicked: Mask | None = None,
     confidence: Confidence | None = None,
 ) -> Quality:
     """Measure the quality of a result.
@@ -100,14 +97,8 @@ def assess(
 
 
 def measured(
-    labels: NDArray[np.uint8],
-    image: NDArray[np.float32],
-    geometry: Geometry,
-    history: Sequence[StepRecord],
-    stop: Stop,
-    learned: ValueRange | None = None,
-    plateaus: Sequence[PlateauNote] = (),
-    clicked: NDArray[np.bool_] | None = None,
+    labels: NDArray[np.uint8], image: Image, geometry: Geometry, history: Sequence[StepRecord], stop: Stop,
+    learned: ValueRange | None = None, plateaus: Sequence[PlateauNote] = (), clicked: Mask | None = None,
     confidence: Confidence | None = None,
 ) -> Quality:
     """Measure the quality of a result, without its probability, warnings and notes.
@@ -159,7 +150,7 @@ def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
     }
 
 
-def clicked_parts(inside: NDArray[np.bool_], clicked: NDArray[np.bool_]) -> int:
+def clicked_parts(inside: Mask, clicked: Mask) -> int:
     """Number of separate parts of an object that have a click in them.
 
     Examples
@@ -175,7 +166,7 @@ def clicked_parts(inside: NDArray[np.bool_], clicked: NDArray[np.bool_]) -> int:
     return len(np.unique(found[clicked[tight] & inside[tight]]))
 
 
-def _beyond(inside: NDArray[np.bool_], clicked: NDArray[np.bool_]) -> float:
+def _beyond(inside: Mask, clicked: Mask) -> float:
     """Voxels of an object over the clicked ones in it."""
     return float(np.count_nonzero(inside)) / max(float(np.count_nonzero(inside & clicked)), 1.0)
 
@@ -193,9 +184,7 @@ def _compactness(last: StepRecord | None, geometry: Geometry) -> float:
     return 36.0 * math.pi * last.volume_mm3**2 / last.area_mm2**3
 
 
-def _warnings(
-    found: Quality, stop: Stop, last: float, inside: NDArray[np.bool_], geometry: Geometry
-) -> list[str]:
+def _warnings(found: Quality, stop: Stop, last: float, inside: Mask, geometry: Geometry) -> list[str]:
     """Return the warnings, each with one command to try where one is known to help."""
     warnings, at_rest = [], "; try --stop-at-rest" if found.rests else ""
     if found.leaked:
@@ -217,7 +206,7 @@ def _warnings(
     return warnings
 
 
-def _larger_ball(inside: NDArray[np.bool_], geometry: Geometry) -> str:
+def _larger_ball(inside: Mask, geometry: Geometry) -> str:
     """X,Y,Z,R of a ball around a small object, larger than it."""
     voxels = np.argwhere(inside)
     middle = voxels[int(np.argmin(((voxels - voxels.mean(axis=0)) ** 2).sum(axis=1)))]
@@ -259,12 +248,12 @@ def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
     return notes
 
 
-def _around(inside: NDArray[np.bool_], margin: int) -> Box:
+def _around(inside: Mask, margin: int) -> Box:
     """The object's box with so many voxels around it; a box without voxels when there is no object."""
     return bounding_box(inside, margin) or (slice(0, 0), slice(0, 0), slice(0, 0))
 
 
-def _border_fraction(inside: NDArray[np.bool_], spacing: tuple[float, float, float]) -> float:
+def _border_fraction(inside: Mask, spacing: tuple[float, float, float]) -> float:
     """Share of the object's faces on the border, by their areas."""
     within = inside[_around(inside, 2)]
     total = on_border = 0.0
@@ -281,27 +270,25 @@ def _border_fraction(inside: NDArray[np.bool_], spacing: tuple[float, float, flo
     return on_border / total if total > 0 else 0.0
 
 
-def _rim_fraction(inside: NDArray[np.bool_]) -> float:
+def _rim_fraction(inside: Mask) -> float:
     """Share of the object's voxels with a neighbour outside; beyond the array the object goes on."""
     box = bounding_box(inside, 1)
     if box is None:
         return 1.0
     part = inside[box]
-    deep = np.count_nonzero(ndimage.binary_erosion(part, border_value=1))
+    deep = np.count_nonzero(places.eroded(part))
     return 1.0 - float(deep) / float(np.count_nonzero(part))
 
 
-def _unlike_fraction(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: ValueRange) -> float:
+def _unlike_fraction(inside: Mask, image: Image, learned: ValueRange) -> float:
     """Share of the object, without the voxels next to its surface, with values outside of an interval."""
     box = _around(inside, 1)
-    part = ndimage.binary_erosion(inside[box], border_value=1)
+    part = places.eroded(inside[box])
     values = image[box][part if part.any() else inside[box]]
     return float(((values < learned.low) | (values > learned.high)).mean()) if values.size else 0.0
 
 
-def no_edge_fraction(
-    inside: NDArray[np.bool_], image: NDArray[np.float32], spacing: tuple[float, float, float]
-) -> float:
+def no_edge_fraction(inside: Mask, image: Image, spacing: tuple[float, float, float]) -> float:
     """Share of the voxels next to the surface, on its inside, where the smoothed image has no edge."""
     scale = max(axis_steps(inside.shape, spacing))
     halo = INTERIOR_DEPTH + 5 * int(np.ceil(scale / spacing[0])) + 1
@@ -309,16 +296,17 @@ def no_edge_fraction(
     if box is None:
         return 0.0
     inside, image = inside[box], image[box]
-    on_surface: list[NDArray[np.float32]] = []
-    within: list[NDArray[np.float32]] = []
+    on_surface: list[Image] = []
+    within: list[Image] = []
     every = max(1, inside.size // GRADIENT_SAMPLES)
     for planes in slabs(inside.shape, at_least=MIN_SLAB_HALOS * halo):
         low, high = max(planes.start - halo, 0), min(planes.stop + halo, inside.shape[0])
         smooth = gaussian_mm(image[low:high], spacing, scale)
         before, after = planes.start - low, planes.stop - low
         part = inside[low:high]
-        within_rim = ndimage.binary_erosion(part, border_value=1)
-        deep = ndimage.binary_erosion(within_rim, iterations=INTERIOR_DEPTH - 1, border_value=1)
+        within_rim = deep = places.eroded(part)
+        for _ in range(INTERIOR_DEPTH - 1):
+            deep = places.eroded(deep)
         for mask, found, each in ((part & ~within_rim, on_surface, 1), (deep, within, every)):
             slab = mask[before:after]
             found.append(gradients(smooth, spacing, np.flatnonzero(slab)[::each] + before * slab[0].size))
@@ -330,9 +318,7 @@ def no_edge_fraction(
     return float((surface <= max(usual, MIN_EDGE / scale)).mean())
 
 
-def gradients(
-    smooth: NDArray[np.float32], spacing: tuple[float, float, float], cells: NDArray[np.int64]
-) -> NDArray[np.float32]:
+def gradients(smooth: Image, spacing: tuple[float, float, float], cells: NDArray[np.int64]) -> Image:
     """|grad I| at raveled voxels (n,) of a smoothed image: centred differences, one-sided on the border."""
     flat, total, step = smooth.reshape(-1), np.zeros(cells.size, np.float32), smooth.size
     for n, h in zip(smooth.shape, spacing, strict=True):
@@ -344,7 +330,7 @@ def gradients(
     return np.sqrt(total)
 
 
-def parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
+def parts_beyond_necks(inside: Mask) -> int:
     """Large parts that remain of the largest component without its necks."""
     box = bounding_box(inside, 1)
     if box is None:
@@ -358,8 +344,11 @@ def parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
     # An object that meets the border continues beyond it; a single slice has no depth across.
     padded = np.pad(body, [(NECK, NECK) if n > 1 else (0, 0) for n in inside.shape], mode="edge")
     del parts, body
-    cores, count = ndimage.label(_deeper_than_neck(padded))
-    if count < 2:
+    cores, count = ndimage.label(places.eroded(padded, NECK))
+    large = LARGE_PART * np.count_nonzero(padded)
+    # A core grows by at most so many voxels to either side.
+    rooms = (math.prod(s.stop - s.start + 2 * (NECK + 1) for s in core) for core in ndimage.find_objects(cores))
+    if sum(room >= large for room in rooms) < 2:
         return 1
     # Only so many parts can be large; numbered as bytes they need a quarter of the memory.
     sizes = np.bincount(cores.ravel(), minlength=count + 1)
@@ -374,16 +363,4 @@ def parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
         grown = ndimage.maximum_filter(reach, 3)
         np.copyto(reach, grown, where=(reach == 0) & padded)
     volumes = np.bincount(reach.ravel())[1:]
-    return max(1, int((volumes >= LARGE_PART * padded.sum()).sum()))
-
-
-def _deeper_than_neck(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Voxels of a mask with no other voxel within `NECK` voxels; beyond the array the mask continues."""
-    reach = [NECK if n > 1 else 0 for n in mask.shape]
-    deep = mask.copy()
-    offsets = np.indices([2 * r + 1 for r in reach]).reshape(3, -1).T - reach
-    for offset in offsets[(offsets**2).sum(axis=1) <= NECK**2]:
-        here = tuple(slice(max(0, -o), n - max(0, o)) for o, n in zip(offset, mask.shape, strict=True))
-        there = tuple(slice(max(0, o), n - max(0, -o)) for o, n in zip(offset, mask.shape, strict=True))
-        deep[here] &= mask[there]
-    return deep
+    return max(1, int((volumes >= large).sum()))

@@ -29,32 +29,26 @@ class MeasuredObject(Protocol):
     @property
     def box(self) -> Box:
         """Its part of the image's grid."""
-        ...
 
     @property
     def geometry(self) -> Geometry:
         """Geometry of that part."""
-        ...
 
     @property
     def labels(self) -> NDArray[np.uint8]:
         """1 where a voxel's centre is inside, (nz, ny, nx)."""
-        ...
 
     @property
     def volume_mm3(self) -> float:
         """Volume, mm3, sub-voxel."""
-        ...
 
     @property
     def area_mm2(self) -> float:
         """Area of its surface, mm2."""
-        ...
 
     @property
     def intervals(self) -> Intervals | None:
         """Intervals of its measures."""
-        ...
 
 
 def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any]:

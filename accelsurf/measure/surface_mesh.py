@@ -192,9 +192,7 @@ def crossings(psi: NDArray[np.float32], geometry: Geometry) -> tuple[Floats, NDA
     return zyx, faces
 
 
-def _closed_block(
-    psi: NDArray[np.float32], inside: Box, margin: float
-) -> tuple[NDArray[np.float32], list[Floats]]:
+def _closed_block(psi: NDArray[np.float32], inside: Box, margin: float) -> tuple[NDArray[np.float32], list[Floats]]:
     """Psi around the box of the inside voxels, closed by caps, and the index position of its layers along each axis."""
     box = widened(inside, psi.shape, (1, 1, 1))
     block = psi[box].astype(np.float32, order="C")

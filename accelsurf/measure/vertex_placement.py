@@ -15,11 +15,15 @@ mend that:
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Psi = NDArray[np.float32]
+Numbers = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
 #: The cubic is used where the second differences at both ends have one sign, and the smaller at least this part of the
 #: larger: on a ball of radius 2 voxels they do.
@@ -59,9 +63,7 @@ MAX_WAY = 0.7
 AT_A_TIME = 1 << 14
 
 
-def on_edges(
-    zyx: Floats, psi: NDArray[np.float32], spacing: tuple[float, float, float], margin: float
-) -> Floats:
+def on_edges(zyx: Floats, psi: Psi, spacing: tuple[float, float, float], margin: float) -> Floats:
     """Move vertices along their edges of the grid to the zero of psi there.
 
     Parameters
@@ -86,12 +88,12 @@ def on_edges(
     placed = zyx.copy()
     for axis in range(3):
         which = np.flatnonzero(on_edge & between[:, axis])
-        if which.size:
-            placed[which, axis] = _zeros_along(zyx[which], axis, psi, spacing[axis], margin)
+        for some in _chunks(which.size):
+            placed[which[some], axis] = _zeros_along(zyx[which[some]], axis, psi, spacing[axis], margin)
     return placed
 
 
-def _zeros_along(zyx: Floats, axis: int, psi: NDArray[np.float32], h: float, margin: float) -> Floats:
+def _zeros_along(zyx: Floats, axis: int, psi: Psi, h: float, margin: float) -> Floats:
     """Positions along ``axis``, of spacing ``h``, of the zeros between the nodes around each vertex."""
     n = psi.shape[axis]
     index = _nearest(zyx, psi.shape)
@@ -123,22 +125,18 @@ def _zeros_along(zyx: Floats, axis: int, psi: NDArray[np.float32], h: float, mar
     return first + 0.5 * (left + right)
 
 
-def _nearest(zyx: Floats, shape: tuple[int, ...]) -> NDArray[np.int64]:
+def _nearest(zyx: Floats, shape: tuple[int, ...]) -> Numbers:
     """Index of the voxel nearest to each position, within the volume."""
     return np.clip(np.rint(zyx).astype(np.int64), 0, np.array(shape) - 1)
 
 
-def _on_cap(zyx: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def _on_cap(zyx: Floats, shape: tuple[int, ...]) -> Mask:
     """Test which coordinates lie on the volume's outer faces, (n, 3)."""
     return (zyx == -0.5) | (zyx == np.array(shape) - 0.5)
 
 
 def balanced(
-    zyx: Floats,
-    faces: NDArray[np.integer],
-    psi: NDArray[np.float32],
-    spacing: tuple[float, float, float],
-    across: int | None = None,
+    zyx: Floats, faces: NDArray[np.integer], psi: Psi, spacing: tuple[float, float, float], across: int | None = None
 ) -> Floats:
     """Move vertices along the normals so that they enclose the volume (area) of the surface (curve) that they lie on.
 
@@ -160,41 +158,53 @@ def balanced(
     ndarray, shape (n, 3)
         Index positions.
     """
-    h = np.array(spacing)
+    h, corners = np.array(spacing), faces.T.astype(np.intp)
     on_cap = _on_cap(zyx, psi.shape)
     normals, known = _normals(zyx, on_cap, psi, h)
     if across is not None:
         normals, known = _within(normals, known, across)
     # The surface meets the outer faces at a right angle, as psi is continued there: its rim moves on the face.
     normals[on_cap] = 0.0
-    corners, corner_normals = (zyx * h)[faces], normals[faces]
-    edges, turns = np.roll(corners, -1, axis=1) - corners, np.roll(corner_normals, -1, axis=1) - corner_normals
-    size = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]) if faces.shape[1] == 3 else edges[:, 0], axis=1)
-    # The one edge of a segment counts twice here.
-    gap = np.einsum("mij,mij->m", edges, turns) / 24
-    # Around an edge or a corner of the object no curvature says where the surface is.
-    cosine = least_cosine(corner_normals)
-    smooth = known[faces].all(axis=1) & (cosine > MIN_COSINE)
+    size, gap, cosine = _gaps(zyx * h, normals, corners)
+    is_known = known[corners].all(axis=0)
     # The thickness of a slice does not count.
     moving = (step for a, (step, n) in enumerate(zip(spacing, psi.shape, strict=True)) if n > 1 and a != across)
     most = MAX_GAP * min(moving, default=h.min())
-    gap = np.clip(np.where(smooth, gap, 0.0), -most, most)
+    # Around an edge or a corner of the object no curvature says where the surface is.
+    gap = np.clip(np.where(is_known & (cosine > MIN_COSINE), gap, 0.0), -most, most)
     # Caps are flat, and have no share in the rim's displacement.
-    is_cap = on_cap[faces].all(axis=1).any(axis=1)
-    size[is_cap] = 0.0
+    free = ~on_cap.T.take(corners, axis=1).all(axis=1).any(axis=0)
+    size[~free] = 0.0
 
-    around = np.maximum(_per_vertex(faces, size, len(zyx)), 1e-300)
-    distance = np.zeros(len(zyx))
-    for _ in range(1 + ROUNDS):
-        distance = _per_vertex(faces, size * gap, len(zyx)) / around
-        gap = distance[faces].mean(axis=1)
+    around = np.maximum(_per_vertex(corners, size, len(zyx)), 1e-300)
+    distance = _per_vertex(corners, size * gap, len(zyx)) / around
+    for _ in range(ROUNDS):
+        distance = _per_vertex(corners, size * distance[corners].mean(axis=0), len(zyx)) / around
     placed = np.asarray(zyx + distance[:, None] * normals / h)
     # In the slice of a volume psi is no distance from the contour.
-    rough = ~known[faces].all(axis=1) | (cosine < TURNED)
-    return placed if across is not None else with_zero_means(placed, faces[~is_cap], rough[~is_cap], psi, h, normals)
+    rough = ~is_known | (cosine < TURNED)
+    return placed if across is not None else with_zero_means(placed, corners[:, free], rough[free], psi, h, normals)
 
 
-def _within(normals: Floats, known: NDArray[np.bool_], across: int) -> tuple[Floats, NDArray[np.bool_]]:
+def _chunks(count: int) -> Iterator[slice]:
+    """Cut a range into parts of `AT_A_TIME`."""
+    return (slice(start, start + AT_A_TIME) for start in range(0, count, AT_A_TIME))
+
+
+def _gaps(at: Floats, normals: Floats, corners: Numbers) -> tuple[Floats, Floats, Floats]:
+    """Size of each face, how far the surface is from it on average, and the least cosine between its normals."""
+    found, at, normals = np.empty((3, corners.shape[1])), _by_axis(at), _by_axis(normals)
+    for some in _chunks(corners.shape[1]):
+        places, directions = (vectors.take(corners[:, some], axis=1) for vectors in (at, normals))
+        edges, turns = np.roll(places, -1, axis=1) - places, np.roll(directions, -1, axis=1) - directions
+        found[0, some] = _lengths(_cross(edges[:, 0], edges[:, 1]) if len(corners) == 3 else edges[:, 0])
+        # The one edge of a segment counts twice here.
+        found[1, some] = np.einsum("mij,mij->m", edges.T.copy(), turns.T.copy()) / 24
+        found[2, some] = _least_cosine(directions)
+    return found[0], found[1], found[2]
+
+
+def _within(normals: Floats, known: Mask, across: int) -> tuple[Floats, Mask]:
     """Normals of the curve in which a slice cuts the surface; where the slice all but touches it they say nothing."""
     inside = normals.copy()
     inside[:, across] = 0.0
@@ -202,44 +212,45 @@ def _within(normals: Floats, known: NDArray[np.bool_], across: int) -> tuple[Flo
     return inside / np.maximum(length, MIN_IN_PLANE)[:, None], known & (length >= MIN_IN_PLANE)
 
 
-def _per_vertex(faces: NDArray[np.integer], values: Floats, n: int) -> Floats:
+def _per_vertex(corners: Numbers, values: Floats, n: int) -> Floats:
     """Sum over the faces around each of the ``n`` vertices."""
-    return np.asarray(sum(np.bincount(faces[:, k], values, n) for k in range(faces.shape[1])))
+    return np.asarray(sum(np.bincount(vertex, values, n) for vertex in corners))
 
 
-def _normals(
-    zyx: Floats, on_cap: NDArray[np.bool_], psi: NDArray[np.float32], h: Floats
-) -> tuple[Floats, NDArray[np.bool_]]:
+def _normals(zyx: Floats, on_cap: Mask, psi: Psi, h: Floats) -> tuple[Floats, Mask]:
     """Outward unit normals (n, 3) by centred differences, linear between the two nodes of an edge; where known (n,)."""
-    low = np.clip(np.floor(np.where(on_cap, np.rint(zyx), zyx)).astype(np.int64), 0, np.array(psi.shape) - 1)
-    part = np.where(on_cap, 0.0, zyx - low).max(axis=1)
-    high = np.clip(np.ceil(np.where(on_cap, low, zyx)).astype(np.int64), 0, np.array(psi.shape) - 1)
-    gradient = np.empty(zyx.shape)
-    for axis, n in enumerate(psi.shape):
-        ends = []
-        for node in (low, high):
-            at = [node[:, a] for a in range(3)]
-            before, after = np.maximum(at[axis] - 1, 0), np.minimum(at[axis] + 1, n - 1)
-            difference = psi[(*at[:axis], after, *at[axis + 1 :])] - psi[(*at[:axis], before, *at[axis + 1 :])]
-            ends.append(difference / (np.maximum(after - before, 1) * h[axis]))
-        gradient[:, axis] = (1 - part) * ends[0] + part * ends[1]
+    flat, last, gradient = np.ascontiguousarray(psi).ravel(), np.array(psi.shape) - 1, np.empty(zyx.shape)
+    for some in _chunks(len(zyx)):
+        at, is_capped = zyx[some], on_cap[some]
+        low = np.clip(np.floor(np.where(is_capped, np.rint(at), at)).astype(np.int64), 0, last)
+        part = np.where(is_capped, 0.0, at - low).max(axis=1)
+        high = np.clip(np.ceil(np.where(is_capped, low, at)).astype(np.int64), 0, last)
+        for axis, ends in enumerate(zip(*(_slopes(flat, node.T, psi.shape, h) for node in (low, high)), strict=True)):
+            gradient[some, axis] = (1 - part) * ends[0] + part * ends[1]
     norm = np.linalg.norm(gradient, axis=1)
     known = norm >= MIN_SLOPE
     return gradient / np.maximum(norm, MIN_SLOPE)[:, None], known
 
 
-def with_zero_means(
-    zyx: Floats, faces: NDArray[np.integer], rough: NDArray[np.bool_], psi: NDArray[np.float32], h: Floats,
-    outward: Floats,
-) -> Floats:
+def _slopes(flat: Psi, nodes: Numbers, shape: tuple[int, ...], h: Floats) -> Iterator[Floats]:
+    """Centred differences along each axis at nodes (3, n) of a raveled volume, one-sided on the border."""
+    index, stride = np.ravel_multi_index(tuple(nodes), shape), flat.size
+    for place, n, step in zip(nodes, shape, h, strict=True):
+        stride //= n
+        before, after = (place > 0).astype(np.int64), (place < n - 1).astype(np.int64)
+        difference = flat[index + after * stride] - flat[index - before * stride]
+        yield difference / (np.maximum(before + after, 1) * step)
+
+
+def with_zero_means(zyx: Floats, corners: Numbers, rough: Mask, psi: Psi, h: Floats, outward: Floats) -> Floats:
     """Move vertices of the ``rough`` faces of small parts along the mesh's normals until psi is 0 on average there.
 
     Parameters
     ----------
     zyx : ndarray, shape (n, 3)
         Index positions.
-    faces : ndarray, shape (m, 3) or (m, 2)
-        Triangles or segments, of either orientation.
+    corners : ndarray, shape (3, m) or (2, m)
+        Vertex numbers of the triangles or the segments, of either orientation.
     rough : ndarray, shape (m,), bool
         Which faces may turn by too much for their curvature to tell the surface between their corners.
     psi : ndarray, shape (nz, ny, nx)
@@ -256,117 +267,138 @@ def with_zero_means(
     """
     if not rough.any():
         return zyx
-    normals, turned = _mesh_normals(zyx * h, faces, outward), faces[rough]
-    small = np.unique(turned[least_cosine(normals[turned]) < BENT])
+    normals, turned = _mesh_normals(zyx * h, corners, outward), corners[:, rough]
+    bent = turned[:, _least_cosine(_by_axis(normals).take(turned, axis=1)) < BENT]
+    small = np.flatnonzero(np.bincount(bent.ravel()))
     small = small[_is_small(zyx[small], psi, h)]
     active = np.zeros(len(zyx), np.bool_)
-    active[small] = True
-    active[active] = _is_distance(zyx[active], normals[active], psi, h)
-    around = faces[active[faces].any(axis=1)]
-    if not len(around):
+    active[small[_is_distance(zyx[small], normals[small], psi, h)]] = True
+    around = corners[:, active[corners].any(axis=0)]
+    if not around.size:
         return zyx
-    numbers, local = np.unique(around, return_inverse=True)
-    local = local.reshape(around.shape)
+    is_used = np.bincount(around.ravel(), minlength=len(zyx)) > 0
+    numbers, local = np.flatnonzero(is_used), (np.cumsum(is_used) - 1)[around]
     sides, side_of = _sides(local)
     start, along, free = zyx[numbers], normals[numbers], active[numbers]
     most = MAX_WAY * np.linalg.norm(along * h, axis=1)
     way = np.zeros(len(numbers))
     for _ in range(STEPS):
         at = start + way[:, None] * along / h
-        size = _sizes((at * h)[local])
+        size = _lengths(_area_vectors(at * h, local))
         total = np.maximum(_per_vertex(local, size, len(at)), 1e-300)
         gap = -_means(psi, at, local, sides, side_of)
         for _ in range(1 + SMALL_ROUNDS):
             step = _per_vertex(local, size * gap, len(at)) / total
-            gap = step[local].mean(axis=1)
+            gap = step[local].mean(axis=0)
         way = np.clip(way + np.where(free, step, 0.0), -most, most)
     out = zyx.copy()
     out[numbers] = start + way[:, None] * along / h
     return out
 
 
-def _means(
-    psi: NDArray[np.float32], at: Floats, faces: NDArray[np.integer], sides: NDArray[np.integer],
-    side_of: NDArray[np.integer],
-) -> Floats:
+def _means(psi: Psi, at: Floats, corners: Numbers, sides: Numbers, side_of: Numbers) -> Floats:
     """Mean of psi over each face, exact for quadratic functions; ``sides`` and ``side_of`` as `_sides` gives them."""
-    means = cubic_at(psi, at[sides].mean(axis=1))[side_of].mean(axis=1)
-    if faces.shape[1] == 2:
+    means = cubic_at(psi, (at[sides[0]] + at[sides[1]]) / 2)[side_of].mean(axis=0)
+    if len(corners) == 2:
         # Simpson's rule: the ends count too.
-        means = 2 / 3 * means + cubic_at(psi, at)[faces].mean(axis=1) / 3
-    return means
+        means = 2 / 3 * means + cubic_at(psi, at)[corners].mean(axis=0) / 3
+    return np.asarray(means)
 
 
-def _sides(faces: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
-    """Vertex numbers of each side of the faces once (k, 2), and which of these sides a face has (m, 3) or (m, 1)."""
-    if faces.shape[1] == 2:
-        return faces, np.arange(len(faces))[:, None]
-    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    low, high = ends.min(axis=1), ends.max(axis=1)
-    _, first, which = np.unique(low * (high.max() + 1) + high, return_index=True, return_inverse=True)
-    return ends[first], which.reshape(-1, 3)
+def _sides(corners: Numbers) -> tuple[Numbers, Numbers]:
+    """Vertex numbers of each side of the faces once (2, k), and which of these sides a face has (3, m) or (1, m)."""
+    if len(corners) == 2:
+        return corners, np.arange(corners.shape[1])[None]
+    others, count = np.roll(corners, -1, axis=0), corners.max() + 1
+    keys, which = np.unique(np.minimum(corners, others) * count + np.maximum(corners, others), return_inverse=True)
+    return np.stack(np.divmod(keys, count)), which.reshape(corners.shape)
 
 
-def cubic_at(psi: NDArray[np.float32], at: Floats) -> Floats:
+def cubic_at(psi: Psi, at: Floats) -> Floats:
     """Interpolate psi at index positions (n, 3) by the cubic of four nodes per axis; beyond the border it is mirrored.
 
     Along an axis of one slice psi does not vary.
     """
-    flat, value = np.ascontiguousarray(psi).ravel(), np.zeros(len(at))
-    for start in range(0, len(at), AT_A_TIME):
-        some = slice(start, start + AT_A_TIME)
-        (z, wz), (y, wy), (x, wx) = (_four_nodes(at[some, a], n) for a, n in enumerate(psi.shape))
-        for plane, of_plane in zip(z, wz, strict=True):
-            for line, of_line in zip(y, wy, strict=True):
-                row = (plane * psi.shape[1] + line) * psi.shape[2]
-                along = sum(w * flat.take(row + k) for k, w in zip(x, wx, strict=True))
-                value[some] += of_plane * of_line * along
+    value, at, shape = np.zeros(len(at)), _by_axis(at), psi.shape
+    if not value.size:
+        return value
+    first, begin, end = np.zeros(at.shape, np.int64), np.zeros(3, np.int64), np.array(psi.shape)
+    for axis, n in enumerate(psi.shape):
+        if n > 1:
+            first[axis] = np.floor(at[axis]) - 1.0
+            begin[axis], end[axis] = first[axis].min(), first[axis].max() + 4
+    if (begin < 0).any() or (end > psi.shape).any():
+        for axis, n in enumerate(psi.shape):
+            psi = psi.take(_mirrored(np.arange(begin[axis], end[axis]), n), axis)
+    else:
+        begin[:] = 0
+    flat, strides = np.ascontiguousarray(psi).ravel(), (psi.shape[1] * psi.shape[2], psi.shape[2], 1)
+    for some in _chunks(len(value)):
+        nodes = sum((first[a, some] - begin[a]) * strides[a] for a in range(3))
+        of_planes, of_lines, of_places = (_weights(at[a, some] - (first[a, some] + 1), n) for a, n in enumerate(shape))
+        for (plane, of_plane), (line, of_line) in itertools.product(enumerate(of_planes), enumerate(of_lines)):
+            row = flat[plane * strides[0] + line * strides[1] :]
+            along = sum(w * row[k:].take(nodes, mode="clip") for k, w in enumerate(of_places))
+            value[some] += of_plane * of_line * along
     return value
 
 
-def _four_nodes(p: Floats, n: int) -> tuple[list[NDArray[np.int64]], list[Floats]]:
-    """Indices of the four nodes around positions ``p`` on an axis of ``n``, or of its one slice, and their weights."""
-    first = np.floor(p).astype(np.int64)
+def _weights(u: Floats, n: int) -> list[Floats]:
+    """Weights of four nodes at positions ``u`` from the second on, or of the one of an axis of ``n`` = 1."""
     if n == 1:
-        return [np.zeros_like(first)], [np.ones_like(p)]
-    u = p - first
+        return [np.ones_like(u)]
     before, after = u * (u - 1), (u + 1) * (u - 2)
-    weights = [-before * (u - 2) / 6, after * (u - 1) / 2, -after * u / 2, before * (u + 1) / 6]
-    return [_mirrored(first + k, n) for k in range(-1, 3)], weights
+    return [-before * (u - 2) / 6, after * (u - 1) / 2, -after * u / 2, before * (u + 1) / 6]
 
 
-def _mirrored(index: NDArray[np.int64], n: int) -> NDArray[np.int64]:
+def _mirrored(index: Numbers, n: int) -> Numbers:
     """Indices, those beyond the border mirrored at the outer face of its voxels."""
     index = np.where(index < 0, -1 - index, index)
     return np.clip(np.where(index >= n, 2 * n - 1 - index, index), 0, n - 1)
 
 
-def _is_small(zyx: Floats, psi: NDArray[np.float32], h: Floats) -> NDArray[np.bool_]:
+def _is_small(zyx: Floats, psi: Psi, h: Floats) -> Mask:
     """Test if the object, or the space around it, is small at each vertex, (n,): see `THICK`.
 
     From the voxel of the vertex on the way leads to the deepest of the voxels around, one by one. Not where psi changes
     by more than a distance between them.
     """
     steps = [step for step, n in zip(h, psi.shape, strict=True) if n > 1] or [float(h.max())]
-    enough = THICK * max(steps)
-    cells = np.clip(np.rint(zyx).astype(np.int64), 0, np.array(psi.shape) - 1)
-    cells, of_vertex = np.unique(cells, axis=0, return_inverse=True)
+    enough, flat = THICK * max(steps), np.ascontiguousarray(psi).ravel()
+    nearest = np.ravel_multi_index(tuple(_nearest(zyx, psi.shape).T), psi.shape)
+    cells, of_vertex = np.unique(nearest, return_inverse=True)
     small, steep = np.zeros((2, len(cells)), np.bool_)
     for side in (-1, 1):
-        deepest, depth = cells, side * psi[tuple(cells.T)]
+        deepest, moving = cells.copy(), np.arange(len(cells))
         for _ in range(int(np.ceil(enough / min(steps))) + 1):
-            here, level = deepest, depth
-            for shift in itertools.product((-1, 0, 1), repeat=3):
-                other = np.clip(here + shift, 0, np.array(psi.shape) - 1)
-                value = side * psi[tuple(other.T)]
-                steep |= np.abs(value - level) > MAX_SLOPE * np.linalg.norm(shift * h)
-                deeper = value > depth
-                deepest, depth = np.where(deeper[:, None], other, deepest), np.where(deeper, value, depth)
-        small |= depth < enough
-    return (small & ~steep)[of_vertex.ravel()]
+            here = deepest[moving]
+            deepest[moving], is_steep = _deepest_around(here, side, flat, psi.shape, h)
+            steep[moving] |= is_steep
+            moving = moving[deepest[moving] != here]
+        small |= side * flat[deepest] < enough
+    return (small & ~steep)[of_vertex]
 
 
-def _is_distance(zyx: Floats, normals: Floats, psi: NDArray[np.float32], h: Floats) -> NDArray[np.bool_]:
+def _deepest_around(cells: Numbers, side: int, flat: Psi, shape: tuple[int, ...], h: Floats) -> tuple[Numbers, Mask]:
+    """Return which of a cell and those around it is deepest on a side, and if psi changes by too much between them."""
+    deepest, steep = cells.copy(), np.zeros(cells.shape, np.bool_)
+    for some in _chunks(cells.size):
+        here, stride, steps = cells[some], flat.size, []
+        for place, n in zip(np.unravel_index(here, shape), shape, strict=True):
+            stride //= n
+            steps.append([(np.clip(place + shift, 0, n - 1) - place) * stride for shift in (-1, 0, 1)])
+        level = depth = side * flat[here]
+        for shift in itertools.product((-1, 0, 1), repeat=3):
+            other = here + sum(steps[axis][k + 1] for axis, k in enumerate(shift))
+            value = side * flat.take(other)
+            steep[some] |= np.abs(value - level) > MAX_SLOPE * np.linalg.norm(shift * h)
+            deeper = value > depth
+            np.copyto(deepest[some], other, where=deeper)
+            depth = np.where(deeper, value, depth)
+    return deepest, steep
+
+
+def _is_distance(zyx: Floats, normals: Floats, psi: Psi, h: Floats) -> Mask:
     """Test if psi rises as a distance does along the normal of each vertex, outside or inside, (n,)."""
     voxel = np.linalg.norm(normals * h, axis=1)
     way = voxel[:, None] * normals / h
@@ -375,30 +407,41 @@ def _is_distance(zyx: Floats, normals: Floats, psi: NDArray[np.float32], h: Floa
     return np.asarray(most >= SMALL_MIN_SLOPE * voxel)
 
 
-def _mesh_normals(at: Floats, faces: NDArray[np.integer], outward: Floats) -> Floats:
+def _mesh_normals(at: Floats, corners: Numbers, outward: Floats) -> Floats:
     """Outward unit normals of the mesh at its vertices (n, 3), by the sizes of the faces around each."""
-    corners = at[faces]
-    if faces.shape[1] == 3:
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    else:
-        along = corners[:, 1] - corners[:, 0]
-        # Within the slice: the axis along which no segment goes.
-        flat = int(np.ptp(at, axis=0).argmin())
-        across = np.cross(along, np.eye(3)[flat])
-    normals = np.stack([_per_vertex(faces, across[:, a], len(at)) for a in range(3)], axis=1)
+    normals = np.stack([_per_vertex(corners, across, len(at)) for across in _area_vectors(at, corners)], axis=1)
     normals[outward == 0.0] = 0.0
     normals *= np.sign((normals * outward).sum()) or 1.0
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None])
 
 
-def least_cosine(normals: Floats) -> Floats:
-    """Smallest cosine between the unit normals (m, 3, 3) or (m, 2, 3) at the corners of each face, (m,)."""
-    return np.asarray((normals * np.roll(normals, -1, axis=1)).sum(axis=2).min(axis=1))
+def _by_axis(vectors: Floats) -> Floats:
+    """Vectors (n, 3) as (3, n), to be taken at corners (k, m) as (3, k, m): sums then run along the memory."""
+    return np.ascontiguousarray(vectors.T)
 
 
-def _sizes(corners: Floats) -> Floats:
-    """Area or length of each face."""
-    along = corners[:, 1] - corners[:, 0]
-    if corners.shape[1] == 2:
-        return np.linalg.norm(along, axis=1)
-    return np.linalg.norm(np.cross(along, corners[:, 2] - corners[:, 0]), axis=1)
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Cross products of vectors (3, m)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _lengths(vectors: Floats) -> Floats:
+    """Lengths of vectors (3, m)."""
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=0)))
+
+
+def _least_cosine(normals: Floats) -> Floats:
+    """Smallest cosine between the unit normals (3, k, m) at the corners of each face."""
+    return np.asarray((normals * np.roll(normals, -1, axis=1)).sum(axis=0).min(axis=0))
+
+
+def _area_vectors(at: Floats, corners: Numbers) -> Floats:
+    """Vectors across the faces (3, m): as long as twice a triangle's area; within the slice, as a segment is long."""
+    found, at = np.empty((3, corners.shape[1])), _by_axis(at)
+    # The axis along which no segment goes.
+    flat = np.eye(3)[int(np.ptp(at, axis=1).argmin())][:, None]
+    for some in _chunks(corners.shape[1]):
+        places = at.take(corners[:, some], axis=1)
+        along = places[:, 1:] - places[:, :1]
+        found[:, some] = _cross(along[:, 0], along[:, 1] if len(corners) == 3 else flat)
+    return found

@@ -175,9 +175,7 @@ def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) ->
             yield kind.partition("-")[0], name, functools.partial(_write_mesh, mesh, space, label)
 
 
-def _write_mesh(
-    mesh: Surface | Contours, space: Literal["lps", "ras"], label: LabelEntry | None, path: Path
-) -> None:
+def _write_mesh(mesh: Surface | Contours, space: Literal["lps", "ras"], label: LabelEntry | None, path: Path) -> None:
     if isinstance(mesh, Contours):
         mesh.write(path, space)
     else:

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from accelsurf.measure.evidence import gather, uncertain_places
+from accelsurf.measure.evidence import _deepest, gather, uncertain_places
 
 SHAPE, SPACING = (36, 44, 48), (1.5, 1.0, 0.8)
 
@@ -96,3 +97,11 @@ def test_nothing_and_one_slice():
     disc = (x**2 + y**2 < 12**2)[np.newaxis]
     found = gather(disc, disc.astype(np.float32), (5.0, 1.0, 1.0))
     assert found is not None and found.total.mean() > 0.8 and np.all(found.index[:, 0] == 0)
+
+
+def test_the_deepest_voxel_is_the_first_of_those_farthest_from_the_surface():
+    draw = np.random.default_rng(6)
+    for shape, spacing, share in (((15, 22, 17), (2.0, 1.0, 0.5), 0.4), ((1, 30, 31), (5.0, 1.0, 1.0), 0.6)):
+        inside = ndimage.gaussian_filter(draw.normal(size=shape), 2.0) > 0.05 * share
+        away = ndimage.distance_transform_edt(inside, sampling=spacing)
+        assert _deepest(inside, spacing) == np.unravel_index(away.argmax(), shape)

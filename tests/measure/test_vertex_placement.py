@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet
+from accelsurf.measure import vertex_placement
 from accelsurf.measure.contours import extract as extract_contours
 from accelsurf.measure.surface_mesh import extract
 from accelsurf.measure.vertex_placement import balanced, on_edges
@@ -112,3 +114,11 @@ def test_contours_enclose_the_disc() -> None:
             middle = psi[psi.shape[0] // 2][None]
             contours = extract_contours(middle, Geometry(middle.shape, geometry.spacing))
             assert contours.area == pytest.approx(np.pi * radius**2, rel=most)
+
+
+def test_vertices_are_the_same_however_many_are_placed_at_a_time(monkeypatch) -> None:
+    psi = gaussian_filter(np.random.default_rng(4).normal(size=(14, 16, 18)), 1.2).astype(np.float32)
+    geometry = Geometry(psi.shape, (1.5, 1.0, 0.7))
+    whole = extract(20 * psi, geometry).vertices
+    monkeypatch.setattr(vertex_placement, "AT_A_TIME", 50)
+    assert (extract(20 * psi, geometry).vertices == whole).all()
