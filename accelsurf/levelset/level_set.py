@@ -70,13 +70,8 @@ class LevelSet:
     """
 
     def __init__(
-        self,
-        psi: np.ndarray,
-        spacing: Sequence[float],
-        half_width: float = 3.0,
-        workers: Workers | None = None,
-        overwrite: bool = False,
-        extension: str = CLOSEST_POINT,
+        self, psi: np.ndarray, spacing: Sequence[float], half_width: float = 3.0, workers: Workers | None = None,
+        overwrite: bool = False, extension: str = CLOSEST_POINT,
     ) -> None:
         shape = psi.shape
         self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])

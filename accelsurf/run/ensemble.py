@@ -58,11 +58,7 @@ class Ensemble:
     """
 
     def __init__(
-        self,
-        objects: Sequence[EvolvingObject],
-        workers: Workers,
-        steps: Sequence[float],
-        meet: bool,
+        self, objects: Sequence[EvolvingObject], workers: Workers, steps: Sequence[float], meet: bool,
         window: Window | None = None,
     ) -> None:
         self._objects, self._workers, self._meets, self._window = tuple(objects), workers, meet, window

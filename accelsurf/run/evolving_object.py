@@ -64,12 +64,7 @@ class EvolvingObject:
     """
 
     def __init__(
-        self,
-        start: ObjectStart,
-        inputs: LevelInputs,
-        solver: ObjectSolver,
-        workers: Workers,
-        max_steps: int,
+        self, start: ObjectStart, inputs: LevelInputs, solver: ObjectSolver, workers: Workers, max_steps: int,
         among_others: bool,
     ) -> None:
         self.id, self.workers = start.id, workers
@@ -240,10 +235,7 @@ class EvolvingObject:
         self._evolve(surface, state, fields)
 
     def _evolve(
-        self,
-        surface: LevelSet,
-        state: LoopState | None,
-        fields: list[NDArray[np.float32]] | None = None,
+        self, surface: LevelSet, state: LoopState | None, fields: list[NDArray[np.float32]] | None = None,
         energy: Energy | None = None,
     ) -> None:
         """Begin an evolution on a surface, with a new energy for its grid unless one is given."""

@@ -98,16 +98,9 @@ class Run:
     """
 
     def __init__(
-        self,
-        volume: Volume,
-        config: RunConfig,
-        energy: EnergyLike | None = None,
-        channels: Sequence[Volume] = (),
-        objects: ObjectsLike | None = None,
-        arrays: Mapping[str, NDArray[np.float32]] | None = None,
-        clicks: Sequence[Click] = (),
-        part: WindowInput | None = None,
-        labels: Volume | NDArray[Any] | None = None,
+        self, volume: Volume, config: RunConfig, energy: EnergyLike | None = None, channels: Sequence[Volume] = (),
+        objects: ObjectsLike | None = None, arrays: Mapping[str, NDArray[np.float32]] | None = None,
+        clicks: Sequence[Click] = (), part: WindowInput | None = None, labels: Volume | NDArray[Any] | None = None,
     ) -> None:
         began = time.perf_counter()
         begin = start_of_run(volume, seeded(config), channels, objects, arrays, clicks, part, labels)

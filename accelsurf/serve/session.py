@@ -229,10 +229,7 @@ class Leases:
         ------
         LeaseLostError
         """
-        self.sweep()
-        lease = self._leases.get(token)
-        if lease is None:
-            raise LeaseLostError
+        lease = self._alive(token)
         lease.touch(self._clock(), by_person=by_person)
         return lease
 
@@ -243,11 +240,14 @@ class Leases:
         ------
         LeaseLostError
         """
+        return max(self.idle - (self._clock() - self._alive(token).active), 0.0)
+
+    def _alive(self, token: str) -> Lease:
         self.sweep()
         lease = self._leases.get(token)
         if lease is None:
             raise LeaseLostError
-        return max(self.idle - (self._clock() - lease.active), 0.0)
+        return lease
 
     def release(self, token: str) -> None:
         """End a lease, if there is one."""
