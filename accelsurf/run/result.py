@@ -300,8 +300,7 @@ class Result:
         return labels
 
     def inside_on(self, box: Box) -> NDArray[np.bool_]:
-        """True where the centre of a voxel of a box of the grid is in an object."""
-        # Of one object without its labels: while the run's arrays are held, they would raise the peak of memory.
+        """True where a voxel's centre is in an object; of one object without its labels, which take memory."""
         return self.labels[box] > 0 if self.has_ids else self._one.psi[box] < 0
 
     @property
@@ -553,13 +552,10 @@ def _plateau(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> Plateau:
     labels = np.zeros(tuple(s.stop - s.start for s in box), np.uint8)
     mine, theirs = shared(corner_of(box), labels.shape, prepared.corner_on_image(corner), psi.shape)
     labels[mine] = psi[theirs] < 0
-    return Plateau(at.step, at.volume_mm3, rest.left_at, _place(rest, grids[at.level], geometry), labels)
-
-
-def _place(rest: FoundRest, grid: pyramid.Level, geometry: Geometry) -> tuple[float, float, float]:
+    grid = grids[at.level]
     middle = [f + i * width for f, i, width in zip(grid.first, rest.place, grid.factors, strict=True)]
     x, y, z = (float(v) for v in geometry.index_to_world(middle))
-    return x, y, z
+    return Plateau(at.step, at.volume_mm3, rest.left_at, (x, y, z), labels)
 
 
 class BoxMask(NamedTuple):
