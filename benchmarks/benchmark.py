@@ -17,10 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.figures.common import plain
+from benchmarks.pages import put_table
 from benchmarks.peers import render
 from benchmarks.peers.measure import MissingError, Options, machine, scans_folder, set_threads
 
 HERE = Path(__file__).resolve().parent
+#: The page with the tables of `start`.
+START_PAGE = HERE.parent / "docs" / "explanation" / "start-up.md"
 #: Name -> module and function; imported when run, so that the number of threads is set before their libraries load.
 BENCHMARKS: dict[str, tuple[str, str]] = {
     "march": ("march", "march"),
@@ -46,7 +49,15 @@ def main(arguments: list[str] | None = None) -> int:
     set_threads(options.threads)
     failed = [name for name in names if not run(name, options, results)]
     print(f"written: {render.render(results, target)}")
+    if target.parent == HERE:
+        tables = render.load(results)["start"]["tables"]
+        put_table(START_PAGE, "start", "\n".join([*_lines(tables), ""]), "scripts/benchmark")
     return 1 if failed else 0
+
+
+def _lines(tables: list[dict[str, Any]]) -> list[str]:
+    """Tables of a result, one below the other."""
+    return [line for each in tables for line in (f"**{each['title']}**", "", *render.as_markdown(each), "")]
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -61,7 +72,10 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         help="folder of the scans (default: ACCELSURF_VOLUMES; sources: docs/explanation/real-scans.md)",
     )
     parser.add_argument("--results", type=Path, help="folder for JSON and pictures (benchmarks/results)")
-    parser.add_argument("--again", action="store_true", help="segment-real: time the best of the last search again")
+    parser.add_argument(
+        "--again", action="store_true",
+        help="segment-real, segment-noise: time the peers' best of the last search again",
+    )
     parser.add_argument("--render", action="store_true", help="only write RESULTS.md again")
     options = parser.parse_args(arguments)
     if options.repeats < 1 or options.threads < 1:
@@ -69,8 +83,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     unknown = [name for name in options.name if name not in (*BENCHMARKS, "all")]
     if unknown:
         parser.error(f"{unknown[0]}: no such benchmark; there are {', '.join(BENCHMARKS)}, all")
-    if options.again and options.name != ["segment-real"]:
-        parser.error("--again is for segment-real alone: no other benchmark keeps its search")
+    if options.again and not set(options.name) <= {"segment-real", "segment-noise"}:
+        parser.error("--again is for segment-real and segment-noise: no other benchmark keeps its search")
     if not options.name and not options.render:
         parser.error("name a benchmark, or all, or --render")
     return options

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -12,6 +13,7 @@ from accelsurf.measure.metrics import dice
 from benchmarks.peers.baselines import BASELINES
 from benchmarks.peers.contest import (
     CARRIED,
+    LEVEL,
     OWN,
     SEARCH_S,
     available,
@@ -77,9 +79,13 @@ def noise_case(side: int, options: Options, carried: dict[str, list[Trial]], lim
         grids[peer.name] = ([peer.scaled(s, side) for s in peer.coarse], peer.fine)
     if options.quick:
         grids = {name: (coarse[:2], None) for name, (coarse, _) in grids.items()}
-    trials = {}
+    kept, trials = last_settings(side, options), {}
+    if kept:
+        options.say(f"{side}^3: the peers have the settings that their last search found")
     for name, (coarse, fine) in grids.items():
-        if name in carried:
+        if name in kept:
+            coarse, fine = [kept[name]], None
+        elif name in carried:
             # Both sizes have the same noise: the best of the smaller one, iterations grown with the side.
             coarse, fine = from_smaller(carried[name], side), None
         say = reporter(name, options)
@@ -89,6 +95,15 @@ def noise_case(side: int, options: Options, carried: dict[str, list[Trial]], lim
     carried[OWN] += [scaled_trial(t, 96 / side) for t in level(trials)]
     programs = time_best(trials, calls, options)
     return {"side": side, "start": start, "programs": programs}
+
+
+def last_settings(side: int, options: Options) -> dict[str, dict[str, Any]]:
+    """The peers' settings that the last search found for a size, for ``--again``; else none."""
+    if not options.again or options.search is None:
+        return {}
+    cases = json.loads(options.search.with_name("benchmark_segment-noise.json").read_text())["cases"]
+    programs = next((case["programs"] for case in cases if case["side"] == side), {})
+    return {name: found["settings"] for name, found in programs.items() if name not in (OWN, LEVEL)}
 
 
 def scaled_trial(trial: Trial, factor: float) -> Trial:
