@@ -132,12 +132,12 @@ def text_of(kept: dict[str, list[dict[str, Any]]]) -> str:
     """The table of all commands that were run on the pages themselves."""
     lines = head_of(("command", "s", "processor, s", "slowest parts, s"))
     for page in PAGES:
-        lines.append(row_of((f"**{page}**", "", "", "")))
-        for row in kept.get(page, []):
-            if row["seconds"] is not None:
-                command = row["command"] if len(row["command"]) <= SHOWN else f"{row['command'][:SHOWN]} ..."
-                cells = f"`{command}`", f"{row['seconds']:.1f}", f"{row['processor_s']:.1f}", slowest(row)
-                lines.append(row_of(cells))
+        rows = [row for row in kept.get(page, []) if row["exit"] == 0]
+        lines += [row_of((f"**{page}**", "", "", ""))] if rows else []
+        for row in rows:
+            command = row["command"] if len(row["command"]) <= SHOWN else f"{row['command'][:SHOWN]} ..."
+            cells = f"`{command}`", f"{row['seconds']:.1f}", f"{row['processor_s']:.1f}", slowest(row)
+            lines.append(row_of(cells))
     return "\n".join([*lines, ""])
 
 
