@@ -183,3 +183,14 @@ def test_the_viewer_loads_nothing_of_scipy_that_its_first_picture_does_not_need(
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert ended.stdout.strip() == "[]", ended.stderr
+
+
+@pytest.mark.parametrize(("command", "threshold"), [("segment", 500_000), ("batch", 50_000), ("serve", 50_000)])
+def test_what_goes_on_for_long_looks_for_cycles_sooner(command, threshold):
+    """An image in a cycle would stay for the next cases."""
+    code = (
+        f"import atexit, gc, sys; sys.argv[1:] = ['{command}', '--help']; from accelsurf.__main__ import main; "
+        "atexit.register(lambda: print('threshold', gc.get_threshold()[0], flush=True)); main()"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout
+    assert f"threshold {threshold}" in said
