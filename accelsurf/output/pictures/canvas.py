@@ -251,8 +251,9 @@ def write_legend(axes: Axes, lines: Sequence[Any], names: Sequence[str], place: 
 def draw_scale_bar(axes: Axes, unit: str = "mm", color: str = INK, rim: Sequence[AbstractPathEffect] = ()) -> None:
     """Draw a bar of a round length, about a quarter of axes in mm, in their lower right corner."""
     left, right = axes.get_xlim()
+    per_pixel = (right - left) / axes.bbox.width
     length = round_step(0.25 * in_unit(right - left, unit))
-    end = right - 10 * ((right - left) / axes.bbox.width)
+    end = right - 10 * per_pixel
     first = end - length / in_unit(1.0, unit)
     at = 9 / axes.bbox.height
     axes.plot(
