@@ -21,7 +21,9 @@ def main() -> NoReturn:
     try:
         from accelsurf.cli import main as run
     except KeyboardInterrupt:
-        os.write(2, b"error: interrupted: no result is written; what was there before is as it was\n")
+        os.write(
+            2, b"error: interrupted: no result is written; what was there before is as it was\n"
+        )
         os._exit(130)
     run()
 

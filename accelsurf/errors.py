@@ -14,7 +14,11 @@ _MAX_MESSAGE = 800  # characters
 
 def _shortened(text: str) -> str:
     """A text without its middle where it is very long: a damaged file is not quoted in full."""
-    return text if len(text) <= _MAX_MESSAGE else f"{text[: _MAX_MESSAGE // 2]} ... {text[-_MAX_MESSAGE // 2 :]}"
+    return (
+        text
+        if len(text) <= _MAX_MESSAGE
+        else f"{text[: _MAX_MESSAGE // 2]} ... {text[-_MAX_MESSAGE // 2 :]}"
+    )
 
 
 class AccelsurfError(Exception):
@@ -106,7 +110,10 @@ def check_known(what: str, given: str, known: Iterable[str]) -> None:
     """
     names = tuple(known)
     if given not in names:
-        raise UsageError(f"{what}: {given[:60]} was given, expected {', '.join(names)}", f"use {names[0]}, for example")
+        raise UsageError(
+            f"{what}: {given[:60]} was given, expected {', '.join(names)}",
+            f"use {names[0]}, for example",
+        )
 
 
 class NotConvergedError(AccelsurfError):

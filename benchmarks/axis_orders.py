@@ -28,12 +28,26 @@ from tests.support.axis_orders import WAYS, Way, permuted, stored
 
 #: Phantoms of odd and even sizes (x, y, z), the objects off the middle, in noise.
 CUBIC = recipes.Recipe(
-    kind="two-balls", shape=(51, 38, 45), radius=9, gap=0, center=(2, -1.5, 1), rotation=(10, -5, 20), background=100,
-    contrast=50, antialias=True, blur=0.7, bias=0.1, noise=8, seed=3,
-)  # fmt: skip
+    kind="two-balls",
+    shape=(51, 38, 45),
+    radius=9,
+    gap=0,
+    center=(2, -1.5, 1),
+    rotation=(10, -5, 20),
+    background=100,
+    contrast=50,
+    antialias=True,
+    blur=0.7,
+    bias=0.1,
+    noise=8,
+    seed=3,
+)
 UNEQUAL = CUBIC.model_copy(update={"shape": (47, 38, 31), "spacing": (1.0, 0.8, 1.6)})
 #: Parts of real scans, as `docs/explanation/real-scans.md` names their sources.
-CORD, NUCLEI = ("mri_cord_iso", np.s_[0:51, 0:54, 6:57]), ("fluo_nuclei1136", np.s_[20:71, 15:70, 18:75])
+CORD, NUCLEI = (
+    ("mri_cord_iso", np.s_[0:51, 0:54, 6:57]),
+    ("fluo_nuclei1136", np.s_[20:71, 15:70, 18:75]),
+)
 BRAIN = ("mri_brain_oblique", np.s_[30:101, 40:129, 35:106])
 #: Start of the phantoms, world mm, and how much they are smoothed.
 BALL: dict[str, Any] = {"start": "ball:-7,-3,2,5", "presmooth": 0.8}
@@ -52,7 +66,10 @@ CASES: dict[str, tuple[Any, dict[str, Any]]] = {
     "flowable mass, 2 levels": (CUBIC, {**BALL, "levels": 2, "flow": "flowable-mass"}),
     "descent, 2 levels": (CUBIC, {**BALL, "levels": 2, "flow": "gradient"}),
     "seed, 2 levels": (CUBIC, {**BALL, "levels": 2, "start": "seed:-8,-4,3,6"}),
-    "a ball added on the coarse level": (CUBIC, {**BALL, "levels": 2, "edit": ["step=4 add=ball:7,2,-4,4"]}),
+    "a ball added on the coarse level": (
+        CUBIC,
+        {**BALL, "levels": 2, "edit": ["step=4 add=ball:7,2,-4,4"]},
+    ),
     "region of interest, 2 levels": (CUBIC, {**BALL, "levels": 2, "roi": "-20,-17,-18,21,16,19"}),
     "mask, 2 levels": (CUBIC, {**BALL, "levels": 2, "mask": True}),
     "two objects, 2 levels": (CUBIC, {"levels": 2, "objects": True, "presmooth": 0.8}),
@@ -66,18 +83,27 @@ CASES: dict[str, tuple[Any, dict[str, Any]]] = {
     "cord, little smoothing": (CORD, {"start": (25, 27, 25, 4.0), "levels": 2, "presmooth": 1.0}),
     "folds of a brain": (
         BRAIN,
-        {"start": (33.3, 47.2, 36.4, 22.0), "levels": 2, "presmooth": 2.0, "energy": "threshold:90,"},
+        {
+            "start": (33.3, 47.2, 36.4, 22.0),
+            "levels": 2,
+            "presmooth": 2.0,
+            "energy": "threshold:90,",
+        },
     ),
 }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results" / "axis_orders.json")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path(__file__).parent / "results" / "axis_orders.json"
+    )
     parser.add_argument("--every", type=int, default=1, help="only every N-th of the 48 ways")
     parser.add_argument("--only", default="", help="cases whose name contains this")
     options = parser.parse_args()
-    found: dict[str, Any] = json.loads(options.output.read_text()) if options.output.exists() else {}
+    found: dict[str, Any] = (
+        json.loads(options.output.read_text()) if options.output.exists() else {}
+    )
     for name, (source, settings) in CASES.items():
         if options.only in name:
             found[name] = measure(source, settings, WAYS[1 :: options.every])
@@ -91,7 +117,9 @@ def scan_of(source: Any) -> Volume:
         return recipes.make(source).image
     folder = os.environ.get("ACCELSURF_VOLUMES")
     if not folder:
-        sys.exit("ACCELSURF_VOLUMES is not set: name the folder with the scans (docs/explanation/real-scans.md)")
+        sys.exit(
+            "ACCELSURF_VOLUMES is not set: name the folder with the scans (docs/explanation/real-scans.md)"
+        )
     file, box = source
     volume = accelsurf.read(Path(folder) / f"{file}.nii.gz")
     return Volume(np.ascontiguousarray(volume.array[box]), cropped(volume.geometry, box))
@@ -117,7 +145,9 @@ def run(scan: Volume, settings: dict[str, Any], way: Way) -> Result:
     geometry, whole = scan.geometry, tuple(slice(0, n) for n in scan.geometry.shape)
     if isinstance(settings.get("start"), tuple):
         *index, radius = settings["start"]
-        settings["start"] = "ball:" + ",".join(f"{v:.17g}" for v in (*geometry.index_to_world(index), radius))
+        settings["start"] = "ball:" + ",".join(
+            f"{v:.17g}" for v in (*geometry.index_to_world(index), radius)
+        )
     if settings.get("mask"):
         settings["mask"] = permuted(ball(geometry, whole, (-4, -2, 2), 16.0) < 0, way)
     if settings.pop("objects", False):
@@ -127,7 +157,9 @@ def run(scan: Volume, settings: dict[str, Any], way: Way) -> Result:
     return segment(volume, threads=1, **settings)
 
 
-def ball(geometry: Any, box: Box, centre: tuple[float, float, float], radius: float) -> NDArray[np.float32]:
+def ball(
+    geometry: Any, box: Box, centre: tuple[float, float, float], radius: float
+) -> NDArray[np.float32]:
     """Distance to a ball; ``centre`` in world mm."""
     return ball_distance(box, geometry.spacing, geometry.world_to_index(centre), radius)
 

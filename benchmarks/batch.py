@@ -36,7 +36,9 @@ CALLS = 20
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--size", type=int, default=64, help="voxels a side")
     parser.add_argument("--results", type=Path, default=RESULTS)
@@ -68,9 +70,18 @@ def measure(folder: Path, count: int, size: int) -> dict[str, Any]:
     }
     batch(scans, folder / "warm", start, "--shard", f"1/{count}")
     rows = []
-    for name, more in (("one worker", ("--jobs", "1", "--threads", "1")), ("as it chooses", ("--threads", "1"))):
+    for name, more in (
+        ("one worker", ("--jobs", "1", "--threads", "1")),
+        ("as it chooses", ("--threads", "1")),
+    ):
         one = batch(scans, folder / name.replace(" ", "-"), start, *more)
-        rows.append({"name": name, **{key: value / count for key, value in one.items() if key != "jobs"}, **jobs(one)})
+        rows.append(
+            {
+                "name": name,
+                **{key: value / count for key, value in one.items() if key != "jobs"},
+                **jobs(one),
+            }
+        )
     return {
         "cases": count,
         "size": size,
@@ -92,7 +103,9 @@ def phantom(size: int, seed: int) -> Volume:
     radius = size * (0.28 + 0.02 * (seed % 5))
     ball = 100.0 * ((x - middle) ** 2 + (y - middle) ** 2 + (z - middle) ** 2 < radius**2)
     noisy = ball + np.random.default_rng(seed).normal(0, 20, ball.shape)
-    return Volume(noisy.astype(np.float32), Geometry(ball.shape, (1.0, 1.0, 1.0), origin=(-middle,) * 3))
+    return Volume(
+        noisy.astype(np.float32), Geometry(ball.shape, (1.0, 1.0, 1.0), origin=(-middle,) * 3)
+    )
 
 
 def call(path: Path, start: str) -> None:
@@ -101,13 +114,28 @@ def call(path: Path, start: str) -> None:
 
 def batch(scans: Path, out: Path, start: str, *more: str) -> dict[str, float]:
     """Seconds of a batch, of the clock and of the processor, and the number of its workers."""
-    command = [sys.executable, "-m", "accelsurf", "batch", str(scans), "-o", str(out), "--start", start, *more]
+    command = [
+        sys.executable,
+        "-m",
+        "accelsurf",
+        "batch",
+        str(scans),
+        "-o",
+        str(out),
+        "--start",
+        start,
+        *more,
+    ]
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     execute([*command, "--quiet"])
     seconds, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
     processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     (report,) = out.glob("batch_report*.json")
-    return {"seconds": seconds, "processor_seconds": processor, "jobs": json.loads(report.read_text())["jobs"]}
+    return {
+        "seconds": seconds,
+        "processor_seconds": processor,
+        "jobs": json.loads(report.read_text())["jobs"],
+    }
 
 
 def execute(command: list[str]) -> None:

@@ -44,15 +44,34 @@ def prepared(folder: Path) -> list[str]:
     places = np.indices(SHAPE)
     for number in range(CASES):
         squares = sum((p - n / 2 - number + 2) ** 2 for p, n in zip(places, SHAPE, strict=True))
-        image = 100.0 * (squares < (9 + number) ** 2) + np.random.default_rng(number).normal(0, 30, SHAPE)
+        image = 100.0 * (squares < (9 + number) ** 2) + np.random.default_rng(number).normal(
+            0, 30, SHAPE
+        )
         io.write(Volume.from_array(image.astype(np.float32), 1.0), scans / f"ball{number}.nii.gz")
-    words = ["batch", str(scans), "--levels", "2", "--noise", "0.05", "--seed", "7", "--max-steps", "60"]
+    words = [
+        "batch",
+        str(scans),
+        "--levels",
+        "2",
+        "--noise",
+        "0.05",
+        "--seed",
+        "7",
+        "--max-steps",
+        "60",
+    ]
     return [*words, "--threads", "1", "--jobs", "2", "--checkpoint", "2"]
 
 
 def trials(folder: Path, count: int, seed: int) -> dict[str, Any]:
     """Kill ``count`` batches and let them go on; return counts and faults."""
-    counts = {"batches": 0, "kills": 0, **dict.fromkeys(KINDS, 0), "nothing to kill": 0, "checkpoints found": 0}
+    counts = {
+        "batches": 0,
+        "kills": 0,
+        **dict.fromkeys(KINDS, 0),
+        "nothing to kill": 0,
+        "checkpoints found": 0,
+    }
     faults: list[str] = []
     if count == 0:
         return {**counts, "faults": faults}
@@ -79,7 +98,9 @@ def trials(folder: Path, count: int, seed: int) -> dict[str, Any]:
         if problem := ended or fault_of(out) or difference(content(out), whole):
             faults.append(f"{'; '.join(said)}: {problem}")
         if number % 5 == 0:
-            print(f"batches: {number} of {count}, {len(faults)} faults", file=sys.stderr, flush=True)
+            print(
+                f"batches: {number} of {count}, {len(faults)} faults", file=sys.stderr, flush=True
+            )
     return {**counts, "seconds_of_a_batch": round(seconds, 2), "faults": faults}
 
 
@@ -87,7 +108,9 @@ def started(words: Sequence[str], out: Path) -> subprocess.Popen[bytes]:
     """A batch in a session of its own, so that all its processes can be found."""
     return subprocess.Popen(
         [sys.executable, "-m", "accelsurf", *words, "-o", str(out)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
     )
 
 
@@ -154,7 +177,8 @@ def content(out: Path) -> dict[str, str]:
     paths = sorted(path for path in out.rglob("*") if path.is_file())
     return {
         str(path.relative_to(out)): ""
-        if path.suffix in TOLD else hashlib.sha256(without_effort(path)).hexdigest()
+        if path.suffix in TOLD
+        else hashlib.sha256(without_effort(path)).hexdigest()
         for path in paths
     }
 

@@ -57,23 +57,42 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _lines(tables: list[dict[str, Any]]) -> list[str]:
     """Tables of a result, one below the other."""
-    return [line for each in tables for line in (f"**{each['title']}**", "", *render.as_markdown(each), "")]
+    return [
+        line
+        for each in tables
+        for line in (f"**{each['title']}**", "", *render.as_markdown(each), "")
+    ]
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="scripts/benchmark", description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="scripts/benchmark", description=(__doc__ or "").splitlines()[0]
+    )
     parser.add_argument("name", nargs="*", metavar="NAME", help=f"{', '.join(BENCHMARKS)}, or all")
-    parser.add_argument("--quick", action="store_true", help="tiny sizes, to see that it works; figures mean nothing")
-    parser.add_argument("--repeats", type=int, default=5, help="timed runs, of which the median counts (5)")
-    parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1), help="of whole segmentations")
     parser.add_argument(
-        "--volumes", type=Path, default=scans_folder(),
+        "--quick",
+        action="store_true",
+        help="tiny sizes, to see that it works; figures mean nothing",
+    )
+    parser.add_argument(
+        "--repeats", type=int, default=5, help="timed runs, of which the median counts (5)"
+    )
+    parser.add_argument(
+        "--threads", type=int, default=min(2, os.cpu_count() or 1), help="of whole segmentations"
+    )
+    parser.add_argument(
+        "--volumes",
+        type=Path,
+        default=scans_folder(),
         help="folder of the scans (default: ACCELSURF_VOLUMES; sources: docs/explanation/real-scans.md)",
     )
-    parser.add_argument("--results", type=Path, help="folder for JSON and pictures (benchmarks/results)")
     parser.add_argument(
-        "--again", action="store_true",
+        "--results", type=Path, help="folder for JSON and pictures (benchmarks/results)"
+    )
+    parser.add_argument(
+        "--again",
+        action="store_true",
         help="segment-real, segment-noise: time the peers' best of the last search again",
     )
     parser.add_argument("--render", action="store_true", help="only write RESULTS.md again")
@@ -84,7 +103,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     if unknown:
         parser.error(f"{unknown[0]}: no such benchmark; there are {', '.join(BENCHMARKS)}, all")
     if options.again and not set(options.name) <= {"segment-real", "segment-noise"}:
-        parser.error("--again is for segment-real and segment-noise: no other benchmark keeps its search")
+        parser.error(
+            "--again is for segment-real and segment-noise: no other benchmark keeps its search"
+        )
     if not options.name and not options.render:
         parser.error("name a benchmark, or all, or --render")
     return options
@@ -94,26 +115,45 @@ def run(name: str, given: argparse.Namespace, results: Path) -> bool:
     """Run one benchmark and write what it found; False when something that it needs is missing."""
     search = results / f"{name}-search.json"
     options = Options(
-        given.quick, 1 if given.quick else given.repeats, given.threads, given.volumes, search, given.again
+        given.quick,
+        1 if given.quick else given.repeats,
+        given.threads,
+        given.volumes,
+        search,
+        given.again,
     )
     print(f"== {name}", flush=True)
     about, began = machine(), time.perf_counter()
     module, function = BENCHMARKS[name]
     try:
-        result: dict[str, Any] = getattr(importlib.import_module(f"benchmarks.peers.{module}"), function)(options)
+        result: dict[str, Any] = getattr(
+            importlib.import_module(f"benchmarks.peers.{module}"), function
+        )(options)
     except MissingError as missing:
         print(f"{name}: not run: {missing}", file=sys.stderr)
         return False
-    result = plain({
-        "name": name, "machine": about, "quick": given.quick, "repeats": options.repeats, **result,
-        "messages": options.messages, "total_seconds": time.perf_counter() - began,
-    })
+    result = plain(
+        {
+            "name": name,
+            "machine": about,
+            "quick": given.quick,
+            "repeats": options.repeats,
+            **result,
+            "messages": options.messages,
+            "total_seconds": time.perf_counter() - began,
+        }
+    )
     result["picture"] = render.picture(results, name, result)
     render.json_path(results, name).write_text(json.dumps(result, indent=1) + "\n")
     for entry in result["goals"]:
-        print(f"   {entry['what']}: {render.measured(entry)}, wanted {entry['sense']} "
-              f"{render.measured(entry, 'wanted')}: {render.verdict(entry)}")
-    print(f"   {result['total_seconds']:.0f} s; written: {render.json_path(results, name).name}", flush=True)
+        print(
+            f"   {entry['what']}: {render.measured(entry)}, wanted {entry['sense']} "
+            f"{render.measured(entry, 'wanted')}: {render.verdict(entry)}"
+        )
+    print(
+        f"   {result['total_seconds']:.0f} s; written: {render.json_path(results, name).name}",
+        flush=True,
+    )
     return True
 
 

@@ -73,7 +73,9 @@ def prepared(folder: Path) -> dict[str, Command]:
     track = ["track", str(sequence), *run, "--mesh", "ply"]
     movie = ["movie", str(image), *run, "--size", "160x160", "--hold", "0", "--overwrite"]
     return {
-        "refine": Command(lambda out: [[*segment, str(out)]], lambda out: ["refine", str(out), *click]),
+        "refine": Command(
+            lambda out: [[*segment, str(out)]], lambda out: ["refine", str(out), *click]
+        ),
         "track": Command(
             lambda out: [[*track, "--max-steps", "3", "-o", str(out)]],
             lambda out: [*track, "--max-steps", "8", "--overwrite", "-o", str(out)],
@@ -96,7 +98,10 @@ def _ball(number: int) -> np.ndarray:
 def started(words: list[str]) -> subprocess.Popen[str]:
     """A command in a process of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "accelsurf", *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "accelsurf", *words],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     )
 
 
@@ -110,7 +115,11 @@ def finished(words: list[str]) -> str:
 def look_at(folder: Path) -> None:
     """Give the next command that reads results there: it finishes what a killed one has begun, or takes it back."""
     absent = str(folder / "absent.nii")
-    subprocess.run([sys.executable, "-m", "accelsurf", "evaluate", absent, absent], capture_output=True, timeout=600)
+    subprocess.run(
+        [sys.executable, "-m", "accelsurf", "evaluate", absent, absent],
+        capture_output=True,
+        timeout=600,
+    )
 
 
 def content(folder: Path) -> dict[str, str]:
@@ -157,7 +166,9 @@ class Trial:
             seconds = time.perf_counter() - began
         trial = cls(command, folder, content(old), content(new), seconds)
         if trial.old == trial.new:
-            raise RuntimeError("the command makes what was there already: no trial could tell old from new")
+            raise RuntimeError(
+                "the command makes what was there already: no trial could tell old from new"
+            )
         return trial
 
     @staticmethod
@@ -174,7 +185,9 @@ class Trial:
         number = chance.choice(self.command.signals)
         program.send_signal(number)
         _, error = program.communicate(timeout=600)
-        counts[signal.Signals(number).name if program.returncode else "ended before the signal"] += 1
+        counts[
+            signal.Signals(number).name if program.returncode else "ended before the signal"
+        ] += 1
         faults = self._faults(out, to_the_end, counts)
         if program.returncode not in (0, -number, 128 + number) or "Traceback" in error:
             faults.append(f"exit {program.returncode}: {error[-300:]}")
@@ -222,7 +235,9 @@ def wait_until(program: subprocess.Popen[str], is_so: Callable[[], bool], longes
 
 def difference(found: dict[str, str], expected: dict[str, str]) -> str:
     """Which files are missing, too many, or other ones; nothing where all are as expected."""
-    return ", ".join(sorted(name for name in {*found, *expected} if found.get(name) != expected.get(name)))
+    return ", ".join(
+        sorted(name for name in {*found, *expected} if found.get(name) != expected.get(name))
+    )
 
 
 def trials(folder: Path, counts: Mapping[str, int], seed: int) -> dict[str, Any]:
@@ -238,7 +253,11 @@ def trials(folder: Path, counts: Mapping[str, int], seed: int) -> dict[str, Any]
             for number in range(1, count + 1):
                 faults += trial.run(chance, number % EVERY == 0 or number == count, found)
                 if number % 5 == 0:
-                    print(f"{name}: {number} of {count}, {len(faults)} faults", file=sys.stderr, flush=True)
+                    print(
+                        f"{name}: {number} of {count}, {len(faults)} faults",
+                        file=sys.stderr,
+                        flush=True,
+                    )
         told = {"runs": count, "seconds_of_a_run": round(seconds, 2)}
         every[name] = {**told, **dict(sorted(found.items())), "faults": faults}
     return every

@@ -39,11 +39,19 @@ def least_cut(
     """
     size = len(to_source)
     every, source, sink = np.arange(size), np.full(size, size), np.full(size, size + 1)
-    rows = np.concatenate([*(voxels for one, other, _ in links for voxels in (one, other)), source, every])
-    columns = np.concatenate([*(voxels for one, other, _ in links for voxels in (other, one)), every, sink])
-    costs = np.concatenate([*(cost for *_, cost in links for _ in range(2)), to_source, to_sink]).astype(np.int32)
+    rows = np.concatenate(
+        [*(voxels for one, other, _ in links for voxels in (one, other)), source, every]
+    )
+    columns = np.concatenate(
+        [*(voxels for one, other, _ in links for voxels in (other, one)), every, sink]
+    )
+    costs = np.concatenate(
+        [*(cost for *_, cost in links for _ in range(2)), to_source, to_sink]
+    ).astype(np.int32)
     counts = costs > 0
-    graph = coo_array((costs[counts], (rows[counts], columns[counts])), shape=(size + 2, size + 2)).tocsr()
+    graph = coo_array(
+        (costs[counts], (rows[counts], columns[counts])), shape=(size + 2, size + 2)
+    ).tocsr()
     left = graph - maximum_flow(graph, size, size + 1).flow
     left.data[left.data < 0] = 0
     left.eliminate_zeros()

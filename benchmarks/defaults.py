@@ -28,7 +28,10 @@ from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE, FACTS = ROOT / "docs" / "explanation" / "defaults.md", ROOT / "docs" / "explanation" / "defaults.json"
+PAGE, FACTS = (
+    ROOT / "docs" / "explanation" / "defaults.md",
+    ROOT / "docs" / "explanation" / "defaults.json",
+)
 #: Noise in parts of the contrast; None is the recipe's own.
 NOISE = (0.0, 0.3, 1.0, None)
 #: Scans: file, labels of the object (all above 0 unless given), and whether there is a reference; else the ball.
@@ -41,17 +44,35 @@ SCANS: dict[str, tuple[str, tuple[int, ...], str]] = {
 #: Clicks of a run.
 CLICKS = 3
 COLUMNS = (
-    "input", "noise", "click: Dice", "HD95 voxels", "volume", "good", "2 clicks", "3 clicks", "start: Dice",
-    "HD95 voxels", "volume", "steps", "stop", "grids", "warnings",
-)  # fmt: skip
+    "input",
+    "noise",
+    "click: Dice",
+    "HD95 voxels",
+    "volume",
+    "good",
+    "2 clicks",
+    "3 clicks",
+    "start: Dice",
+    "HD95 voxels",
+    "volume",
+    "steps",
+    "stop",
+    "grids",
+    "warnings",
+)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--only", default="", help="names of phantoms and scans, separated by semicolons")
+    parser.add_argument(
+        "--only", default="", help="names of phantoms and scans, separated by semicolons"
+    )
     options = parser.parse_args()
-    names = [name.strip() for name in options.only.split(";") if name.strip()] or [*recipe_files.recipe_names(), *SCANS]
+    names = [name.strip() for name in options.only.split(";") if name.strip()] or [
+        *recipe_files.recipe_names(),
+        *SCANS,
+    ]
     facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"rows": {}}
     for name in names:
         rows = scan(name, options.threads) if name in SCANS else phantom(name, options.threads)
@@ -64,7 +85,9 @@ def write(facts: dict[str, Any]) -> None:
     """The JSON and the page's table."""
     facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
     order = [*recipe_files.recipe_names(), *SCANS]
-    facts["rows"] = dict(sorted(facts["rows"].items(), key=lambda item: order.index(item[1]["input"])))
+    facts["rows"] = dict(
+        sorted(facts["rows"].items(), key=lambda item: order.index(item[1]["input"]))
+    )
     FACTS.write_text(json.dumps(facts, indent=1) + "\n")
     put_table(PAGE, "defaults", text_of(facts["rows"].values()))
 
@@ -81,7 +104,14 @@ def phantom(name: str, threads: int) -> list[dict[str, Any]]:
             source = Path(folder) / f"{name}.nii.gz"
             io.write(made.image, source)
             row = run(source, made.truth, "", threads)
-        rows.append({"input": name, "noise": amount / abs(recipe.contrast), "exact_mm3": made.volume_mm3, **row})
+        rows.append(
+            {
+                "input": name,
+                "noise": amount / abs(recipe.contrast),
+                "exact_mm3": made.volume_mm3,
+                **row,
+            }
+        )
         print(json.dumps(rows[-1]), flush=True)
     return rows
 
@@ -98,7 +128,11 @@ def scan(name: str, threads: int) -> list[dict[str, Any]]:
         truth = io.read_labels(Path(folder) / f"{stem}_ref.nii.gz")
         inside = np.isin(truth.array, labels) if labels else truth.array > 0
         truth = truth.with_array(inside.astype(np.uint8))
-    row = {"input": name, "noise": None, **run(Path(folder).resolve() / f"{stem}.nii.gz", truth, ball, threads)}
+    row = {
+        "input": name,
+        "noise": None,
+        **run(Path(folder).resolve() / f"{stem}.nii.gz", truth, ball, threads),
+    }
     print(json.dumps(row), flush=True)
     return [row]
 
@@ -113,9 +147,24 @@ def run(source: Path, truth: Volume | None, ball: str, threads: int) -> dict[str
         ball = typed.text_of(first._replace(radius=radius), truth.geometry)
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "out"
-        clicked = [] if truth is None else typed.play(source, target, truth, clicks=CLICKS, threads=threads)
-        words = ["segment", str(source), "--start", ball, "-o", str(target), "--threads", str(threads)]
-        row: dict[str, Any] = {"start": ball} | typed.call([*words, "--overwrite", "--quiet"], Path(folder))
+        clicked = (
+            []
+            if truth is None
+            else typed.play(source, target, truth, clicks=CLICKS, threads=threads)
+        )
+        words = [
+            "segment",
+            str(source),
+            "--start",
+            ball,
+            "-o",
+            str(target),
+            "--threads",
+            str(threads),
+        ]
+        row: dict[str, Any] = {"start": ball} | typed.call(
+            [*words, "--overwrite", "--quiet"], Path(folder)
+        )
         if "error" not in row:
             name = source.name.removesuffix(".nii.gz")
             row |= typed.facts_of(target, name)

@@ -56,7 +56,10 @@ from benchmarks.pages import head_of, put_table, row_of
 from benchmarks.peers.measure import combinations
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE, RESULTS = ROOT / "docs" / "explanation" / "noise.md", ROOT / "benchmarks" / "results" / "degraded.json"
+PAGE, RESULTS = (
+    ROOT / "docs" / "explanation" / "noise.md",
+    ROOT / "benchmarks" / "results" / "degraded.json",
+)
 PICTURE, COMMAND = ROOT / "docs" / "figures" / "noise.png", "python -m benchmarks.degraded"
 #: Scans without an object that is large enough and apart from its surroundings.
 NONE = ("mri_cord_iso", "mri_cord_thick", "mri_tumour_thick2")
@@ -78,7 +81,12 @@ FIXED = ("reach", "implied")
 MOMENTUM, DESCENT = "momentum", "descent"
 #: Takes as long as all others together.
 SLOW = "Sobolev"
-FLOWS = {MOMENTUM: "constant-density", DESCENT: "gradient", "heavy ball": "momentum", SLOW: "sobolev"}
+FLOWS = {
+    MOMENTUM: "constant-density",
+    DESCENT: "gradient",
+    "heavy ball": "momentum",
+    SLOW: "sobolev",
+}
 BALL, CLICK = "ball", "click"
 COLOURS = "#D55E00", "#0072B2", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "0.55"
 #: Dice within which two methods are level.
@@ -111,7 +119,9 @@ class Crop(NamedTuple):
 def scans(is_tuned: bool) -> list[str]:
     """The scans of a half that have an object, in order."""
     folds = [fold.name for fold in FOLDS if (fold.name in TUNED) == is_tuned]
-    return [name for name in dict.fromkeys(each.volume for each in chosen(folds)) if name not in NONE]
+    return [
+        name for name in dict.fromkeys(each.volume for each in chosen(folds)) if name not in NONE
+    ]
 
 
 def cropped(scene: Scene) -> tuple[Array, Mask]:
@@ -132,9 +142,19 @@ def crop_of(scan: str) -> Crop:
     for which in (each for each in chosen() if each.volume == scan):
         scene = load(which)
         values, truth = cropped(scene)
-        apart = abs(difference(values, truth)) / np.sqrt(0.5 * (values[truth].var() + values[~truth].var()))
-        if truth.sum() >= LEAST and apart >= APART and (strength := edge(values, truth)) > strongest:
-            strongest, found, spacing = strength, (which.name, values, truth), scene.image.geometry.spacing
+        apart = abs(difference(values, truth)) / np.sqrt(
+            0.5 * (values[truth].var() + values[~truth].var())
+        )
+        if (
+            truth.sum() >= LEAST
+            and apart >= APART
+            and (strength := edge(values, truth)) > strongest
+        ):
+            strongest, found, spacing = (
+                strength,
+                (which.name, values, truth),
+                scene.image.geometry.spacing,
+            )
     name, values, truth = found
     steps = coarsening(values.shape, spacing, MOST)
     values, truth = block_means(values, steps), block_means(truth.astype(np.float32), steps) >= 0.5
@@ -164,7 +184,9 @@ def degraded(crop: Crop, scan: str, part: int) -> Crop:
 
 def rician(values: Array, sigma: float, random: np.random.Generator) -> NDArray[Any]:
     """Magnitude of a signal with noise in its real and its imaginary part."""
-    return np.hypot(values + random.normal(0.0, sigma, values.shape), random.normal(0.0, sigma, values.shape))
+    return np.hypot(
+        values + random.normal(0.0, sigma, values.shape), random.normal(0.0, sigma, values.shape)
+    )
 
 
 def counted(values: Array, sigma: float, random: np.random.Generator) -> NDArray[Any]:
@@ -200,7 +222,9 @@ def projected(values: Array, sigma: float, random: np.random.Generator) -> NDArr
 
 def smoothed(crop: Crop, sigma: float) -> Array:
     """Values under a Gaussian of so many of the smallest spacing."""
-    return ndimage.gaussian_filter(crop.values, [sigma * min(crop.spacing) / h for h in crop.spacing])
+    return ndimage.gaussian_filter(
+        crop.values, [sigma * min(crop.spacing) / h for h in crop.spacing]
+    )
 
 
 def total_variation(crop: Crop, weight: float) -> Array:
@@ -208,7 +232,9 @@ def total_variation(crop: Crop, weight: float) -> Array:
     from skimage.restoration import denoise_tv_chambolle
 
     unit = abs(crop.contrast)
-    return np.asarray(denoise_tv_chambolle(crop.values / unit, weight, max_num_iter=100) * unit, np.float32)
+    return np.asarray(
+        denoise_tv_chambolle(crop.values / unit, weight, max_num_iter=100) * unit, np.float32
+    )
 
 
 def seeds_of(crop: Crop, click: PersonClick) -> NDArray[np.int32]:
@@ -227,7 +253,9 @@ def random_walker(crop: Crop, click: PersonClick, settings: Settings) -> Mask:
     values = smoothed(crop, settings["sigma"]) / abs(crop.contrast)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it says where a probability is beyond 1 by its tolerance
-        found = walk(values, seeds_of(crop, click), settings["beta"], mode="cg_j", tol=1e-3, spacing=relative)
+        found = walk(
+            values, seeds_of(crop, click), settings["beta"], mode="cg_j", tol=1e-3, spacing=relative
+        )
     return np.asarray(found == 1)
 
 
@@ -239,7 +267,13 @@ def graph_cut(crop: Crop, click: PersonClick, settings: Settings) -> Mask:
     values = smoothed(crop, settings["sigma"])
     ball, scale = seeds_of(crop, click) == 1, 1e3
     links = [
-        (first, other, np.full(first.size, round(scale * settings["weight"] * min(crop.spacing) / h), np.int32))
+        (
+            first,
+            other,
+            np.full(
+                first.size, round(scale * settings["weight"] * min(crop.spacing) / h), np.int32
+            ),
+        )
         for (first, other), h in zip(pairs_of(crop.truth.shape), crop.spacing, strict=True)
     ]
     found = ball
@@ -270,8 +304,16 @@ def clicked(peer: str) -> Callable[[Crop, PersonClick, Settings], Mask]:
     def run(crop: Crop, click: PersonClick, settings: Settings) -> Mask:
         options = dict(settings)
         weight, sigma = options.pop("tv", 0.0), options.pop("sigma", 0.0)
-        values = total_variation(crop, weight) if weight else smoothed(crop, sigma) if sigma else crop.values
-        return CroppedSession(crop.image.with_array(values), PEERS[peer].solver, options, PEERS[peer].cap).click(click)
+        values = (
+            total_variation(crop, weight)
+            if weight
+            else smoothed(crop, sigma)
+            if sigma
+            else crop.values
+        )
+        return CroppedSession(
+            crop.image.with_array(values), PEERS[peer].solver, options, PEERS[peer].cap
+        ).click(click)
 
     return run
 
@@ -288,35 +330,52 @@ IMPLIED = {"implied": (1,), "sigma": (0, 1, 2)}
 METHODS: dict[str, dict[str, Method]] = {
     BALL: {
         **{name: Method(None, FLOW_GRID) for name in FLOWS},
-        "random walker": Method(random_walker, combinations(sigma=(0.7, 1.0, 2.0), beta=(300.0, 3000.0))),
-        "graph cut": Method(graph_cut, combinations(sigma=(0, 1, 2), weight=(0.3, 1.0, 3.0), cuts=(1, 3))),
+        "random walker": Method(
+            random_walker, combinations(sigma=(0.7, 1.0, 2.0), beta=(300.0, 3000.0))
+        ),
+        "graph cut": Method(
+            graph_cut, combinations(sigma=(0, 1, 2), weight=(0.3, 1.0, 3.0), cuts=(1, 3))
+        ),
         "total variation": Method(tv_threshold, combinations(weight=(0.15, 0.5, 1.0, 2.0, 4.0))),
     },
     CLICK: {
         **{name: Method(None, [{}]) for name in FLOWS},
-        "random walker": Method(clicked("random-walker"), combinations(reach=(4.0,), beta=(100.0,), **IMPLIED)),
-        "graph cut": Method(clicked("graph-cut"), combinations(reach=(2.0,), weight=(2.0,), **IMPLIED)),
+        "random walker": Method(
+            clicked("random-walker"), combinations(reach=(4.0,), beta=(100.0,), **IMPLIED)
+        ),
+        "graph cut": Method(
+            clicked("graph-cut"), combinations(reach=(2.0,), weight=(2.0,), **IMPLIED)
+        ),
         "total variation": Method(
-            clicked("threshold"), combinations(reach=(4.0,), tv=(0.15, 0.5, 1.0), spreads=(2.5, 4.0))
+            clicked("threshold"),
+            combinations(reach=(4.0,), tv=(0.15, 0.5, 1.0), spreads=(2.5, 4.0)),
         ),
     },
 }
 
 
-def by_flow(crop: Crop, click: PersonClick, start: str, flow: str, settings: Settings) -> tuple[Mask, int, str]:
+def by_flow(
+    crop: Crop, click: PersonClick, start: str, flow: str, settings: Settings
+) -> tuple[Mask, int, str]:
     """Labels of a run of the program, its steps, and why it ended.
 
     The energy is that of Chan and Vese. ``area``: weight for noise as strong as the contrast, in voxels and contrasts
     squared; it grows with the noise, and is half of it up to half of that noise. By the program unless given.
     """
     x, y, z = click.centre
-    given: dict[str, Any] = {"start" if start == BALL else "inside": f"ball:{x!r},{y!r},{z!r},{click.radius!r}"}
+    given: dict[str, Any] = {
+        "start" if start == BALL else "inside": f"ball:{x!r},{y!r},{z!r},{click.radius!r}"
+    }
     h, sigma = min(crop.spacing), settings.get("presmooth", 0)
     if start == BALL:
         contrast = abs(crop.contrast) / scale_of(smoothed(crop, sigma)).width
-        weight = settings.get("area", 0.0) * max(crop.noise / abs(crop.contrast), 0.5) * contrast**2 * h
+        weight = (
+            settings.get("area", 0.0) * max(crop.noise / abs(crop.contrast), 0.5) * contrast**2 * h
+        )
         given["energy"] = f"chan-vese:area={weight!r}" if weight else "chan-vese"
-    config = RunConfig(flow=FLOWS[flow], presmooth=sigma * h, max_steps=MAX_STEPS, threads=1, **given)
+    config = RunConfig(
+        flow=FLOWS[flow], presmooth=sigma * h, max_steps=MAX_STEPS, threads=1, **given
+    )
     result = segment(crop.image, config=config)
     return np.asarray(result.labels > 0), result.stop.steps, result.stop.reason
 
@@ -343,18 +402,32 @@ def measured(crop: Crop, start: str, name: str, settings: Settings) -> list[Any]
             labels, steps, reason = np.zeros(crop.truth.shape, np.bool_), None, f"refused: {error}"
     seconds = time.process_time() - began
     far = surfaces(labels, crop.truth, crop.spacing)["mean_voxels"]
-    return [round(dice(labels, crop.truth), 4), far and round(far, 3), steps, round(seconds, 3), reason]
+    return [
+        round(dice(labels, crop.truth), 4),
+        far and round(far, 3),
+        steps,
+        round(seconds, 3),
+        reason,
+    ]
 
 
 # -- the study -----------------------------------------------------------------------------------------------
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=60.0, help="of a processor; a later call goes on")
-    parser.add_argument("--tables", action="store_true", help="only write the page again, from the JSON")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=60.0, help="of a processor; a later call goes on"
+    )
+    parser.add_argument(
+        "--tables", action="store_true", help="only write the page again, from the JSON"
+    )
     options = parser.parse_args()
-    facts: Facts = json.loads(RESULTS.read_text()) if RESULTS.exists() else {"scans": {}, "runs": {}}
+    facts: Facts = (
+        json.loads(RESULTS.read_text()) if RESULTS.exists() else {"scans": {}, "runs": {}}
+    )
     if not options.tables:
         warm_up()
         for part, scan, start, name, settings in tasks(facts):
@@ -364,10 +437,16 @@ def main() -> None:
             key = key_of(scan, part, start, name, settings)
             if key not in facts["runs"]:
                 crop = exposed(scan, part)
-                place = facts["scans"].setdefault(scan, {
-                    "object": crop.name, "shape": crop.values.shape, "spacing": [round(h, 3) for h in crop.spacing],
-                    "voxels": int(crop.truth.sum()), "noise": {},
-                })  # fmt: skip
+                place = facts["scans"].setdefault(
+                    scan,
+                    {
+                        "object": crop.name,
+                        "shape": crop.values.shape,
+                        "spacing": [round(h, 3) for h in crop.spacing],
+                        "voxels": int(crop.truth.sum()),
+                        "noise": {},
+                    },
+                )
                 place["noise"][str(part)] = round(crop.noise / abs(crop.contrast), 3)
                 facts["runs"][key] = measured(crop, start, name, settings)
                 print(key, facts["runs"][key], flush=True)
@@ -385,13 +464,19 @@ def warm_up() -> None:
 
 def tasks(facts: Facts) -> Iterator[tuple[int, str, str, str, dict[str, Any]]]:
     """All runs in order: of an exposure those that settings are chosen by, then those reported; slow ones last."""
-    for slow, (part, at), is_tuned in itertools.product((False, True), CHOSEN_AT.items(), (True, False)):
+    for slow, (part, at), is_tuned in itertools.product(
+        (False, True), CHOSEN_AT.items(), (True, False)
+    ):
         for scan, start in itertools.product(scans(is_tuned), METHODS):
             for name, method in METHODS[start].items():
                 if (name == SLOW) != slow or (is_tuned and (part != at or len(method.grid) == 1)):
                     continue
                 settings = method.grid if is_tuned else [best(facts, at, start, name)]
-                settings = settings if is_tuned or name not in FLOWS else [*settings, best(facts, at, start, MOMENTUM)]
+                settings = (
+                    settings
+                    if is_tuned or name not in FLOWS
+                    else [*settings, best(facts, at, start, MOMENTUM)]
+                )
                 yield from ((part, scan, start, name, each) for each in settings)
 
 
@@ -404,7 +489,9 @@ def best(facts: Facts, part: int, start: str, name: str) -> dict[str, Any]:
     """The settings of a method with the best mean Dice on the half that they are chosen on."""
 
     def score(settings: dict[str, Any]) -> float:
-        return sum(facts["runs"][key_of(scan, part, start, name, settings)][0] for scan in scans(True))
+        return sum(
+            facts["runs"][key_of(scan, part, start, name, settings)][0] for scan in scans(True)
+        )
 
     grid = METHODS[start][name].grid
     return max(grid, key=score) if len(grid) > 1 else grid[0]
@@ -419,7 +506,9 @@ def exposed(scan: str, part: int) -> Crop:
 def save(facts: Facts) -> None:
     """Write the JSON, a run a line."""
     lines = (f"{json.dumps(key)}: {json.dumps(row)}" for key, row in facts["runs"].items())
-    RESULTS.write_text(f'{{"scans": {json.dumps(facts["scans"])}, "runs": {{\n' + ",\n".join(lines) + "\n}}\n")
+    RESULTS.write_text(
+        f'{{"scans": {json.dumps(facts["scans"])}, "runs": {{\n' + ",\n".join(lines) + "\n}}\n"
+    )
 
 
 # -- the page ------------------------------------------------------------------------------------------------
@@ -435,7 +524,9 @@ class Reported(NamedTuple):
     stop: str
 
 
-def compared(facts: Facts, part: int, start: str, settings_of: str = "") -> dict[str, dict[str, Reported]]:
+def compared(
+    facts: Facts, part: int, start: str, settings_of: str = ""
+) -> dict[str, dict[str, Reported]]:
     """For each scan that is reported the runs at an exposure, by method: of those that have been run on all.
 
     Each has its own settings, or those that another method has, where it has been run with them.
@@ -445,19 +536,31 @@ def compared(facts: Facts, part: int, start: str, settings_of: str = "") -> dict
         runs = {}
         for name in METHODS[start]:
             chosen_by = settings_of or name
-            if all(key_of(each, CHOSEN_AT[part], start, chosen_by, settings) in facts["runs"]
-                   for each in scans(True) for settings in METHODS[start][chosen_by].grid[1:]):  # fmt: skip
-                key = key_of(scan, part, start, name, best(facts, CHOSEN_AT[part], start, chosen_by))
+            if all(
+                key_of(each, CHOSEN_AT[part], start, chosen_by, settings) in facts["runs"]
+                for each in scans(True)
+                for settings in METHODS[start][chosen_by].grid[1:]
+            ):
+                key = key_of(
+                    scan, part, start, name, best(facts, CHOSEN_AT[part], start, chosen_by)
+                )
                 runs |= {name: Reported(*facts["runs"][key])} if key in facts["runs"] else {}
         if {MOMENTUM, DESCENT} <= set(runs):
             found[scan] = runs
     everywhere = set(METHODS[start]).intersection(*found.values())
-    return {scan: {name: runs[name] for name in METHODS[start] if name in everywhere} for scan, runs in found.items()}
+    return {
+        scan: {name: runs[name] for name in METHODS[start] if name in everywhere}
+        for scan, runs in found.items()
+    }
 
 
-def reported(facts: Facts, part: int, start: str, name: str, settings_of: str = "") -> list[Reported]:
+def reported(
+    facts: Facts, part: int, start: str, name: str, settings_of: str = ""
+) -> list[Reported]:
     """The runs of a method at an exposure; none where it has not been run on all scans on which momentum has."""
-    return [runs[name] for runs in compared(facts, part, start, settings_of).values() if name in runs]
+    return [
+        runs[name] for runs in compared(facts, part, start, settings_of).values() if name in runs
+    ]
 
 
 def write(facts: Facts) -> None:
@@ -465,7 +568,12 @@ def write(facts: Facts) -> None:
     put_table(PAGE, "scans", "\n".join(table_of_scans(facts)), COMMAND)
     for start in METHODS:
         put_table(PAGE, f"from a {start}", "\n".join(table_of_methods(facts, start)), COMMAND)
-        put_table(PAGE, f"against momentum, from a {start}", "\n".join(table_of_pairs(facts, start)), COMMAND)
+        put_table(
+            PAGE,
+            f"against momentum, from a {start}",
+            "\n".join(table_of_pairs(facts, start)),
+            COMMAND,
+        )
     put_table(PAGE, "settings", "\n".join(table_of_settings(facts)), COMMAND)
     draw(facts)
 
@@ -477,23 +585,53 @@ def label_of(part: int) -> str:
 
 def table_of_scans(facts: Facts) -> list[str]:
     """A row for each scan: its object, crop, and noise."""
-    columns = "scan", "object", "half", "crop", "spacing, mm", "voxels", *(f"noise, {label_of(p)}" for p in EXPOSURES)
+    columns = (
+        "scan",
+        "object",
+        "half",
+        "crop",
+        "spacing, mm",
+        "voxels",
+        *(f"noise, {label_of(p)}" for p in EXPOSURES),
+    )
     lines = head_of(columns)
     for is_tuned in (True, False):
         for scan in (name for name in scans(is_tuned) if name in facts["scans"]):
             place = facts["scans"][scan]
-            noise = (f"{place['noise'][str(p)]:.2f}" if str(p) in place["noise"] else "" for p in EXPOSURES)
-            shapes = (" x ".join(f"{n:g}" for n in place[key][::-1]) for key in ("shape", "spacing"))
+            noise = (
+                f"{place['noise'][str(p)]:.2f}" if str(p) in place["noise"] else ""
+                for p in EXPOSURES
+            )
+            shapes = (
+                " x ".join(f"{n:g}" for n in place[key][::-1]) for key in ("shape", "spacing")
+            )
             half = "chosen on" if is_tuned else "reported"
-            lines.append(row_of([scan, place["object"], half, *shapes, str(place["voxels"]), *noise]))
+            lines.append(
+                row_of([scan, place["object"], half, *shapes, str(place["voxels"]), *noise])
+            )
     return lines
 
 
 def table_of_methods(facts: Facts, start: str) -> list[str]:
     """A row for each exposure and method."""
-    lines = head_of(("exposure", "method", "settings", "Dice", "distance", "steps", "seconds", "best", "no object"))
+    lines = head_of(
+        (
+            "exposure",
+            "method",
+            "settings",
+            "Dice",
+            "distance",
+            "steps",
+            "seconds",
+            "best",
+            "no object",
+        )
+    )
     for part in EXPOSURES:
-        winners = [max(runs, key=lambda name: runs[name].dice) for runs in compared(facts, part, start).values()]
+        winners = [
+            max(runs, key=lambda name: runs[name].dice)
+            for runs in compared(facts, part, start).values()
+        ]
         for name in METHODS[start]:
             runs = reported(facts, part, start, name)
             if not runs:
@@ -501,10 +639,17 @@ def table_of_methods(facts: Facts, start: str) -> list[str]:
             fars = [np.inf if run.far is None else run.far for run in runs]
             steps = [run.steps for run in runs if run.steps is not None]
             settings = said(best(facts, CHOSEN_AT[part], start, name))
-            cells = [label_of(part), name, settings, f"{np.mean([run.dice for run in runs]):.3f}",
-                     f"{np.median(fars):.2f}", f"{np.median(steps):.0f}" if steps else "",
-                     f"{np.median([run.seconds for run in runs]):.2f}", f"{winners.count(name)} of {len(runs)}",
-                     str(sum(run.far is None for run in runs))]  # fmt: skip
+            cells = [
+                label_of(part),
+                name,
+                settings,
+                f"{np.mean([run.dice for run in runs]):.3f}",
+                f"{np.median(fars):.2f}",
+                f"{np.median(steps):.0f}" if steps else "",
+                f"{np.median([run.seconds for run in runs]):.2f}",
+                f"{winners.count(name)} of {len(runs)}",
+                str(sum(run.far is None for run in runs)),
+            ]
             lines.append(row_of(cells))
     return lines
 
@@ -529,7 +674,11 @@ def compare(mine: list[Reported], others: list[Reported]) -> str:
         return ""
     gains = np.array([run.dice - other.dice for run, other in zip(mine, others, strict=True)])
     better, worse = int((gains > LEVEL).sum()), int((gains < -LEVEL).sum())
-    steps = [other.steps / run.steps for run, other in zip(mine, others, strict=True) if other.steps and run.steps]
+    steps = [
+        other.steps / run.steps
+        for run, other in zip(mine, others, strict=True)
+        if other.steps and run.steps
+    ]
     times = f", {np.median(steps):.1f} x its steps" if steps else ""
     return f"{gains.mean():+.3f} ({better} better, {gains.size - better - worse} level, {worse} worse){times}"
 
@@ -538,18 +687,34 @@ def table_of_settings(facts: Facts) -> list[str]:
     """For the flows from a ball each setting, on the half that settings are chosen on."""
     lines = head_of(("exposure", "settings", *FLOWS, "momentum less descent"))
     for part, settings in itertools.product(sorted(set(CHOSEN_AT.values())), FLOW_GRID):
-        keys = {name: [key_of(scan, part, BALL, name, settings) for scan in scans(True)] for name in FLOWS}
-        runs = {name: [Reported(*facts["runs"][key]) for key in each] for name, each in keys.items()
-                if all(key in facts["runs"] for key in each)}  # fmt: skip
-        dices = (f"{np.mean([run.dice for run in runs[name]]):.3f}" if name in runs else "" for name in FLOWS)
+        keys = {
+            name: [key_of(scan, part, BALL, name, settings) for scan in scans(True)]
+            for name in FLOWS
+        }
+        runs = {
+            name: [Reported(*facts["runs"][key]) for key in each]
+            for name, each in keys.items()
+            if all(key in facts["runs"] for key in each)
+        }
+        dices = (
+            f"{np.mean([run.dice for run in runs[name]]):.3f}" if name in runs else ""
+            for name in FLOWS
+        )
         if {MOMENTUM, DESCENT} <= set(runs):
-            lines.append(row_of([label_of(part), said(settings), *dices, compare(runs[MOMENTUM], runs[DESCENT])]))
+            lines.append(
+                row_of(
+                    [label_of(part), said(settings), *dices, compare(runs[MOMENTUM], runs[DESCENT])]
+                )
+            )
     return lines
 
 
 def said(settings: Settings) -> str:
     """Settings, as a reader has them."""
-    return " ".join(f"{key} {value:g}" for key, value in settings.items() if key not in FIXED) or "its own"
+    return (
+        " ".join(f"{key} {value:g}" for key, value in settings.items() if key not in FIXED)
+        or "its own"
+    )
 
 
 def draw(facts: Facts) -> None:
@@ -560,8 +725,13 @@ def draw(facts: Facts) -> None:
     from matplotlib import pyplot as plt
 
     colours = dict(zip(METHODS[BALL], COLOURS, strict=True))
-    names, parts = scans(False), [part for part in EXPOSURES if any(compared(facts, part, start) for start in METHODS)]
-    figure, axes = plt.subplots(2, 2, sharex="col", figsize=(11, 8.5), dpi=100, layout="constrained")
+    names, parts = (
+        scans(False),
+        [part for part in EXPOSURES if any(compared(facts, part, start) for start in METHODS)],
+    )
+    figure, axes = plt.subplots(
+        2, 2, sharex="col", figsize=(11, 8.5), dpi=100, layout="constrained"
+    )
     for column, start in enumerate(METHODS):
         top, tiles = axes[0, column], axes[1, column]
         for name, settings_of in [*((name, "") for name in colours), (DESCENT, MOMENTUM)]:
@@ -580,7 +750,9 @@ def draw(facts: Facts) -> None:
                 y, behind = names.index(scan), runs[first].dice - runs[MOMENTUM].dice
                 words = f"{runs[first].dice:.2f}" + (f"  ({behind:.2f})" if behind > LEVEL else "")
                 first = first if behind > LEVEL else MOMENTUM
-                tiles.add_patch(plt.Rectangle((x - 0.5, y - 0.5), 1, 1, color=colours[first], alpha=0.75))
+                tiles.add_patch(
+                    plt.Rectangle((x - 0.5, y - 0.5), 1, 1, color=colours[first], alpha=0.75)
+                )
                 tiles.text(x, y, words, ha="center", va="center", fontsize=8)
         tiles.set(xlim=(-0.5, len(parts) - 0.5), ylim=(len(names) - 0.5, -0.5), xlabel="exposure")
         tiles.set_yticks(range(len(names)), names, fontsize=8)

@@ -37,7 +37,11 @@ NORMAL = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results")
-    parser.add_argument("--volumes", type=Path, help="folder of the real scans; without it that part is kept as it is")
+    parser.add_argument(
+        "--volumes",
+        type=Path,
+        help="folder of the real scans; without it that part is kept as it is",
+    )
     parser.add_argument("--only", nargs="+", choices=sorted(PARTS), default=sorted(PARTS))
     options = parser.parse_args()
     path = options.output / "extension.json"
@@ -45,14 +49,19 @@ def main() -> None:
     for name in options.only:
         if name == "cord" and options.volumes is None:
             continue
-        facts[name] = {one: PARTS[name](one, options) for one in EXTENSIONS} if name != "cost" else cost()
+        facts[name] = (
+            {one: PARTS[name](one, options) for one in EXTENSIONS} if name != "cost" else cost()
+        )
         print(name, json.dumps(facts[name], indent=1), flush=True)
         path.write_text(json.dumps(facts, indent=1) + "\n")
 
 
 def grid(shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> Floats:
     """Coordinates (3, nz, ny, nx), mm, from a point near the middle."""
-    axes = [(np.arange(n) - 0.5 * (n - 1) - (0.13 if n > 1 else 0)) * h for n, h in zip(shape, spacing, strict=True)]
+    axes = [
+        (np.arange(n) - 0.5 * (n - 1) - (0.13 if n > 1 else 0)) * h
+        for n, h in zip(shape, spacing, strict=True)
+    ]
     return np.stack(np.meshgrid(*axes, indexing="ij"))
 
 
@@ -74,13 +83,14 @@ def fields(extension: str, _: argparse.Namespace) -> dict[str, Any]:
         known, front = truth.astype(np.float32), surface.front()
         surface.extend_outwards(known, front)
         off = ~front
-        distance, apart = np.abs(surface.band.psi - (r - radius)), np.linalg.norm(
-            at + surface.band.to_closest - radius * n, axis=1
+        distance, apart = (
+            np.abs(surface.band.psi - (r - radius)),
+            np.linalg.norm(at + surface.band.to_closest - radius * n, axis=1),
         )
         found[f"ball {radius:g}"] = {
-            "distance": sizes(distance), "closest point": sizes(apart), "field beyond 2 voxels": sizes(
-                np.abs(known - truth)[off]
-            ),
+            "distance": sizes(distance),
+            "closest point": sizes(apart),
+            "field beyond 2 voxels": sizes(np.abs(known - truth)[off]),
         }
     return found
 
@@ -95,12 +105,19 @@ def solutions(extension: str, _: argparse.Namespace) -> dict[str, Any]:
     for name in "ABCDJ":
         case = exact.CASES[name]
         runs = [
-            follow(case, lattice(n, flat=case.dim == 2), STEP[name] * WIDTH / (n - 1), extension=extension)
+            follow(
+                case,
+                lattice(n, flat=case.dim == 2),
+                STEP[name] * WIDTH / (n - 1),
+                extension=extension,
+            )
             for n in (32, 48, 64)
         ]
         per = 63 / WIDTH
         found[name] = {
-            "mean": runs[-1].mean * per, "point": runs[-1].point * per, "order": order([run.mean for run in runs])
+            "mean": runs[-1].mean * per,
+            "point": runs[-1].point * per,
+            "order": order([run.mean for run in runs]),
         }
     return found
 
@@ -127,14 +144,21 @@ def noise(extension: str, _: argparse.Namespace) -> dict[str, Any]:
     """Dice and steps of a ball and a cube in noise of their contrast, one level, five seeds."""
     points = grid((48, 48, 48), UNIT)
     found: dict[str, Any] = {}
-    for name, truth in (("ball", np.sqrt((points**2).sum(axis=0)) < 15), ("cube", np.abs(points).max(axis=0) < 13)):
+    for name, truth in (
+        ("ball", np.sqrt((points**2).sum(axis=0)) < 15),
+        ("cube", np.abs(points).max(axis=0) < 13),
+    ):
         for flow in ("constant-density", "gradient"):
             dice, steps = [], []
             for seed in range(5):
                 image = truth + np.random.default_rng(seed).normal(0, 1, truth.shape)
                 result = segment(
-                    image.astype(np.float32), start="ball:23,23,23,8vox", energy="chan-vese:area=0", levels=1,
-                    flow=flow, extension=extension,
+                    image.astype(np.float32),
+                    start="ball:23,23,23,8vox",
+                    energy="chan-vese:area=0",
+                    levels=1,
+                    flow=flow,
+                    extension=extension,
                 )
                 dice.append(metrics.dice(np.asarray(result.labels) > 0, truth))
                 steps.append(len(result.history))
@@ -149,10 +173,21 @@ def cord(extension: str, options: argparse.Namespace) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(
             [
-                sys.executable, "-m", "accelsurf", "segment", str(options.volumes / f"{case.image}.nii.gz"),
-                *shlex.split(case.options), "--extension", extension, "-o", folder, "--threads", "1",
+                sys.executable,
+                "-m",
+                "accelsurf",
+                "segment",
+                str(options.volumes / f"{case.image}.nii.gz"),
+                *shlex.split(case.options),
+                "--extension",
+                extension,
+                "-o",
+                folder,
+                "--threads",
+                "1",
             ],
-            check=True, capture_output=True,
+            check=True,
+            capture_output=True,
         )
         (labels,) = Path(folder).glob("*.nii.gz")
         truth = io.read_labels(options.volumes / f"{case.image}_ref.nii.gz").array > 0
@@ -181,7 +216,12 @@ def cost() -> dict[str, Any]:
 
 
 PARTS: dict[str, Any] = {
-    "fields": fields, "solutions": solutions, "rest": rest, "noise": noise, "cord": cord, "cost": cost,
+    "fields": fields,
+    "solutions": solutions,
+    "rest": rest,
+    "noise": noise,
+    "cord": cord,
+    "cost": cost,
 }
 
 if __name__ == "__main__":

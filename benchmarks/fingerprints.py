@@ -37,7 +37,12 @@ PACKAGES = ("numpy", "scipy", "numba", "scikit-image")
 def distance(shape, spacing, centre, radius):
     """Distance (mm) of voxel centres to a sphere, negative inside."""
     axes = [(np.arange(n) - c) * h for n, c, h in zip(shape, centre, spacing, strict=True)]
-    return np.sqrt(axes[0][:, None, None] ** 2 + axes[1][None, :, None] ** 2 + axes[2][None, None, :] ** 2) - radius
+    return (
+        np.sqrt(
+            axes[0][:, None, None] ** 2 + axes[1][None, :, None] ** 2 + axes[2][None, None, :] ** 2
+        )
+        - radius
+    )
 
 
 def cube(n=32, noise=0.3, spacing=(1.0, 1.0, 1.0), seed=0):
@@ -102,29 +107,53 @@ def runs(folder: Path) -> dict[str, Callable[[], Any]]:
         return lambda: accelsurf.segment(volume, **{**BASE, **settings})
 
     def several(volume=two, given=starts, **settings: Any) -> Callable[[], Any]:
-        return lambda: accelsurf.segment_objects(volume, given, **{"max_steps": 30, "threads": 1, **settings})
+        return lambda: accelsurf.segment_objects(
+            volume, given, **{"max_steps": 30, "threads": 1, **settings}
+        )
 
     def clicked(**settings: Any) -> Callable[[], Any]:
-        given = {"inside": "ball:15,15,15,4vox", "outside": "ball:4,4,4,2vox", "max_steps": 40, "threads": 1}
+        given = {
+            "inside": "ball:15,15,15,4vox",
+            "outside": "ball:4,4,4,2vox",
+            "max_steps": 40,
+            "threads": 1,
+        }
         return lambda: accelsurf.segment(one, **{**given, **settings})
 
     out: dict[str, Callable[[], Any]] = {}
-    for flow in ("constant-density", "flowable-mass", "region-mass", "gradient", "sobolev", "momentum"):
+    for flow in (
+        "constant-density",
+        "flowable-mass",
+        "region-mass",
+        "gradient",
+        "sobolev",
+        "momentum",
+    ):
         out[f"flow {flow}"] = single(flow=flow)
         out[f"flow {flow}, thick slices"] = single(slab, flow=flow, start="ball:19,17,6,4vox")
         out[f"flow {flow}, one slice"] = single(flat, flow=flow, start="ball:24,23,0,6vox")
         out[f"flow {flow}, two objects"] = several(flow=flow, max_steps=12)
     for energy in (
-        "local-region:R=6", "likelihood", "likelihood:model=histogram", "threshold:auto", "threshold:learned,learned",
-        "geodesic:balloon=-1", "local-region:R=6 + 0.3*geodesic + 0.1*area", "chan-vese - 0.1*balloon",
+        "local-region:R=6",
+        "likelihood",
+        "likelihood:model=histogram",
+        "threshold:auto",
+        "threshold:learned,learned",
+        "geodesic:balloon=-1",
+        "local-region:R=6 + 0.3*geodesic + 0.1*area",
+        "chan-vese - 0.1*balloon",
         "chan-vese:balance=2,epsilon=0",
     ):
         out[f"energy {energy}"] = single(energy=energy)
     out["energy likelihood learned"] = single(
         energy="likelihood:update=no", foreground="ball:15,15,15,6vox", background="ball:4,4,4,3vox"
     )
-    out["energy local-region, thick slices"] = single(slab, energy="local-region:R=6", start="ball:19,17,6,4vox")
-    out["energy geodesic, one slice"] = single(flat, energy="geodesic:balloon=-1", start="ball:24,23,0,6vox")
+    out["energy local-region, thick slices"] = single(
+        slab, energy="local-region:R=6", start="ball:19,17,6,4vox"
+    )
+    out["energy geodesic, one slice"] = single(
+        flat, energy="geodesic:balloon=-1", start="ball:24,23,0,6vox"
+    )
     out["energy seeded, clicks"] = clicked()
     out["energy seeded, size"] = clicked(size="9ml")
     out["energy chan-vese, clicks"] = clicked(energy="chan-vese", outside="point:3,15,15vox")
@@ -132,7 +161,9 @@ def runs(folder: Path) -> dict[str, Callable[[], Any]]:
     out["extension fast-marching"] = single(extension="fast-marching")
     out["energy of one's own"] = single(energy=own_energy)
     out["energy local-region, two objects"] = several(energy="local-region:R=6", max_steps=15)
-    out["energy threshold learned, two objects"] = several(energy="threshold:learned,learned", max_steps=15)
+    out["energy threshold learned, two objects"] = several(
+        energy="threshold:learned,learned", max_steps=15
+    )
     out["smoothness"] = single(smoothness=0.5, presmooth=0.8)
     out["noise"] = single(noise=0.2, seed=7)
     out["noise, two objects"] = several(noise=0.1, seed=7, max_steps=12)
@@ -142,18 +173,28 @@ def runs(folder: Path) -> dict[str, Callable[[], Any]]:
     out["presmooth in voxels"] = single(presmooth="1vox")
     out["no limiter, long steps"] = single(percentile=100.0, cfl=0.9, half_width=4)
     out["to the end"] = single(max_steps=300)
-    out["to the end, auto levels"] = single(cube(48), max_steps=300, levels="auto", start="ball:20,20,20,9vox")
+    out["to the end, auto levels"] = single(
+        cube(48), max_steps=300, levels="auto", start="ball:20,20,20,9vox"
+    )
     out["two levels"] = single(cube(48), levels=2, start="ball:20,20,20,9vox", max_steps=60)
     out["two levels, flowable mass"] = single(
         cube(48), levels=2, start="ball:20,20,20,9vox", max_steps=40, flow="flowable-mass"
     )
     out["two levels, edits"] = single(
-        cube(48), levels=2, start="ball:20,20,20,9vox", max_steps=50,
+        cube(48),
+        levels=2,
+        start="ball:20,20,20,9vox",
+        max_steps=50,
         edit=["step=5 smoothness=0.4", "step=12 add=ball:30,30,30,6vox"],
     )
     out["edits"] = single(
-        edit=["step=6 smoothness=0.5", "step=10 add=ball:20,20,20,4vox", "step=15 flow=gradient",
-              "step=18 remove=ball:10,10,10,4vox", "step=20 energy=local-region:R=6"],
+        edit=[
+            "step=6 smoothness=0.5",
+            "step=10 add=ball:20,20,20,4vox",
+            "step=15 flow=gradient",
+            "step=18 remove=ball:10,10,10,4vox",
+            "step=20 energy=local-region:R=6",
+        ],
     )
     out["mask"] = single(mask=str(folder / "mask.nii.gz"))
     out["mask, two levels"] = single(mask=str(folder / "mask.nii.gz"), levels=2)
@@ -191,7 +232,10 @@ def _digest(*arrays: Any) -> str:
 
 def _trace(history) -> str:
     """What the trace says, but for the clock: numbers by column, whatever the columns are called."""
-    rows = [[float(value) for key, value in row_values(row).items() if key not in CLOCK] for row in history]
+    rows = [
+        [float(value) for key, value in row_values(row).items() if key not in CLOCK]
+        for row in history
+    ]
     return _digest(np.array(rows))
 
 
@@ -212,7 +256,11 @@ def fingerprint(result: Any) -> dict[str, str]:
 
 
 def _of_one(result: Any) -> dict[str, str]:
-    out = {"labels": _digest(result.labels), "psi": _digest(result.psi), "trace": _trace(_history(result))}
+    out = {
+        "labels": _digest(result.labels),
+        "psi": _digest(result.psi),
+        "trace": _trace(_history(result)),
+    }
     if result.labels.any():
         if result.geometry.slice_axis is not None:
             out["mesh"] = _digest(*[np.asarray(line) for line in result.contours.loops])
@@ -225,13 +273,17 @@ def processor() -> str:
     """The kind of processor, as the system tells it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        return next(
+            line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")
+        )
     except (OSError, StopIteration):
         return platform.processor() or platform.machine()
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--save", type=Path, metavar="FILE")
     parser.add_argument("--compare", type=Path, metavar="FILE")
     parser.add_argument("--only", default="", metavar="TEXT", help="runs whose name has this in it")
@@ -239,7 +291,10 @@ def main() -> int:
     where = {"processor": processor(), **{name: version(name) for name in PACKAGES}}
     before = json.loads(options.compare.read_text()) if options.compare else None
     if before is not None and before["where"] != where:
-        print(f"warning: saved on another machine: {before['where']}, this is {where}", file=sys.stderr)
+        print(
+            f"warning: saved on another machine: {before['where']}, this is {where}",
+            file=sys.stderr,
+        )
     found: dict[str, dict[str, str]] = {}
     changed = []
     with tempfile.TemporaryDirectory() as folder:
@@ -253,7 +308,9 @@ def main() -> int:
                 changed.append(name)
                 print(f"changed: {name}: {', '.join(what) or 'parts'}", flush=True)
     if options.save:
-        options.save.write_text(json.dumps({"where": where, "runs": found}, indent=1, sort_keys=True) + "\n")
+        options.save.write_text(
+            json.dumps({"where": where, "runs": found}, indent=1, sort_keys=True) + "\n"
+        )
     print(f"{len(found)} runs" + (f", {len(changed)} changed" if before is not None else ""))
     return 1 if changed else 0
 

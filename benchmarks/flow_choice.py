@@ -32,12 +32,26 @@ from benchmarks.defaults import FACTS, SCANS
 from benchmarks.pages import head_of, put_table, row_of
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE, RESULTS = ROOT / "docs" / "decisions" / "0046-flow-by-energy.md", ROOT / "benchmarks/results/flow_choice.json"
+PAGE, RESULTS = (
+    ROOT / "docs" / "decisions" / "0046-flow-by-energy.md",
+    ROOT / "benchmarks/results/flow_choice.json",
+)
 TUNED = ("ball_small", "disc", "torus", "ball", "two_balls")
 NOISE = (0.0, 0.3, 1.0, 2.0)
 #: How much worse, and by which factor slower, a choice may be.
 WORSE, SLOWER = 0.002, 1.2
-COLUMNS = ("input", "noise", "momentum: Dice", "steps", "s", "descent: Dice", "steps", "s", "auto", "misses by")
+COLUMNS = (
+    "input",
+    "noise",
+    "momentum: Dice",
+    "steps",
+    "s",
+    "descent: Dice",
+    "steps",
+    "s",
+    "auto",
+    "misses by",
+)
 
 
 class Case(NamedTuple):
@@ -55,9 +69,17 @@ def main() -> None:
     parser.add_argument("--only", default="", help="names, separated by semicolons")
     parser.add_argument("--again", action="store_true")
     options = parser.parse_args()
-    wanted = [name for name in options.only.split(";") if name] or [*recipe_files.recipe_names(), *SCANS]
+    wanted = [name for name in options.only.split(";") if name] or [
+        *recipe_files.recipe_names(),
+        *SCANS,
+    ]
     for flow in (MOMENTUM, DESCENT):  # loads the compiled code
-        segment(recipes.make(recipes.load_recipe("ball_small")).image, start="ball:0,0,0,4", flow=flow, max_steps=5)
+        segment(
+            recipes.make(recipes.load_recipe("ball_small")).image,
+            start="ball:0,0,0,4",
+            flow=flow,
+            max_steps=5,
+        )
     rows = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     for case in (case for name in wanted for case in cases(name)):
         key = f"{case.name} {case.noise}"
@@ -81,12 +103,16 @@ def cases(name: str) -> Iterator[Case]:
         folder, stem = Path(os.environ["ACCELSURF_VOLUMES"]), SCANS[name][0]
         if not SCANS[name][2]:
             truth = io.read_labels(folder / f"{stem}_ref.nii.gz").array > 0
-            yield Case(name, None, io.read(folder / f"{stem}.nii.gz"), truth, starts[f"{name} None"])
+            yield Case(
+                name, None, io.read(folder / f"{stem}.nii.gz"), truth, starts[f"{name} None"]
+            )
         return
     recipe = recipes.load_recipe(name)
     for noise in NOISE:
         made = recipes.make(recipe.changed(noise=noise * abs(recipe.contrast)))
-        yield Case(name, noise, made.image, made.truth.array > 0, starts[f"{name} {min(noise, 1.0)}"])
+        yield Case(
+            name, noise, made.image, made.truth.array > 0, starts[f"{name} {min(noise, 1.0)}"]
+        )
 
 
 def measured(case: Case, flow: str) -> dict[str, Any]:
@@ -94,9 +120,12 @@ def measured(case: Case, flow: str) -> dict[str, Any]:
     began = time.process_time()
     result = segment(case.image, start=case.start, flow=flow, threads=1)
     return {
-        "dice": round(dice(result.labels > 0, case.truth), 5), "steps": result.stop.steps, "stop": result.stop.reason,
-        "cells": sum(row.cells_visited for row in result.history), "seconds": round(time.process_time() - began, 3),
-    }  # fmt: skip
+        "dice": round(dice(result.labels > 0, case.truth), 5),
+        "steps": result.stop.steps,
+        "stop": result.stop.reason,
+        "cells": sum(row.cells_visited for row in result.history),
+        "seconds": round(time.process_time() - began, 3),
+    }
 
 
 def missed(row: dict[str, Any]) -> str:
@@ -111,9 +140,14 @@ def missed(row: dict[str, Any]) -> str:
     ''
     """
     taken, best = row[row["auto"]], max(row[MOMENTUM]["dice"], row[DESCENT]["dice"])
-    fastest = min(each["seconds"] for each in (row[MOMENTUM], row[DESCENT]) if each["dice"] >= best - WORSE)
+    fastest = min(
+        each["seconds"] for each in (row[MOMENTUM], row[DESCENT]) if each["dice"] >= best - WORSE
+    )
     said = [f"Dice {taken['dice'] - best:.4f}"] if taken["dice"] < best - WORSE else []
-    return ", ".join(said + ([f"{taken['seconds'] / fastest:.1f} x s"] if taken["seconds"] > SLOWER * fastest else []))
+    return ", ".join(
+        said
+        + ([f"{taken['seconds'] / fastest:.1f} x s"] if taken["seconds"] > SLOWER * fastest else [])
+    )
 
 
 def text_of(rows: dict[str, Any], is_tuned: bool) -> str:
@@ -122,7 +156,11 @@ def text_of(rows: dict[str, Any], is_tuned: bool) -> str:
     for key, row in rows.items():
         name, _, noise = key.rpartition(" ")
         if (name in TUNED) == is_tuned and "auto" in row:
-            both = [str(row[flow][what]) for flow in (MOMENTUM, DESCENT) for what in ("dice", "steps", "seconds")]
+            both = [
+                str(row[flow][what])
+                for flow in (MOMENTUM, DESCENT)
+                for what in ("dice", "steps", "seconds")
+            ]
             lines.append(row_of([name, noise.replace("None", ""), *both, row["auto"], missed(row)]))
     return "\n".join([*lines, ""])
 

@@ -42,7 +42,9 @@ Options = dict[str, Any]
 def _bounds(scene: Scene, low: float, high: float) -> str:
     """An energy between two percentiles of the object's values; beyond 0 and 100 it is open."""
     values = scene.image.array[scene.truth]
-    ends = ["" if not 0 <= part <= 100 else f"{np.percentile(values, part):.6g}" for part in (low, high)]
+    ends = [
+        "" if not 0 <= part <= 100 else f"{np.percentile(values, part):.6g}" for part in (low, high)
+    ]
     return f"threshold:{','.join(ends)}"
 
 
@@ -57,15 +59,30 @@ def _background(scene: Scene) -> PersonClick:
 SITUATIONS: dict[str, Callable[[Scene, Callable[[float], str]], Options]] = {
     "a click": lambda scene, ball: {"inside": ball(1.0)},
     "a click across the edge": lambda scene, ball: {"inside": ball(2.6)},
-    "a click in the background": lambda scene, ball: {"inside": text_of(_background(scene), scene.image)},
+    "a click in the background": lambda scene, ball: {
+        "inside": text_of(_background(scene), scene.image)
+    },
     "a size that is too large": lambda scene, ball: {"inside": ball(1.0), "size": "9000ml"},
     "a start": lambda scene, ball: {"start": ball(1.0)},
-    "a start across the edge": lambda scene, ball: {"start": ball(2.6), "energy": "threshold:learned,learned"},
-    "bounds beyond the object": lambda scene, ball: {"start": ball(1.0), "energy": _bounds(scene, 99.9, 101)},
-    "bounds with the surroundings": lambda scene, ball: {"start": ball(1.0), "energy": _bounds(scene, 0.1, 101)},
-    "too smooth": lambda scene, ball: {"start": ball(1.0), "smoothness": 20 * max(scene.image.geometry.spacing)},
+    "a start across the edge": lambda scene, ball: {
+        "start": ball(2.6),
+        "energy": "threshold:learned,learned",
+    },
+    "bounds beyond the object": lambda scene, ball: {
+        "start": ball(1.0),
+        "energy": _bounds(scene, 99.9, 101),
+    },
+    "bounds with the surroundings": lambda scene, ball: {
+        "start": ball(1.0),
+        "energy": _bounds(scene, 0.1, 101),
+    },
+    "too smooth": lambda scene, ball: {
+        "start": ball(1.0),
+        "smoothness": 20 * max(scene.image.geometry.spacing),
+    },
     "too large": lambda scene, ball: {
-        "start": ball(1.0), "max_volume": 1.3 * scene.truth.sum() * scene.image.geometry.voxel_volume,
+        "start": ball(1.0),
+        "max_volume": 1.3 * scene.truth.sum() * scene.image.geometry.voxel_volume,
     },
     "few steps": lambda scene, ball: {"start": ball(1.0), "max_steps": 30},
     "few steps of a click": lambda scene, ball: {"inside": ball(1.0), "max_steps": 4},
@@ -84,7 +101,9 @@ def applied(options: Options, tried: str, at_the_fault: str) -> Options | None:
     >>> applied({"start": "otsu"}, "--inside at the object in place of --start", "inside point:1,2,3")
     {'inside': ('point:1,2,3',)}
     """
-    gone = re.findall(r"--([a-z-]+)", tried.partition("in place of")[2] or tried.partition("without")[2])
+    gone = re.findall(
+        r"--([a-z-]+)", tried.partition("in place of")[2] or tried.partition("without")[2]
+    )
     out = {key: value for key, value in options.items() if key.replace("_", "-") not in gone}
     if tried in AT_THE_FAULT or tried.startswith(AT_THE_FAULT[1]):
         side, _, place = at_the_fault.partition(" ")
@@ -109,10 +128,14 @@ def run(scene: Scene, options: Options) -> tuple[NDArray[np.bool_], list[str]]:
     lines = [*result.warnings, *warnings, *result.objects[0].quality.notes]
     if error is not None and error.hint.startswith("try "):
         lines.append(f"{result.stop.reason}: {error.message}; {error.hint}")
-    return np.asarray(result.labels > 0), [line.removeprefix("note: ") for line in lines if "; try " in line]
+    return np.asarray(result.labels > 0), [
+        line.removeprefix("note: ") for line in lines if "; try " in line
+    ]
 
 
-def rows_of(which: ClickObject, situations: Collection[str], say: Callable[[dict[str, Any]], None]) -> None:
+def rows_of(
+    which: ClickObject, situations: Collection[str], say: Callable[[dict[str, Any]], None]
+) -> None:
     """Tell a row for each line of each of the ``situations`` of an object."""
     scene = _cut(load(which))
     first = next_click(scene.truth, None, scene.image.geometry)
@@ -120,8 +143,10 @@ def rows_of(which: ClickObject, situations: Collection[str], say: Callable[[dict
 
     def ball(wider: float) -> str:
         # As large as it can be seen: a start has two voxels at least.
-        return text_of(first._replace(radius=wider * max(first.radius, 2.0 * min(scene.image.geometry.steps))),
-                       scene.image)
+        return text_of(
+            first._replace(radius=wider * max(first.radius, 2.0 * min(scene.image.geometry.steps))),
+            scene.image,
+        )
 
     for name in situations:
         options = SITUATIONS[name](scene, ball)
@@ -129,24 +154,39 @@ def rows_of(which: ClickObject, situations: Collection[str], say: Callable[[dict
         known: dict[str, float] = {}
         for line in dict.fromkeys(lines):
             tried = line.rpartition("; try ")[2]
-            wrong = next_click(scene.truth, labels if tried == AT_THE_FAULT[0] else None, scene.image.geometry)
+            wrong = next_click(
+                scene.truth, labels if tried == AT_THE_FAULT[0] else None, scene.image.geometry
+            )
             fault = "" if wrong is None else f"{wrong.side} {text_of(wrong, scene.image)}"
             after = applied(options, tried, fault)
             if after is not None:
                 if tried not in known:
                     known[tried] = round(dice(run(scene, after)[0], scene.truth), 3)
-                say({"object": which.name, "scan": which.volume, "situation": name, "line": line,
-                     "before": round(dice(labels, scene.truth), 3), "after": known[tried]})
+                say(
+                    {
+                        "object": which.name,
+                        "scan": which.volume,
+                        "situation": name,
+                        "line": line,
+                        "before": round(dice(labels, scene.truth), 3),
+                        "after": known[tried],
+                    }
+                )
 
 
 def _cut(scene: Scene) -> Scene:
     """The object with its own extent around it, as far as the scan goes, and not larger than `MOST`."""
     box = bounding_box(scene.truth)
     assert box is not None
-    room = [max(8, min(side.stop - side.start, (MOST - side.stop + side.start) // 2)) for side in box]
+    room = [
+        max(8, min(side.stop - side.start, (MOST - side.stop + side.start) // 2)) for side in box
+    ]
     around = widened(box, scene.truth.shape, (room[0], room[1], room[2]))
     image, geometry = scene.image, cropped(scene.image.geometry, around)
-    return Scene(Volume(np.ascontiguousarray(image.array[around]), geometry, dict(image.metadata)), scene.truth[around])
+    return Scene(
+        Volume(np.ascontiguousarray(image.array[around]), geometry, dict(image.metadata)),
+        scene.truth[around],
+    )
 
 
 def table(rows: list[dict[str, Any]]) -> list[str]:
@@ -154,13 +194,18 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
     kinds: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         option = re.search(r"--[a-z-]+", row["line"].rpartition("; try ")[2])
-        kinds.setdefault(f"{row['line'].partition(':')[0]}: {option[0] if option else ''}", []).append(row)
+        kinds.setdefault(
+            f"{row['line'].partition(':')[0]}: {option[0] if option else ''}", []
+        ).append(row)
     out = [f"{'line':34} {'count':>5} {'better':>6} {'worse':>5} {'before':>6} {'after':>6}"]
     for kind, found in sorted(kinds.items()):
         gains = [row["after"] - row["before"] for row in found]
         medians = (statistics.median(row[key] for row in found) for key in ("before", "after"))
         counts = sum(gain > SAME for gain in gains), sum(gain < -SAME for gain in gains)
-        out.append(f"{kind:34} {len(found):5} {counts[0]:6} {counts[1]:5} " + " ".join(f"{m:6.3f}" for m in medians))
+        out.append(
+            f"{kind:34} {len(found):5} {counts[0]:6} {counts[1]:5} "
+            + " ".join(f"{m:6.3f}" for m in medians)
+        )
     return out
 
 
@@ -172,7 +217,9 @@ def main() -> None:
     parser.add_argument("--situations", nargs="*", choices=SITUATIONS, default=tuple(SITUATIONS))
     parser.add_argument("--output", type=Path, default=OUTPUT, help="rows of others in it stay")
     given = parser.parse_args()
-    rows: list[dict[str, Any]] = json.loads(given.output.read_text())["rows"] if given.output.exists() else []
+    rows: list[dict[str, Any]] = (
+        json.loads(given.output.read_text())["rows"] if given.output.exists() else []
+    )
 
     def say(row: dict[str, Any]) -> None:
         rows.append(row)
@@ -184,7 +231,11 @@ def main() -> None:
         seen[which.volume] = seen.get(which.volume, 0) + 1
         if seen[which.volume] <= given.each or given.only:
             began = time.perf_counter()
-            rows[:] = [row for row in rows if row["object"] != which.name or row["situation"] not in given.situations]
+            rows[:] = [
+                row
+                for row in rows
+                if row["object"] != which.name or row["situation"] not in given.situations
+            ]
             rows_of(which, given.situations, say)
             print(f"{which.name}: {time.perf_counter() - began:.0f} s", flush=True)
     print("\n".join(table(rows)))

@@ -68,7 +68,9 @@ def ball(p: Floats, random: np.random.Generator) -> Floats:
 
 def ellipsoid(p: Floats, random: np.random.Generator) -> Floats:
     axes = random.uniform(6, 15, 3)
-    return np.asarray((np.sqrt(sum((c / a) ** 2 for c, a in zip(p, axes, strict=True))) - 1) * axes.min())
+    return np.asarray(
+        (np.sqrt(sum((c / a) ** 2 for c, a in zip(p, axes, strict=True))) - 1) * axes.min()
+    )
 
 
 def box(p: Floats, random: np.random.Generator) -> Floats:
@@ -84,14 +86,18 @@ def torus(p: Floats, random: np.random.Generator) -> Floats:
 def lobes(p: Floats, random: np.random.Generator) -> Floats:
     """Three balls that run into each other."""
     at, radii = random.uniform(-6, 6, (3, 3)), random.uniform(5, 9, 3)
-    balls = [np.linalg.norm(p - c[:, None, None, None], axis=0) - r for c, r in zip(at, radii, strict=True)]
+    balls = [
+        np.linalg.norm(p - c[:, None, None, None], axis=0) - r
+        for c, r in zip(at, radii, strict=True)
+    ]
     return np.asarray(np.min(balls, axis=0))
 
 
 def potato(p: Floats, random: np.random.Generator) -> Floats:
     """A ball with waves on it."""
     waves = sum(
-        random.uniform(0.3, 0.9) * np.sin(np.tensordot(random.normal(0, 0.25, 3), p, 1) + random.uniform(0, 6))
+        random.uniform(0.3, 0.9)
+        * np.sin(np.tensordot(random.normal(0, 0.25, 3), p, 1) + random.uniform(0, 6))
         for _ in range(6)
     )
     return np.asarray(np.linalg.norm(p, axis=0) - random.uniform(8, 13) - waves)
@@ -100,7 +106,10 @@ def potato(p: Floats, random: np.random.Generator) -> Floats:
 def rod(p: Floats, random: np.random.Generator) -> Floats:
     """A cylinder with round ends."""
     half = random.uniform(5, 11)
-    return np.asarray(np.linalg.norm([p[0], p[1], p[2] - np.clip(p[2], -half, half)], axis=0) - random.uniform(4, 7))
+    return np.asarray(
+        np.linalg.norm([p[0], p[1], p[2] - np.clip(p[2], -half, half)], axis=0)
+        - random.uniform(4, 7)
+    )
 
 
 def small(p: Floats, random: np.random.Generator) -> Floats:
@@ -110,7 +119,9 @@ def small(p: Floats, random: np.random.Generator) -> Floats:
 def plate(p: Floats, random: np.random.Generator) -> Floats:
     """A flat ellipsoid."""
     axes = random.uniform((3, 7, 9), (5, 12, 14))
-    return np.asarray((np.sqrt(sum((c / a) ** 2 for c, a in zip(p, axes, strict=True))) - 1) * axes.min())
+    return np.asarray(
+        (np.sqrt(sum((c / a) ** 2 for c, a in zip(p, axes, strict=True))) - 1) * axes.min()
+    )
 
 
 #: The shapes that the weights come from, two parts, and those that are reported.
@@ -139,12 +150,21 @@ def draw(part: str, number: int) -> Iterator[tuple[dict[str, Any], accelsurf.Vol
     along = np.tensordot(direction / np.linalg.norm(direction), p, 1)
     image = inside.astype(np.float32)
     if kind == "fading":
-        image *= (1 - random.uniform(0.3, 0.7) * (0.5 + 0.5 * np.tanh(along / 6))).astype(np.float32)
+        image *= (1 - random.uniform(0.3, 0.7) * (0.5 + 0.5 * np.tanh(along / 6))).astype(
+            np.float32
+        )
     elif kind == "neighbour":
         image[(along > 6) & ~inside] = random.uniform(0.3, 0.6)
     blur, noise = random.uniform(0.3, 1.0), random.choice([0.02, 0.05, 0.1, 0.2, 0.3])
     image = ndimage.gaussian_filter(image, blur / FINE)
-    facts = {"part": part, "number": number, "shape": shape.__name__, "kind": kind, "blur": blur, "noise": noise}
+    facts = {
+        "part": part,
+        "number": number,
+        "shape": shape.__name__,
+        "kind": kind,
+        "blur": blur,
+        "noise": noise,
+    }
     for thickness in THICKNESSES:
         steps = (round(thickness / FINE), round(1 / FINE), round(1 / FINE))
         voxels, share = _averaged(image, steps), _averaged(inside, steps)
@@ -161,7 +181,9 @@ def _averaged(values: NDArray[Any], steps: tuple[int, int, int]) -> Floats:
     """Means over the fine voxels of each voxel."""
     z, y, x = (n // s for n, s in zip(values.shape, steps, strict=True))
     part = values[: z * steps[0], : y * steps[1], : x * steps[2]]
-    return np.asarray(part.reshape(z, steps[0], y, steps[1], x, steps[2]).mean(axis=(1, 3, 5), dtype=np.float64))
+    return np.asarray(
+        part.reshape(z, steps[0], y, steps[1], x, steps[2]).mean(axis=(1, 3, 5), dtype=np.float64)
+    )
 
 
 def played(part: str, numbers: range) -> Iterator[dict[str, Any]]:
@@ -171,21 +193,32 @@ def played(part: str, numbers: range) -> Iterator[dict[str, Any]]:
             z, y, x = truth.click
             result = accelsurf.segment(scan, inside=f"point:{x},{y},{z}vox", threads=1)
             found = result.objects[0]
-            edge = edge_measures(found.psi, found.image, found.geometry, found.volume_mm3, found.area_mm2)
+            edge = edge_measures(
+                found.psi, found.image, found.geometry, found.volume_mm3, found.area_mm2
+            )
             common = truth.inside & (found.labels > 0)
             dice = 2 * common.sum() / (truth.inside.sum() + found.labels.sum())
             true = {key: round(getattr(truth, key), 3) for key in Intervals._fields}
-            edges = None if edge is None else {key: round(value, 5) for key, value in edge._asdict().items()}
+            edges = (
+                None
+                if edge is None
+                else {key: round(value, 5) for key, value in edge._asdict().items()}
+            )
             print(facts, f"Dice {dice:.3f}", flush=True)
             yield {
-                **facts, "dice": round(float(dice), 4), "true": true, "edge": edges,
+                **facts,
+                "dice": round(float(dice), 4),
+                "true": true,
+                "edge": edges,
                 "surface": round(found.volume_mm3, 3),
-            }  # fmt: skip
+            }
 
 
 def edge_of(row: dict[str, Any]) -> EdgeMeasures:
     """Measures of the edge of a row; rows that were played before the area was measured have none."""
-    return EdgeMeasures(**{key: np.nan if value is None else value for key, value in row["edge"].items()})
+    return EdgeMeasures(
+        **{key: np.nan if value is None else value for key, value in row["edge"].items()}
+    )
 
 
 def counted(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -193,10 +226,13 @@ def counted(rows: list[dict[str, Any]]) -> dict[str, Any]:
     right = [row for row in rows if row["dice"] >= MIN_DICE and row["edge"]]
     made = [intervals(edge_of(row)) for row in right]
     groups: dict[str, Callable[[dict[str, Any]], str]] = {
-        "all": lambda row: "all", "slices": lambda row: f"{row['thickness']:g} mm", "image": lambda row: row["kind"],
-        "shape": lambda row: row["shape"], "noise": lambda row: f"{row['noise']:g}",
+        "all": lambda row: "all",
+        "slices": lambda row: f"{row['thickness']:g} mm",
+        "image": lambda row: row["kind"],
+        "shape": lambda row: row["shape"],
+        "noise": lambda row: f"{row['noise']:g}",
         "seen": lambda row: "seen" if row["number"] < SEEN else "not seen",
-    }  # fmt: skip
+    }
     out: dict[str, Any] = {"cases": len(rows), "another object": len(rows) - len(right)}
     for key in Intervals._fields:
         pairs = [(row, getattr(each, key)) for row, each in zip(right, made, strict=True)]
@@ -211,16 +247,18 @@ def counted(rows: list[dict[str, Any]]) -> dict[str, Any]:
             names = np.array([name(row) for row, _ in pairs])
             out[key][group] = {
                 each: {
-                    "count": int((names == each).sum()), "holds": round(float(holds[names == each].mean()), 3),
+                    "count": int((names == each).sum()),
+                    "holds": round(float(holds[names == each].mean()), 3),
                     "half_width_percent": round(float(np.median(half[names == each])), 1),
                 }
                 for each in sorted(set(names))
-            }  # fmt: skip
+            }
     surface = np.array([abs(row["surface"] / row["true"]["volume_mm3"] - 1) for row in right])
     middles = np.array([sum(each.volume_mm3) / 2 for each in made])
     edge = np.abs(middles / [row["true"]["volume_mm3"] for row in right] - 1)
     out["median error of the volume, percent"] = {
-        name: round(100 * float(np.median(error)), 2) for name, error in (("surface", surface), ("edge", edge))
+        name: round(100 * float(np.median(error)), 2)
+        for name, error in (("surface", surface), ("edge", edge))
     }
     out["stable"] = stable(right, made)
     return out
@@ -230,17 +268,22 @@ def stable(rows: list[dict[str, Any]], made: list[Intervals]) -> dict[str, Any]:
     """Count objects whose intervals of the volume in slices of all thicknesses meet; say how their middles differ."""
     by_object: dict[Any, list[tuple[Interval, float]]] = {}
     for row, each in zip(rows, made, strict=True):
-        by_object.setdefault((row["part"], row["number"]), []).append((each.volume_mm3, row["surface"]))
-    whole = [zip(*each, strict=True) for each in by_object.values() if len(each) == len(THICKNESSES)]
+        by_object.setdefault((row["part"], row["number"]), []).append(
+            (each.volume_mm3, row["surface"])
+        )
+    whole = [
+        zip(*each, strict=True) for each in by_object.values() if len(each) == len(THICKNESSES)
+    ]
     pairs = [(list(found), np.array(surfaces)) for found, surfaces in whole]
     meet = [max(each.low for each in some) <= min(each.high for each in some) for some, _ in pairs]
     spread = [float(np.ptp([sum(each) for each in some])) / sum(some[0]) for some, _ in pairs]
     of_surface = [float(np.ptp(surfaces)) / surfaces[0] for _, surfaces in pairs]
     return {
-        "objects": len(pairs), "meet": round(float(np.mean(meet)), 3),
+        "objects": len(pairs),
+        "meet": round(float(np.mean(meet)), 3),
         "middles_differ_percent": round(100 * float(np.median(spread)), 1),
         "surfaces_differ_percent": round(100 * float(np.median(of_surface)), 1),
-    }  # fmt: skip
+    }
 
 
 def error_of(key: str, edge: EdgeMeasures, true: float) -> float:
@@ -265,17 +308,26 @@ def fitted(rows: list[dict[str, Any]]) -> Iterator[str]:
             left_out = []
             for shape in shapes:
                 others = weights_of(key, [row for row in usable if row["shape"] != shape])
-                left_out.append(deviations_of(key, [row for row in usable if row["shape"] == shape], others))
+                left_out.append(
+                    deviations_of(key, [row for row in usable if row["shape"] == shape], others)
+                )
             deviations = np.concatenate(left_out)
-        bias, wide = weights[: len(BIASED)].round(3).tolist(), np.abs(weights[len(BIASED) :]).round(3).tolist()
+        bias, wide = (
+            weights[: len(BIASED)].round(3).tolist(),
+            np.abs(weights[len(BIASED) :]).round(3).tolist(),
+        )
         yield f"{key}: _Weights({tuple(bias)}, {tuple(wide)}, {float(np.quantile(np.abs(deviations), 0.95)):.2f})"
 
 
 def likely(key: str, rows: list[dict[str, Any]]) -> tuple[Floats, Floats, Floats]:
     """Return the errors of a measure, what tells them, and the deviations that are known."""
     edges = [edge_of(row) for row in rows]
-    error = np.array([error_of(key, edge, row["true"][key]) for edge, row in zip(edges, rows, strict=True)])
-    known = np.array([edge.noise_mm3 / edge.layer_mm3 if key == "volume_mm3" else 0.0 for edge in edges])
+    error = np.array(
+        [error_of(key, edge, row["true"][key]) for edge, row in zip(edges, rows, strict=True)]
+    )
+    known = np.array(
+        [edge.noise_mm3 / edge.layer_mm3 if key == "volume_mm3" else 0.0 for edge in edges]
+    )
     return error, np.array([signs(edge) for edge in edges]), known
 
 
@@ -285,7 +337,9 @@ def deviations_of(key: str, rows: list[dict[str, Any]], weights: Floats) -> Floa
     return _in_deviations(weights, error, values, known)[0]
 
 
-def _in_deviations(weights: Floats, error: Floats, values: Floats, known: Floats) -> tuple[Floats, Floats]:
+def _in_deviations(
+    weights: Floats, error: Floats, values: Floats, known: Floats
+) -> tuple[Floats, Floats]:
     sigma = np.sqrt(known**2 + np.square(values * weights[len(BIASED) :]).sum(axis=1) + 1e-8)
     return (error - values[:, BIASED] @ weights[: len(BIASED)]) / sigma, sigma
 
@@ -298,7 +352,10 @@ def weights_of(key: str, rows: list[dict[str, Any]]) -> Floats:
         deviations, sigma = _in_deviations(weights, error, values, known)
         return float((np.log(sigma) + 0.5 * np.square(deviations)).sum())
 
-    starts = [np.r_[np.zeros(len(BIASED)), np.full(values.shape[1], size * np.std(error))] for size in (0.1, 0.5, 2.0)]
+    starts = [
+        np.r_[np.zeros(len(BIASED)), np.full(values.shape[1], size * np.std(error))]
+        for size in (0.1, 0.5, 2.0)
+    ]
     options = {"maxiter": 20_000, "maxfev": 20_000, "adaptive": True}
     found = [minimize(cost, start, method="Nelder-Mead", options=options) for start in starts]
     return np.asarray(min(found, key=lambda each: each.fun).x)
@@ -307,7 +364,9 @@ def weights_of(key: str, rows: list[dict[str, Any]]) -> Floats:
 def main() -> None:
     """Play, keep, count."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--again", action="store_true", help="count again, with the measures that are kept")
+    parser.add_argument(
+        "--again", action="store_true", help="count again, with the measures that are kept"
+    )
     parser.add_argument("--fit", action="store_true", help="print the weights")
     given = parser.parse_args()
     kept = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
@@ -318,7 +377,9 @@ def main() -> None:
         print("\n".join(fitted(parts["fit"] + parts["thin"])))
     kept["counted"] = {part: counted(rows) for part, rows in parts.items()}
     rows = ",\n".join(json.dumps(row) for row in kept["rows"])
-    RESULTS.write_text(f'{{"counted": {json.dumps(kept["counted"], indent=1)},\n"rows": [\n{rows}\n]}}\n')
+    RESULTS.write_text(
+        f'{{"counted": {json.dumps(kept["counted"], indent=1)},\n"rows": [\n{rows}\n]}}\n'
+    )
     print(json.dumps(kept["counted"]["report"], indent=1))
 
 

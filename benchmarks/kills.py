@@ -94,21 +94,41 @@ class Bench:
         """A command line that differs from the one before."""
         self.runs += 1
         form, mesh = FORMATS[self.runs % len(FORMATS)], MESHES[self.runs % len(MESHES)]
-        words = ["segment", str(self.folder / f"{NAME}.nii.gz"), "-o", str(self.results), "--overwrite"]
-        words += ["--start", "ball:0,0,0,4", "--max-steps", str(2 + self.runs % 5), "--format", form, "--mesh", mesh]
+        words = [
+            "segment",
+            str(self.folder / f"{NAME}.nii.gz"),
+            "-o",
+            str(self.results),
+            "--overwrite",
+        ]
+        words += [
+            "--start",
+            "ball:0,0,0,4",
+            "--max-steps",
+            str(2 + self.runs % 5),
+            "--format",
+            form,
+            "--mesh",
+            mesh,
+        ]
         return [*words, "--save-sdf"] if self.runs % 2 else words
 
     def start(self, limit: int | None = None) -> subprocess.Popen[str]:
         """Start a run; with a limit no file can have more bytes."""
 
         def limited() -> None:
-            signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may ignore it for background jobs
+            signal.signal(
+                signal.SIGINT, signal.default_int_handler
+            )  # a shell may ignore it for background jobs
             if limit is not None:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
         return subprocess.Popen(
             [sys.executable, "-m", "accelsurf", *self.words()],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limited,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=limited,
         )
 
     def finish(self) -> None:
@@ -130,12 +150,18 @@ class Bench:
     def wait(self, program: subprocess.Popen[str]) -> str:
         """Wait for a random moment: of the whole run, while files are written, or while they are put in place."""
         part = self.random.choice(("start", "first draft", "last draft"))
-        longest = {"start": self.seconds, "first draft": self.writing, "last draft": MOVING_SECONDS}[part]
+        longest = {
+            "start": self.seconds,
+            "first draft": self.writing,
+            "last draft": MOVING_SECONDS,
+        }[part]
         moment = self.random.uniform(0.0, longest)
         if part == "first draft":
             self.wait_for_drafts(program)
         elif part == "last draft":
-            while program.poll() is None and not any(self.results.glob(f".*/new/{NAME}_report.json")):
+            while program.poll() is None and not any(
+                self.results.glob(f".*/new/{NAME}_report.json")
+            ):
                 time.sleep(0.0002)
         time.sleep(moment)
         return f"{moment:.4f} s after the {part}"
@@ -182,7 +208,9 @@ def kill(bench: Bench, outcome: Outcome) -> None:
         outcome.count("left to the next command")
         command_kills.look_at(bench.results)
         if left := bench.hidden():
-            outcome.faults.append(f"kill {moment}: left after the next command: {', '.join(map(str, left))}")
+            outcome.faults.append(
+                f"kill {moment}: left after the next command: {', '.join(map(str, left))}"
+            )
     if fault := fault_of(bench.results):
         outcome.faults.append(f"kill {moment}: {fault}")
     outcome.count("old files" if bench.report() == before else "new files")
@@ -205,10 +233,14 @@ def interrupt(bench: Bench, outcome: Outcome) -> None:
     late = time.perf_counter() - sent < TOO_LATE_SECONDS
     if program.returncode == 0 and (late or not alive):
         outcome.count("ended before the signal")
-    elif program.returncode in (-number, 1) and "accelsurf" not in error:  # Python itself was starting
+    elif (
+        program.returncode in (-number, 1) and "accelsurf" not in error
+    ):  # Python itself was starting
         outcome.count("before the first line of the program")
     elif program.returncode != 128 + number or "interrupted" not in error or "Traceback" in error:
-        outcome.faults.append(f"interrupt {moment}: exit {program.returncode}, {error.strip()[-300:]!r}")
+        outcome.faults.append(
+            f"interrupt {moment}: exit {program.returncode}, {error.strip()[-300:]!r}"
+        )
     if fault := fault_of(bench.results) or ", ".join(map(str, bench.hidden())):
         outcome.faults.append(f"interrupt {moment}: {fault}")
     outcome.count("old files" if bench.report() == before else "new files")
@@ -224,7 +256,9 @@ def fill_disk(bench: Bench, outcome: Outcome) -> None:
     outcome.count(f"exit {program.returncode}")
     if program.returncode != (0 if replaced else CANNOT_WRITE) or "Traceback" in error:
         said = error.strip()[-300:]
-        outcome.faults.append(f"limit {limit}: exit {program.returncode}, replaced {replaced}, {said!r}")
+        outcome.faults.append(
+            f"limit {limit}: exit {program.returncode}, replaced {replaced}, {said!r}"
+        )
     if fault := fault_of(bench.results) or ", ".join(map(str, bench.hidden())):
         outcome.faults.append(f"limit {limit}: {fault}")
 
@@ -254,7 +288,11 @@ def run_trials(bench: Bench, counts: dict[str, int], every: int = 5) -> dict[str
                 if fault := fault_of(bench.results):
                     outcome.faults.append(f"after the next run: {fault}")
             if number % 10 == 0:
-                print(f"{kind}: {number} of {count}, {len(outcome.faults)} faults", file=sys.stderr, flush=True)
+                print(
+                    f"{kind}: {number} of {count}, {len(outcome.faults)} faults",
+                    file=sys.stderr,
+                    flush=True,
+                )
         found[kind] = outcome.as_json()
     return found
 
@@ -270,14 +308,20 @@ def shared_out(kills: int) -> dict[str, int]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="scripts/kills", description="Kill runs, and check their files.")
+    parser = argparse.ArgumentParser(
+        prog="scripts/kills", description="Kill runs, and check their files."
+    )
     shares = ", ".join(f"{share:.0%} {name}".replace("%", "%%") for name, share in SHARES.items())
     parser.add_argument("--runs", type=int, default=100, help=f"kills, default 100: {shares}")
     parser.add_argument("--interrupts", type=int, default=0, help="runs with Ctrl-C, default 0")
     parser.add_argument("--disks", type=int, default=0, help="runs on a full disk, default 0")
-    parser.add_argument("--resumed", type=int, default=0, help="runs that are killed and go on, default 0")
+    parser.add_argument(
+        "--resumed", type=int, default=0, help="runs that are killed and go on, default 0"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the moments and sizes, default 0")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "kills.json")
+    parser.add_argument(
+        "--output", type=Path, default=Path(__file__).parent / "results" / "kills.json"
+    )
     given = parser.parse_args(argv)
     kills, began = shared_out(given.runs), time.perf_counter()
     counts = {"kills": kills["segment"], "interrupts": given.interrupts, "full disks": given.disks}
@@ -285,7 +329,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         folder = Path(base)
         os.environ["XDG_STATE_HOME"] = str(folder / "state")
         bench = Bench.prepared(folder, given.seed)
-        found = {"seed": given.seed, "seconds_of_a_run": round(bench.seconds, 2), **run_trials(bench, counts)}
+        found = {
+            "seed": given.seed,
+            "seconds_of_a_run": round(bench.seconds, 2),
+            **run_trials(bench, counts),
+        }
         found["resumed"] = resumed.trials(folder / "resumed", given.resumed, given.seed)
         found["batch"] = batch_kills.trials(folder / "batch", kills["batch"], given.seed)
         commands = {name: kills[name] for name in ("refine", "track", "movie")}

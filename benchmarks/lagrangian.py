@@ -48,9 +48,15 @@ Job = tuple[str, str, Callable[..., Row], tuple[Any, ...]]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="sections, separated by commas: " + ", ".join(SECTIONS))
-    parser.add_argument("--quick", action="store_true", help="coarse grids, to see that all works; writes nothing")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--only", default="", help="sections, separated by commas: " + ", ".join(SECTIONS)
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="coarse grids, to see that all works; writes nothing"
+    )
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
     names = [name.strip() for name in options.only.split(",") if name.strip()] or list(SECTIONS)
@@ -82,7 +88,12 @@ def smooth(quick: bool) -> Iterator[Job]:
     plane, space = ((32, 48), (24, 32)) if quick else ((32, 48, 64, 96, 128), (32, 48, 64))
     for group, sizes in ((PLANE, plane), (STRETCHED, plane), (SPACE, space)):
         for name, problem in group.items():
-            yield "smooth", ("3D, " if group is SPACE else "") + name, Problem.study, (problem, sizes)
+            yield (
+                "smooth",
+                ("3D, " if group is SPACE else "") + name,
+                Problem.study,
+                (problem, sizes),
+            )
     yield "smooth", "descent", Problem.study, (DESCENT, plane)
     yield "smooth", "density varies fivefold", Problem.study, (DRAWN_OUT, plane[1:])
 
@@ -94,20 +105,39 @@ def invariances(quick: bool) -> Iterator[Job]:
         yield "invariances", f"{model}, in other words", other_words, (law, 20 if quick else 48)
         for n in (32,) if quick else (32, 64, 128):
             yield "invariances", f"{model}, plane, {n}", places, (law, n, False)
-        yield "invariances", f"{model}, 3D, {24 if quick else 48}", places, (law, 24 if quick else 48, True)
+        yield (
+            "invariances",
+            f"{model}, 3D, {24 if quick else 48}",
+            places,
+            (law, 24 if quick else 48, True),
+        )
 
 
 def topology(quick: bool) -> Iterator[Job]:
     """Bodies that merge, part, close a hole at constant speed: relative error of the volume."""
-    for name, problem in {"two balls merge": MERGE, "torus closes": CLOSE, "dumbbell parts": SPLIT}.items():
+    for name, problem in {
+        "two balls merge": MERGE,
+        "torus closes": CLOSE,
+        "dumbbell parts": SPLIT,
+    }.items():
         for way, frame in {"upright": UPRIGHT, "oblique": OBLIQUE}.items():
-            yield "topology", f"{name}, {way}", volumes, (problem, frame, (24, 32) if quick else (48, 64, 96))
+            yield (
+                "topology",
+                f"{name}, {way}",
+                volumes,
+                (problem, frame, (24, 32) if quick else (48, 64, 96)),
+            )
 
 
 def diffusion(quick: bool) -> Iterator[Job]:
     """Velocity diffusion on a moving curve: with D fixed the error should fall with h."""
     for amount in (0.01, 0.03, 0.1):
-        yield "diffusion", f"D = {amount}", Problem.study, (diffusing(amount), (32, 48) if quick else (64, 128, 256))
+        yield (
+            "diffusion",
+            f"D = {amount}",
+            Problem.study,
+            (diffusing(amount), (32, 48) if quick else (64, 128, 256)),
+        )
 
 
 def border(quick: bool) -> Iterator[Job]:
@@ -123,7 +153,12 @@ def short_waves(quick: bool) -> Iterator[Job]:
     """Flowable mass under a force: short waves grow without an area weight (ill-posed), and hardly with one."""
     for alpha in (0.0, 0.03):
         problem = Problem(Law(FLOWABLE, alpha=alpha))
-        yield "short waves", f"area weight {alpha}", Problem.study, (problem, (32, 48) if quick else (128, 256, 384))
+        yield (
+            "short waves",
+            f"area weight {alpha}",
+            Problem.study,
+            (problem, (32, 48) if quick else (128, 256, 384)),
+        )
 
 
 SECTIONS: dict[str, Callable[[bool], Iterator[Job]]] = {
@@ -169,7 +204,9 @@ def growing_out(model: str, n: int) -> Row:
     force, centre, r0 = -0.5, np.array([0.75, 0.85, 0.8]), 0.45
     h, on = WIDTH / (n - 1), lattice(n)
     radius = np.sqrt(((on.points - centre[:, None, None, None]) ** 2).sum(axis=0))
-    path = exact.path(exact.Case("growing", r0, lambda r: force, t_end=1.2, flowable=model == FLOWABLE))
+    path = exact.path(
+        exact.Case("growing", r0, lambda r: force, t_end=1.2, flowable=model == FLOWABLE)
+    )
     run = Run(Setup(radius - r0, np.full(radius.shape, force), on.spacing), Law(model))
     worst, means = 0.0, 0.0
     for t in (0.4, 0.8, 1.2):

@@ -51,14 +51,18 @@ class Chosen(NamedTuple):
 #: What is reported, and what numbers were chosen on. FreeSurfer's ids from 1000 on are parts of the cortex, which have
 #: no edge between them.
 REPORTED = (
-    Chosen("ct_abdomen_hires", 2, "a network"), Chosen("ct_abdomen_hires", 2, "a network", (10_000, 150_000)),
+    Chosen("ct_abdomen_hires", 2, "a network"),
+    Chosen("ct_abdomen_hires", 2, "a network", (10_000, 150_000)),
     Chosen("mri_brain256", 3, "a program", below=1000),
     Chosen("mri_brain256", 1, "a program", (10_000, 60_000), below=1000),
-    Chosen("mri_cord_iso", 1, "people"), Chosen("mri_cord_thick", 1, "people"), Chosen("fluo_nuclei1136", 1, "people"),
+    Chosen("mri_cord_iso", 1, "people"),
+    Chosen("mri_cord_thick", 1, "people"),
+    Chosen("fluo_nuclei1136", 1, "people"),
     Chosen("synthetic_nuclei", 2, "a simulation"),
 )
 TUNED = (
-    Chosen("ct_vertebra_l3", 1, "a program"), Chosen("mri_lung_0004", 1, "people"),
+    Chosen("ct_vertebra_l3", 1, "a program"),
+    Chosen("mri_lung_0004", 1, "people"),
     Chosen("fluo_nuclei1135", 1, "people"),
 )
 #: Voxels around an object that is played.
@@ -120,9 +124,13 @@ def grown(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator) 
 
 def cut(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator) -> Mask:
     """A bite out of the border, and a leak elsewhere, as deep as the object or deeper."""
-    radius = max(1.2 * float(ndimage.distance_transform_edt(truth, sampling=spacing).max()), 3 * max(spacing))
+    radius = max(
+        1.2 * float(ndimage.distance_transform_edt(truth, sampling=spacing).max()), 3 * max(spacing)
+    )
     border = np.argwhere(truth & ~ndimage.binary_erosion(truth))
-    bite, leak = (_ball(truth.shape, spacing, border[i], radius) for i in random.integers(len(border), size=2))
+    bite, leak = (
+        _ball(truth.shape, spacing, border[i], radius) for i in random.integers(len(border), size=2)
+    )
     return (truth & ~bite) | (leak & ~bite)
 
 
@@ -130,7 +138,10 @@ def spotted(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator
     """Eight islands and eight holes of one to two of the largest spacings, or depths of the object where it is thin."""
     depth = float(ndimage.distance_transform_edt(truth, sampling=spacing).max())
     out, size = truth.copy(), min(max(spacing), depth)
-    for where, value in ((~ndimage.binary_dilation(truth, iterations=4), True), (ndimage.binary_erosion(truth), False)):
+    for where, value in (
+        (~ndimage.binary_dilation(truth, iterations=4), True),
+        (ndimage.binary_erosion(truth), False),
+    ):
         places = np.argwhere(where)
         for place in places[random.integers(len(places), size=8)] if len(places) else ():
             spot = _ball(truth.shape, spacing, place, random.uniform(1, 2) * size)
@@ -138,15 +149,22 @@ def spotted(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator
     return out
 
 
-def _ball(shape: tuple[int, ...], spacing: tuple[float, ...], middle: NDArray[np.int64], radius: float) -> Mask:
+def _ball(
+    shape: tuple[int, ...], spacing: tuple[float, ...], middle: NDArray[np.int64], radius: float
+) -> Mask:
     axes = np.ogrid[tuple(slice(0, n) for n in shape)]
     return np.asarray(
-        sum(((axis - c) * h) ** 2 for axis, c, h in zip(axes, middle, spacing, strict=True)) <= radius**2
+        sum(((axis - c) * h) ** 2 for axis, c, h in zip(axes, middle, spacing, strict=True))
+        <= radius**2
     )
 
 
 WORSE: dict[str, Callable[[Mask, tuple[float, ...], np.random.Generator], Mask]] = {
-    "coarsened": coarsened, "cut": cut, "shifted": shifted, "spotted": spotted, "grown": grown,
+    "coarsened": coarsened,
+    "cut": cut,
+    "shifted": shifted,
+    "spotted": spotted,
+    "grown": grown,
     "right": lambda truth, spacing, random: truth,
 }
 #: Those that are clicked, too.
@@ -165,7 +183,8 @@ def surface_distance(found: Mask, truth: Mask, spacing: tuple[float, ...]) -> fl
     if not all(rim.any() for rim in rims):
         return float("nan")
     distances = [
-        ndimage.distance_transform_edt(~other, sampling=spacing)[rim] for rim, other in (rims, rims[::-1])
+        ndimage.distance_transform_edt(~other, sampling=spacing)[rim]
+        for rim, other in (rims, rims[::-1])
     ]
     return float(np.concatenate(distances).mean())
 
@@ -183,7 +202,11 @@ def clicks_from(case: Case, refiner: Refiner, found: Mask) -> list[float]:
         if click is None:
             break
         try:
-            refiner.apply(Correction(**{click.side: (text_of(click),)}, object=case.id if refiner.has_ids else None))
+            refiner.apply(
+                Correction(
+                    **{click.side: (text_of(click),)}, object=case.id if refiner.has_ids else None
+                )
+            )
         except AccelsurfError as error:
             print(f"    {error.message}")
             break
@@ -209,7 +232,9 @@ def play(case: Case, ways: list[str], known: list[dict[str, Any]]) -> Iterator[d
         anew = accelsurf.segment(case.image, inside=text_of(click))
         from_nothing = clicks_from(case, Refiner(anew), anew.labels > 0)
     for way in ways:
-        mask = WORSE[way](truth, spacing, np.random.default_rng(case.id)) & (truth | (case.labels == 0))
+        mask = WORSE[way](truth, spacing, np.random.default_rng(case.id)) & (
+            truth | (case.labels == 0)
+        )
         labels = np.where(mask, case.id, np.where(truth, 0, case.labels)).astype(case.labels.dtype)
         given = _state(case, labels)
         began, volume = time.perf_counter(), f"{0.05 * mask.sum() * np.prod(spacing):.6f}mm3"
@@ -218,16 +243,27 @@ def play(case: Case, ways: list[str], known: list[dict[str, Any]]) -> Iterator[d
         refiner.apply(Correction(to_edges=edges, islands=volume, holes=volume, object=case.id))
         after = refiner.result().labels
         seconds = time.perf_counter() - began
-        assert np.array_equal(after[(labels > 0) & (labels != case.id)], labels[(labels > 0) & (labels != case.id)])
+        assert np.array_equal(
+            after[(labels > 0) & (labels != case.id)], labels[(labels > 0) & (labels != case.id)]
+        )
         row = {
-            "scan": case.scan, "made_by": case.made_by, "id": case.id, "voxels": int(truth.sum()), "way": way,
+            "scan": case.scan,
+            "made_by": case.made_by,
+            "id": case.id,
+            "voxels": int(truth.sum()),
+            "way": way,
             "dice": [dice(mask, truth), dice(after == case.id, truth)],
-            "distance": [surface_distance(found, truth, spacing) / h for found in (mask, after == case.id)],
-            "seconds": seconds, "from_nothing": from_nothing,
+            "distance": [
+                surface_distance(found, truth, spacing) / h for found in (mask, after == case.id)
+            ],
+            "seconds": seconds,
+            "from_nothing": from_nothing,
         }
         if way in CLICKED:
             row["from_mask"] = clicks_from(case, Refiner(given), mask)
-        said = {key: row[key] for key in ("dice", "distance", "from_mask", "from_nothing") if key in row}
+        said = {
+            key: row[key] for key in ("dice", "distance", "from_mask", "from_nothing") if key in row
+        }
         print(f"  {way:10}", said, flush=True)
         yield row
 
@@ -245,13 +281,23 @@ def _state(case: Case, labels: NDArray[Any]) -> Any:
 def page(rows: list[dict[str, Any]]) -> str:
     """Both tables."""
     lines = head_of(
-        ("mask", "objects", "Dice before", "after `--to-edges`", "border off before, voxels", "after", "better, worse")
+        (
+            "mask",
+            "objects",
+            "Dice before",
+            "after `--to-edges`",
+            "border off before, voxels",
+            "after",
+            "better, worse",
+        )
     )
     for way in WORSE:
         found = [row for row in rows if row["way"] == way]
         if not found:
             continue
-        means = [np.mean([row[key][k] for row in found]) for key in ("dice", "distance") for k in (0, 1)]
+        means = [
+            np.mean([row[key][k] for row in found]) for key in ("dice", "distance") for k in (0, 1)
+        ]
         moved = [row["dice"][1] - row["dice"][0] for row in found]
         better, worse = sum(m > 0.005 for m in moved), sum(m < -0.005 for m in moved)
         numbers = [f"{mean:.3f}" if mean < 1 else f"{mean:.2f}" for mean in means]
@@ -260,13 +306,23 @@ def page(rows: list[dict[str, Any]]) -> str:
     for way in CLICKED:
         for wanted in WANTED:
             found = [row for row in rows if row["way"] == way]
-            cells = [_said([needed(row[key], wanted, first) for row in found]) for key, first in GAMES.items()]
+            cells = [
+                _said([needed(row[key], wanted, first) for row in found])
+                for key, first in GAMES.items()
+            ]
             lines.append(row_of((way, f"{wanted:.2f}", *cells)))
-    lines += ["", *head_of(("object", "mask", "Dice before", "after `--to-edges`", "clicks to .90"))]
+    lines += [
+        "",
+        *head_of(("object", "mask", "Dice before", "after `--to-edges`", "clicks to .90")),
+    ]
     for row in rows:
         clicks = [needed(row[key], 0.9, first) for key, first in GAMES.items() if key in row]
         said = ", ".join("-" if c is None else str(c) for c in clicks) if "from_mask" in row else ""
-        lines.append(row_of((f"{row['scan']} {row['id']}", row["way"], *(f"{d:.3f}" for d in row["dice"]), said)))
+        lines.append(
+            row_of(
+                (f"{row['scan']} {row['id']}", row["way"], *(f"{d:.3f}" for d in row["dice"]), said)
+            )
+        )
     return "\n".join(lines)
 
 
@@ -274,19 +330,27 @@ def _said(counts: list[int | None]) -> str:
     """Median number of clicks, and in how many games the Dice was reached."""
     reached = [count for count in counts if count is not None]
     worst = [MOST_CLICKS + 1 if count is None else count for count in counts]
-    return f"{np.median(worst):g} ({len(reached)} of {len(counts)})" if counts else "none was played"
+    return (
+        f"{np.median(worst):g} ({len(reached)} of {len(counts)})" if counts else "none was played"
+    )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tuning", action="store_true")
     parser.add_argument("--render", action="store_true")
-    parser.add_argument("--ways", default=",".join(WORSE), help="masks that are played; the rows of others stay")
+    parser.add_argument(
+        "--ways", default=",".join(WORSE), help="masks that are played; the rows of others stay"
+    )
     parser.add_argument("--new", action="store_true", help="only masks without a row are played")
     options = parser.parse_args()
     if not options.render:
         ways = options.ways.split(",")
-        rows = [row for row in _known() if options.new or row["way"] not in ways] if not options.tuning else []
+        rows = (
+            [row for row in _known() if options.new or row["way"] not in ways]
+            if not options.tuning
+            else []
+        )
         for case in cases(TUNED if options.tuning else REPORTED, scans_folder()):
             known = [row for row in rows if (row["scan"], row["id"]) == (case.scan, case.id)]
             missing = [way for way in ways if way not in {row["way"] for row in known}]
@@ -296,7 +360,9 @@ def main() -> None:
             for row in play(case, missing, known):
                 rows.append(row)
                 if not options.tuning:
-                    JSON.write_text(json.dumps({"to_edges": TO_EDGES, "rows": rows}, indent=1) + "\n")
+                    JSON.write_text(
+                        json.dumps({"to_edges": TO_EDGES, "rows": rows}, indent=1) + "\n"
+                    )
         if options.tuning:
             print(page(rows))
             return

@@ -52,7 +52,9 @@ class Frame(NamedTuple):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/images/click.gif"))
     options = parser.parse_args()
     scans = os.environ.get("ACCELSURF_VOLUMES")
@@ -61,14 +63,24 @@ def main() -> None:
     image = io.read(Path(scans) / SCAN)
     drawn = [drawn_frame(image, frame) for frame in frames(image)]
     shown = [each.quantize(48, dither=Image.Dither.NONE) for each, _ in drawn]
-    shown[0].save(options.output, save_all=True, append_images=shown[1:], duration=[ms for _, ms in drawn], loop=0)
-    print(f"written: {options.output}, {options.output.stat().st_size / 1e6:.2f} MB, {len(drawn)} frames")
+    shown[0].save(
+        options.output,
+        save_all=True,
+        append_images=shown[1:],
+        duration=[ms for _, ms in drawn],
+        loop=0,
+    )
+    print(
+        f"written: {options.output}, {options.output.stat().st_size / 1e6:.2f} MB, {len(drawn)} frames"
+    )
 
 
 def frames(image: Volume) -> list[Frame]:
     """The frames, each with what the program shows then."""
     press = ("ball:" + ",".join(map(str, (*PRESS, RADIUS))),)
-    out = [Frame(None, at, "Press in the object,") for at in way((-20.0, -60.0, PRESS[2]), PRESS, 8)]
+    out = [
+        Frame(None, at, "Press in the object,") for at in way((-20.0, -60.0, PRESS[2]), PRESS, 8)
+    ]
     scene = Scene((image.as_float32(),), image.geometry.spacing)
     clicks = Clicks(tuple(read_clicks(press, "inside", image)), image.geometry.shape)
     marks = ((PRESS, COLOUR),)
@@ -80,7 +92,9 @@ def frames(image: Volume) -> list[Frame]:
     size = f"{SIZES[-1]}ml"
     result = accelsurf.segment(image, inside=press, size=size, keep_state="yes")
     found = result.labels > 0
-    out.append(Frame(found, out[-1].cursor, f"Release: {result.volume_mm3 / 1000:.0f} ml.", 1500, marks))
+    out.append(
+        Frame(found, out[-1].cursor, f"Release: {result.volume_mm3 / 1000:.0f} ml.", 1500, marks)
+    )
     words = "Click where it is wrong:"
     out += [Frame(found, at, words, HOLD, marks) for at in way(out[-1].cursor, OUTSIDE, 8)]
     marks = (*marks, (OUTSIDE, MARK))
@@ -104,7 +118,11 @@ def drawn_frame(image: Volume, frame: Frame) -> tuple[Image.Image, int]:
     grey = np.clip((values - LEVEL) / WIDTH + 0.5, 0.0, 1.0)
     scale = SIDE / max(grey.shape)
     size = (round(grey.shape[1] * scale), round(grey.shape[0] * scale))
-    picture = Image.fromarray((255 * grey).astype(np.uint8)).resize(size, Image.Resampling.BILINEAR).convert("RGB")
+    picture = (
+        Image.fromarray((255 * grey).astype(np.uint8))
+        .resize(size, Image.Resampling.BILINEAR)
+        .convert("RGB")
+    )
     whole = Image.new("RGB", (size[0], size[1] + BELOW), (24, 24, 24))
     whole.paste(picture, (0, 0))
     pen = ImageDraw.Draw(whole)
@@ -114,8 +132,12 @@ def drawn_frame(image: Volume, frame: Frame) -> tuple[Image.Image, int]:
         return (float(x) - COLUMNS.start + 0.5) * scale, (float(y) - ROWS.start + 0.5) * scale
 
     if frame.labels is not None:
-        for line in find_contours(np.pad(frame.labels[z, ROWS, COLUMNS].astype(np.float32), 1), 0.5):
-            pen.line([((x - 0.5) * scale, (y - 0.5) * scale) for y, x in line], fill=COLOUR, width=2)
+        for line in find_contours(
+            np.pad(frame.labels[z, ROWS, COLUMNS].astype(np.float32), 1), 0.5
+        ):
+            pen.line(
+                [((x - 0.5) * scale, (y - 0.5) * scale) for y, x in line], fill=COLOUR, width=2
+            )
     for place, colour in frame.marks:
         x, y = pixel(place)
         pen.ellipse((x - 4, y - 4, x + 4, y + 4), fill=colour, outline=(0, 0, 0))

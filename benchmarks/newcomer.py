@@ -36,11 +36,15 @@ from benchmarks.pages import head_of, put_table, row_of
 from benchmarks.real_scans import clicks_of
 from benchmarks.tutorial import FILE, ROOT, bring
 
-PAGES = {"README": ROOT / "README.md"} | {
-    name: ROOT / "docs" / "tutorial" / f"{name}.md" for name in ("first-scan", "by-clicks")
-} | {"real-scans": ROOT / "docs" / "explanation" / "real-scans.md"}
+PAGES = (
+    {"README": ROOT / "README.md"}
+    | {name: ROOT / "docs" / "tutorial" / f"{name}.md" for name in ("first-scan", "by-clicks")}
+    | {"real-scans": ROOT / "docs" / "explanation" / "real-scans.md"}
+)
 #: A block of commands; one that is indented has no kind.
-BLOCK = re.compile(r"```(console|python|text)\n(.*?)```|(?:^    accelsurf [^\n]*\n)+", re.DOTALL | re.MULTILINE)
+BLOCK = re.compile(
+    r"```(console|python|text)\n(.*?)```|(?:^    accelsurf [^\n]*\n)+", re.DOTALL | re.MULTILINE
+)
 TABLE, SHOWN, SLOWEST = ROOT / "docs" / "explanation" / "start-up.md", 90, 2
 #: The clicks that real-scans reads from a table, which it has from a reference.
 TABLE_OF_CLICKS, CLICKED = "nuclei_each.csv", "fluo_nuclei1136_ref.nii.gz"
@@ -49,16 +53,22 @@ EXAMPLES = r"\b(torus|noisy|two_balls)(?=_seg|_truth|\.nii)"
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("pages", nargs="*", help=", ".join(PAGES))
     parser.add_argument("--scan", nargs=2, action="append", default=[], metavar=("FILE", "LABEL"))
-    parser.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/newcomer.json")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=ROOT / "benchmarks/results/newcomer.json"
+    )
     given = parser.parse_args()
     kept: dict[str, Any] = json.loads(given.output.read_text()) if given.output.exists() else {}
     failed = 0
     for page in given.pages or PAGES:
         scans = given.scan if page in ("README", "first-scan") else []
-        cases = [(page, None, "")] + [(f"{page}, {Path(scan).name}", Path(scan), label) for scan, label in scans]
+        cases = [(page, None, "")] + [
+            (f"{page}, {Path(scan).name}", Path(scan), label) for scan, label in scans
+        ]
         for name, scan, label in cases:
             with tempfile.TemporaryDirectory() as folder:
                 rows = follow(PAGES[page], Path(folder), scan, label)
@@ -80,8 +90,16 @@ def follow(page: Path, work: Path, scan: Path | None, label: str) -> list[dict[s
     rows = []
     for found in BLOCK.finditer(text):
         kind, block = found[1] or "console", found[2] or found[0]
-        lines = [block] if kind == "python" else [line.strip().removeprefix("$ ") for line in block.splitlines()]
-        typed = {"console": True, "python": scan is None, "text": scan is not None and lines[0].startswith("accelsurf")}
+        lines = (
+            [block]
+            if kind == "python"
+            else [line.strip().removeprefix("$ ") for line in block.splitlines()]
+        )
+        typed = {
+            "console": True,
+            "python": scan is None,
+            "text": scan is not None and lines[0].startswith("accelsurf"),
+        }
         for line in lines if typed[kind] else []:
             if kind == "python":
                 (work / "typed.py").write_text(line)
@@ -97,8 +115,9 @@ def follow(page: Path, work: Path, scan: Path | None, label: str) -> list[dict[s
             rows.append(row)
             print(
                 f"{row['seconds']:7.1f} s  processor {row['processor_s']:5.1f} s  exit {row['exit']}  {line}  "
-                f"{slowest(row)}  {row['said']}", flush=True,
-            )  # fmt: skip
+                f"{slowest(row)}  {row['said']}",
+                flush=True,
+            )
     return rows
 
 
@@ -109,7 +128,11 @@ def typed_in(line: str, work: Path, env: dict[str, str]) -> dict[str, Any]:
     said = run.stderr.strip().splitlines()
     seconds, processor = time.monotonic() - began, sum(os.times()[2:4]) - sum(before[2:4])
     row = {"seconds": round(seconds, 1), "processor_s": round(processor, 1), "exit": run.returncode}
-    return {**row, "said": " ".join(said[-2:]) if run.returncode else "", "parts": parts_since(now, work, seconds)}
+    return {
+        **row,
+        "said": " ".join(said[-2:]) if run.returncode else "",
+        "parts": parts_since(now, work, seconds),
+    }
 
 
 def parts_since(began: float, work: Path, seconds: float) -> dict[str, float]:
@@ -119,7 +142,10 @@ def parts_since(began: float, work: Path, seconds: float) -> dict[str, float]:
         return {}
     told = json.loads(reports[0].read_text())["seconds"]
     parts = {part: value for part, value in told.items() if value and part != "total"}
-    return {part: round(value, 1) for part, value in {**parts, "program": seconds - sum(parts.values())}.items()}
+    return {
+        part: round(value, 1)
+        for part, value in {**parts, "program": seconds - sum(parts.values())}.items()
+    }
 
 
 def slowest(row: dict[str, Any]) -> str:
@@ -135,8 +161,15 @@ def text_of(kept: dict[str, list[dict[str, Any]]]) -> str:
         rows = [row for row in kept.get(page, []) if row["exit"] == 0]
         lines += [row_of((f"**{page}**", "", "", ""))] if rows else []
         for row in rows:
-            command = row["command"] if len(row["command"]) <= SHOWN else f"{row['command'][:SHOWN]} ..."
-            cells = f"`{command}`", f"{row['seconds']:.1f}", f"{row['processor_s']:.1f}", slowest(row)
+            command = (
+                row["command"] if len(row["command"]) <= SHOWN else f"{row['command'][:SHOWN]} ..."
+            )
+            cells = (
+                f"`{command}`",
+                f"{row['seconds']:.1f}",
+                f"{row['processor_s']:.1f}",
+                slowest(row),
+            )
             lines.append(row_of(cells))
     return "\n".join([*lines, ""])
 
@@ -165,7 +198,10 @@ def with_scan(text: str, volumes: Path, scan: Path, label: int) -> str:
     first = next_click(truth, None, known.geometry)
     assert first is not None
     around = known.geometry.index_to_world(np.argwhere(np.ones(truth.shape, bool)).astype(float))
-    free = np.linalg.norm(around - np.asarray(first.centre), axis=1).reshape(truth.shape) > 4.0 * first.radius
+    free = (
+        np.linalg.norm(around - np.asarray(first.centre), axis=1).reshape(truth.shape)
+        > 4.0 * first.radius
+    )
     second = next_click(truth & free, None, known.geometry)
     # What a person would click away: the nearest place that is well outside.
     outside = ndimage.distance_transform_edt(~truth, sampling=known.geometry.spacing)
@@ -179,13 +215,24 @@ def with_scan(text: str, volumes: Path, scan: Path, label: int) -> str:
         return "ball:" + places[centres[centre]]
 
     centres: dict[str, int] = {}
-    sides = [value + sign * first.radius for sign in (-1, 1) for value in np.asarray((second or first).centre)]
+    sides = [
+        value + sign * first.radius
+        for sign in (-1, 1)
+        for value in np.asarray((second or first).centre)
+    ]
     text = re.sub(EXAMPLES, name, text)
-    text = re.sub(r"--outside ball:X,Y,Z,\w+", "--outside ball:" + numbers([*beside, first.radius]), text)
+    text = re.sub(
+        r"--outside ball:X,Y,Z,\w+", "--outside ball:" + numbers([*beside, first.radius]), text
+    )
     text = re.sub(r"ball:(X,Y,Z,\w+)", "ball:" + places[0], text)
     text = re.sub(r"(?<!outside )ball:(-?[\d.]+(?:,-?[\d.]+){3})", ball, text)
     text = re.sub(r"box:(-?[\d.]+(?:,-?[\d.]+){5})", "box:" + numbers(sides), text)
-    return re.sub(r"^([12]),-?\d+,\d+,\d+,\d+$", lambda row: f"{row[1]},{places[int(row[1]) - 1]}", text, flags=re.M)
+    return re.sub(
+        r"^([12]),-?\d+,\d+,\d+,\d+$",
+        lambda row: f"{row[1]},{places[int(row[1]) - 1]}",
+        text,
+        flags=re.M,
+    )
 
 
 def written(click: PersonClick) -> str:

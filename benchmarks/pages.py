@@ -33,30 +33,58 @@ class Figures(NamedTuple):
 _N = r"(\d*\.?\d+)"
 _RESULTS, _CLICKS, _CT = "benchmarks/results", "figures/plain/accelsurf/all", "512x512x300 ct"
 _DRAWN = ("stroke in a slice", "slices by the wheel", "grey values by a drag")
-_SERVED = (("point", "point"), ("box", "bbox"), ("scribble", "scribble"), ("lasso", "lasso"), ("labels", "labels"))
-_HELD, _MEASURED = ("all/all", "slices/1 mm", "slices/3 mm", "slices/5 mm"), ("volume", "area", "diameter")
+_SERVED = (
+    ("point", "point"),
+    ("box", "bbox"),
+    ("scribble", "scribble"),
+    ("lasso", "lasso"),
+    ("labels", "labels"),
+)
+_HELD, _MEASURED = (
+    ("all/all", "slices/1 mm", "slices/3 mm", "slices/5 mm"),
+    ("volume", "area", "diameter"),
+)
 _BRAIN = ("accelsurf", "c3d -levelset", "Gaussian, Otsu, largest part")
 FIGURES = (
     Figures(
-        "README.md", f"Dice {_N} after one click .*? {_N} after two, {_N} after three, {_N} after five; {_N} % of the",
-        f"{_RESULTS}/clicks.json", (*(f"{_CLICKS}/dice/{clicks}" for clicks in "1235"), f"%{_CLICKS}/within5"),
+        "README.md",
+        f"Dice {_N} after one click .*? {_N} after two, {_N} after three, {_N} after five; {_N} % of the",
+        f"{_RESULTS}/clicks.json",
+        (*(f"{_CLICKS}/dice/{clicks}" for clicks in "1235"), f"%{_CLICKS}/within5"),
     ),
-    Figures("README.md", rf"\({_N} if the person takes the best", "docs/explanation/click-benchmark.md",
-            (rf"best of its answers[^|]*\| {_N}",)),
-    Figures("README.md", rf"spleen in CT, .*?Dice {_N}", "docs/tutorial/by-clicks.md", (f"tutorial spleen -->{_N}",)),
     Figures(
-        "README.md", rf"Dice {_N} in {_N} s \(`--preset .*?\(c3d\) {_N} in {_N} s; .*? {_N} in {_N} s",
+        "README.md",
+        rf"\({_N} if the person takes the best",
+        "docs/explanation/click-benchmark.md",
+        (rf"best of its answers[^|]*\| {_N}",),
+    ),
+    Figures(
+        "README.md",
+        rf"spleen in CT, .*?Dice {_N}",
+        "docs/tutorial/by-clicks.md",
+        (f"tutorial spleen -->{_N}",),
+    ),
+    Figures(
+        "README.md",
+        rf"Dice {_N} in {_N} s \(`--preset .*?\(c3d\) {_N} in {_N} s; .*? {_N} in {_N} s",
         f"{_RESULTS}/benchmark_segment-real.json",
         tuple(f"programs/{name}/{key}" for name in _BRAIN for key in ("dice", "median_s")),
     ),
-    Figures("README.md", rf"trapped at the core in five \(Dice {_N}\)", "docs/explanation/paper.md",
-            (rf"several phases: [^|]*\| descent \| {_N}",)),
     Figures(
-        "docs/how-to/viewer.md", rf"slowed the solver by {_N} % and answered keys after {_N} ms \(median; {_N} at",
-        f"{_RESULTS}/viewer.json", ("%slowdown/window", "key_answered_ms/median", "key_answered_ms/largest"),
+        "README.md",
+        rf"trapped at the core in five \(Dice {_N}\)",
+        "docs/explanation/paper.md",
+        (rf"several phases: [^|]*\| descent \| {_N}",),
     ),
     Figures(
-        "docs/viewer.md", rf"{_N} {_N} {_N} {_N} s for four strokes .*?\({_N} {_N} {_N} {_N} s at 256",
+        "docs/how-to/viewer.md",
+        rf"slowed the solver by {_N} % and answered keys after {_N} ms \(median; {_N} at",
+        f"{_RESULTS}/viewer.json",
+        ("%slowdown/window", "key_answered_ms/median", "key_answered_ms/largest"),
+    ),
+    Figures(
+        "docs/viewer.md",
+        rf"{_N} {_N} {_N} {_N} s for four strokes .*?\({_N} {_N} {_N} {_N} s at 256",
         f"{_RESULTS}/viewer_strokes.json",
         tuple(f"{size}/obeyed_s/{number}" for size in (_CT, "256x256x256") for number in range(4)),
     ),
@@ -66,23 +94,35 @@ FIGURES = (
         f"{_RESULTS}/viewer_strokes.json",
         tuple(f"{size}/{what}/median_ms" for what in _DRAWN for size in (_CT, "256x256x256")),
     ),
-    *(Figures(
-        "docs/how-to/slicer-and-napari.md", rf"\| {name} \| {_N} \({_N}\) \| {_N} \({_N}\) \|",
-        f"{_RESULTS}/serve.json",
-        tuple(f"summary/{when} {kind}/{key}" for when in ("first", "later, after") for key in ("median", "95 %")),
-    ) for name, kind in _SERVED),
+    *(
+        Figures(
+            "docs/how-to/slicer-and-napari.md",
+            rf"\| {name} \| {_N} \({_N}\) \| {_N} \({_N}\) \|",
+            f"{_RESULTS}/serve.json",
+            tuple(
+                f"summary/{when} {kind}/{key}"
+                for when in ("first", "later, after")
+                for key in ("median", "95 %")
+            ),
+        )
+        for name, kind in _SERVED
+    ),
     Figures(
         "docs/explanation/trust.md",
         rf"\({_N} of `segment`, {_N} of `refine`, {_N} of `track`, {_N} of `movie`, {_N} of `batch`",
-        f"{_RESULTS}/kills.json", ("kills/runs", "refine/runs", "track/runs", "movie/runs", "batch/batches"),
+        f"{_RESULTS}/kills.json",
+        ("kills/runs", "refine/runs", "track/runs", "movie/runs", "batch/batches"),
     ),
-    *(Figures(
-        "docs/explanation/measures.md",
-        rf"\| {name}[^|]*\| {_N} % \| {_N}, {_N}, {_N} % \| {_N} % \| {_N}, {_N}, {_N} % \|",
-        f"{_RESULTS}/intervals.json",
-        tuple(f"%counted/report/{name}_mm{power}/{part}/holds" for part in _HELD)
-        + tuple(f"counted/report/{name}_mm{power}/{part}/half_width_percent" for part in _HELD),
-    ) for name, power in zip(_MEASURED, ("3", "2", ""), strict=True)),
+    *(
+        Figures(
+            "docs/explanation/measures.md",
+            rf"\| {name}[^|]*\| {_N} % \| {_N}, {_N}, {_N} % \| {_N} % \| {_N}, {_N}, {_N} % \|",
+            f"{_RESULTS}/intervals.json",
+            tuple(f"%counted/report/{name}_mm{power}/{part}/holds" for part in _HELD)
+            + tuple(f"counted/report/{name}_mm{power}/{part}/half_width_percent" for part in _HELD),
+        )
+        for name, power in zip(_MEASURED, ("3", "2", ""), strict=True)
+    ),
 )
 
 
@@ -94,11 +134,19 @@ def compared(figures: Figures) -> list[tuple[str, float, str]]:
     LookupError
         When the page has no such text, or its source no such number.
     """
-    found = re.search(figures.text, " ".join((ROOT / figures.page).read_text(encoding="utf-8").split()))
+    found = re.search(
+        figures.text, " ".join((ROOT / figures.page).read_text(encoding="utf-8").split())
+    )
     if found is None or len(found.groups()) != len(figures.keys):
         raise LookupError(f"{figures.page}: has no {figures.text!r}")
     return [
-        (said, 100 * measured(figures.source, key[1:]) if key.startswith("%") else measured(figures.source, key), key)
+        (
+            said,
+            100 * measured(figures.source, key[1:])
+            if key.startswith("%")
+            else measured(figures.source, key),
+            key,
+        )
         for said, key in zip(found.groups(), figures.keys, strict=True)
     ]
 

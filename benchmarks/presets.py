@@ -45,7 +45,9 @@ class Trial(NamedTuple):
 
 #: By clicks.
 TRIALS = {
-    "mr-white-matter": Trial(("macaque-white-matter", "mean-white", "white-matter"), ("mri_brain_oblique",)),
+    "mr-white-matter": Trial(
+        ("macaque-white-matter", "mean-white", "white-matter"), ("mri_brain_oblique",)
+    ),
 }
 
 
@@ -64,13 +66,21 @@ def _named(name: str) -> ClickObject:
 _BONES = (32, 33, 69, 70, *range(97, 104), *range(109, 116))
 #: Without a click. Brains are those without a skull.
 STARTED = {
-    "mr-brain": (Started(_named("head-brain"), ("ball:126,110,130,30vox",)),
-                 Started(_named("oblique-brain"), ("center",)), Started(_named("mean-brain"), ("center",))),
-    "ct-skeleton": (Started(_named("skull")), Started(ClickObject("all bones", "ct_abdomen_hires", _BONES)),
-                    Started(ClickObject("vertebrae", "ct_vertebra_l3", (21, 22, 23)))),
-    "fluorescence-nucleus": tuple(Started(ClickObject("all nuclei", scan))
-                                  for scan in ("fluo_nuclei1136", "fluo_nuclei1135", "synthetic_nuclei")),
-}  # fmt: skip
+    "mr-brain": (
+        Started(_named("head-brain"), ("ball:126,110,130,30vox",)),
+        Started(_named("oblique-brain"), ("center",)),
+        Started(_named("mean-brain"), ("center",)),
+    ),
+    "ct-skeleton": (
+        Started(_named("skull")),
+        Started(ClickObject("all bones", "ct_abdomen_hires", _BONES)),
+        Started(ClickObject("vertebrae", "ct_vertebra_l3", (21, 22, 23))),
+    ),
+    "fluorescence-nucleus": tuple(
+        Started(ClickObject("all nuclei", scan))
+        for scan in ("fluo_nuclei1136", "fluo_nuclei1135", "synthetic_nuclei")
+    ),
+}
 CELLS = "membrane-cells"
 
 
@@ -87,8 +97,12 @@ def clicked(name: str, which: ClickObject, folder: Path) -> dict[str, Any]:
     made = Refined if name == DEFAULT else partial(WithPreset, name)
     games = play(made, load(which, folder), CLICKS)["clicks"]
     errors = [row["error"] for row in games if "error" in row]
-    return {"scan": which.volume, "dice": [round(row["dice"], 4) for row in games],
-            "cpu_s": [round(row["cpu_s"], 1) for row in games], **({"errors": errors} if errors else {})}
+    return {
+        "scan": which.volume,
+        "dice": [round(row["dice"], 4) for row in games],
+        "cpu_s": [round(row["cpu_s"], 1) for row in games],
+        **({"errors": errors} if errors else {}),
+    }
 
 
 def started(name: str, trial: Started, folder: Path) -> dict[str, Any]:
@@ -113,7 +127,9 @@ def cells(seed: int) -> dict[str, Any]:
         table.write_text("\n".join(["id,x_vox,y_vox,z_vox,r_vox,side", *rows]))
         for said, options in (("preset", {"preset": CELLS}), (DEFAULT, {"energy": "seeded"})):
             found = segment_objects(image, str(table), **options).labels
-            out[said] = round(float(np.mean([dice(found == n, truth == n) for n in range(1, len(rows) + 1)])), 4)
+            out[said] = round(
+                float(np.mean([dice(found == n, truth == n) for n in range(1, len(rows) + 1)])), 4
+            )
     return out
 
 
@@ -128,24 +144,37 @@ def after(game: dict[str, Any], clicks: int) -> float:
     return float(game["dice"][min(clicks, len(game["dice"])) - 1])
 
 
-def means(found: dict[str, Any], name: str, tuned: bool | None = None) -> tuple[int, list[float]] | None:
+def means(
+    found: dict[str, Any], name: str, tuned: bool | None = None
+) -> tuple[int, list[float]] | None:
     """Number of scans, and means at 1 and 3 clicks: of the preset, of the default; None where nothing was played.
 
     ``tuned``: on the scans that the preset was tuned on, or on the others; None on all.
     """
     games, plain = found["clicks"].get(name, {}), found["clicks"].get(DEFAULT, {})
-    held = [each for each in TRIALS[name].objects if each in games and each in plain
-            and (tuned is None or (games[each]["scan"] in TRIALS[name].tuned) == tuned)]
+    held = [
+        each
+        for each in TRIALS[name].objects
+        if each in games
+        and each in plain
+        and (tuned is None or (games[each]["scan"] in TRIALS[name].tuned) == tuned)
+    ]
     if not held:
         return None
-    figures = [statistics.fmean(after(side[each], clicks) for each in held) for clicks in (1, CLICKS)
-               for side in (games, plain)]
+    figures = [
+        statistics.fmean(after(side[each], clicks) for each in held)
+        for clicks in (1, CLICKS)
+        for side in (games, plain)
+    ]
     return len({games[each]["scan"] for each in held}), figures
 
 
 def lines(found: dict[str, Any]) -> list[str]:
     """Rows of a table: Dice at 1 and 3 clicks with the preset and by default, on all scans, those tuned on, others."""
-    out = ["| preset | scans | 1 click | default | 3 clicks | default |", "|---|---|---|---|---|---|"]
+    out = [
+        "| preset | scans | 1 click | default | 3 clicks | default |",
+        "|---|---|---|---|---|---|",
+    ]
     for name in TRIALS:
         for said, tuned in (("all", None), ("tuned on", True), ("others", False)):
             got = means(found, name, tuned)
@@ -153,8 +182,10 @@ def lines(found: dict[str, Any]) -> list[str]:
                 figures = " | ".join(f"{value:.3f}" for value in got[1])
                 out.append(f"| {name} | {got[0]} ({said}) | {figures} |")
     for name, games in found["started"].items():
-        out += [f"| {name} | {game['scan']} | {game['preset']:.3f} | {game[DEFAULT]:.3f} | | |"
-                for game in games.values()]
+        out += [
+            f"| {name} | {game['scan']} | {game['preset']:.3f} | {game[DEFAULT]:.3f} | | |"
+            for game in games.values()
+        ]
     return out
 
 
@@ -167,7 +198,11 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--again", action="store_true", help="play what the file has too")
     parser.add_argument("-o", "--output", type=Path, default=RESULTS)
     given = parser.parse_args(words)
-    found = json.loads(given.output.read_text()) if given.output.exists() else {"clicks": {}, "started": {}}
+    found = (
+        json.loads(given.output.read_text())
+        if given.output.exists()
+        else {"clicks": {}, "started": {}}
+    )
 
     def keep(table: str, name: str, what: str, play_it: Any) -> None:
         held = found[table].setdefault(name, {})

@@ -43,7 +43,10 @@ from benchmarks.pages import head_of, put_table, row_of
 ROOT = Path(__file__).resolve().parent.parent
 FACTS = ROOT / "benchmarks" / "results" / "quality.json"
 MODEL = ROOT / "accelsurf" / "measure" / likely.MODEL_FILE
-PAGE, PICTURE = ROOT / "docs" / "explanation" / "quality.md", ROOT / "docs" / "images" / "quality-reliability.png"
+PAGE, PICTURE = (
+    ROOT / "docs" / "explanation" / "quality.md",
+    ROOT / "docs" / "images" / "quality-reliability.png",
+)
 #: Clicks of a game; games of each object: None for exact clicks, a seed for jittered ones.
 CLICKS, GAMES = 5, (None, 0)
 #: Scenes that are drawn, other ones than the networks are trained on; objects of each, and what an object of them
@@ -52,8 +55,14 @@ SCENES, OF_SCENE, SCENE_WEIGHT = range(900_000, 900_040), 2, 0.25
 DRAWN = "scenes"
 #: Which way each feature may count.
 SIGNS = {
-    "level_overlap": 1.0, "size_spread": -1.0, "correction": -1.0, "unchanged": 1.0, "surprise": -1.0, "rim": -1.0,
-    "drift": -1.0, "no_edge": -1.0,
+    "level_overlap": 1.0,
+    "size_spread": -1.0,
+    "correction": -1.0,
+    "unchanged": 1.0,
+    "surprise": -1.0,
+    "rim": -1.0,
+    "drift": -1.0,
+    "no_edge": -1.0,
 }
 #: The models: by the clicks' model and the image, and by the image alone.
 KINDS: tuple[likely.ModelKind, ...] = ("clicks", "image")
@@ -68,9 +77,13 @@ DONE = Stop("converged", 0, 0.0, "")
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", default="", help="make these rows, separated by commas; the others are kept")
+    parser.add_argument(
+        "--only", default="", help="make these rows, separated by commas; the others are kept"
+    )
     parser.add_argument("--again", action="store_true", help="make rows again that are kept")
-    parser.add_argument("--fit", action="store_true", help="make no rows: calibrate on those of the JSON")
+    parser.add_argument(
+        "--fit", action="store_true", help="make no rows: calibrate on those of the JSON"
+    )
     parser.add_argument("--jobs", type=int, default=1, help="processes (1)")
     options = parser.parse_args()
     facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"games": {}}
@@ -92,7 +105,11 @@ def main() -> None:
 
 def gather(facts: dict[str, Any], options: argparse.Namespace) -> None:
     """Make the rows that are missing, or of another model, and write them as they come."""
-    made_by, only, began = model_digest(), {name for name in options.only.split(",") if name}, time.monotonic()
+    made_by, only, began = (
+        model_digest(),
+        {name for name in options.only.split(",") if name},
+        time.monotonic(),
+    )
     names = [which.name for which in chosen()] if "ACCELSURF_VOLUMES" in os.environ else []
     if not names:
         print("ACCELSURF_VOLUMES is not set: phantoms and scenes only", file=sys.stderr)
@@ -100,14 +117,19 @@ def gather(facts: dict[str, Any], options: argparse.Namespace) -> None:
     names += [f"{DRAWN}-{seed}" for seed in SCENES]
     kept = {} if options.again else facts["games"]
     missing = [
-        name for name in names
+        name
+        for name in names
         if (name in only if only else True) and kept.get(name, {}).get("made_by") != made_by
     ]
     with ProcessPoolExecutor(options.jobs) as pool:
         for name, rows in zip(missing, pool.map(rows_of, missing), strict=True):
             facts["games"][name] = {"made_by": made_by, "rows": rows}
             FACTS.write_text(json.dumps(facts, indent=0) + "\n")
-            print(f"{time.monotonic() - began:.0f} s {name}", [round(row["dice"], 2) for row in rows], flush=True)
+            print(
+                f"{time.monotonic() - began:.0f} s {name}",
+                [round(row["dice"], 2) for row in rows],
+                flush=True,
+            )
 
 
 def model_digest() -> str:
@@ -126,7 +148,8 @@ def rows_of(name: str) -> list[Row]:
         return [{**row, "fold": which.fold} for seed in GAMES for row in in_game(scan, seed)]
     image, objects = drawn_scene(int(name.split("-")[1]))
     return [
-        {**row, "fold": DRAWN} for number, truth in enumerate(objects[:OF_SCENE])
+        {**row, "fold": DRAWN}
+        for number, truth in enumerate(objects[:OF_SCENE])
         for row in in_game(Scene(image, truth), GAMES[number % len(GAMES)])
     ]
 
@@ -156,12 +179,20 @@ def in_game(scene: Scene, seed: int | None) -> Iterator[Row]:
         yield before
 
 
-def row_of_result(player: StartAlone, found: NDArray[np.bool_], clicked: NDArray[np.bool_], scene: Scene) -> Row:
+def row_of_result(
+    player: StartAlone, found: NDArray[np.bool_], clicked: NDArray[np.bool_], scene: Scene
+) -> Row:
     """The features of a result, its Dice, and that after a click at the place that is proposed."""
     assert player.model is not None
     seen, geometry = player.scene.images[0], scene.image.geometry
     measured = quality.measured(
-        found.astype(np.uint8), seen, geometry, [], DONE, clicked=clicked, confidence=confidence_of(player.model)
+        found.astype(np.uint8),
+        seen,
+        geometry,
+        [],
+        DONE,
+        clicked=clicked,
+        confidence=confidence_of(player.model),
     )
     features = likely.click_features(measured)
     assert features is not None
@@ -172,11 +203,16 @@ def row_of_result(player: StartAlone, found: NDArray[np.bool_], clicked: NDArray
         side = "inside" if scene.truth[z, y, x] else "outside"
         point = PersonClick(side, (z, y, x), measured.next_click, 0.5 * min(geometry.spacing))
         clicks = player.clicks.with_more([voxels_of(point, scene.image.geometry)])
-        after = click_model(player.scene, clicks, previous=player.model).inside_on(whole_box(geometry.shape))
+        after = click_model(player.scene, clicks, previous=player.model).inside_on(
+            whole_box(geometry.shape)
+        )
         hinted = dice(within(after, scene.region), scene.truth)
     return {
-        "dice": round(value, 4), "clicks": _rounded(features), "image": _rounded(likely.image_features(measured)),
-        "hinted": hinted, "person": None,
+        "dice": round(value, 4),
+        "clicks": _rounded(features),
+        "image": _rounded(likely.image_features(measured)),
+        "hinted": hinted,
+        "person": None,
     }
 
 
@@ -201,14 +237,18 @@ def trained(rows: Rows, kind: str) -> dict[str, Any]:
     mean = np.average(table, axis=0, weights=weight)
     deviation = np.maximum(np.sqrt(np.average((table - mean) ** 2, axis=0, weights=weight)), 1e-6)
     x = np.column_stack([np.ones(len(every)), (table - mean) / deviation])
-    ridge, signs = np.diag([0.0] + [RIDGE] * len(names)), np.array([0.0] + [SIGNS[name] for name in names])
+    ridge, signs = (
+        np.diag([0.0] + [RIDGE] * len(names)),
+        np.array([0.0] + [SIGNS[name] for name in names]),
+    )
     beta = _solved(x, weight, target, ridge)
     # A measure that would count the wrong way tells of these objects, not of objects.
     while (wrong := (beta * signs < 0)).any():
         x[:, wrong] = 0.0
         beta = _solved(x, weight, target, ridge)
     listed = {
-        name: [round(float(v), 6) for v in (mean[i], deviation[i], beta[i + 1])] for i, name in enumerate(names)
+        name: [round(float(v), 6) for v in (mean[i], deviation[i], beta[i + 1])]
+        for i, name in enumerate(names)
     }
     return {"features": listed, "constant": round(float(beta[0]), 6)}
 
@@ -217,7 +257,9 @@ def _weight(row: Mapping[str, Any]) -> float:
     return SCENE_WEIGHT if row.get("fold") == DRAWN else 1.0
 
 
-def _solved(x: NDArray[Any], weight: NDArray[Any], target: NDArray[Any], ridge: NDArray[Any]) -> NDArray[Any]:
+def _solved(
+    x: NDArray[Any], weight: NDArray[Any], target: NDArray[Any], ridge: NDArray[Any]
+) -> NDArray[Any]:
     """The weights of a logistic model with a ridge."""
     beta = np.zeros(x.shape[1])
     for _ in range(50):
@@ -227,7 +269,9 @@ def _solved(x: NDArray[Any], weight: NDArray[Any], target: NDArray[Any], ridge: 
     return np.asarray(beta)
 
 
-def probabilities(model: Mapping[str, Any], rows: Iterable[Mapping[str, Any]], kind: str) -> list[float]:
+def probabilities(
+    model: Mapping[str, Any], rows: Iterable[Mapping[str, Any]], kind: str
+) -> list[float]:
     """The probability of a good result of each row."""
     out = []
     for row in rows:
@@ -245,7 +289,11 @@ def judged(rows: Rows, kind: str) -> dict[str, list[float]]:
     out: dict[str, list[float]] = {}
     for fold in sorted(set(folds.values())):
         model = trained({name: each for name, each in rows.items() if folds[name] != fold}, kind)
-        out |= {name: probabilities(model, each, kind) for name, each in rows.items() if folds[name] == fold}
+        out |= {
+            name: probabilities(model, each, kind)
+            for name, each in rows.items()
+            if folds[name] == fold
+        }
     return out
 
 
@@ -265,8 +313,12 @@ def table_of(
 def every_figure(rows: Rows, said: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     """The figures of all scans, of each fold, of the phantoms and of the drawn scenes."""
     fold_of = {name: str(each[0]["fold"]) for name, each in rows.items()}
-    parts = {"all scans": {fold.name for fold in FOLDS}, **{f"fold {fold.name}": {fold.name} for fold in FOLDS},
-             PHANTOMS: {PHANTOMS}, DRAWN: {DRAWN}}
+    parts = {
+        "all scans": {fold.name for fold in FOLDS},
+        **{f"fold {fold.name}": {fold.name} for fold in FOLDS},
+        PHANTOMS: {PHANTOMS},
+        DRAWN: {DRAWN},
+    }
     out = {}
     for part, folds in parts.items():
         here = {name: each for name, each in rows.items() if fold_of[name] in folds}
@@ -283,41 +335,97 @@ def figures(rows: Rows, said: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     for low in np.arange(0.0, 1.0, 0.2):
         here = (p >= low) & ((p < low + 0.2) | (low > 0.75))
         if here.any():
-            curve.append({"stated": float(p[here].mean()), "good": float((d[here] >= GOOD).mean()),
-                          "results": int(here.sum())})
-    doubted = [row for name, each in rows.items() for row, value in zip(each, said[name], strict=True)
-               if value < WARNED and row["hinted"] is not None and row["person"] is not None]
-    gains = {key: np.array([row[key] - row["dice"] for row in doubted]) for key in ("hinted", "person")}
+            curve.append(
+                {
+                    "stated": float(p[here].mean()),
+                    "good": float((d[here] >= GOOD).mean()),
+                    "results": int(here.sum()),
+                }
+            )
+    doubted = [
+        row
+        for name, each in rows.items()
+        for row, value in zip(each, said[name], strict=True)
+        if value < WARNED and row["hinted"] is not None and row["person"] is not None
+    ]
+    gains = {
+        key: np.array([row[key] - row["dice"] for row in doubted]) for key in ("hinted", "person")
+    }
     return {
-        "objects": len(rows), "results": len(p), "good": float((d >= GOOD).mean()), "said": int(says.sum()),
-        "good_of_said": float((d[says] >= GOOD).mean()) if says.any() else None, "failed": int(failed.sum()),
+        "objects": len(rows),
+        "results": len(p),
+        "good": float((d >= GOOD).mean()),
+        "said": int(says.sum()),
+        "good_of_said": float((d[says] >= GOOD).mean()) if says.any() else None,
+        "failed": int(failed.sum()),
         "said_of_failed": float(says[failed].mean()) if failed.any() else None,
         "doubted_of_good": float((p[d >= GOOD] < WARNED).mean()) if (d >= GOOD).any() else None,
-        "doubted_of_failed": float((p[failed] < WARNED).mean()) if failed.any() else None, "curve": curve,
+        "doubted_of_failed": float((p[failed] < WARNED).mean()) if failed.any() else None,
+        "curve": curve,
         "hints": len(doubted),
-        **{f"{key}_{what}": float(value) if len(doubted) else None for key, gain in gains.items()
-           for what, value in (("raises", np.mean(gain > 0.005) if len(doubted) else 0.0),
-                               ("gain", np.mean(gain) if len(doubted) else 0.0))},
+        **{
+            f"{key}_{what}": float(value) if len(doubted) else None
+            for key, gain in gains.items()
+            for what, value in (
+                ("raises", np.mean(gain > 0.005) if len(doubted) else 0.0),
+                ("gain", np.mean(gain) if len(doubted) else 0.0),
+            )
+        },
     }
 
 
 def text_of(figures: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
     """The page's tables."""
     found = figures["clicks"]
-    lines = head_of(("results of", "results", f"good (Dice {GOOD})", f"said to be good ({SAID:.0%})", "of these good",
-                     f"failed (below {FAILED})", "of these said to be good", "of these with a warning",
-                     "good ones with a warning"))
-    alone = {f"{part}, by the image alone": own for part, own in figures["image"].items() if part == "all scans"}
+    lines = head_of(
+        (
+            "results of",
+            "results",
+            f"good (Dice {GOOD})",
+            f"said to be good ({SAID:.0%})",
+            "of these good",
+            f"failed (below {FAILED})",
+            "of these said to be good",
+            "of these with a warning",
+            "good ones with a warning",
+        )
+    )
+    alone = {
+        f"{part}, by the image alone": own
+        for part, own in figures["image"].items()
+        if part == "all scans"
+    }
     for part, own in (*found.items(), *alone.items()):
         keys = ("good_of_said", "said_of_failed", "doubted_of_failed", "doubted_of_good")
         of_said, *rest = ("-" if own[key] is None else f"{own[key]:.0%}" for key in keys)
-        cells = (part, str(own["results"]), f"{own['good']:.0%}", str(own["said"]), of_said, str(own["failed"]))
+        cells = (
+            part,
+            str(own["results"]),
+            f"{own['good']:.0%}",
+            str(own["said"]),
+            of_said,
+            str(own["failed"]),
+        )
         lines.append(row_of((*cells, *rest)))
-    lines += ["", *head_of(("results with a warning", "number", "a click at the doubtful place raises the Dice",
-                            "by", "the person's own click raises it", "by"))]
+    lines += [
+        "",
+        *head_of(
+            (
+                "results with a warning",
+                "number",
+                "a click at the doubtful place raises the Dice",
+                "by",
+                "the person's own click raises it",
+                "by",
+            )
+        ),
+    ]
     for part, own in found.items():
         if own["hints"] and not part.startswith("fold"):
-            told = [f"{own[f'{key}_raises']:.0%} {own[f'{key}_gain']:+.3f}" for key in ("hinted", "person")]
+            told = [
+                f"{own[f'{key}_raises']:.0%} {own[f'{key}_gain']:+.3f}"
+                for key in ("hinted", "person")
+            ]
             lines.append(row_of((part, str(own["hints"]), *" ".join(told).split())))
     return "\n".join(lines) + "\n"
 
@@ -335,8 +443,15 @@ def picture(found: Mapping[str, Mapping[str, Any]]) -> None:
         many = [point for point in own["curve"] if point["results"] >= MANY]
         stated, good = ([point[key] for point in many] for key in ("stated", "good"))
         style = {"color": "black", "linewidth": 2.5} if part == "all scans" else {"linewidth": 1}
-        axes.plot(stated, good, marker="o", markersize=4, label=f"{part} ({own['results']})", **style)
-    axes.set(xlabel="stated probability", ylabel=f"share with a Dice of {GOOD} or more", xlim=(0, 1), ylim=(0, 1))
+        axes.plot(
+            stated, good, marker="o", markersize=4, label=f"{part} ({own['results']})", **style
+        )
+    axes.set(
+        xlabel="stated probability",
+        ylabel=f"share with a Dice of {GOOD} or more",
+        xlim=(0, 1),
+        ylim=(0, 1),
+    )
     axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncol=3, fontsize=7)
     figure.tight_layout()
     figure.savefig(PICTURE, metadata={"Software": None})

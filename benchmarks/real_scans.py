@@ -32,7 +32,10 @@ from benchmarks.peers.objects import compare_on_objects, mean_dice
 from benchmarks.peers.scans import best_window, compare_peers
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE, FACTS = ROOT / "docs" / "explanation" / "real-scans.md", ROOT / "docs" / "explanation" / "real-scans.json"
+PAGE, FACTS = (
+    ROOT / "docs" / "explanation" / "real-scans.md",
+    ROOT / "docs" / "explanation" / "real-scans.json",
+)
 
 
 @dataclass(frozen=True)
@@ -83,10 +86,29 @@ CASES: dict[str, Case] = {
 #: Folder of the pictures that the page shows, and the colours of each.
 PICTURES, COLOURS = ROOT / "docs" / "images", 96
 CLICKED = (
-    "object", "1 click", "2 clicks", "3 clicks", "HD95 mm", "mean mm", "best threshold", "good", "s first", "s later",
+    "object",
+    "1 click",
+    "2 clicks",
+    "3 clicks",
+    "HD95 mm",
+    "mean mm",
+    "best threshold",
+    "good",
+    "s first",
+    "s later",
     "stop",
-)  # fmt: skip
-STARTED = ("object", "Dice", "HD95 mm", "mean mm", "best threshold", "other program", "steps", "s", "stop")
+)
+STARTED = (
+    "object",
+    "Dice",
+    "HD95 mm",
+    "mean mm",
+    "best threshold",
+    "other program",
+    "steps",
+    "s",
+    "stop",
+)
 
 
 def main() -> None:
@@ -94,12 +116,22 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--only", default="", help="names of cases, separated by semicolons")
-    parser.add_argument("--peers", type=float, default=0.0, metavar="SECONDS", help="search each other program so long")
-    parser.add_argument("--note", default="", help="about the circumstances, written into the rows that are run")
+    parser.add_argument(
+        "--peers",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="search each other program so long",
+    )
+    parser.add_argument(
+        "--note", default="", help="about the circumstances, written into the rows that are run"
+    )
     options = parser.parse_args()
     folder = os.environ.get("ACCELSURF_VOLUMES")
     if not folder:
-        sys.exit("ACCELSURF_VOLUMES is not set: name the folder with the scans (docs/explanation/real-scans.md)")
+        sys.exit(
+            "ACCELSURF_VOLUMES is not set: name the folder with the scans (docs/explanation/real-scans.md)"
+        )
     names = [name.strip() for name in options.only.split(";") if name.strip()] or list(CASES)
     for name in set(names) - set(CASES):
         sys.exit(f"{name}: there is no such case, expected {'; '.join(CASES)}")
@@ -122,7 +154,11 @@ def write_row(name: str, row: dict[str, Any]) -> None:
         # Of a search before the rows were made again; its date is beside it.
         row["peers"] = facts["peers"]["cases"][name]
     facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
-    facts["cases"] = {key: {**facts["cases"], name: row}[key] for key in CASES if key in {**facts["cases"], name: row}}
+    facts["cases"] = {
+        key: {**facts["cases"], name: row}[key]
+        for key in CASES
+        if key in {**facts["cases"], name: row}
+    }
     FACTS.write_text(json.dumps(facts, indent=1) + "\n")
     put_table(PAGE, "real-scans", text_of(facts["cases"]))
 
@@ -150,15 +186,27 @@ def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dic
         if failed:
             return row | {"error": failed[0]}
     else:
-        row["command"] = shlex.join(["accelsurf", "segment", source.name, "-o", target.name, *words])
-        given = ["segment", str(source), "-o", str(target), *words, "--threads", str(options.threads)]
+        row["command"] = shlex.join(
+            ["accelsurf", "segment", source.name, "-o", target.name, *words]
+        )
+        given = [
+            "segment",
+            str(source),
+            "-o",
+            str(target),
+            *words,
+            "--threads",
+            str(options.threads),
+        ]
         row |= typed.call([*given, "--overwrite", "--quiet"], options.output)
         if "error" in row:
             return row
         row |= typed.facts_of(target, case.image)
     image, labels = io.read(source), io.read_labels(target / f"{case.image}_seg.nii.gz")
     if truth is not None:
-        row["metrics"] = each(labels, truth) if case.table else metrics.evaluate(labels, truth).to_dict()
+        row["metrics"] = (
+            each(labels, truth) if case.table else metrics.evaluate(labels, truth).to_dict()
+        )
         window = best_window(image.as_float32(), truth.array > 0)
         row["best_threshold"] = window._asdict()
         starts = tuple(word for i, word in enumerate(words) if words[i - 1] == "--start")
@@ -185,9 +233,15 @@ def clicks_of(truth: Volume, path: Path) -> None:
 def each(labels: Volume, truth: Volume) -> dict[str, Any]:
     """Means over the labels of the reference of what each has in common with the object of its id."""
     ids = [int(own) for own in np.unique(truth.array) if own > 0]
-    pairs = [[one.with_array((one.array == own).astype(np.uint8)) for one in (labels, truth)] for own in ids]
+    pairs = [
+        [one.with_array((one.array == own).astype(np.uint8)) for one in (labels, truth)]
+        for own in ids
+    ]
     found = [metrics.evaluate(*pair).to_dict() for pair in pairs if pair[0].array.any()]
-    means = {key: float(np.mean([one[key] for one in found])) for key in ("hd95_mm", "mean_surface_distance_mm")}
+    means = {
+        key: float(np.mean([one[key] for one in found]))
+        for key in ("hd95_mm", "mean_surface_distance_mm")
+    }
     whole = metrics.dice(labels.array > 0, truth.array > 0)
     own = mean_dice(labels.array, truth.array)
     return {"dice": own, **means, "found": len(found), "of": len(ids), "all_as_one": whole}
@@ -197,7 +251,13 @@ def text_of(cases: dict[str, dict[str, Any]]) -> str:
     """The tables, the commands and the pictures, as Markdown."""
     clicked = {name: row for name, row in cases.items() if CASES[name].clicks}
     started = {name: row for name, row in cases.items() if name not in clicked}
-    lines = ["## By clicks alone", "", *head_of(CLICKED), *(row_of(_clicked(*one)) for one in clicked.items()), ""]
+    lines = [
+        "## By clicks alone",
+        "",
+        *head_of(CLICKED),
+        *(row_of(_clicked(*one)) for one in clicked.items()),
+        "",
+    ]
     lines += ["## From a start, a preset, or clicks by eye", "", *head_of(STARTED)]
     lines += [*(row_of(_started(*one)) for one in started.items()), "", "## Commands", ""]
     for row in cases.values():
@@ -210,7 +270,10 @@ def text_of(cases: dict[str, dict[str, Any]]) -> str:
 def _clicked(name: str, row: dict[str, Any]) -> list[str]:
     """Cells of a row from clicks: distances are those after the last one, the probability that after the first."""
     rows = row["clicks"]
-    found = [f"{one['metrics']['dice']:.3f}" if "metrics" in one else f"exit {one['exit_code']}" for one in rows]
+    found = [
+        f"{one['metrics']['dice']:.3f}" if "metrics" in one else f"exit {one['exit_code']}"
+        for one in rows
+    ]
     cells = [name, *(found + [""] * 3)[:3]]
     if "error" in row:
         return cells + [""] * (len(CLICKED) - len(cells))
@@ -218,7 +281,11 @@ def _clicked(name: str, row: dict[str, Any]) -> list[str]:
     cells += [f"{last['hd95_mm']:.1f}", f"{last['mean_surface_distance_mm']:.2f}"]
     cells += [f"{row['best_threshold']['dice']:.3f}", "" if good is None else f"{good:.0%}"]
     later = float(np.median([one["seconds"] for one in rows[1:]])) if rows[1:] else None
-    cells += [f"{rows[0]['seconds']:.0f}", "" if later is None else f"{later:.0f}", rows[0]["stop"]["reason"]]
+    cells += [
+        f"{rows[0]['seconds']:.0f}",
+        "" if later is None else f"{later:.0f}",
+        rows[0]["stop"]["reason"],
+    ]
     return cells
 
 
@@ -256,7 +323,9 @@ def picture(path: Path, title: str, image: Volume, labels: Volume, truth: Volume
 
     inside = (truth if truth is not None else labels).array > 0
     k = int(inside.sum(axis=(1, 2)).argmax())
-    rows, columns = (np.flatnonzero((inside | (labels.array > 0)).any(axis=axes)) for axes in ((0, 2), (0, 1)))
+    rows, columns = (
+        np.flatnonzero((inside | (labels.array > 0)).any(axis=axes)) for axes in ((0, 2), (0, 1))
+    )
     (y0, y1), (x0, x1) = ((max(int(at[0]) - 15, 0), int(at[-1]) + 16) for at in (rows, columns))
     part = image.array[k, y0:y1, x0:x1].astype(np.float32)
     figure, axes = pyplot.subplots(figsize=(4, 4), dpi=100)
@@ -272,7 +341,9 @@ def picture(path: Path, title: str, image: Volume, labels: Volume, truth: Volume
         shown = volume.array[k, y0:y1, x0:x1]
         for own in np.unique(shown[shown > 0]):
             axes.contour(shown == own, [0.5], **look)
-    axes.set_title(f"{title}: ours solid" + (", reference dashed" if truth is not None else ""), fontsize=9)
+    axes.set_title(
+        f"{title}: ours solid" + (", reference dashed" if truth is not None else ""), fontsize=9
+    )
     axes.axis("off")
     figure.tight_layout(pad=0.3)
     figure.canvas.draw()

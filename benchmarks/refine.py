@@ -38,12 +38,22 @@ from benchmarks.clicks.person import PersonClick, next_click
 from benchmarks.peers.measure import scans_folder
 
 ROOT = Path(__file__).resolve().parent.parent
-RESULTS, PAGE, NAME = ROOT / "benchmarks/results", ROOT / "docs/explanation/latency.md", "refine.json"
+RESULTS, PAGE, NAME = (
+    ROOT / "benchmarks/results",
+    ROOT / "docs/explanation/latency.md",
+    "refine.json",
+)
 #: The scan of 256^3 voxels whose objects are clicked.
 #: Objects of one brain of that size.
 IN_BRAIN = (
-    "ventricle-left", "thalamus-left", "putamen-left", "third-ventricle", "brain-stem", "cerebellum-right",
-    "caudate-right", "pallidum-right",
+    "ventricle-left",
+    "thalamus-left",
+    "putamen-left",
+    "third-ventricle",
+    "brain-stem",
+    "cerebellum-right",
+    "caudate-right",
+    "pallidum-right",
 )
 #: Wanted of a correction, s: the median, and what 95 % take at most; of a first click, the median.
 WANTED = {"later": (0.5, 1.0), "first": (3.0, None)}
@@ -156,9 +166,14 @@ def play(case: Case, clicks: int, threads: int) -> Iterator[dict[str, Any]]:
     """Click an object, and measure each click."""
     click = next_click(case.truth, None, case.image.geometry)
     assert click is not None
-    runs = {n: RunConfig(inside=(text_of(click, case.image),), threads=n, keep_state="yes") for n in {threads, 1}}
+    runs = {
+        n: RunConfig(inside=(text_of(click, case.image),), threads=n, keep_state="yes")
+        for n in {threads, 1}
+    }
     segment(case.image, config=runs[threads])  # compiles what is new
-    waited = min(_seconds(lambda: segment(case.image, config=runs[threads]))[0] for _ in range(REPEATS))
+    waited = min(
+        _seconds(lambda: segment(case.image, config=runs[threads]))[0] for _ in range(REPEATS)
+    )
     results, parts, processor = _by_parts(lambda: segment(case.image, config=runs[1]))
     yield _row(case, 1, click, waited, processor, parts, len(results.history))
     refiners = {n: Refiner(segment(case.image, config=config)) for n, config in runs.items()}
@@ -184,10 +199,14 @@ def _corrected(
     alone = refiners[1]
     _, parts, processor = _by_parts(lambda: alone.apply(refinement))
     if refiner.surfaces[0].psi.tobytes() != alone.surfaces[0].psi.tobytes():
-        raise AssertionError(f"{case.name}, click {number}: not the same bytes with {threads} threads and with one")
+        raise AssertionError(
+            f"{case.name}, click {number}: not the same bytes with {threads} threads and with one"
+        )
     steps = max(len(alone.surfaces[0].history) - before, 0)
     whole, first = (min(times) for times in zip(*waited, strict=True))
-    return _row(case, number, click, whole, processor, parts, steps) | {"first_step_s": round(first, 4)}
+    return _row(case, number, click, whole, processor, parts, steps) | {
+        "first_step_s": round(first, 4)
+    }
 
 
 def _waited(refiner: Refiner, refinement: Correction) -> tuple[float, float]:
@@ -200,7 +219,13 @@ def _waited(refiner: Refiner, refinement: Correction) -> tuple[float, float]:
 
 
 def _row(
-    case: Case, number: int, click: PersonClick, waited: float, processor: float, parts: dict[str, float], steps: int
+    case: Case,
+    number: int,
+    click: PersonClick,
+    waited: float,
+    processor: float,
+    parts: dict[str, float],
+    steps: int,
 ) -> dict[str, Any]:
     parts = {name: round(parts.get(name, 0.0), 6) for name in ORDER}
     return {
@@ -234,7 +259,9 @@ def _by_parts(call: Callable[[], Any]) -> tuple[Any, dict[str, float], float]:
 def _labels(refiner: Refiner, shape: Sequence[int]) -> NDArray[np.bool_]:
     (one,) = refiner.surfaces
     labels = np.zeros(tuple(shape), np.bool_)
-    labels[tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True))] = one.psi < 0
+    labels[tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True))] = (
+        one.psi < 0
+    )
     return labels
 
 
@@ -261,12 +288,18 @@ def page_of(facts: dict[str, Any]) -> str:
     rows = facts["clicks"]
     for kind in ("phantom", "scan"):
         for which in ("first", "later"):
-            own = [row for row in rows if row["kind"] == kind and (row["click"] == 1) == (which == "first")]
+            own = [
+                row
+                for row in rows
+                if row["kind"] == kind and (row["click"] == 1) == (which == "first")
+            ]
             if own:
                 lines.append(_summary(f"{kind}s, {which}", own, WANTED[which]))
     lines += ["", "Processor seconds of one thread by part, the mean over the clicks:", ""]
     groups = {
-        f"{kind}, {which}": [r for r in rows if r["kind"] == kind and (r["click"] == 1) == (which == "first")]
+        f"{kind}, {which}": [
+            r for r in rows if r["kind"] == kind and (r["click"] == 1) == (which == "first")
+        ]
         for kind in ("phantom", "scan")
         for which in ("first", "later")
     }
@@ -276,7 +309,11 @@ def page_of(facts: dict[str, Any]) -> str:
         means = [float(np.mean([row["parts"][part] for row in own])) for own in groups.values()]
         if max(means) >= 0.0005:
             lines.append(f"| {part} | " + " | ".join(f"{mean:.3f}" for mean in means) + " |")
-    lines += ["", "| object | click | side | seconds | processor | steps |", "|---|---|---|---|---|---|"]
+    lines += [
+        "",
+        "| object | click | side | seconds | processor | steps |",
+        "|---|---|---|---|---|---|",
+    ]
     for row in rows:
         lines.append(
             f"| {row['object']} | {row['click']} | {row['side']} | {row['wall_s']:.2f} | {row['cpu_s']:.2f} | "
@@ -333,13 +370,21 @@ def main(arguments: list[str] | None = None) -> int:
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="scripts/benchmark refine", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--objects", type=lambda text: text.split(","), default=[], help="only these")
+    parser = argparse.ArgumentParser(
+        prog="scripts/benchmark refine", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument(
+        "--objects", type=lambda text: text.split(","), default=[], help="only these"
+    )
     parser.add_argument("--clicks", type=int, default=6, help="clicks on each object (6)")
-    parser.add_argument("--size", type=int, default=256, help="voxels of a phantom along each axis (256)")
+    parser.add_argument(
+        "--size", type=int, default=256, help="voxels of a phantom along each axis (256)"
+    )
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1))
     parser.add_argument("--volumes", type=Path, default=scans_folder(), help="folder of the scans")
-    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the JSON (benchmarks/results)")
+    parser.add_argument(
+        "--results", type=Path, default=RESULTS, help="folder of the JSON (benchmarks/results)"
+    )
     parser.add_argument("--render", action="store_true", help="measure nothing")
     return parser.parse_args(arguments)
 

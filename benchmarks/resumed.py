@@ -34,15 +34,33 @@ def prepared(folder: Path) -> list[str]:
     """Make image and seeds; return the words of the command, without its output folder."""
     folder.mkdir(parents=True, exist_ok=True)
     places = np.indices(SHAPE)
-    nearest = np.min([sum((p - c) ** 2 for p, c in zip(places, at, strict=True)) for at in CENTRES], axis=0)
+    nearest = np.min(
+        [sum((p - c) ** 2 for p, c in zip(places, at, strict=True)) for at in CENTRES], axis=0
+    )
     image = 100.0 * (nearest < 9**2) + np.random.default_rng(5).normal(0, 25, SHAPE)
     seeds = np.zeros(SHAPE, np.uint8)
     for id, (z, y, x) in enumerate(CENTRES, start=1):
         seeds[z - 2 : z + 3, y - 2 : y + 3, x - 2 : x + 3] = id
     io.write(Volume.from_array(image.astype(np.float32), 1.0), folder / "cells.nii.gz")
     io.write(Volume.from_array(seeds, 1.0), folder / "seeds.nii.gz")
-    words = ["segment", str(folder / "cells.nii.gz"), "--objects", str(folder / "seeds.nii.gz"), "--levels", "2"]
-    words += ["--noise", "0.05", "--seed", "7", "--max-steps", "60", "--edit", "step=8 smoothness=0.3"]
+    words = [
+        "segment",
+        str(folder / "cells.nii.gz"),
+        "--objects",
+        str(folder / "seeds.nii.gz"),
+        "--levels",
+        "2",
+    ]
+    words += [
+        "--noise",
+        "0.05",
+        "--seed",
+        "7",
+        "--max-steps",
+        "60",
+        "--edit",
+        "step=8 smoothness=0.3",
+    ]
     return [*words, "--threads", "1", "--checkpoint", "2"]
 
 
@@ -50,7 +68,9 @@ def started(words: list[str], out: Path) -> subprocess.Popen[str]:
     """A run in a process of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "accelsurf", *words, "-o", str(out)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
 
 
@@ -65,7 +85,10 @@ def without_effort(path: Path) -> bytes:
     if path.suffix != ".csv":
         return path.read_bytes()
     with path.open(encoding="utf-8", newline="") as file:
-        rows = [{key: value for key, value in row.items() if key not in EFFORT} for row in csv.DictReader(file)]
+        rows = [
+            {key: value for key, value in row.items() if key not in EFFORT}
+            for row in csv.DictReader(file)
+        ]
     return repr(rows).encode()
 
 
@@ -96,7 +119,9 @@ def trials(folder: Path, count: int, seed: int) -> dict[str, Any]:
         if (out / "cells_checkpoint.npz").exists() or list(out.glob(".*")):
             faults.append(f"{said}: something is left")
         if number % 10 == 0:
-            print(f"resumed: {number} of {count}, {len(faults)} faults", file=sys.stderr, flush=True)
+            print(
+                f"resumed: {number} of {count}, {len(faults)} faults", file=sys.stderr, flush=True
+            )
     return {**counts, "seconds_of_a_run": round(seconds, 2), "faults": faults}
 
 

@@ -57,7 +57,9 @@ class Waits:
         return self.rows[-1]
 
 
-def first_prompt(kind: str, client: Any, truth: Any, labels: Any, geometry: Any) -> Callable[[], Any]:
+def first_prompt(
+    kind: str, client: Any, truth: Any, labels: Any, geometry: Any
+) -> Callable[[], Any]:
     """Return the first prompt of a kind, of a person who knows the truth: in the slice of the deepest place."""
     deep = next_click(truth, None, geometry)
     assert deep is not None
@@ -88,7 +90,9 @@ def measured(address: str, process: int, names: list[str]) -> dict[str, Any]:
     image, geometry = scene.image.as_float32(), scene.image.geometry
     viewer, labels = Waits(address, process), np.zeros(geometry.shape, np.uint8)
     spacing = list(geometry.spacing)
-    sent = viewer.call(lambda: viewer.client.set_image(image[np.newaxis], {"spacing": spacing}), prompt="image")
+    sent = viewer.call(
+        lambda: viewer.client.set_image(image[np.newaxis], {"spacing": spacing}), prompt="image"
+    )
     viewer.client.set_target_buffer(labels)
     for found in objects:
         truth = np.asarray(load(found).truth)
@@ -99,7 +103,9 @@ def measured(address: str, process: int, names: list[str]) -> dict[str, Any]:
                 said = {"object": found.name, "begun": kind, "number": number + 1}
                 row = viewer.call(work, prompt=kind if number == 0 else "point", **said)
                 both = int(np.count_nonzero((labels > 0) & truth))
-                row["dice"] = round(2 * both / (np.count_nonzero(labels) + np.count_nonzero(truth)), 3)
+                row["dice"] = round(
+                    2 * both / (np.count_nonzero(labels) + np.count_nonzero(truth)), 3
+                )
                 click = next_click(truth, labels > 0, geometry)
                 if click is None:
                     break
@@ -118,17 +124,28 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         number = row.get("number")
-        name = "undo" if number is None else f"first {row['prompt']}" if number == 1 else f"later, after {row['begun']}"
+        name = (
+            "undo"
+            if number is None
+            else f"first {row['prompt']}"
+            if number == 1
+            else f"later, after {row['begun']}"
+        )
         groups.setdefault(name, []).append(row)
     out = {}
     for name, found in groups.items():
         seconds = [row["seconds"] for row in found]
         out[name] = {
             "count": len(found),
-            **{key: round(float(np.percentile(seconds, at)), 3) for key, at in (("median", 50), ("95 %", 95))},
+            **{
+                key: round(float(np.percentile(seconds, at)), 3)
+                for key, at in (("median", 50), ("95 %", 95))
+            },
             "largest": max(seconds),
             **{
-                f"processor, {key}": round(float(np.percentile([row["processor"] for row in found], at)), 2)
+                f"processor, {key}": round(
+                    float(np.percentile([row["processor"] for row in found], at)), 2
+                )
                 for key, at in (("median", 50), ("95 %", 95))
             },
         }
@@ -139,7 +156,9 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def main() -> int:
     """Measure, and write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--objects", default=",".join(IN_BRAIN))
     parser.add_argument("--volumes", type=Path)
     parser.add_argument("--results", type=Path, default=ROOT / "benchmarks/results")
@@ -158,9 +177,16 @@ def main() -> int:
         finally:
             process.terminate()
     result = {
-        "scan": "T1 brain, niivue's demo images, 256 x 256 x 256, 1 mm", "wanted": WANTED,
-        "machine": {"cores": os.cpu_count(), "load": round(load_before, 1), "system": platform.system()},
-        "server's memory at the end, MB": memory >> 20, "summary": summary(found["prompts"]), **found,
+        "scan": "T1 brain, niivue's demo images, 256 x 256 x 256, 1 mm",
+        "wanted": WANTED,
+        "machine": {
+            "cores": os.cpu_count(),
+            "load": round(load_before, 1),
+            "system": platform.system(),
+        },
+        "server's memory at the end, MB": memory >> 20,
+        "summary": summary(found["prompts"]),
+        **found,
     }
     options.results.mkdir(parents=True, exist_ok=True)
     (options.results / NAME).write_text(json.dumps(result, indent=1) + "\n")

@@ -26,14 +26,21 @@ IMPORTS = {
     "scipy, scikit-image": ("scipy.ndimage", "skimage.measure", "skimage.graph"),
     "SimpleITK": ("SimpleITK",),
     "Pillow": ("PIL.Image", "PIL.ImageDraw", "PIL.ImageFont"),
-    "accelsurf": ("accelsurf.cli.case", "accelsurf.api.segment", "accelsurf.output.outputs", "accelsurf.io.itk"),
+    "accelsurf": (
+        "accelsurf.cli.case",
+        "accelsurf.api.segment",
+        "accelsurf.output.outputs",
+        "accelsurf.io.itk",
+    ),
 }
 #: Functions by the part that they are counted in, without what others of them take within.
 FUNCTIONS = {
     "kernels: numba's own": ("numba.core.base:BaseContext.refresh",),
     "kernels: from the disk": ("numba.core.caching:Cache.load_overload",),
     "image": (
-        "accelsurf.io.formats.nifti:import_nibabel_for", "accelsurf.io.channels:read_channels", "accelsurf.io:sha256",
+        "accelsurf.io.formats.nifti:import_nibabel_for",
+        "accelsurf.io.channels:read_channels",
+        "accelsurf.io:sha256",
     ),
     "first surface": ("accelsurf.run.run:Run.__init__",),
     "steps": ("accelsurf.run.run:Run.step",),

@@ -32,25 +32,38 @@ STARTS = {"ball": "ball:15,15,12,5", "cube": "ball:15,15,12,5", "angle": "ball:1
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results" / "stop_rule.json")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path(__file__).parent / "results" / "stop_rule.json"
+    )
     parser.add_argument("--max-steps", type=int, default=400)
     parser.add_argument("--levels", type=int, default=1)
-    parser.add_argument("--energy", default="chan-vese:area=0", help="by default one that lets a surface follow noise")
+    parser.add_argument(
+        "--energy",
+        default="chan-vese:area=0",
+        help="by default one that lets a surface follow noise",
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the noise")
     options = parser.parse_args()
     rows = []
     for noise, shape, flow in itertools.product(NOISES, STARTS, FLOWS):
         image = phantom(shape, noise, options.seed)
         config = RunConfig(
-            energy=options.energy, flow=flow, levels=options.levels, max_steps=options.max_steps, threads=1,
-            start=(STARTS[shape],), smoothness=0.0,
+            energy=options.energy,
+            flow=flow,
+            levels=options.levels,
+            max_steps=options.max_steps,
+            threads=1,
+            start=(STARTS[shape],),
+            smoothness=0.0,
         )
         row: dict[str, Any] = {"shape": shape, "noise": noise, "flow": flow}
         row["without forecast"] = measured(image, config, math.inf)
         row["with forecast"] = measured(image, config, None)
         rows.append(row)
         print(json.dumps(row), flush=True)
-    options.output.write_text(json.dumps({"voxels": N, "levels": options.levels, "runs": rows}, indent=1) + "\n")
+    options.output.write_text(
+        json.dumps({"voxels": N, "levels": options.levels, "runs": rows}, indent=1) + "\n"
+    )
 
 
 def phantom(shape: str, noise: float, seed: int = 0) -> NDArray[np.float32]:
@@ -66,7 +79,9 @@ def phantom(shape: str, noise: float, seed: int = 0) -> NDArray[np.float32]:
     return (image + np.random.default_rng(seed).normal(0, noise, image.shape)).astype(np.float32)
 
 
-def measured(image: NDArray[np.float32], config: RunConfig, further: float | None) -> dict[str, Any]:
+def measured(
+    image: NDArray[np.float32], config: RunConfig, further: float | None
+) -> dict[str, Any]:
     """Steps to the stop, its reason, and the motion in the steps that follow; ``further`` of the rule unless None."""
     with Run(Volume.from_array(image), config) as run:
         if further is not None:
@@ -88,16 +103,22 @@ def measured(image: NDArray[np.float32], config: RunConfig, further: float | Non
     return result | {"mean": round(mean, 4), "percentile 99": round(percentile, 3)}
 
 
-def distances(surface: LevelSet, cells: NDArray[np.int64], psi: NDArray[np.float32]) -> tuple[float, float]:
+def distances(
+    surface: LevelSet, cells: NDArray[np.int64], psi: NDArray[np.float32]
+) -> tuple[float, float]:
     """Mean and 99th percentile over the area of the distance from an earlier band, voxels; isotropic spacing."""
     area = surface.fraction_and_area()[1]
     on = np.flatnonzero(area)
     at = np.minimum(np.searchsorted(cells, surface.band.cells[on]), cells.size - 1)
     known = cells[at] == surface.band.cells[on]
-    far = np.where(known, np.abs(surface.band.psi[on] - psi[at]) / surface.smallest_spacing, surface.half_width)
+    far = np.where(
+        known, np.abs(surface.band.psi[on] - psi[at]) / surface.smallest_spacing, surface.half_width
+    )
     order = np.argsort(far)
     share = np.cumsum(area[on][order]) / area.sum()
-    return float((area[on] * far).sum() / area.sum()), float(far[order][np.searchsorted(share, 0.99)])
+    return float((area[on] * far).sum() / area.sum()), float(
+        far[order][np.searchsorted(share, 0.99)]
+    )
 
 
 if __name__ == "__main__":

@@ -50,7 +50,9 @@ REAL = (
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results" / "storage.json")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path(__file__).parent / "results" / "storage.json"
+    )
     parser.add_argument("--sizes", default="512,1024,2048", help="of the trees")
     parser.add_argument("--repeats", type=int, default=15)
     given = parser.parse_args()
@@ -61,7 +63,9 @@ def main() -> None:
         print(f"{row['object']:45s} MiB: band {band}, window {window}, bricks {bricks}", flush=True)
     times = access_times(given.repeats)
     print(json.dumps(times, indent=1))
-    given.output.write_text(json.dumps({"what": __doc__, "objects": rows, "access": times}, indent=1) + "\n")
+    given.output.write_text(
+        json.dumps({"what": __doc__, "objects": rows, "access": times}, indent=1) + "\n"
+    )
 
 
 def mib(count: int) -> str:
@@ -72,7 +76,9 @@ def counted(
     name: str, shape: tuple[int, ...], box: list[slice], near: Callable[[int], int], band: int
 ) -> dict[str, Any]:
     """A row of the table; ``near(side)`` is the number of bricks that hold something near the surface."""
-    sides = [min(s.stop + MARGIN, n) - max(s.start - MARGIN, 0) for s, n in zip(box, shape, strict=True)]
+    sides = [
+        min(s.stop + MARGIN, n) - max(s.start - MARGIN, 0) for s, n in zip(box, shape, strict=True)
+    ]
     window = int(np.prod(sides)) * BYTES
     bricks = {}
     for side in SIDES:
@@ -80,12 +86,19 @@ def counted(
         table = int(np.prod([-(-n // side) for n in shape])) * TABLE_BYTES
         taken = count * side**3 * BYTES + table
         bricks[str(side)] = {
-            "count": count, "bytes": taken, "bytes_with_halo": count * (side + 2 * HALO) ** 3 * BYTES + table,
+            "count": count,
+            "bytes": taken,
+            "bytes_with_halo": count * (side + 2 * HALO) ** 3 * BYTES + table,
             "window_over_bricks": round(window / taken, 2),
         }
     return {
-        "object": name, "shape": list(shape), "voxels": int(np.prod(shape)), "window_bytes": window,
-        "whole_bytes": int(np.prod(shape)) * BYTES, "band_voxels": band, "band_rows_bytes": band // 2 * ROW_BYTES,
+        "object": name,
+        "shape": list(shape),
+        "voxels": int(np.prod(shape)),
+        "window_bytes": window,
+        "whole_bytes": int(np.prod(shape)) * BYTES,
+        "band_voxels": band,
+        "band_rows_bytes": band // 2 * ROW_BYTES,
         "bricks": bricks,
     }
 
@@ -170,7 +183,9 @@ def read_table(psi, table, bricks, bits, feet, out):
     for i in range(len(feet)):
         bz, by, bx = int(feet[i, 0]) - 1, int(feet[i, 1]) - 1, int(feet[i, 2]) - 1
         uz, uy, ux = feet[i, 0] - bz, feet[i, 1] - by, feet[i, 2] - bx
-        if bz & low <= low - 3 and by & low <= low - 3 and bx & low <= low - 3:  # one brick has them all
+        if (
+            bz & low <= low - 3 and by & low <= low - 3 and bx & low <= low - 3
+        ):  # one brick has them all
             brick = table[((bz >> bits) * bricks[1] + (by >> bits)) * bricks[2] + (bx >> bits)]
             at = (((((brick << bits) + (bz & low)) << bits) + (by & low)) << bits) + (bx & low)
             value, gz, gy, gx = cubic(psi, at, 1 << bits, 1 << (2 * bits), uz, uy, ux)
@@ -182,7 +197,9 @@ def read_table(psi, table, bricks, bits, feet, out):
                     inner = (((z & low) << bits) + (y & low)) << bits
                     for c in range(4):
                         x = bx + c
-                        local[16 * a + 4 * b + c] = psi[(table[row + (x >> bits)] << (3 * bits)) + inner + (x & low)]
+                        local[16 * a + 4 * b + c] = psi[
+                            (table[row + (x >> bits)] << (3 * bits)) + inner + (x & low)
+                        ]
             value, gz, gy, gx = cubic(local, 0, 4, 16, uz, uy, ux)
         out[i] = value + gz + gy + gx
 
@@ -207,8 +224,20 @@ def cross_dense(psi, shape, cells, out):
     row, plane = shape[2], shape[1] * shape[2]
     for i in range(len(cells)):
         c = cells[i]
-        out[i] = (psi[c - 2 * plane] + psi[c - plane] + psi[c + plane] + psi[c + 2 * plane] + psi[c - 2 * row]
-                  + psi[c - row] + psi[c + row] + psi[c + 2 * row] + psi[c - 2] + psi[c - 1] + psi[c + 1] + psi[c + 2])
+        out[i] = (
+            psi[c - 2 * plane]
+            + psi[c - plane]
+            + psi[c + plane]
+            + psi[c + 2 * plane]
+            + psi[c - 2 * row]
+            + psi[c - row]
+            + psi[c + row]
+            + psi[c + 2 * row]
+            + psi[c - 2]
+            + psi[c - 1]
+            + psi[c + 1]
+            + psi[c + 2]
+        )
 
 
 @kernel
@@ -230,7 +259,12 @@ def cross_table(psi, table, bricks, bits, places, out):
                 for axis in range(3):
                     a, b, e = z + d * (axis == 0), y + d * (axis == 1), x + d * (axis == 2)
                     brick = table[((a >> bits) * bricks[1] + (b >> bits)) * bricks[2] + (e >> bits)]
-                    total += psi[(brick << (3 * bits)) + ((a & low) << (2 * bits)) + ((b & low) << bits) + (e & low)]
+                    total += psi[
+                        (brick << (3 * bits))
+                        + ((a & low) << (2 * bits))
+                        + ((b & low) << bits)
+                        + (e & low)
+                    ]
         out[i] = total
 
 
@@ -274,12 +308,15 @@ def access_times(repeats: int, size: int = 256, radius: float = 80.0) -> dict[st
         halo, _ = bricks_of(psi, places, side, HALO)
         n = np.array(psi.shape, np.int64) // side
         programs |= {
-            f"cubic, bricks of {side}, gathered": lambda out, v=plain, t=table, n=n, b=bits:
-                read_table(v, t, n, b, feet, out),
-            f"cubic, bricks of {side}, halo": lambda out, v=halo, t=table, n=n, b=bits:
-                read_halo(v, t, n, b, feet, out),
-            f"cross, bricks of {side}": lambda out, v=plain, t=table, n=n, b=bits:
-                cross_table(v, t, n, b, places, out),
+            f"cubic, bricks of {side}, gathered": lambda out, v=plain, t=table, n=n, b=bits: (
+                read_table(v, t, n, b, feet, out)
+            ),
+            f"cubic, bricks of {side}, halo": lambda out, v=halo, t=table, n=n, b=bits: read_halo(
+                v, t, n, b, feet, out
+            ),
+            f"cross, bricks of {side}": lambda out, v=plain, t=table, n=n, b=bits: cross_table(
+                v, t, n, b, places, out
+            ),
         }
     return _in_turns(programs, len(cells), repeats)
 
@@ -304,7 +341,9 @@ def _in_turns(
         dense = seconds[f"{name.split(',')[0]}, dense"]
         found[name] = {
             "ns": round(statistics.median(taken) / count * 1e9, 2),
-            "times_dense": round(statistics.median(a / b for a, b in zip(taken, dense, strict=True)), 2),
+            "times_dense": round(
+                statistics.median(a / b for a, b in zip(taken, dense, strict=True)), 2
+            ),
         }
     return {"cells": count, "programs": found}
 

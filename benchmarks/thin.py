@@ -23,17 +23,38 @@ Floats = NDArray[np.floating[Any]]
 SHAPE, MARGIN = (28, 28, 28), 9
 UNIT = (1.0, 1.0, 1.0)
 #: Normals of the slabs and axes of the cylinders, z y x: along axes, faces' and space diagonals, and oblique.
-DIRECTIONS = np.array([
-    (1, 0, 0), (0, 0, 1), (0, 1, 1), (1, 1, 0), (1, 1, 1), (1, 2, 0), (1, 2, 3), (3, 1, 1), (0.31, 0.74, 0.6),
-    (0.9, 0.2, -0.39), (3, 1, 0),
-])
+DIRECTIONS = np.array(
+    [
+        (1, 0, 0),
+        (0, 0, 1),
+        (0, 1, 1),
+        (1, 1, 0),
+        (1, 1, 1),
+        (1, 2, 0),
+        (1, 2, 3),
+        (3, 1, 1),
+        (0.31, 0.74, 0.6),
+        (0.9, 0.2, -0.39),
+        (3, 1, 0),
+    ]
+)
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1)[:, None]
 #: Where the centre lies between voxel centres, of each orientation.
-OFFSETS = np.array([
-    (0, 0, 0), (0.5, 0.5, 0.5), (0.25, 0.4, 0.1), (0.37, 0.11, 0.72), (0.13, 0.81, 0.46), (0.5, 0, 0.25),
-    (0.05, 0.6, 0.33), (0.71, 0.29, 0.9), (0.62, 0.18, 0.47), (0.33, 0.33, 0.8),
-    (0.5, 0.17, 0.29),
-])
+OFFSETS = np.array(
+    [
+        (0, 0, 0),
+        (0.5, 0.5, 0.5),
+        (0.25, 0.4, 0.1),
+        (0.37, 0.11, 0.72),
+        (0.13, 0.81, 0.46),
+        (0.5, 0, 0.25),
+        (0.05, 0.6, 0.33),
+        (0.71, 0.29, 0.9),
+        (0.62, 0.18, 0.47),
+        (0.33, 0.33, 0.8),
+        (0.5, 0.17, 0.29),
+    ]
+)
 #: Widths of slabs and radii of cylinders and balls, mm, by spacing. With unequal spacings slabs are from 1.5 voxels of
 #: the coarsest axis on.
 SIZES = {
@@ -57,12 +78,18 @@ def main() -> None:
         for kind, sizes in kinds.items():
             for size in sizes:
                 for sign in (1, -1):
-                    found = [rested(kind, size, k, spacing, sign, options.count) for k in range(len(DIRECTIONS))]
+                    found = [
+                        rested(kind, size, k, spacing, sign, options.count)
+                        for k in range(len(DIRECTIONS))
+                    ]
                     rows.append(row("at rest", kind, size, spacing, found, sign=sign))
     for step, spacing in itertools.product((0.05, 0.2), CARRIED):
         for kind in ("slab", "cylinder"):
             for size in SIZES[spacing][kind]:
-                found = [carried(kind, size, k, step, options.count, spacing) for k in range(len(DIRECTIONS))]
+                found = [
+                    carried(kind, size, k, step, options.count, spacing)
+                    for k in range(len(DIRECTIONS))
+                ]
                 rows.append(row(f"velocity, {step:g} voxel a step", kind, size, spacing, found))
     for first, last in ((3.0, 1.0), (1.0, 3.0)):
         found = [resized(first, last, k, options.count) for k in range(len(DIRECTIONS))]
@@ -74,13 +101,23 @@ def main() -> None:
 
 
 def row(
-    case: str, kind: str, size: float, spacing: tuple[float, ...], found: list[tuple[Floats, int]], sign: int = 1
+    case: str,
+    kind: str,
+    size: float,
+    spacing: tuple[float, ...],
+    found: list[tuple[Floats, int]],
+    sign: int = 1,
 ) -> dict[str, Any]:
     """One row of the table, printed too: over all orientations."""
     means = [float(moved.mean()) for moved, _ in found]
     out = {
-        "case": case, "kind": kind, "size_mm": size, "spacing_mm": spacing, "gap": sign < 0,
-        "least_mean": min(means), "largest_mean": max(means),
+        "case": case,
+        "kind": kind,
+        "size_mm": size,
+        "spacing_mm": spacing,
+        "gap": sign < 0,
+        "least_mean": min(means),
+        "largest_mean": max(means),
         "largest": max(float(np.abs(moved).max()) for moved, _ in found),
         "voxels_that_change_side": sum(flipped for _, flipped in found),
         "means": [round(mean, 4) for mean in means],
@@ -88,7 +125,8 @@ def row(
     voxels = " ".join(f"{h:g}" for h in spacing)
     print(
         f"{case:26s} {kind:9s}{size:5.1f} spacing {voxels:7s} {'gap' if sign < 0 else '   '} mean "
-        f"{min(means):+.3f} .. {max(means):+.3f}, largest {out['largest']:.3f}", flush=True,
+        f"{min(means):+.3f} .. {max(means):+.3f}, largest {out['largest']:.3f}",
+        flush=True,
     )
     return out
 
@@ -96,11 +134,17 @@ def row(
 def lattice(shape: tuple[int, ...], spacing: tuple[float, ...], offset: Any) -> Floats:
     """Coordinates (3, nz, ny, nx), mm, of the voxel centres from a centre beside the middle of the volume."""
     centre = (np.array(shape) - 1) / 2 + np.asarray(offset) - 0.5
-    return np.stack([(i - c) * h for i, c, h in zip(np.indices(shape), centre, spacing, strict=True)])
+    return np.stack(
+        [(i - c) * h for i, c, h in zip(np.indices(shape), centre, spacing, strict=True)]
+    )
 
 
 def exact_distance(
-    kind: str, size: float, number: int, spacing: tuple[float, ...] = UNIT, shift: Any = (0.0, 0.0, 0.0)
+    kind: str,
+    size: float,
+    number: int,
+    spacing: tuple[float, ...] = UNIT,
+    shift: Any = (0.0, 0.0, 0.0),
 ) -> NDArray[np.float32]:
     """Signed distance of a slab of width ``size``, or a cylinder or ball of that radius, moved by ``shift`` (mm)."""
     at = lattice(SHAPE, spacing, OFFSETS[number]) - np.reshape(shift, (3, 1, 1, 1))
@@ -131,7 +175,12 @@ def displacement(
 
 
 def rested(
-    kind: str, size: float, number: int, spacing: tuple[float, ...] = UNIT, sign: int = 1, count: int = 50
+    kind: str,
+    size: float,
+    number: int,
+    spacing: tuple[float, ...] = UNIT,
+    sign: int = 1,
+    count: int = 50,
 ) -> tuple[Floats, int]:
     """`displacement` after ``count`` redistances at rest; ``sign`` -1: of what surrounds the object."""
     exact = exact_distance(kind, size, number, spacing)
@@ -153,7 +202,9 @@ def carried(
     for _ in range(count):
         surface.advect(np.tile(np.float32(velocity), (surface.size, 1)), step)
         surface.redistance()
-    return displacement(exact_distance(kind, size, number, spacing, way), surface.psi, spacing, MARGIN)
+    return displacement(
+        exact_distance(kind, size, number, spacing, way), surface.psi, spacing, MARGIN
+    )
 
 
 def resized(first: float, last: float, number: int, count: int) -> tuple[Floats, int]:

@@ -45,7 +45,10 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "gradient, same diffusion": {"flow": "gradient", "diffusion": "free", **FINE},
     "constant density, defaults": {"flow": "constant-density"},
     "gradient, defaults": {"flow": "gradient"},
-    "constant density, defaults, smoothness 0.02 mm": {"flow": "constant-density", "smoothness": 0.02},
+    "constant density, defaults, smoothness 0.02 mm": {
+        "flow": "constant-density",
+        "smoothness": 0.02,
+    },
     "gradient, defaults, smoothness 0.02 mm": {"flow": "gradient", "smoothness": 0.02},
     "constant density, defaults, presmooth 1 mm": {"flow": "constant-density", "presmooth": 1.0},
     "gradient, defaults, presmooth 1 mm": {"flow": "gradient", "presmooth": 1.0},
@@ -56,7 +59,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results")
     parser.add_argument("--max-steps", type=int, default=400)
-    parser.add_argument("--seed", type=int, default=None, help="of the noise; the recipe's unless given")
+    parser.add_argument(
+        "--seed", type=int, default=None, help="of the noise; the recipe's unless given"
+    )
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--only", default="", help="variants whose name contains this")
     options = parser.parse_args()
@@ -64,14 +69,21 @@ def main() -> None:
     recipe = load_recipe("cube_noisy")
     phantom = make(recipe if options.seed is None else recipe.changed(seed=options.seed))
     common = RunConfig(
-        energy="chan-vese:area=0", smoothness=0.0, levels=1, max_steps=options.max_steps, threads=options.threads
+        energy="chan-vese:area=0",
+        smoothness=0.0,
+        levels=1,
+        max_steps=options.max_steps,
+        threads=options.threads,
     )
     rows, labels = [], {}
     for name, changes in VARIANTS.items():
         if options.only not in name:
             continue
         config = common.replace(**changes)
-        results = {start: timed(phantom.image, config.replace(start=where)) for start, where in STARTS.items()}
+        results = {
+            start: timed(phantom.image, config.replace(start=where))
+            for start, where in STARTS.items()
+        }
         labels[name] = [result.labels for result, _ in results.values()]
         rows.append(describe(name, config, results, phantom.truth.array))
         print_row(rows[-1])
@@ -80,7 +92,11 @@ def main() -> None:
     facts = {
         "recipe": phantom.recipe.model_dump(mode="json"),
         "starts": STARTS,
-        "machine": {"processor": platform.machine(), "python": platform.python_version(), "threads": options.threads},
+        "machine": {
+            "processor": platform.machine(),
+            "python": platform.python_version(),
+            "threads": options.threads,
+        },
         "variants": rows,
     }
     (options.output / "three_starts.json").write_text(json.dumps(facts, indent=1) + "\n")
@@ -93,7 +109,9 @@ def timed(image: Any, config: RunConfig) -> tuple[Result, float]:
     return segment(image, config=config), time.perf_counter() - began
 
 
-def describe(name: str, config: RunConfig, results: dict[str, tuple[Result, float]], truth: np.ndarray) -> dict:
+def describe(
+    name: str, config: RunConfig, results: dict[str, tuple[Result, float]], truth: np.ndarray
+) -> dict:
     labels = [result.labels for result, _ in results.values()]
     return {
         "name": name,
@@ -120,10 +138,14 @@ def print_row(row: dict) -> None:
     steps = "/".join(f"{run['steps']}" for run in runs)
     stops = "/".join(run["stop"] for run in runs)
     seconds = "/".join(f"{run['seconds']:.0f}" for run in runs)
-    print(f"{row['name']:46s} Dice {dices}  agreement {row['agreement']:.3f}  steps {steps}  {stops}  s {seconds}")
+    print(
+        f"{row['name']:46s} Dice {dices}  agreement {row['agreement']:.3f}  steps {steps}  {stops}  s {seconds}"
+    )
 
 
-def draw(labels: dict[str, list[np.ndarray]], rows: list[dict], truth: np.ndarray, path: Path) -> None:
+def draw(
+    labels: dict[str, list[np.ndarray]], rows: list[dict], truth: np.ndarray, path: Path
+) -> None:
     figure, axes = plt.subplots(1, len(rows), figsize=(3.2 * len(rows), 3.6), squeeze=False)
     middle = truth.shape[0] // 2
     for axis, row in zip(axes[0], rows, strict=True):
@@ -132,7 +154,9 @@ def draw(labels: dict[str, list[np.ndarray]], rows: list[dict], truth: np.ndarra
             axis.contour(one[middle], [0.5], colors=[colour], linewidths=1.2)
         axis.set_title(f"{row['name']}\nagreement {row['agreement']:.3f}", fontsize=8)
         axis.set_axis_off()
-    figure.suptitle("Three starts (colours) on the noisy cube (grey: truth), middle slice", fontsize=9)
+    figure.suptitle(
+        "Three starts (colours) on the noisy cube (grey: truth), middle slice", fontsize=9
+    )
     figure.tight_layout()
     figure.savefig(path, dpi=110)
 

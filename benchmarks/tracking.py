@@ -40,33 +40,61 @@ FRAMES = 11
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/tracking.json")
-    options.add_argument("--quick", action="store_true", help="one seed and two speeds, to see that it works")
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    options.add_argument(
+        "-o", "--output", type=Path, default=ROOT / "benchmarks/results/tracking.json"
+    )
+    options.add_argument(
+        "--quick", action="store_true", help="one seed and two speeds, to see that it works"
+    )
     options.add_argument("--seeds", type=int, default=3, help="sequences of each kind")
     given = options.parse_args()
     speeds, seeds = (SPEEDS[::2], (0,)) if given.quick else (SPEEDS, tuple(range(given.seeds)))
     cases = list(itertools.product(MOTIONS, speeds, NOISE, HIDDEN, seeds, MODELS))
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         rows = list(pool.map(followed, cases))
-    turns = [{**row, "turning": True} for row in map(followed_turn, itertools.product(MODELS, seeds))]
-    found = {"rows": rows, "turning": turns, "summary": summary(rows), "cost": cost(1 if given.quick else 5)}
+    turns = [
+        {**row, "turning": True} for row in map(followed_turn, itertools.product(MODELS, seeds))
+    ]
+    found = {
+        "rows": rows,
+        "turning": turns,
+        "summary": summary(rows),
+        "cost": cost(1 if given.quick else 5),
+    }
     given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text(json.dumps(found, indent=1) + "\n")
     picture(rows, given.output.with_suffix(".png"))
     for line in found["summary"]:
         print(line)
-    print("turning", {model: round(statistics.mean(one["share"] for one in turns if one["model"] == model), 3)
-                      for model in MODELS})
+    print(
+        "turning",
+        {
+            model: round(statistics.mean(one["share"] for one in turns if one["model"] == model), 3)
+            for model in MODELS
+        },
+    )
     print("cost", found["cost"])
 
 
-def recipe_of(motion: str, speed: float, noise: float, hidden: tuple[int, ...], seed: int) -> MotionRecipe:
+def recipe_of(
+    motion: str, speed: float, noise: float, hidden: tuple[int, ...], seed: int
+) -> MotionRecipe:
     """A ball that crosses a grid which is as long as its way."""
     way = speed * RADIUS * (FRAMES - 1) / 10.0
     long = 2 * int(np.ceil(0.5 * way + RADIUS + 8))
-    values = {"motion": motion, "shape": [long, 36, 36], "radius": RADIUS, "speed": speed, "frames": FRAMES}
-    return motion_from({**values, "noise": noise, "empty": list(hidden), "seed": seed}, f"{motion}-{speed:g}")
+    values = {
+        "motion": motion,
+        "shape": [long, 36, 36],
+        "radius": RADIUS,
+        "speed": speed,
+        "frames": FRAMES,
+    }
+    return motion_from(
+        {**values, "noise": noise, "empty": list(hidden), "seed": seed}, f"{motion}-{speed:g}"
+    )
 
 
 def followed(case: tuple[str, float, float, tuple[int, ...], int, str]) -> dict[str, Any]:
@@ -76,18 +104,37 @@ def followed(case: tuple[str, float, float, tuple[int, ...], int, str]) -> dict[
     shown = [score for number, score in scores.items() if number not in hidden]
     dark = [scores[number] for number in hidden]
     return {
-        "motion": motion, "speed": speed, "noise": noise, "hidden": list(hidden), "seed": seed, "model": model,
+        "motion": motion,
+        "speed": speed,
+        "noise": noise,
+        "hidden": list(hidden),
+        "seed": seed,
+        "model": model,
         "dice": {str(number): round(score, 4) for number, score in scores.items()},
-        "share": share(shown), "share_hidden": share(dark) if dark else None,
+        "share": share(shown),
+        "share_hidden": share(dark) if dark else None,
     }
 
 
 def followed_turn(case: tuple[str, int]) -> dict[str, Any]:
     """An ellipsoid that turns by a quarter, hidden in two frames."""
     model, seed = case
-    values = {"motion": "rotation", "shape": [40, 40, 32], "radius": 9.0, "speed": 0.25, "noise": 0.3}
-    scores = dice_of_frames(motion_from({**values, "empty": [5, 6], "seed": seed}, "turning"), model)
-    return {"model": model, "seed": seed, "dice": list(scores.values()), "share": share(list(scores.values()))}
+    values = {
+        "motion": "rotation",
+        "shape": [40, 40, 32],
+        "radius": 9.0,
+        "speed": 0.25,
+        "noise": 0.3,
+    }
+    scores = dice_of_frames(
+        motion_from({**values, "empty": [5, 6], "seed": seed}, "turning"), model
+    )
+    return {
+        "model": model,
+        "seed": seed,
+        "dice": list(scores.values()),
+        "share": share(list(scores.values())),
+    }
 
 
 def share(scores: list[float]) -> float:
@@ -98,7 +145,9 @@ def share(scores: list[float]) -> float:
 def tracking_of(recipe: MotionRecipe, model: str) -> Tracking:
     phantom = MovingPhantom(recipe)
     start = Volume(phantom.truth(0), phantom.geometry)
-    return Tracking(phantom, TrackConfig(model=model, threads=1, energy="chan-vese", levels=1), objects=start)
+    return Tracking(
+        phantom, TrackConfig(model=model, threads=1, energy="chan-vese", levels=1), objects=start
+    )
 
 
 def dice_of_frames(recipe: MotionRecipe, model: str) -> dict[int, float]:
@@ -119,14 +168,22 @@ def dice(result: FrameResult, truth: np.ndarray) -> float:
 def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Mean shares of each model by speed, noise and whether frames are hidden."""
     lines = []
-    for speed, noise, hidden in itertools.product(sorted({row["speed"] for row in rows}), NOISE, (False, True)):
+    for speed, noise, hidden in itertools.product(
+        sorted({row["speed"] for row in rows}), NOISE, (False, True)
+    ):
         line: dict[str, Any] = {"speed": speed, "noise": noise, "hidden": hidden}
         for model in MODELS:
-            own = [row for row in rows if (row["speed"], row["noise"], bool(row["hidden"]), row["model"])
-                   == (speed, noise, hidden, model)]
+            own = [
+                row
+                for row in rows
+                if (row["speed"], row["noise"], bool(row["hidden"]), row["model"])
+                == (speed, noise, hidden, model)
+            ]
             line[model] = round(statistics.mean(row["share"] for row in own), 3)
             if hidden:
-                line[f"{model}, hidden frames"] = round(statistics.mean(row["share_hidden"] for row in own), 3)
+                line[f"{model}, hidden frames"] = round(
+                    statistics.mean(row["share_hidden"] for row in own), 3
+                )
         lines.append(line)
     return lines
 
@@ -154,18 +211,34 @@ def picture(rows: list[dict[str, Any]], path: Path) -> None:
 
     speeds = sorted({row["speed"] for row in rows})
     figure, axes = pyplot.subplots(1, 4, figsize=(15, 3.6), sharey=True)
-    panels = [(0.3, False, "share", "all frames shown, noise .3"), (1.0, False, "share", "all frames shown, noise 1"),
-              (0.3, True, "share_hidden", "three hidden frames, noise .3"),
-              (1.0, True, "share_hidden", "three hidden frames, noise 1")]
+    panels = [
+        (0.3, False, "share", "all frames shown, noise .3"),
+        (1.0, False, "share", "all frames shown, noise 1"),
+        (0.3, True, "share_hidden", "three hidden frames, noise .3"),
+        (1.0, True, "share_hidden", "three hidden frames, noise 1"),
+    ]
     for axis, (noise, hidden, key, title) in zip(axes, panels, strict=True):
         for place, model in enumerate(MODELS):
             means = [
-                statistics.mean(row[key] for row in rows if row["model"] == model and row["speed"] == speed
-                                and row["noise"] == noise and bool(row["hidden"]) == hidden)
+                statistics.mean(
+                    row[key]
+                    for row in rows
+                    if row["model"] == model
+                    and row["speed"] == speed
+                    and row["noise"] == noise
+                    and bool(row["hidden"]) == hidden
+                )
                 for speed in speeds
             ]
-            axis.plot(np.array(speeds) * (1 + 0.02 * (place - 1.5)), means, "os^x"[place] + "-", label=model)
-        axis.set(xscale="log", xticks=speeds, xticklabels=[f"{one:g}" for one in speeds], title=title)
+            axis.plot(
+                np.array(speeds) * (1 + 0.02 * (place - 1.5)),
+                means,
+                "os^x"[place] + "-",
+                label=model,
+            )
+        axis.set(
+            xscale="log", xticks=speeds, xticklabels=[f"{one:g}" for one in speeds], title=title
+        )
         axis.set_ylim(-0.03, 1.03)
         axis.set_xlabel("radii in ten frames")
         axis.minorticks_off()

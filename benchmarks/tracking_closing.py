@@ -33,9 +33,27 @@ ROOT = Path(__file__).parents[1]
 WANTED = 0.3
 PHANTOMS: dict[str, dict[str, Any]] = {
     "beat": {"motion": "beat", "shape": [36, 36, 36], "radius": 10.0, "frames": 21, "period": 10.0},
-    "translation": {"motion": "translation", "shape": [56, 36, 36], "radius": 8.0, "speed": 2.0, "frames": 11},
-    "acceleration": {"motion": "acceleration", "shape": [56, 36, 36], "radius": 8.0, "speed": 2.0, "frames": 11},
-    "rotation": {"motion": "rotation", "shape": [40, 40, 32], "radius": 9.0, "speed": 0.25, "frames": 11},
+    "translation": {
+        "motion": "translation",
+        "shape": [56, 36, 36],
+        "radius": 8.0,
+        "speed": 2.0,
+        "frames": 11,
+    },
+    "acceleration": {
+        "motion": "acceleration",
+        "shape": [56, 36, 36],
+        "radius": 8.0,
+        "speed": 2.0,
+        "frames": 11,
+    },
+    "rotation": {
+        "motion": "rotation",
+        "shape": [40, 40, 32],
+        "radius": 9.0,
+        "speed": 0.25,
+        "frames": 11,
+    },
     "deformation": {"motion": "deformation", "shape": [40, 40, 40], "radius": 9.0, "frames": 11},
 }
 NOISE = (0.0, 0.2)
@@ -53,8 +71,12 @@ class ThereAndBack(ImageSequence):
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/tracking_closing.json")
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    options.add_argument(
+        "-o", "--output", type=Path, default=ROOT / "benchmarks/results/tracking_closing.json"
+    )
     given = options.parse_args()
     rows = []
     for name, noise in itertools.product(PHANTOMS, NOISE):
@@ -77,10 +99,19 @@ def rows_of(name: str, noise: float) -> list[dict[str, Any]]:
         found["beat"] = [apart(forward[n], forward[n + 10], phantom) for n in range(1, 11)]
     else:
         back = surfaces(ThereAndBack(phantom), 0, "forward", phantom.truth(0))
-        found["there and back"] = [apart(back[n], back[2 * last - n], phantom) for n in range(1, last)]
+        found["there and back"] = [
+            apart(back[n], back[2 * last - n], phantom) for n in range(1, last)
+        ]
     return [
-        {"phantom": name, "noise": noise, "what": what, "frames": len(each), "mean": round(worst(each, 0), 4),
-         "p99": round(worst(each, 1), 4), "largest": round(worst(each, 2), 4)}
+        {
+            "phantom": name,
+            "noise": noise,
+            "what": what,
+            "frames": len(each),
+            "mean": round(worst(each, 0), 4),
+            "p99": round(worst(each, 1), 4),
+            "largest": round(worst(each, 2), 4),
+        }
         for what, each in found.items()
     ]
 
@@ -89,21 +120,29 @@ def worst(each: Iterable[tuple[float, float, float]], which: int) -> float:
     return max(one[which] for one in each)
 
 
-def surfaces(sequence: ImageSequence, frame: int, direction: str, labels: NDArray[Any]) -> dict[int, SurfacePiece]:
+def surfaces(
+    sequence: ImageSequence, frame: int, direction: str, labels: NDArray[Any]
+) -> dict[int, SurfacePiece]:
     """The surface of the object in each frame, begun at its truth in one."""
     config = TrackConfig(threads=1, energy="chan-vese", levels=1, frame=frame, direction=direction)
     tracking = Tracking(sequence, config, objects=Volume(labels, sequence.geometry))
-    return {result.frame: result.objects[0].surface for result in tracking if result.objects[0].seen}
+    return {
+        result.frame: result.objects[0].surface for result in tracking if result.objects[0].seen
+    }
 
 
-def apart(one: SurfacePiece, other: SurfacePiece, phantom: MovingPhantom) -> tuple[float, float, float]:
+def apart(
+    one: SurfacePiece, other: SurfacePiece, phantom: MovingPhantom
+) -> tuple[float, float, float]:
     """Mean, 99th percentile and largest distance of the points of a surface from another, voxels."""
     spacing = tuple(reversed(phantom.recipe.spacing))
     here = LevelSet(one.psi, (spacing[0], spacing[1], spacing[2]), 3.0)
     there = LevelSet(other.psi, (spacing[0], spacing[1], spacing[2]), 6.0)
     cells = np.stack(np.unravel_index(here.band.cells, here.shape), axis=1)
     near = here.front(1.0)
-    feet = (cells + here.band.to_closest / np.array(spacing))[near] + np.subtract(one.corner, other.corner)
+    feet = (cells + here.band.to_closest / np.array(spacing))[near] + np.subtract(
+        one.corner, other.corner
+    )
     off = np.abs(ndimage.map_coordinates(there.psi, feet.T, order=1, mode="nearest")) / min(spacing)
     return float(off.mean()), float(np.percentile(off, 99)), float(off.max())
 

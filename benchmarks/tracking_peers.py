@@ -47,7 +47,9 @@ def by_accelsurf(tracking: Tracking) -> Followed:
     return Followed(labels, {one.id: lineage.parents(one.id) for one in lineage.tracks})
 
 
-def parts_of_frames(frames: Sequence[NDArray[Any]], first: Labels, both_ways: bool = False) -> list[Labels]:
+def parts_of_frames(
+    frames: Sequence[NDArray[Any]], first: Labels, both_ways: bool = False
+) -> list[Labels]:
     """The trivial way: blur, Otsu's threshold of the first frame, parts. In the first frame all have the same start.
 
     With ``both_ways`` it is the distance from the frame's median that is thresholded: objects darker and brighter.
@@ -58,14 +60,18 @@ def parts_of_frames(frames: Sequence[NDArray[Any]], first: Labels, both_ways: bo
         parts, _ = ndimage.label(_blurred(frame, both_ways) > threshold)
         sizes = np.bincount(parts.ravel())
         parts[sizes[parts] < SMALLEST] = 0
-        found.append(np.asarray(np.unique(parts, return_inverse=True)[1].reshape(parts.shape), np.int32))
+        found.append(
+            np.asarray(np.unique(parts, return_inverse=True)[1].reshape(parts.shape), np.int32)
+        )
     return found
 
 
 def _blurred(frame: NDArray[Any], both_ways: bool) -> NDArray[np.float64]:
     values = frame.astype(np.float64)
     values = np.abs(values - np.median(values)) if both_ways else values
-    return np.asarray(ndimage.gaussian_filter(values, [BLUR if n > 1 else 0.0 for n in values.shape]))
+    return np.asarray(
+        ndimage.gaussian_filter(values, [BLUR if n > 1 else 0.0 for n in values.shape])
+    )
 
 
 class Spot(NamedTuple):
@@ -81,12 +87,16 @@ def spots_of(parts: Sequence[Labels]) -> list[Spot]:
     spots = []
     for frame, labels in enumerate(parts):
         values = np.unique(labels[labels > 0]).tolist()
-        for value, place in zip(values, ndimage.center_of_mass(labels > 0, labels, values), strict=True):
+        for value, place in zip(
+            values, ndimage.center_of_mass(labels > 0, labels, values), strict=True
+        ):
             spots.append(Spot(frame, value, (float(place[0]), float(place[1]), float(place[2]))))
     return spots
 
 
-def linked(parts: Sequence[Labels], spots: Sequence[Spot], ids: Sequence[int], parents: dict[int, int]) -> Followed:
+def linked(
+    parts: Sequence[Labels], spots: Sequence[Spot], ids: Sequence[int], parents: dict[int, int]
+) -> Followed:
     """The parts with the ids that a tracker gave to the spots."""
     labels = [np.zeros(one.shape, np.int32) for one in parts]
     for spot, id in zip(spots, ids, strict=True):
@@ -99,11 +109,17 @@ def by_overlap(parts: Sequence[Labels], spots: Sequence[Spot], reach: float) -> 
     del reach  # it needs no distance
     ids, parents, next_id = {}, {}, 1
     for spot in spots:
-        before = parts[spot.frame - 1][parts[spot.frame] == spot.value] if spot.frame else np.zeros(0, np.int64)
+        before = (
+            parts[spot.frame - 1][parts[spot.frame] == spot.value]
+            if spot.frame
+            else np.zeros(0, np.int64)
+        )
         counts = np.bincount(before[before > 0])
         ids[spot] = next_id
         if counts.size:
-            parents[next_id] = ids[next(s for s in spots if (s.frame, s.value) == (spot.frame - 1, counts.argmax()))]
+            parents[next_id] = ids[
+                next(s for s in spots if (s.frame, s.value) == (spot.frame - 1, counts.argmax()))
+            ]
         next_id += 1
     # The only child is the same object.
     final: dict[int, int] = {}
@@ -122,12 +138,18 @@ def by_laptrack(parts: Sequence[Labels], spots: Sequence[Spot], reach: float) ->
     import pandas
     from laptrack import LapTrack
 
-    table = pandas.DataFrame([(one.frame, *one.place) for one in spots], columns=["frame", "z", "y", "x"])
+    table = pandas.DataFrame(
+        [(one.frame, *one.place) for one in spots], columns=["frame", "z", "y", "x"]
+    )
     tracker = LapTrack(
-        cutoff=reach**2, gap_closing_cutoff=(2.0 * reach) ** 2, gap_closing_max_frame_count=GAP,
+        cutoff=reach**2,
+        gap_closing_cutoff=(2.0 * reach) ** 2,
+        gap_closing_max_frame_count=GAP,
         splitting_cutoff=reach**2,
     )
-    tracks, splits, _ = tracker.predict_dataframe(table, ["z", "y", "x"], only_coordinate_cols=False)
+    tracks, splits, _ = tracker.predict_dataframe(
+        table, ["z", "y", "x"], only_coordinate_cols=False
+    )
     ids = [int(n) + 1 for n in tracks.reset_index(drop=True)["track_id"]]
     order = tracks.reset_index(drop=True)[["frame", "z", "y", "x"]].itertuples(index=False)
     by_place = {tuple(row): id for row, id in zip(order, ids, strict=True)}
@@ -145,22 +167,44 @@ def by_btrack(parts: Sequence[Labels], spots: Sequence[Spot], reach: float) -> F
 
     half = np.eye(3)
     motion = MotionModel(
-        measurements=3, states=6, dt=1.0, accuracy=7.5, max_lost=GAP, prob_not_assign=0.1, name="even",
-        A=np.block([[half, half], [np.zeros((3, 3)), half]]), H=np.eye(3, 6),
-        P=150.0 * np.diag([0.1] * 3 + [1.0] * 3), G=15.0 * np.array([[0.5] * 3 + [1.0] * 3]), R=5.0 * half,
-    )  # fmt: skip
+        measurements=3,
+        states=6,
+        dt=1.0,
+        accuracy=7.5,
+        max_lost=GAP,
+        prob_not_assign=0.1,
+        name="even",
+        A=np.block([[half, half], [np.zeros((3, 3)), half]]),
+        H=np.eye(3, 6),
+        P=150.0 * np.diag([0.1] * 3 + [1.0] * 3),
+        G=15.0 * np.array([[0.5] * 3 + [1.0] * 3]),
+        R=5.0 * half,
+    )
     hypotheses = HypothesisModel(
-        hypotheses=["P_FP", "P_init", "P_term", "P_link", "P_branch"], lambda_time=5.0, lambda_dist=3.0,
-        lambda_link=10.0, lambda_branch=50.0, eta=1e-10, theta_dist=20.0, theta_time=5.0, dist_thresh=2.0 * reach,
-        time_thresh=GAP + 1.0, apop_thresh=5, segmentation_miss_rate=0.1, apoptosis_rate=0.001, relax=True,
+        hypotheses=["P_FP", "P_init", "P_term", "P_link", "P_branch"],
+        lambda_time=5.0,
+        lambda_dist=3.0,
+        lambda_link=10.0,
+        lambda_branch=50.0,
+        eta=1e-10,
+        theta_dist=20.0,
+        theta_time=5.0,
+        dist_thresh=2.0 * reach,
+        time_thresh=GAP + 1.0,
+        apop_thresh=5,
+        segmentation_miss_rate=0.1,
+        apoptosis_rate=0.001,
+        relax=True,
         name="usual",
-    )  # fmt: skip
+    )
     table = {"ID": np.arange(len(spots)), "t": np.array([one.frame for one in spots])}
     for axis, name in enumerate("zyx"):
         table[name] = np.array([one.place[axis] for one in spots])
     objects = btrack.io.objects_from_dict(table)
     with btrack.BayesianTracker(verbose=False) as tracker:
-        tracker.configure(btrack.config.TrackerConfig(motion_model=motion, hypothesis_model=hypotheses))
+        tracker.configure(
+            btrack.config.TrackerConfig(motion_model=motion, hypothesis_model=hypotheses)
+        )
         tracker.max_search_radius = reach
         tracker.append(objects)
         low, high = np.zeros(3), np.array(parts[0].shape, np.float64)
@@ -177,14 +221,18 @@ def by_btrack(parts: Sequence[Labels], spots: Sequence[Spot], reach: float) -> F
     for place, id in enumerate(ids):
         if not id:
             ids[place], free = free, free + 1
-    parents = {int(one.ID): int(one.parent) for one in tracks if one.parent and one.parent != one.ID}
+    parents = {
+        int(one.ID): int(one.parent) for one in tracks if one.parent and one.parent != one.ID
+    }
     return linked(parts, spots, ids, parents)
 
 
 Linker = Callable[[Sequence[Labels], Sequence[Spot], float], Followed]
 LINKERS: dict[str, tuple[str, Linker]] = {
-    "overlap": ("", by_overlap), "laptrack": ("laptrack", by_laptrack), "btrack": ("btrack", by_btrack),
-}  # fmt: skip
+    "overlap": ("", by_overlap),
+    "laptrack": ("laptrack", by_laptrack),
+    "btrack": ("btrack", by_btrack),
+}
 
 
 def installed(name: str) -> bool:
@@ -207,7 +255,9 @@ def seg_of_frame(found: Labels, truth: Labels) -> list[float]:
 
 def dice_of_frame(found: Labels, truth: Labels) -> float:
     """Dice of all objects together."""
-    return float(2.0 * ((found > 0) & (truth > 0)).sum() / max(1, (found > 0).sum() + (truth > 0).sum()))
+    return float(
+        2.0 * ((found > 0) & (truth > 0)).sum() / max(1, (found > 0).sum() + (truth > 0).sum())
+    )
 
 
 def challenge_scores(found: Followed, truth: Followed) -> dict[str, float]:
@@ -226,8 +276,14 @@ def challenge_scores(found: Followed, truth: Followed) -> dict[str, float]:
             graphs.append(load_ctc_data(str(Path(folder) / name), lines, run_checks=False))
         results, _ = run_metrics(graphs[0], graphs[1], CTCMatcher(), [CTCMetrics()])
     values = results[0]["results"]
-    seg = [score for one, true in zip(found.labels, truth.labels, strict=True) for score in seg_of_frame(one, true)]
-    return {"SEG": round(float(np.mean(seg)), 4)} | {name: round(float(values[name]), 4) for name in ("DET", "TRA")}
+    seg = [
+        score
+        for one, true in zip(found.labels, truth.labels, strict=True)
+        for score in seg_of_frame(one, true)
+    ]
+    return {"SEG": round(float(np.mean(seg)), 4)} | {
+        name: round(float(values[name]), 4) for name in ("DET", "TRA")
+    }
 
 
 def _write(one: Followed, folder: Path) -> None:
@@ -250,4 +306,7 @@ def _write(one: Followed, folder: Path) -> None:
 
 def versions_of(names: Iterable[str]) -> dict[str, str]:
     """Versions of the peers, or that one is not installed."""
-    return {name: importlib.metadata.version(name) if installed(name) else "not installed" for name in names}
+    return {
+        name: importlib.metadata.version(name) if installed(name) else "not installed"
+        for name in names
+    }

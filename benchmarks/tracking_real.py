@@ -50,7 +50,14 @@ from benchmarks.tracking_peers import (
 
 ROOT = Path(__file__).parents[1]
 MODELS = ("flowable-mass", "last-displacement", "none")
-PHANTOMS = ("ball_moving", "ball_gap", "ball_returning", "balls_passing", "balls_bouncing", "disc_dividing")
+PHANTOMS = (
+    "ball_moving",
+    "ball_gap",
+    "ball_returning",
+    "balls_passing",
+    "balls_bouncing",
+    "disc_dividing",
+)
 #: Voxels that a peer looks around an object of a phantom; the fastest moves by 4.9 a frame.
 REACH = 15.0
 #: Spacing x, y, z of the droplet, um.
@@ -65,11 +72,19 @@ CELLS_ENERGY = "likelihood:histogram"
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     folder = os.environ.get("ACCELSURF_SEQUENCES")
-    options.add_argument("sequences", nargs="?", type=Path, default=None if folder is None else Path(folder))
-    options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/tracking_real.json")
-    options.add_argument("--only", choices=sorted(WORKS), help="one of the works; the others' rows stay as they are")
+    options.add_argument(
+        "sequences", nargs="?", type=Path, default=None if folder is None else Path(folder)
+    )
+    options.add_argument(
+        "-o", "--output", type=Path, default=ROOT / "benchmarks/results/tracking_real.json"
+    )
+    options.add_argument(
+        "--only", choices=sorted(WORKS), help="one of the works; the others' rows stay as they are"
+    )
     given = options.parse_args()
     found = json.loads(given.output.read_text()) if given.only and given.output.exists() else {}
     for name in [given.only] if given.only else WORKS:
@@ -116,12 +131,20 @@ def phantoms(folder: Path | None) -> Iterator[dict[str, Any]]:
             began = time.perf_counter()
             found = by_accelsurf(tracking(phantom, labels[0], model, "chan-vese"))
             seconds = time.perf_counter() - began
-            yield {"phantom": name, "tracker": f"accelsurf {model}", **challenge_scores(found, truth),
-                   "seconds_per_frame": round(seconds / count, 3)}
+            yield {
+                "phantom": name,
+                "tracker": f"accelsurf {model}",
+                **challenge_scores(found, truth),
+                "seconds_per_frame": round(seconds / count, 3),
+            }
         frames = [phantom.channels(n)[0].array for n in range(count)]
         for tracker, found, seconds in by_peers(frames, labels[0], REACH):
-            yield {"phantom": name, "tracker": tracker, **challenge_scores(found, truth),
-                   "seconds_per_frame": round(seconds / count, 3)}
+            yield {
+                "phantom": name,
+                "tracker": tracker,
+                **challenge_scores(found, truth),
+                "seconds_per_frame": round(seconds / count, 3),
+            }
 
 
 def by_peers(
@@ -166,19 +189,29 @@ def droplet(folder: Path | None) -> Iterator[dict[str, Any]]:
                 points = table[table[:, 1] == numbers[result.frame], 2:] - np.array(DROPLET_ORIGIN)
                 surface = result.objects[0].surface
                 places = points / np.array(DROPLET[::-1]) - np.array(surface.corner)
-                off.append(np.abs(ndimage.map_coordinates(surface.psi, places.T, order=1, mode="nearest")))
+                off.append(
+                    np.abs(ndimage.map_coordinates(surface.psi, places.T, order=1, mode="nearest"))
+                )
             seconds = (time.perf_counter() - began) / len(numbers)
             every = np.concatenate(off)
-            yield {"every": stride, "tracker": f"accelsurf {model}", "frames": [round(one, 4) for one in scores],
-                   "dice": round(float(np.mean(scores)), 4), "points_um": round(float(every.mean()), 3),
-                   "points_um_p95": round(float(np.percentile(every, 95)), 3), "seconds_per_frame": round(seconds, 3)}
+            yield {
+                "every": stride,
+                "tracker": f"accelsurf {model}",
+                "frames": [round(one, 4) for one in scores],
+                "dice": round(float(np.mean(scores)), 4),
+                "points_um": round(float(every.mean()), 3),
+                "points_um_p95": round(float(np.percentile(every, 95)), 3),
+                "seconds_per_frame": round(seconds, 3),
+            }
 
 
 def otsu(values: NDArray[Any]) -> NDArray[np.bool_]:
     """The largest part above Otsu's threshold of the blurred frame, without holes."""
     blurred = ndimage.gaussian_filter(values.astype(np.float64), 0.7)
     parts, _ = ndimage.label(blurred > threshold_otsu(blurred))
-    return np.asarray(ndimage.binary_fill_holes(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:])))
+    return np.asarray(
+        ndimage.binary_fill_holes(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
+    )
 
 
 # -- cells in phase contrast, 2D ------------------------------------------------------------------------------------
@@ -204,15 +237,20 @@ def cells(folder: Path | None) -> Iterator[dict[str, Any]]:
     yield cell_row("first frame kept", [labels[0]] * len(labels), list(labels), 0.0)
 
 
-def cell_row(tracker: str, found: list[Labels], truth: list[Labels], seconds: float) -> dict[str, Any]:
+def cell_row(
+    tracker: str, found: list[Labels], truth: list[Labels], seconds: float
+) -> dict[str, Any]:
     """Scores of the frames after the first."""
     each = [seg_of_frame(one, true) for one, true in zip(found[1:], truth[1:], strict=True)]
     dices = [dice_of_frame(one, true) for one, true in zip(found[1:], truth[1:], strict=True)]
     return {
-        "tracker": tracker, "frames": [round(float(np.mean(one)), 4) for one in each],
+        "tracker": tracker,
+        "frames": [round(float(np.mean(one)), 4) for one in each],
         "seg": round(float(np.mean([score for one in each for score in one])), 4),
-        "found": sum(score > 0 for one in each for score in one), "of": sum(len(one) for one in each),
-        "dice": [round(one, 4) for one in dices], "seconds_per_frame": round(seconds / len(truth), 3),
+        "found": sum(score > 0 for one in each for score in one),
+        "of": sum(len(one) for one in each),
+        "dice": [round(one, 4) for one in dices],
+        "seconds_per_frame": round(seconds / len(truth), 3),
     }
 
 
@@ -235,8 +273,13 @@ def picture(found: dict[str, Any], path: Path) -> None:
     axes[0].set(title="TRA of the phantoms", ylim=(0.5, 1.12))
     for row in found.get("droplet", []):
         numbers = np.arange(1, len(row["frames"]) + 1) * row["every"]
-        axes[1].plot(numbers, row["frames"], "o-" if row["every"] == 1 else "s--", ms=3,
-                     label=f"{row['tracker']}, every {row['every']}")
+        axes[1].plot(
+            numbers,
+            row["frames"],
+            "o-" if row["every"] == 1 else "s--",
+            ms=3,
+            label=f"{row['tracker']}, every {row['every']}",
+        )
     axes[1].set(title="Droplet: Dice with Otsu of each frame", xlabel="frame")
     for row in found.get("cells", []):
         axes[2].plot(np.arange(CELLS_FROM + 1, CELLS_TO), row["frames"], "o-", label=row["tracker"])

@@ -44,10 +44,16 @@ Floats = NDArray[np.float64]
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/tracking_tissues.json")
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    options.add_argument(
+        "-o", "--output", type=Path, default=ROOT / "benchmarks/results/tracking_tissues.json"
+    )
     options.add_argument("--seeds", type=int, default=3, help="sequences of each kind")
-    options.add_argument("--trackers", nargs="+", choices=TRACKERS, default=list(TRACKERS), help="others' rows stay")
+    options.add_argument(
+        "--trackers", nargs="+", choices=TRACKERS, default=list(TRACKERS), help="others' rows stay"
+    )
     given = options.parse_args()
     old = json.loads(given.output.read_text())["rows"] if given.output.exists() else []
     rows: list[dict[str, Any]] = [row for row in old if row["tracker"] not in given.trackers]
@@ -56,12 +62,16 @@ def main() -> None:
             for coherence in COHERENCE:
                 rows += rows_of(name, coherence, seed, given.trackers)
                 given.output.parent.mkdir(parents=True, exist_ok=True)
-                given.output.write_text(json.dumps({"rows": rows, "summary": summary(rows)}, indent=1) + "\n")
+                given.output.write_text(
+                    json.dumps({"rows": rows, "summary": summary(rows)}, indent=1) + "\n"
+                )
     for line in summary(rows):
         print(line)
 
 
-def rows_of(name: str, coherence: float, seed: int, trackers: Sequence[str]) -> list[dict[str, Any]]:
+def rows_of(
+    name: str, coherence: float, seed: int, trackers: Sequence[str]
+) -> list[dict[str, Any]]:
     """Scores of trackers on one sequence."""
     _, values = read_recipe(name)
     phantom = TissuePhantom(TissueRecipe(**{**values, "coherence": coherence, "seed": seed}))
@@ -73,11 +83,18 @@ def rows_of(name: str, coherence: float, seed: int, trackers: Sequence[str]) -> 
         found, quality = TRACKERS[tracker](phantom, frames, truth[0])
         seconds = (time.process_time() - began) / (len(phantom) - 1)
         dice = [mean_dice(labels, true) for labels, true in zip(found[1:], truth[1:], strict=True)]
-        rows.append({
-            "phantom": name, "coherence": coherence, "seed": seed, "tracker": tracker,
-            "dice": [round(value, 4) for value in dice], "mean": round(float(np.mean(dice)), 4),
-            "quality": [round(value, 3) for value in quality], "cpu_seconds_per_frame": round(seconds, 2),
-        })
+        rows.append(
+            {
+                "phantom": name,
+                "coherence": coherence,
+                "seed": seed,
+                "tracker": tracker,
+                "dice": [round(value, 4) for value in dice],
+                "mean": round(float(np.mean(dice)), 4),
+                "quality": [round(value, 3) for value in quality],
+                "cpu_seconds_per_frame": round(seconds, 2),
+            }
+        )
         print(rows[-1], flush=True)
     return rows
 
@@ -96,8 +113,13 @@ def by_accelsurf(
 ) -> tuple[list[NDArray[Any]], list[float]]:
     """Labels of all frames, and the lowest quality in each frame after the first."""
     config = TrackConfig(threads=1, energy="chan-vese", levels=1)
-    results = list(Tracking(VolumeSequence(frames), config, objects=Volume(first, phantom.geometry)))
-    lowest = [min(tracked.quality for tracked in result.objects) if result.objects else 0.0 for result in results[1:]]
+    results = list(
+        Tracking(VolumeSequence(frames), config, objects=Volume(first, phantom.geometry))
+    )
+    lowest = [
+        min(tracked.quality for tracked in result.objects) if result.objects else 0.0
+        for result in results[1:]
+    ]
     return [result.labels(seen_only=False) for result in results], lowest
 
 
@@ -121,8 +143,14 @@ def by_registration(register: Callable[[Any, Any], Floats]) -> Follow:
         for before, now in zip(images, images[1:], strict=False):
             back = register(now, before)
             places = np.indices(first.shape) + back
-            whole = back + np.stack([ndimage.map_coordinates(part, places, order=1, mode="nearest") for part in whole])
-            found.append(ndimage.map_coordinates(first, np.indices(first.shape) + whole, order=0, mode="nearest"))
+            whole = back + np.stack(
+                [ndimage.map_coordinates(part, places, order=1, mode="nearest") for part in whole]
+            )
+            found.append(
+                ndimage.map_coordinates(
+                    first, np.indices(first.shape) + whole, order=0, mode="nearest"
+                )
+            )
         return found, []
 
     return follow
@@ -139,7 +167,7 @@ def as_field(field: Any, shape: tuple[int, ...]) -> Floats:
     """A displacement field of SimpleITK as (3, nz, ny, nx), z y x."""
     parts = np.moveaxis(SimpleITK.GetArrayFromImage(field)[..., ::-1], -1, 0)
     out = np.zeros((3, *shape))
-    out[3 - len(parts):] = parts.reshape(len(parts), *shape)
+    out[3 - len(parts) :] = parts.reshape(len(parts), *shape)
     return out
 
 
@@ -148,11 +176,15 @@ def shape_of(image: Any) -> tuple[int, ...]:
     return size if len(size) == 3 else (1, *size)
 
 
-def by_demons(fixed: Any, moving: Any, grids: Sequence[int] = (4, 2, 1), sigma: float = 1.5) -> Floats:
+def by_demons(
+    fixed: Any, moving: Any, grids: Sequence[int] = (4, 2, 1), sigma: float = 1.5
+) -> Floats:
     """Diffeomorphic demons, coarse to fine: on grids with every so many voxels."""
     field = None
     for factor in grids:
-        shrunk = [SimpleITK.Shrink(image, [factor] * image.GetDimension()) for image in (fixed, moving)]
+        shrunk = [
+            SimpleITK.Shrink(image, [factor] * image.GetDimension()) for image in (fixed, moving)
+        ]
         demons = SimpleITK.DiffeomorphicDemonsRegistrationFilter()
         demons.SetNumberOfIterations(DEMONS_ROUNDS)
         demons.SetStandardDeviations(sigma)
@@ -187,10 +219,12 @@ def by_spline(fixed: Any, moving: Any) -> Floats:
 
 
 TRACKERS: dict[str, Follow] = {
-    "accelsurf": by_accelsurf, "demons": by_registration(by_demons),
+    "accelsurf": by_accelsurf,
+    "demons": by_registration(by_demons),
     "demons, half grid": by_registration(partial(by_demons, grids=(4, 2), sigma=0.7)),
-    "B-spline": by_registration(by_spline), "copying": by_copying,
-}  # fmt: skip
+    "B-spline": by_registration(by_spline),
+    "copying": by_copying,
+}
 
 
 def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -198,11 +232,18 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     lines = []
     for key in dict.fromkeys((row["phantom"], row["coherence"], row["tracker"]) for row in rows):
         alike = [row for row in rows if (row["phantom"], row["coherence"], row["tracker"]) == key]
-        lines.append({
-            "phantom": key[0], "coherence": key[1], "tracker": key[2], "sequences": len(alike),
-            "dice": round(float(np.mean([row["mean"] for row in alike])), 3),
-            "cpu_seconds_per_frame": round(float(np.mean([row["cpu_seconds_per_frame"] for row in alike])), 2),
-        })
+        lines.append(
+            {
+                "phantom": key[0],
+                "coherence": key[1],
+                "tracker": key[2],
+                "sequences": len(alike),
+                "dice": round(float(np.mean([row["mean"] for row in alike])), 3),
+                "cpu_seconds_per_frame": round(
+                    float(np.mean([row["cpu_seconds_per_frame"] for row in alike])), 2
+                ),
+            }
+        )
     return lines
 
 

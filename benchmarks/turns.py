@@ -33,10 +33,18 @@ SERVE, REPLY = "serve", "processor seconds:"
 
 def main(arguments: list[str] | None = None) -> int:
     """Compare the tree here with a commit; 1 when a work became slower."""
-    parser = argparse.ArgumentParser(prog="scripts/benchmark --check", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("commit", nargs="?", default="HEAD~1", help="the commit to compare with (HEAD~1)")
-    parser.add_argument("--rounds", type=int, default=5, help="turns of each tree, of which the median counts (5)")
-    parser.add_argument("--only", nargs="+", choices=WORKS, default=WORKS, metavar="WORK", help=", ".join(WORKS))
+    parser = argparse.ArgumentParser(
+        prog="scripts/benchmark --check", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument(
+        "commit", nargs="?", default="HEAD~1", help="the commit to compare with (HEAD~1)"
+    )
+    parser.add_argument(
+        "--rounds", type=int, default=5, help="turns of each tree, of which the median counts (5)"
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=WORKS, default=WORKS, metavar="WORK", help=", ".join(WORKS)
+    )
     options = parser.parse_args(arguments)
     if options.rounds < 1:
         parser.error(f"--rounds {options.rounds}: give at least 1")
@@ -44,7 +52,9 @@ def main(arguments: list[str] | None = None) -> int:
         found = in_turns(before, ROOT, options.only, options.rounds)
     print(f"processor seconds, {options.commit} and here, median of {options.rounds}")
     for work, (old, new) in found.items():
-        print(f"{work:14} {old:8.3f} {new:8.3f}  {new / old:5.2f}{'  SLOWER' if is_slower(old, new) else ''}")
+        print(
+            f"{work:14} {old:8.3f} {new:8.3f}  {new / old:5.2f}{'  SLOWER' if is_slower(old, new) else ''}"
+        )
     return 1 if any(is_slower(*pair) for pair in found.values()) else 0
 
 
@@ -61,12 +71,16 @@ def checked_out(commit: str) -> Iterator[Path]:
             ["git", "archive", commit, "accelsurf"], cwd=ROOT, stdout=subprocess.PIPE, check=False
         )
         if archive.returncode:
-            raise SystemExit(f"error: {commit}: git has no such commit here\nhint: fetch it, or name another")
+            raise SystemExit(
+                f"error: {commit}: git has no such commit here\nhint: fetch it, or name another"
+            )
         subprocess.run(["tar", "-x", "-C", folder], input=archive.stdout, check=True)
         yield Path(folder)
 
 
-def in_turns(before: Path, now: Path, works: tuple[str, ...], rounds: int) -> dict[str, tuple[float, float]]:
+def in_turns(
+    before: Path, now: Path, works: tuple[str, ...], rounds: int
+) -> dict[str, tuple[float, float]]:
     """Median processor seconds of each work in two trees."""
     with Child(before) as old, Child(now) as new:
         found = {}
@@ -86,11 +100,17 @@ class Child:
     """A process that does works with the package of one tree."""
 
     def __init__(self, tree: Path) -> None:
-        threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+        threads = dict.fromkeys(
+            ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+        )
         self._tree = tree
         self._process = subprocess.Popen(
-            [sys.executable, "-P", __file__, SERVE], cwd=tree, env={**os.environ, **threads, "PYTHONPATH": str(tree)},
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            [sys.executable, "-P", __file__, SERVE],
+            cwd=tree,
+            env={**os.environ, **threads, "PYTHONPATH": str(tree)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         )
 
     def __enter__(self) -> Child:
@@ -144,7 +164,9 @@ def works() -> dict[str, Callable[[], object]]:
         "correction": lambda: accelsurf.segment(
             image, inside="ball:32,32,32,4vox", edit="step=3 outside=point:55,32,32vox"
         ),
-        "thick slices": lambda: accelsurf.segment(slices, spacing=(8.0, 1.0, 1.0), inside="ball:96,96,4,4vox"),
+        "thick slices": lambda: accelsurf.segment(
+            slices, spacing=(8.0, 1.0, 1.0), inside="ball:96,96,4,4vox"
+        ),
         "objects": lambda: accelsurf.segment_objects(cells, seeds),
     }
 

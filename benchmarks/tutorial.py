@@ -29,12 +29,19 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = ("first-scan", "by-clicks")
 #: Folder of a run, or file of `look` -> picture.
 PICTURES = {
-    "look.png": "tutorial-look", "ring": "tutorial-click", "cut": "tutorial-refine", "ring.png": "tutorial-scene",
+    "look.png": "tutorial-look",
+    "ring": "tutorial-click",
+    "cut": "tutorial-refine",
+    "ring.png": "tutorial-scene",
     "first": "tutorial-first",
-    "both": "tutorial-objects", "spleen_look.png": "tutorial-spleen-look", "spleen": "tutorial-spleen",
-    "cord_look.png": "tutorial-cord-look", "cord refined": "tutorial-cord", "nuclei_look.png": "tutorial-nucleus-look",
+    "both": "tutorial-objects",
+    "spleen_look.png": "tutorial-spleen-look",
+    "spleen": "tutorial-spleen",
+    "cord_look.png": "tutorial-cord-look",
+    "cord refined": "tutorial-cord",
+    "nuclei_look.png": "tutorial-nucleus-look",
     "nucleus": "tutorial-nucleus",
-}  # fmt: skip
+}
 COLOURS = 256
 #: Folder of a run -> label of the reference.
 REFERENCES = {"spleen": 1, "cord": 1, "nucleus": 5}
@@ -43,7 +50,9 @@ FILE = re.compile(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", re.DOTALL)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("pages", nargs="*", help="first-scan, by-clicks")
     parser.add_argument("-o", "--output", type=Path, help="where the commands run; kept if given")
     options = parser.parse_args()
@@ -91,7 +100,9 @@ def keep(page: Path, work: Path, words: list[str]) -> None:
         value = dice(np.asarray(io.read_labels(found).array > 0), truth)
         begin = f"<!-- tutorial {name} -->"
         text = page.read_text(encoding="utf-8")
-        page.write_text(re.sub(f"{re.escape(begin)}[^<]*<", f"{begin}{value:.3f}<", text), encoding="utf-8")
+        page.write_text(
+            re.sub(f"{re.escape(begin)}[^<]*<", f"{begin}{value:.3f}<", text), encoding="utf-8"
+        )
         print(f"{name}: Dice {value:.3f}", flush=True)
 
 

@@ -42,13 +42,19 @@ def text_of(click: PersonClick, geometry: Geometry) -> str:
     least = min(geometry.spacing)
     digits = max(0, math.ceil(1 - math.log10(least)))
     numbers = [f"{value:.{digits}f}" for value in (*click.centre, click.radius)]
-    return f"point:{','.join(numbers[:3])}" if click.radius <= 0.5 * least else f"ball:{','.join(numbers)}"
+    return (
+        f"point:{','.join(numbers[:3])}"
+        if click.radius <= 0.5 * least
+        else f"ball:{','.join(numbers)}"
+    )
 
 
 def call(words: Sequence[str], folder: Path) -> dict[str, Any]:
     """Run `accelsurf` with these words in a folder: exit code, seconds, the message of a failure."""
     began = time.perf_counter()
-    done = subprocess.run([sys.executable, "-m", "accelsurf", *words], capture_output=True, text=True, cwd=folder)
+    done = subprocess.run(
+        [sys.executable, "-m", "accelsurf", *words], capture_output=True, text=True, cwd=folder
+    )
     row: dict[str, Any] = {"exit_code": done.returncode, "seconds": time.perf_counter() - began}
     return row | ({"error": done.stderr.strip() or "no message"} if done.returncode else {})
 
@@ -62,7 +68,12 @@ def facts_of(target: Path, name: str) -> dict[str, Any]:
 
 
 def play(
-    source: Path, target: Path, truth: Volume, options: Sequence[str] = (), clicks: int = 3, threads: int = 2
+    source: Path,
+    target: Path,
+    truth: Volume,
+    options: Sequence[str] = (),
+    clicks: int = 3,
+    threads: int = 2,
 ) -> list[dict[str, Any]]:
     """`accelsurf segment --inside` and then `accelsurf refine`, a click each.
 
@@ -91,11 +102,22 @@ def play(
             break
         side = [f"--{click.side}", text_of(click, truth.geometry)]
         begin = ["refine", target.name] if number else ["segment", source.name, "-o", target.name]
-        row: dict[str, Any] = {"command": shlex.join(["accelsurf", *begin, *side, *([] if number else options)])}
+        row: dict[str, Any] = {
+            "command": shlex.join(["accelsurf", *begin, *side, *([] if number else options)])
+        }
         if number:
             words = ["refine", str(target), *side, "--quiet"]
         else:
-            words = ["segment", str(source), "-o", str(target), *side, *options, "--threads", str(threads)]
+            words = [
+                "segment",
+                str(source),
+                "-o",
+                str(target),
+                *side,
+                *options,
+                "--threads",
+                str(threads),
+            ]
             words += ["--overwrite", "--quiet"]
         rows.append(row | call(words, target.parent))
         if rows[-1]["exit_code"]:

@@ -31,11 +31,15 @@ KEYS = 12
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     options.add_argument("--size", type=int, default=256)
     options.add_argument("--steps", type=int, default=40)
     options.add_argument("--display", default="")
-    options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer.json")
+    options.add_argument(
+        "-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer.json"
+    )
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         source, start = phantom(given.size, Path(folder))
@@ -50,12 +54,25 @@ def main() -> None:
     report = {
         "size": given.size,
         "steps": given.steps,
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
         "machine": platform.machine(),
         "seconds": {"alone": alone, "session": session[0], "window": window["seconds"]},
-        "cpu_seconds": {"alone": min(cpu for _, cpu in plain), "session": session[1], "window": window["cpu_seconds"]},
-        "slowdown": {"session": session[0] / alone - 1.0, "window": window["seconds"] / alone - 1.0},
-        "key_answered_ms": {"median": float(np.median(answered)), "largest": max(answered), "all": answered},
+        "cpu_seconds": {
+            "alone": min(cpu for _, cpu in plain),
+            "session": session[1],
+            "window": window["cpu_seconds"],
+        },
+        "slowdown": {
+            "session": session[0] / alone - 1.0,
+            "window": window["seconds"] / alone - 1.0,
+        },
+        "key_answered_ms": {
+            "median": float(np.median(answered)),
+            "largest": max(answered),
+            "all": answered,
+        },
         "frames": window["frames"],
         "drawing_ms": window["drawing_ms"],
     }
@@ -116,7 +133,16 @@ def seconds_of_session(source: Path, start: str, steps: int) -> tuple[float, flo
 def in_window(source: Path, start: str, steps: int, display: str, folder: Path) -> dict:
     result_file = folder / "result.json"
     env = {**os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
-    words = [sys.executable, "-m", "benchmarks.viewer", "--in-window", str(source), str(result_file), start, str(steps)]
+    words = [
+        sys.executable,
+        "-m",
+        "benchmarks.viewer",
+        "--in-window",
+        str(source),
+        str(result_file),
+        start,
+        str(steps),
+    ]
     child = subprocess.Popen(words, env=env, cwd=ROOT)
     try:
         sent = []
@@ -179,12 +205,16 @@ def window_process(source: str, result_file: str, start: str, steps: int) -> Non
                 session.play()
         elif "began" in times and "ended" not in times and status.step >= 1 + steps:
             times["ended"] = time.perf_counter()
-            path.write_text(json.dumps({
-                "seconds": times["ended"] - times["began"],
-                "cpu_seconds": time.process_time() - times["cpu"],
-                "frames": len(drawn),
-                "drawing_ms": round(1000 * float(np.median(drawn)), 1) if drawn else None,
-            }))
+            path.write_text(
+                json.dumps(
+                    {
+                        "seconds": times["ended"] - times["began"],
+                        "cpu_seconds": time.process_time() - times["cpu"],
+                        "frames": len(drawn),
+                        "drawing_ms": round(1000 * float(np.median(drawn)), 1) if drawn else None,
+                    }
+                )
+            )
         if times.get("began") and window.scene.frame.step != times.get("frame"):
             times["frame"] = window.scene.frame.step
             drawn.append(window.drawing_seconds)

@@ -34,11 +34,15 @@ WAYS = ("command", "window")
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     options.add_argument("--shape", default="512,512,300")
     options.add_argument("--repeats", type=int, default=3)
     options.add_argument("--display", default="")
-    options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer_opening.json")
+    options.add_argument(
+        "-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer_opening.json"
+    )
     given = options.parse_args()
     nx, ny, nz = (int(n) for n in given.shape.split(","))
     if not (given.display or shutil.which("Xvfb")):
@@ -49,7 +53,12 @@ def main() -> None:
             found = measured(files, display, Path(folder), given.repeats)
         sizes = {path.suffix: path.stat().st_size for path in files}
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    report = {"cores": cores, "machine": platform.machine(), "load": round(os.getloadavg()[0], 2), "bytes": sizes}
+    report = {
+        "cores": cores,
+        "machine": platform.machine(),
+        "load": round(os.getloadavg()[0], 2),
+        "bytes": sizes,
+    }
     known = json.loads(given.output.read_text()) if given.output.exists() else {}
     known[given.shape] = report | found
     given.output.parent.mkdir(parents=True, exist_ok=True)
@@ -75,7 +84,9 @@ def ct(shape: Sequence[int], folder: Path) -> list[Path]:
         values = np.where(body < 1.0, np.where(body > 0.8, -100.0, 40.0), -1000.0)
         values[((x + 0.25) / 0.3) ** 2 + (y / 0.28) ** 2 + (z[k] / 0.5) ** 2 < 1.0] = 110.0
         for middle in (-0.33, 0.33):
-            values[((x - middle) / 0.24) ** 2 + (y / 0.3) ** 2 + ((z[k] + 0.7) / 0.5) ** 2 < 1.0] = -850.0
+            values[
+                ((x - middle) / 0.24) ** 2 + (y / 0.3) ** 2 + ((z[k] + 0.7) / 0.5) ** 2 < 1.0
+            ] = -850.0
         values[(x**2 + (y - 0.33) ** 2) < 0.01] = 400.0
         noise = gaussian_filter(rng.normal(0.0, 1.0, (ny, nx)).astype(np.float32), 0.7)
         values = gaussian_filter(values, 0.6) + noise * (18.0 / noise.std())
@@ -88,15 +99,32 @@ def ct(shape: Sequence[int], folder: Path) -> list[Path]:
     return files
 
 
-def measured(files: Sequence[Path], display: str, folder: Path, repeats: int) -> dict[str, dict[str, list[float]]]:
+def measured(
+    files: Sequence[Path], display: str, folder: Path, repeats: int
+) -> dict[str, dict[str, list[float]]]:
     """Seconds of each way for each file, in turns."""
-    env = {**os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb", "XDG_STATE_HOME": str(folder)}
+    env = {
+        **os.environ,
+        "DISPLAY": display,
+        "QT_QPA_PLATFORM": "xcb",
+        "XDG_STATE_HOME": str(folder),
+    }
     found: dict[str, dict[str, list[float]]] = {}
     for _ in range(repeats):
         for path in files:
             for way in WAYS:
-                words = [sys.executable, "-m", "benchmarks.viewer_opening", "--child", way, str(path), str(time.time())]
-                done = subprocess.run(words, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300)
+                words = [
+                    sys.executable,
+                    "-m",
+                    "benchmarks.viewer_opening",
+                    "--child",
+                    way,
+                    str(path),
+                    str(time.time()),
+                ]
+                done = subprocess.run(
+                    words, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300
+                )
                 if not done.stdout.startswith("painted "):
                     sys.exit(f"no picture: {done.stdout}{done.stderr}")
                 wall, own = (round(float(word), 2) for word in done.stdout.split()[1:])
@@ -144,7 +172,12 @@ def watch_paint(desktop: object, times: dict[str, float]) -> None:
     class Timed(desktop.QtInteractor):
         def paintGL(self) -> None:
             super().paintGL()
-            print("painted", time.time() - times["began"], time.thread_time() - times["worked"], flush=True)
+            print(
+                "painted",
+                time.time() - times["began"],
+                time.thread_time() - times["worked"],
+                flush=True,
+            )
             os._exit(0)
 
     desktop.QtInteractor = Timed

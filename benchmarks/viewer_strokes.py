@@ -45,22 +45,35 @@ CORRECTIONS = 4
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     options.add_argument("--shape", default="256,256,256")
     options.add_argument("--ct", action="store_true")
     options.add_argument("--display", default="")
-    options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer_strokes.json")
+    options.add_argument(
+        "-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer_strokes.json"
+    )
     given = options.parse_args()
     shape = tuple(int(n) for n in given.shape.split(","))
     with tempfile.TemporaryDirectory() as folder:
         source, start = phantom(shape, Path(folder), given.ct)
         if not (given.display or shutil.which("Xvfb")):
             sys.exit("Xvfb is needed, or --display of a screen")
-        with contextlib.nullcontext(given.display) if given.display else own_screen(1600, 900) as display:
+        with (
+            contextlib.nullcontext(given.display)
+            if given.display
+            else own_screen(1600, 900) as display
+        ):
             found = in_window(source, start, display, Path(folder))
     known = json.loads(given.output.read_text()) if given.output.exists() else {}
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    report = {"cores": cores, "machine": platform.machine(), "load": round(os.getloadavg()[0], 2), **found}
+    report = {
+        "cores": cores,
+        "machine": platform.machine(),
+        "load": round(os.getloadavg()[0], 2),
+        **found,
+    }
     known["x".join(map(str, shape[::-1])) + (" ct" if given.ct else "")] = report
     given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text(json.dumps(known, indent=2) + "\n")
@@ -73,7 +86,9 @@ def phantom(shape: Sequence[int], folder: Path, is_ct: bool) -> tuple[Path, dict
     from accelsurf.image.volume import Volume
 
     z, y, x = (
-        (np.arange(n, dtype=np.float32) - 0.5 * n).reshape([-1 if a == axis else 1 for a in range(3)])
+        (np.arange(n, dtype=np.float32) - 0.5 * n).reshape(
+            [-1 if a == axis else 1 for a in range(3)]
+        )
         for axis, n in enumerate(shape)
     )
     radius = RADIUS * min(shape)
@@ -93,7 +108,14 @@ def in_window(source: Path, start: dict[str, str], display: str, folder: Path) -
     """Open the window in another process, on a screen."""
     result_file = folder / "result.json"
     env = {**os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
-    words = [sys.executable, "-m", "benchmarks.viewer_strokes", "--in-window", str(source), str(result_file)]
+    words = [
+        sys.executable,
+        "-m",
+        "benchmarks.viewer_strokes",
+        "--in-window",
+        str(source),
+        str(result_file),
+    ]
     subprocess.run([*words, json.dumps(start)], env=env, cwd=ROOT, check=True, timeout=1800)
     return json.loads(result_file.read_text())
 
@@ -107,7 +129,9 @@ def window_process(source: str, result_file: str, start: str) -> None:
 
     said = json.loads(start)
     app = application()
-    session = Session(io.read(source), RunConfig(inside=said["inside"], levels=1, max_steps=100_000), name="scan")
+    session = Session(
+        io.read(source), RunConfig(inside=said["inside"], levels=1, max_steps=100_000), name="scan"
+    )
     session.ready.result()
     window = Window(session)
     window.resize(1280, 720)
@@ -122,9 +146,12 @@ def summary(times: Sequence[tuple[float, float]]) -> dict[str, float]:
     """Of milliseconds until drawn, and of the window's thread in them."""
     wall, own = np.array(times).T
     return {
-        "median_ms": round(float(np.median(wall)), 1), "p95_ms": round(float(np.percentile(wall, 95)), 1),
-        "largest_ms": round(float(wall.max()), 1), "within_50_ms": round(float(np.mean(wall <= DRAWN_MS)), 3),
-        "own_median_ms": round(float(np.median(own)), 1), "own_largest_ms": round(float(own.max()), 1),
+        "median_ms": round(float(np.median(wall)), 1),
+        "p95_ms": round(float(np.percentile(wall, 95)), 1),
+        "largest_ms": round(float(wall.max()), 1),
+        "within_50_ms": round(float(np.mean(wall <= DRAWN_MS)), 3),
+        "own_median_ms": round(float(np.median(own)), 1),
+        "own_largest_ms": round(float(own.max()), 1),
         "a_second": round(1000.0 / max(float(wall.mean()), 1000.0 / RATE), 1),
     }
 
@@ -167,7 +194,9 @@ class Hand:
         time.sleep(2.0)
         session.play()
         self._until(lambda: session.status.step > 3)
-        found["stroke in a slice while it runs"] = self._drag("inside", self._along("axial"), keep=True)
+        found["stroke in a slice while it runs"] = self._drag(
+            "inside", self._along("axial"), keep=True
+        )
         self._until(lambda: session.status.stop is not None and not session.status.playing, 900)
         time.sleep(2.0)
         found["stroke in a slice"] = self._drag("inside", self._along("axial"))
@@ -182,7 +211,10 @@ class Hand:
         found["drag to the size"] = self._drag("size", self._outwards("axial"))
         times = found.pop("obeyed")
         found = {name: summary(value) for name, value in found.items()}
-        return found | {"obeyed_s": [wall for wall, _ in times], "obeyed_cpu_s": [cpu for _, cpu in times]}
+        return found | {
+            "obeyed_s": [wall for wall, _ in times],
+            "obeyed_cpu_s": [cpu for _, cpu in times],
+        }
 
     # -- what the hand does -------------------------------------------------------------------------------
 
@@ -194,7 +226,9 @@ class Hand:
         """Places from the middle of a tile to one side, as parts of the canvas."""
         yield from self._beside_the_middle(tile, 0.0, 0.9)
 
-    def _beside_the_middle(self, tile: str, first: float, last: float) -> Iterator[tuple[float, float]]:
+    def _beside_the_middle(
+        self, tile: str, first: float, last: float
+    ) -> Iterator[tuple[float, float]]:
         """Places so many radii of the ball beside the middle of a tile, whatever the layout and the size of a pixel."""
         left, bottom, right, top = self.window.scene.tiles.renderer(tile).GetViewport()
         pixel = 1.0 / self.window.scene.plotter.render_window.GetSize()[0]
@@ -209,12 +243,16 @@ class Hand:
         across = np.cross(camera.GetDirectionOfProjection(), camera.GetViewUp())
         width, height = scene.plotter.render_window.GetSize()
         for share in np.linspace(-0.7, 0.7, MOTIONS):
-            renderer.SetWorldPoint(*(middle + share * self.radius * across / np.linalg.norm(across)), 1.0)
+            renderer.SetWorldPoint(
+                *(middle + share * self.radius * across / np.linalg.norm(across)), 1.0
+            )
             renderer.WorldToDisplay()
             x, y, _ = renderer.GetDisplayPoint()
             yield x / width, 1.0 - y / height
 
-    def _drag(self, tool: str, places: Iterator[tuple[float, float]], keep: bool = False) -> list[tuple[float, float]]:
+    def _drag(
+        self, tool: str, places: Iterator[tuple[float, float]], keep: bool = False
+    ) -> list[tuple[float, float]]:
         """Milliseconds from each event of a drag until it is drawn; undone afterwards unless it is to be kept."""
         self._take(tool)
         time.sleep(1.0)
@@ -225,7 +263,9 @@ class Hand:
         session = self.window.session
         time.sleep(0.2)
         session.wait(300) if not keep else time.sleep(1.0)
-        if not keep and session.status.undoable > made:  # a stroke that changes nothing is none to be undone
+        if (
+            not keep and session.status.undoable > made
+        ):  # a stroke that changes nothing is none to be undone
             session.undo().result(300)
             session.wait(300)
         return times
@@ -235,13 +275,16 @@ class Hand:
         self._in_window(lambda: self.window._ask("tool", tool))
         self._in_window(lambda: self.window.user_actions.request("radius", 0.12 * self.radius))
 
-    def _event(self, kind: str, place: tuple[float, float] | None, right: bool = False) -> tuple[float, float]:
+    def _event(
+        self, kind: str, place: tuple[float, float] | None, right: bool = False
+    ) -> tuple[float, float]:
         """Send an event of a button; milliseconds until the picture after it, and of the window's thread until then."""
         from PySide6.QtCore import QEvent, Qt
         from PySide6.QtGui import QMouseEvent
 
         kinds = {
-            "press": QEvent.Type.MouseButtonPress, "move": QEvent.Type.MouseMove,
+            "press": QEvent.Type.MouseButtonPress,
+            "move": QEvent.Type.MouseMove,
             "release": QEvent.Type.MouseButtonRelease,
         }
         self._place = place or self._place
@@ -249,7 +292,9 @@ class Hand:
         buttons = Qt.MouseButton.RightButton if right else Qt.MouseButton.LeftButton
         button = Qt.MouseButton.NoButton if kind == "move" else buttons
         anywhere = self.window.canvas.mapToGlobal(at)
-        event = QMouseEvent(kinds[kind], at, anywhere, button, buttons, Qt.KeyboardModifier.NoModifier)
+        event = QMouseEvent(
+            kinds[kind], at, anywhere, button, buttons, Qt.KeyboardModifier.NoModifier
+        )
         return self._until_drawn(event, 3.0 if kind != "release" else 0.5)
 
     def _on_canvas(self, place: tuple[float, float]) -> Any:
@@ -267,7 +312,11 @@ class Hand:
         QApplication.postEvent(self.window.canvas, event)
         while len(self._drawn) == before and time.perf_counter() - began < seconds:
             time.sleep(0.0005)
-        drawn, own = self._drawn[before] if len(self._drawn) > before else (began + seconds, self._own_seconds())
+        drawn, own = (
+            self._drawn[before]
+            if len(self._drawn) > before
+            else (began + seconds, self._own_seconds())
+        )
         time.sleep(max(0.0, began + 1.0 / RATE - time.perf_counter()))
         return 1000.0 * (drawn - began), 1000.0 * (own - worked)
 
@@ -302,7 +351,9 @@ class Hand:
         for value in range(100, 100 + 10 * MOTIONS, 10):
             began, worked = time.perf_counter(), self._own_seconds()
             self._in_window(lambda value=value: (slider.setValue(value), slider.repaint()))
-            times.append((1000.0 * (time.perf_counter() - began), 1000.0 * (self._own_seconds() - worked)))
+            times.append(
+                (1000.0 * (time.perf_counter() - began), 1000.0 * (self._own_seconds() - worked))
+            )
             time.sleep(1.0 / RATE)
         time.sleep(1.0)
         return times
@@ -326,13 +377,20 @@ class Hand:
         self._take(side)
         time.sleep(1.2)
         self._event("press", (x, y))
-        length = 0.3 * self.radius / window.scene.tiles.tile("axial").mm_per_pixel() / window.canvas.width()
+        length = (
+            0.3
+            * self.radius
+            / window.scene.tiles.tile("axial").mm_per_pixel()
+            / window.canvas.width()
+        )
         for part in (0.3, 0.6, 0.9):
             self._event("move", (x + part * length, y))
         count, began = len(session.status.refinements), time.perf_counter()
         frame, spent = window.scene.frame, time.process_time()
         self._event("release", None)
-        self._until(lambda: len(session.status.refinements) > count and window.scene.frame is not frame, 120)
+        self._until(
+            lambda: len(session.status.refinements) > count and window.scene.frame is not frame, 120
+        )
         self._in_window(lambda: None)  # the picture of that frame is drawn in the same turn
         return round(time.perf_counter() - began, 3), round(time.process_time() - spent, 3)
 
@@ -343,6 +401,7 @@ class Hand:
         from PySide6.QtCore import QMetaObject, QObject, Qt, Slot
 
         if not hasattr(self, "_runner"):
+
             class Runner(QObject):
                 work: Callable[[], Any] = staticmethod(lambda: None)
 

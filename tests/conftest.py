@@ -26,7 +26,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             cases[item.nodeid.partition("[")[0]].append(item)
     for group in cases.values():
         count = next(iter(group[0].get_closest_marker("sampled").args), None)
-        needed = sampled([{name: id(value) for name, value in item.callspec.params.items()} for item in group], count)
+        needed = sampled(
+            [{name: id(value) for name, value in item.callspec.params.items()} for item in group],
+            count,
+        )
         for number, item in enumerate(group):
             if number not in needed:
                 item.add_marker(pytest.mark.slow)

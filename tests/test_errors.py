@@ -2,7 +2,14 @@ import pickle
 
 import pytest
 
-from accelsurf.errors import AccelsurfError, EmptyResultError, GeometryError, InputError, OutputError, UsageError
+from accelsurf.errors import (
+    AccelsurfError,
+    EmptyResultError,
+    GeometryError,
+    InputError,
+    OutputError,
+    UsageError,
+)
 
 
 @pytest.mark.parametrize(

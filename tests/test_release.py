@@ -24,26 +24,45 @@ def text(name):
 
 def test_the_recipe_wants_what_the_package_wants():
     recipe = text("recipe/meta.yaml")
-    found = re.findall(r"^    - (\S+) (>=\S+)$", recipe.split("  run:\n")[1].split("\ntest:")[0], re.MULTILINE)
-    wanted = [re.match(r"([\w-]+)(>=[\w.]+)$", requirement).groups() for requirement in PROJECT["dependencies"]]
+    found = re.findall(
+        r"^    - (\S+) (>=\S+)$", recipe.split("  run:\n")[1].split("\ntest:")[0], re.MULTILINE
+    )
+    wanted = [
+        re.match(r"([\w-]+)(>=[\w.]+)$", requirement).groups()
+        for requirement in PROJECT["dependencies"]
+    ]
     assert dict(found) == {ON_CONDA.get(name, name): least for name, least in wanted} | {
         "python": PROJECT["requires-python"]
     }
-    assert PROJECT["scripts"]["accelsurf"] in recipe and f'version = "{PROJECT["version"]}"' in recipe
+    assert (
+        PROJECT["scripts"]["accelsurf"] in recipe and f'version = "{PROJECT["version"]}"' in recipe
+    )
 
 
 def test_version_and_licence_are_those_of_the_package():
     assert accelsurf.__version__ == PROJECT["version"]
     zenodo, citation = json.loads(text(".zenodo.json")), text("CITATION.cff")
-    assert zenodo["version"] == PROJECT["version"] and f"\nversion: {PROJECT['version']}\n" in citation
-    assert zenodo["license"] == PROJECT["license"] and f"\nlicense: {PROJECT['license']}\n" in citation
+    assert (
+        zenodo["version"] == PROJECT["version"] and f"\nversion: {PROJECT['version']}\n" in citation
+    )
+    assert (
+        zenodo["license"] == PROJECT["license"] and f"\nlicense: {PROJECT['license']}\n" in citation
+    )
     assert zenodo["title"] == PROJECT["name"] and f"\ntitle: {PROJECT['name']}\n" in citation
-    assert [creator["name"] for creator in zenodo["creators"]] == [author["name"] for author in PROJECT["authors"]]
+    assert [creator["name"] for creator in zenodo["creators"]] == [
+        author["name"] for author in PROJECT["authors"]
+    ]
 
 
 def test_the_workflow_runs_every_python_that_the_package_names():
-    tested = set(re.findall(r'"(3\.\d+)"', re.search(r"python: \[(.*)\]", text(".github/workflows/test.yml"))[1]))
-    named = {kind.rpartition(" ")[2] for kind in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", kind)}
+    tested = set(
+        re.findall(
+            r'"(3\.\d+)"', re.search(r"python: \[(.*)\]", text(".github/workflows/test.yml"))[1]
+        )
+    )
+    named = {
+        kind.rpartition(" ")[2] for kind in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", kind)
+    }
     assert named <= tested and PROJECT["requires-python"].removeprefix(">=") in tested
 
 

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from accelsurf.clicks.model import ClickModel, Scene, click_model
 from accelsurf.clicks.model.given import GivenMask, corrected_model, model_of_mask
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, placed_at, whole_box
+from accelsurf.grid.boxes import (
+    Box,
+    bounding_box,
+    box_at,
+    corner_of,
+    enclosing,
+    placed_at,
+    whole_box,
+)
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.image.volume import Volume, check_image
 from accelsurf.io.library_images import ImageLike, array_of, as_volume
@@ -108,7 +116,9 @@ class ClickSession:
     ) -> None:
         volume = as_volume(image, spacing)
         self.geometry = volume.geometry
-        others = [volume.with_array(array_of(channel, self.geometry, "channel")) for channel in channels]
+        others = [
+            volume.with_array(array_of(channel, self.geometry, "channel")) for channel in channels
+        ]
         self._scene = Scene(_scaled([volume, *others]), self.geometry.spacing)
         self._steps = [_Step(None, (), Clicks((), self.geometry.shape))]
         self._spent = 0
@@ -209,7 +219,9 @@ class ClickSession:
         clicks, model = before.clicks, before.model
         for click in added:
             clicks = clicks.with_later([click])
-            if model is not None:  # what earlier clicks have said stays, but for the voxels that this one takes
+            if (
+                model is not None
+            ):  # what earlier clicks have said stays, but for the voxels that this one takes
                 model = replace(model, clicks=Clicks(clicks.clicks[:-1], clicks.shape))
             model = self._model(before.given, clicks, model)
         return _Step(before.given, tuple(added), clicks, model)
@@ -268,7 +280,9 @@ def _check(click: Click, shape: Sequence[int]) -> None:
     ends = [(side.start, side.stop, n) for side, n in zip(click.box, shape, strict=True)]
     fits = all(None not in (start, stop) and 0 <= start < stop <= n for start, stop, n in ends)
     if not fits or click.mask.shape != tuple(side.stop - side.start for side in click.box):
-        raise InputError(f"click: its box {click.box} does not fit its mask and the image's shape {tuple(shape)}")
+        raise InputError(
+            f"click: its box {click.box} does not fit its mask and the image's shape {tuple(shape)}"
+        )
 
 
 def _changed(before: ClickModel | None, after: ClickModel | None) -> Box | None:

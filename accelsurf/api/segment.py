@@ -30,7 +30,16 @@ from accelsurf.settings.run_config import RunConfig
 if TYPE_CHECKING:
     from accelsurf.api.options import GivenOptions, Options, SegmentOptions
 
-__all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "segment_clicks", "segment_objects"]
+__all__ = [
+    "EnergyLike",
+    "Result",
+    "Run",
+    "evolve",
+    "result_of",
+    "segment",
+    "segment_clicks",
+    "segment_objects",
+]
 
 
 #: The function that segments an object of an image that is read in parts; it lies above this room.
@@ -180,7 +189,8 @@ def segment_clicks(
         )
     volume, flat = as_volume(array, spacing), np.ndim(array) == 2
     named, beside = (
-        _clicks_in_order(side, given, volume, flat) for side, given in zip(SIDES, (inside, outside), strict=True)
+        _clicks_in_order(side, given, volume, flat)
+        for side, given in zip(SIDES, (inside, outside), strict=True)
     )
     if not named:
         raise UsageError("inside: nothing was given, expected at least one voxel of the object")
@@ -195,7 +205,9 @@ def _clicks_in_order(side: Side, given: ArrayLike, volume: Volume, flat: bool) -
     shape = volume.geometry.shape[1:] if flat else volume.geometry.shape
     if value.dtype == np.bool_ and value.shape == shape:
         return [value]
-    points = value.reshape(-1, len(shape)) if value.size == 0 or value.shape == (len(shape),) else value
+    points = (
+        value.reshape(-1, len(shape)) if value.size == 0 or value.shape == (len(shape),) else value
+    )
     if points.ndim != 2 or points.shape[1] != len(shape) or points.dtype.kind not in "iuf":
         raise UsageError(
             f"{side}: an array of shape {value.shape} was given, expected indices (n, {len(shape)}) in the order of "
@@ -301,7 +313,9 @@ def segment_objects(
     if isinstance(objects, (str, os.PathLike)):
         settings, objects = {**settings, "objects": os.fspath(objects)}, None
     if objects is None and with_options(config, None, settings)[0].objects is None:
-        raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
+        raise UsageError(
+            "objects: nothing was given, expected a label map or a table of balls", "or use segment"
+        )
     checkpoints = CheckpointFile.of(checkpoint_to)
     starts: ObjectsLike | None = from_library(objects, "objects")
     run = _run_of(image, spacing, channels, config, energy, settings, starts, checkpoints)
@@ -322,15 +336,23 @@ def _run_of(
     first = as_volume(image, spacing)
     others = [as_volume(channel, None, "channel", first.geometry) for channel in channels]
     texts, given = split_given(options)
-    clicks = [click for side in SIDES if side in given for click in given_clicks(side, given.pop(side), first)]
+    clicks = [
+        click
+        for side in SIDES
+        if side in given
+        for click in given_clicks(side, given.pop(side), first)
+    ]
     arrays = {key: psi_of(key, value, first.geometry) for key, value in given.items()}
     if "start" in arrays:
         texts.setdefault("start", default_of("start"))
-    config, energy = with_options(config, energy, texts, any(click.side == "inside" for click in clicks))
+    config, energy = with_options(
+        config, energy, texts, any(click.side == "inside" for click in clicks)
+    )
     if checkpoints is not None:
         config = checkpoints.begun(config)
     elif config.checkpoint is not None:
         raise UsageError(
-            f"checkpoint: {config.checkpoint} was given without a file for it", "give segment() checkpoint_to=FILE"
+            f"checkpoint: {config.checkpoint} was given without a file for it",
+            "give segment() checkpoint_to=FILE",
         )
     return Run(first, config, energy, others, objects, arrays, clicks)

@@ -33,9 +33,16 @@ _AS_GIVEN, _CLICKED = {"threshold": "threshold:auto"}, ("seeded", "partition")
 def small_runs() -> dict[str, Callable[[], Any]]:
     """Runs by name, that together call every kernel; each computes its measures, its mesh and its quality too."""
     return {
-        **{f"flow {flow}": _run(flow=flow, gravity=0.05 if "gravity" in FLOWS[flow].uses else 0.0) for flow in FLOWS},
+        **{
+            f"flow {flow}": _run(flow=flow, gravity=0.05 if "gravity" in FLOWS[flow].uses else 0.0)
+            for flow in FLOWS
+        },
         "mass on the whole grid": _run(flow="region-mass"),
-        **{f"energy {term}": _run(energy=_AS_GIVEN.get(term, term)) for term in image_terms() if term not in _CLICKED},
+        **{
+            f"energy {term}": _run(energy=_AS_GIVEN.get(term, term))
+            for term in image_terms()
+            if term not in _CLICKED
+        },
         "likelihood by histogram": _run(energy="likelihood:model=histogram"),
         "area": _run(energy="chan-vese + 0.1*area", smoothness=0.3, presmooth=1.0, closing="1vox"),
         "noise": _run(noise=0.2, seed=1, diffusion=0.5),
@@ -45,7 +52,12 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         "edit": _run(edit=["step=3 add=ball:6,6,6,3vox", "step=6 flow=gradient"]),
         "one slice": _run(image=_flat(), start=f"ball:{SIDE / 2},{SIDE / 2},0,{START}vox"),
         "clicks": _corrected,
-        "partition": _run(energy="partition", start="clicks", inside=f"ball:{MIDDLE},3vox", outside="ball:2,2,2,2vox"),
+        "partition": _run(
+            energy="partition",
+            start="clicks",
+            inside=f"ball:{MIDDLE},3vox",
+            outside="ball:2,2,2,2vox",
+        ),
         "objects": _several,
         # Of boxes with many voxels, which no small run has.
         "coarse boxes": lambda: block_means(np.zeros((4, 4, 4), np.float32), (2, 2, 2)),
@@ -57,7 +69,9 @@ def ball() -> Volume:
     """A ball in noise."""
     z, y, x = np.indices((SIDE, SIDE, SIDE)) - SIDE / 2
     noise = np.random.default_rng(0).normal(0.0, 0.2, (SIDE, SIDE, SIDE))
-    return Volume.from_array((noise + (z**2 + y**2 + x**2 < RADIUS**2)).astype(np.float32), (1.5, 1.0, 1.0))
+    return Volume.from_array(
+        (noise + (z**2 + y**2 + x**2 < RADIUS**2)).astype(np.float32), (1.5, 1.0, 1.0)
+    )
 
 
 def _flat() -> Volume:
@@ -69,7 +83,10 @@ def _measured(result: Result) -> Result:
     """Compute the outputs of a command."""
     for segmented in result.objects:
         if segmented.has_surface:
-            _ = segmented.quality, segmented.contours if result.geometry.slice_axis is not None else segmented.surface
+            _ = (
+                segmented.quality,
+                segmented.contours if result.geometry.slice_axis is not None else segmented.surface,
+            )
     return result
 
 
@@ -82,7 +99,9 @@ def _corrected() -> Any:
     """A run from a click, and two corrections of it."""
     image = ball()
     found = _measured(segment(image, inside=f"point:{MIDDLE}vox", max_steps=STEPS))
-    found = _measured(refine(found, outside=f"point:{SIDE / 2},{SIDE / 2},{SIDE / 2 + RADIUS - 1}vox"))
+    found = _measured(
+        refine(found, outside=f"point:{SIDE / 2},{SIDE / 2},{SIDE / 2 + RADIUS - 1}vox")
+    )
     return refine(found, inside=f"point:{SIDE / 2},{SIDE / 2 + RADIUS},{SIDE / 2}vox")
 
 

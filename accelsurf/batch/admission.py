@@ -64,13 +64,25 @@ class Limits:
 
     def __post_init__(self) -> None:
         if self.jobs is not None and self.jobs < 1:
-            raise UsageError(f"--jobs: {self.jobs} was given, expected a whole number at least 1", "leave it out")
-        decided = {"--jobs": self.jobs, "--case-timeout": self.case_timeout, "--max-memory": self.max_memory}
+            raise UsageError(
+                f"--jobs: {self.jobs} was given, expected a whole number at least 1", "leave it out"
+            )
+        decided = {
+            "--jobs": self.jobs,
+            "--case-timeout": self.case_timeout,
+            "--max-memory": self.max_memory,
+        }
         given = [name for name, value in decided.items() if value is not None]
         if self.scheduler is not None and given:
-            raise UsageError(f"{given[0]}: was given with --scheduler, which decides that itself", "leave one out")
+            raise UsageError(
+                f"{given[0]}: was given with --scheduler, which decides that itself",
+                "leave one out",
+            )
         if self.case_timeout is not None and not 0 < self.case_timeout < float("inf"):
-            raise UsageError(f"--case-timeout: {self.case_timeout:g} was given, expected seconds above 0", "as in 600")
+            raise UsageError(
+                f"--case-timeout: {self.case_timeout:g} was given, expected seconds above 0",
+                "as in 600",
+            )
 
     @property
     def memory(self) -> int | None:
@@ -120,7 +132,9 @@ def need_of(
     """
     try:
         values = count_values(image, options)
-        values += sum(count_values(Path(path), options.restricted_to(options_of(path))) for path in channels)
+        values += sum(
+            count_values(Path(path), options.restricted_to(options_of(path))) for path in channels
+        )
     except (AccelsurfError, OSError) as error:
         return Need(None, PROCESS_BYTES, str(getattr(error, "strerror", None) or error))
     return Need(values, run_bytes(values, clicks, flow))
@@ -144,7 +158,9 @@ def need_of_sequence(source: Path, config: TrackConfig) -> Need:
         return Need(None, PROCESS_BYTES, str(getattr(error, "strerror", None) or error))
     # A stack whose slices are the frames may have to be read as a whole.
     held = values * _HELD_BYTES * (len(sequence) if config.frames_from_slices else 1)
-    return Need(values * len(sequence), run_bytes(values, bool(config.run.inside), config.run.flow) + held)
+    return Need(
+        values * len(sequence), run_bytes(values, bool(config.run.inside), config.run.flow) + held
+    )
 
 
 def admit(

@@ -93,15 +93,25 @@ def check_id(case: Case) -> Case:
     if not name:
         raise InputError(f"{case.place}: the id is empty", hint)
     if (found := _UNSAFE.search(name)) is not None:
-        raise InputError(f"{case.place}: the id {shown(name)} has {shown(found[0])}, which no folder can have", hint)
+        raise InputError(
+            f"{case.place}: the id {shown(name)} has {shown(found[0])}, which no folder can have",
+            hint,
+        )
     if name[0] in ".- " or name[-1] in ". ":
-        raise InputError(f"{case.place}: the id {shown(name)} begins or ends with a sign that a folder cannot", hint)
+        raise InputError(
+            f"{case.place}: the id {shown(name)} begins or ends with a sign that a folder cannot",
+            hint,
+        )
     if _TABLES.fullmatch(name):
-        raise InputError(f"{case.place}: the id {shown(name)} is the name of a table of the batch", hint)
+        raise InputError(
+            f"{case.place}: the id {shown(name)} is the name of a table of the batch", hint
+        )
     try:
         size = len(name.encode())
     except UnicodeEncodeError:
         raise InputError(f"{case.place}: the id is not valid UTF-8", hint) from None
     if size > MAX_ID_BYTES:
-        raise InputError(f"{case.place}: the id has {size} bytes, at most {MAX_ID_BYTES} expected", hint)
+        raise InputError(
+            f"{case.place}: the id has {size} bytes, at most {MAX_ID_BYTES} expected", hint
+        )
     return case

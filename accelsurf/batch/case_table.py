@@ -54,14 +54,18 @@ def read_rows(path: Path, what: str, parse: Callable[[list[str], Any], list[T]])
             text = path.read_text(encoding="utf-8-sig")
         except UnicodeDecodeError:
             raise InputError("the table is not text in UTF-8", "save it as CSV UTF-8") from None
-        lines = csv.reader(io.StringIO(text), delimiter="\t" if path.suffix.lower() == ".tsv" else ",", strict=True)
+        lines = csv.reader(
+            io.StringIO(text), delimiter="\t" if path.suffix.lower() == ".tsv" else ",", strict=True
+        )
         try:
             rows = parse(next(lines, []), lines)
         except csv.Error as error:
             message = f"line {lines.line_num}: not a line of a CSV file ({error})"
             raise InputError(message, "is a quote missing?") from None
         if not rows:
-            raise InputError("the table has no row below its header", f"write a row for each {what}")
+            raise InputError(
+                "the table has no row below its header", f"write a row for each {what}"
+            )
     return rows
 
 
@@ -99,7 +103,10 @@ def _columns(header: list[str], tracking: bool) -> list[str]:
     followed = (*FRAME_SETTINGS, *TrackFields.model_fields)
     known = (IMAGE, ID, *(followed if tracking else of_images))
     if len(names) == 1 and re.search(r"[;\t]", names[0]):
-        raise InputError("columns separated by commas expected", "separate them by commas, or by tabs in a .tsv file")
+        raise InputError(
+            "columns separated by commas expected",
+            "separate them by commas, or by tabs in a .tsv file",
+        )
     for name, given in zip(names, header, strict=True):
         if name not in known:
             if name in (of_images if tracking else followed):
@@ -119,12 +126,22 @@ def _columns(header: list[str], tracking: bool) -> list[str]:
 def _of_the_others(name: str, tracking: bool) -> InputError:
     """The error of a column of images among sequences, or the other way round."""
     if not tracking:
-        return InputError(f"the column {name} is a setting of tracking", "add --track, or leave the column out")
-    hint = "accelsurf evaluate --tracks compares tracks with a reference; " if name == REFERENCE else ""
-    return InputError(f"the column {name} is of single images, --track was given", f"{hint}leave the column out")
+        return InputError(
+            f"the column {name} is a setting of tracking", "add --track, or leave the column out"
+        )
+    hint = (
+        "accelsurf evaluate --tracks compares tracks with a reference; "
+        if name == REFERENCE
+        else ""
+    )
+    return InputError(
+        f"the column {name} is of single images, --track was given", f"{hint}leave the column out"
+    )
 
 
-def _cases(path: Path, columns: list[str], lines: Iterator[list[str]], tracking: bool) -> Iterator[Case]:
+def _cases(
+    path: Path, columns: list[str], lines: Iterator[list[str]], tracking: bool
+) -> Iterator[Case]:
     number = 1
     for cells in lines:
         number += 1
@@ -133,9 +150,11 @@ def _cases(path: Path, columns: list[str], lines: Iterator[list[str]], tracking:
         if len(cells) > len(columns):
             raise InputError(
                 f"row {number}: {len(cells)} cells, {len(columns)} columns expected",
-                "put cells with a comma in double quotes, such as \"point:1,2,3\"",
+                'put cells with a comma in double quotes, such as "point:1,2,3"',
             )
-        given = {name: cell.strip() for name, cell in zip(columns, cells, strict=False) if cell.strip()}
+        given = {
+            name: cell.strip() for name, cell in zip(columns, cells, strict=False) if cell.strip()
+        }
         yield _case(path, given, number, tracking)
 
 
@@ -145,8 +164,14 @@ def _case(path: Path, given: Mapping[str, str], number: int, tracking: bool) -> 
     base = path.parent.absolute()
     image = base / given[IMAGE]
     reference = base / given[REFERENCE] if REFERENCE in given else None
-    settings = {key: _value(key, text, base) for key, text in given.items() if key not in (IMAGE, ID, REFERENCE)}
-    name = name_of(image) if tracking else split_name(image)[0]  # a sequence may be a pattern of its frames
+    settings = {
+        key: _value(key, text, base)
+        for key, text in given.items()
+        if key not in (IMAGE, ID, REFERENCE)
+    }
+    name = (
+        name_of(image) if tracking else split_name(image)[0]
+    )  # a sequence may be a pattern of its frames
     case = Case(given.get(ID, name), image, settings, reference, f"{path}, row {number}")
     return check_id(case) if ID in given else case
 
@@ -177,5 +202,8 @@ def _correction(text: str, base: Path) -> str:
     except ValueError:  # a quote is missing: the setting says what is expected
         return text
     parts = (word.partition("=") for word in words)
-    found = ((key, sign, _with_paths(key, value, base) if key in PLACES else value) for key, sign, value in parts)
+    found = (
+        (key, sign, _with_paths(key, value, base) if key in PLACES else value)
+        for key, sign, value in parts
+    )
     return shlex.join("".join(part) for part in found)

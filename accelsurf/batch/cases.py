@@ -44,7 +44,9 @@ class Shard(NamedTuple):
         return list(everything[self.number - 1 :: self.total])
 
 
-def read_cases(given: Sequence[str], layout: Layout = "auto", tracking: bool = False) -> tuple[list[Case], str]:
+def read_cases(
+    given: Sequence[str], layout: Layout = "auto", tracking: bool = False
+) -> tuple[list[Case], str]:
     """Return the cases that are named, in a fixed order, and their source in words.
 
     Parameters
@@ -63,7 +65,9 @@ def read_cases(given: Sequence[str], layout: Layout = "auto", tracking: bool = F
         decided what is meant.
     """
     if not given:
-        raise UsageError("CASES is missing", "name a folder of images, a pattern in quotes, or a CSV table")
+        raise UsageError(
+            "CASES is missing", "name a folder of images, a pattern in quotes, or a CSV table"
+        )
     cases, words = _read(given, layout, tracking)
     return checked_cases(cases), words
 
@@ -79,7 +83,9 @@ def checked_cases(cases: Sequence[Case]) -> list[Case]:
     cases = checked_ids(cases)
     for case in cases:
         if case.reference is not None and not is_stored(case.reference):
-            raise InputError(f"{case.place}: the reference {case.reference} is missing", "check its path")
+            raise InputError(
+                f"{case.place}: the reference {case.reference} is missing", "check its path"
+            )
     return list(cases)
 
 
@@ -88,14 +94,19 @@ def _read(given: Sequence[str], layout: Layout, tracking: bool) -> tuple[list[Ca
     if alone and path.is_dir() and not is_stored(path):
         return _sequences_in(path) if tracking else layouts.in_folder(path, layout)
     if layout != "auto":
-        raise UsageError(f"--layout {layout} was given, but {given[0]} is no folder", "name the folder of the images")
+        raise UsageError(
+            f"--layout {layout} was given, but {given[0]} is no folder",
+            "name the folder of the images",
+        )
     if alone and path.suffix.lower() in case_table.SUFFIXES:
         return case_table.read_cases(path, tracking), "a table"
     if alone and _PATTERN.search(given[0]) and not path.exists():
         return layouts.of_files(_matches(given[0], tracking)), "a pattern"
     for name in given:
         if not tracking and Path(name).is_dir() and not is_stored(Path(name)):
-            raise UsageError(f"{name}: a folder among several CASES", "name one folder alone, or files")
+            raise UsageError(
+                f"{name}: a folder among several CASES", "name one folder alone, or files"
+            )
         if not Path(name).exists():
             raise InputError(f"{name}: there is no such file or folder", "check the path")
     return layouts.of_files([Path(name) for name in given]), "files"
@@ -107,7 +118,11 @@ def _matches(pattern: str, tracking: bool) -> list[Path]:
     if tracking:
         kind, found, hint = "sequence", _sequences(paths), "is the pattern in quotes?"
     else:
-        kind, found, hint = "image", layouts.images_among(paths), f"is it in quotes? images are {input_help()}"
+        kind, found, hint = (
+            "image",
+            layouts.images_among(paths),
+            f"is it in quotes? images are {input_help()}",
+        )
     if not found:
         raise InputError(f"{pattern}: no {kind} has a name like this", hint)
     return found
@@ -126,12 +141,16 @@ def _sequences_in(folder: Path) -> tuple[list[Case], str]:
 def _sequences(paths: Iterable[Path]) -> list[Path]:
     """Return the files with names of images and the folders with images, in order, without hidden ones."""
     visible = [path for path in paths if not path.name.startswith(".")]
-    folders = [path for path in visible if path.is_dir() and not is_stored(path) and _has_images(path)]
+    folders = [
+        path for path in visible if path.is_dir() and not is_stored(path) and _has_images(path)
+    ]
     return sorted([*layouts.images_among(visible), *folders], key=str)
 
 
 def _has_images(folder: Path) -> bool:
-    return any(split_name(entry)[1] and not entry.name.startswith(".") for entry in folder.iterdir())
+    return any(
+        split_name(entry)[1] and not entry.name.startswith(".") for entry in folder.iterdir()
+    )
 
 
 def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[Shard | None, str]:
@@ -157,8 +176,12 @@ def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[Shard | 
     Shard(number=3, total=4)
     """
     if text is not None:
-        if (found := _SHARD.fullmatch(text.strip())) is None or not 1 <= int(found[1]) <= int(found[2]):
-            raise UsageError(f"--shard: {text} was given, expected I/N with I from 1 to N", "as in --shard 1/4")
+        if (found := _SHARD.fullmatch(text.strip())) is None or not 1 <= int(found[1]) <= int(
+            found[2]
+        ):
+            raise UsageError(
+                f"--shard: {text} was given, expected I/N with I from 1 to N", "as in --shard 1/4"
+            )
         return Shard(int(found[1]), int(found[2])), ""
     if _TASK not in environment or _COUNT not in environment:
         return None, ""
@@ -166,7 +189,9 @@ def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[Shard | 
         task, count = int(environment[_TASK]), int(environment[_COUNT])
         first, step = int(environment.get(_MIN, "0")), max(int(environment.get(_STEP, "1")), 1)
     except ValueError:
-        raise UsageError(f"{_TASK}, {_COUNT}: not whole numbers", "say the shard by --shard I/N") from None
+        raise UsageError(
+            f"{_TASK}, {_COUNT}: not whole numbers", "say the shard by --shard I/N"
+        ) from None
     place, left = divmod(task - first, step)
     if left or not 0 <= place < count:
         raise UsageError(
@@ -174,4 +199,8 @@ def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[Shard | 
             "say the shard by --shard I/N",
         )
     shard = Shard(place + 1, count)
-    return (shard, f"shard {shard}, by {_TASK}={task}, {_COUNT}={count}, {_MIN}={first}") if count > 1 else (None, "")
+    return (
+        (shard, f"shard {shard}, by {_TASK}={task}, {_COUNT}={count}, {_MIN}={first}")
+        if count > 1
+        else (None, "")
+    )

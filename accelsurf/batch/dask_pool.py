@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 CONNECT_SECONDS = 30
 _INSTALL = "install it with: pip install 'accelsurf[dask]'"
 _WHERE = "give its address, such as tcp://host:8786, or its scheduler file"
-_ONE_THREAD = "start the workers with --nthreads 1: as many of them as there are cores, in place of threads"
+_ONE_THREAD = (
+    "start the workers with --nthreads 1: as many of them as there are cores, in place of threads"
+)
 
 
 class DaskPool:
@@ -81,11 +83,15 @@ class DaskPool:
             self._futures[key] = self._client.submit(_call, *what, key=key, pure=False)
             yield Started(job.key)
         self._new.clear()
-        for future in as_completed(list(self._futures.values()), loop=self._client.loop, raise_errors=False):
+        for future in as_completed(
+            list(self._futures.values()), loop=self._client.loop, raise_errors=False
+        ):
             if self._interrupted.is_set():
                 raise Interrupted
             if future.status == "cancelled" or isinstance(future.exception(), CancelledError):
-                raise AccelsurfError("the scheduler is gone", "see its log; the same command with --resume goes on")
+                raise AccelsurfError(
+                    "the scheduler is gone", "see its log; the same command with --resume goes on"
+                )
             yield _ended(future, future.key.removeprefix(f"{self._name}-"))
             del self._futures[future.key]
 
@@ -110,7 +116,9 @@ def _connected(address: str) -> Client:
     try:
         from distributed import Client
     except ImportError as error:
-        raise UsageError(f"scheduler: the package distributed is missing ({error})", _INSTALL) from None
+        raise UsageError(
+            f"scheduler: the package distributed is missing ({error})", _INSTALL
+        ) from None
     is_file = Path(address).is_file()
     if not is_file and ":" not in address:  # the client would wait for the file
         raise UsageError(f"scheduler: {address} is no file and no address", _WHERE)
@@ -130,7 +138,9 @@ def _refuse_threads(place: str, count: int) -> None:
     UsageError
     """
     if count != 1:
-        raise UsageError(f"scheduler: the worker {place} has {count} threads, expected one", _ONE_THREAD)
+        raise UsageError(
+            f"scheduler: the worker {place} has {count} threads, expected one", _ONE_THREAD
+        )
 
 
 def _call(
@@ -142,7 +152,10 @@ def _call(
     worker = get_worker()
     try:
         if version != __version__:
-            raise UsageError(f"the worker {worker.address} has accelsurf {__version__}, expected {version}", _INSTALL)
+            raise UsageError(
+                f"the worker {worker.address} has accelsurf {__version__}, expected {version}",
+                _INSTALL,
+            )
         _refuse_threads(worker.address, worker.state.nthreads)  # one that came later
     except UsageError as error:
         return None, Failure("error", f"{error.message}; {error.hint}")

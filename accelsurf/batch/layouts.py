@@ -36,7 +36,9 @@ def in_folder(folder: Path, layout: Layout = "auto") -> tuple[list[Case], str]:
     InputError
         When there is no image in it, or a channel is missing; UsageError when auto cannot decide.
     """
-    if layout == "bids" or (layout == "auto" and not images_among(folder.iterdir()) and any(folder.glob("sub-*"))):
+    if layout == "bids" or (
+        layout == "auto" and not images_among(folder.iterdir()) and any(folder.glob("sub-*"))
+    ):
         return _bids(folder), "a BIDS tree"
     images = images_among(folder.iterdir())
     if not images:
@@ -49,7 +51,9 @@ def in_folder(folder: Path, layout: Layout = "auto") -> tuple[list[Case], str]:
         cases = _nnunet(folder, images, channels)
         count = max(len(case.channels) for case in cases) + 1
         return cases, f"nnU-Net's folder, {count} channel{'s' if count > 1 else ''}"
-    return [Case(split_name(image)[0], image.absolute(), place=str(image)) for image in images], "a folder of images"
+    return [
+        Case(split_name(image)[0], image.absolute(), place=str(image)) for image in images
+    ], "a folder of images"
 
 
 def of_files(images: Sequence[Path]) -> list[Case]:
@@ -58,14 +62,21 @@ def of_files(images: Sequence[Path]) -> list[Case]:
     if len({name.casefold() for name in names}) < len(names):
         full = [image.absolute() for image in images]
         common = Path(os.path.commonpath([path.parent for path in full]))
-        names = ["_".join((*path.parent.relative_to(common).parts, split_name(path)[0])) for path in full]
-    return [Case(name, image.absolute(), place=str(image)) for name, image in zip(names, images, strict=True)]
+        names = [
+            "_".join((*path.parent.relative_to(common).parts, split_name(path)[0])) for path in full
+        ]
+    return [
+        Case(name, image.absolute(), place=str(image))
+        for name, image in zip(names, images, strict=True)
+    ]
 
 
 def images_among(paths: Iterable[Path]) -> list[Path]:
     """Return the files with names of images, in order, without hidden files and those of a run."""
     of_runs = ("_state.npz", "_checkpoint.npz")
-    visible = (path for path in paths if not path.name.startswith(".") and not path.name.endswith(of_runs))
+    visible = (
+        path for path in paths if not path.name.startswith(".") and not path.name.endswith(of_runs)
+    )
     named = (path for path in visible if split_name(path)[1] in image_suffixes())
     return sorted((path for path in named if not path.is_dir() or is_stored(path)), key=str)
 
@@ -74,7 +85,9 @@ def _bids(folder: Path) -> list[Case]:
     found = images_among(path for pattern in _SUBJECTS for path in folder.glob(pattern))
     scans = [path for path in found if _NOT_SCANS.search(split_name(path)[0]) is None]
     if not scans:
-        raise InputError(f"{folder}: no image in sub-*/anat or sub-*/ses-*/anat", "is it the top of a BIDS tree?")
+        raise InputError(
+            f"{folder}: no image in sub-*/anat or sub-*/ses-*/anat", "is it the top of a BIDS tree?"
+        )
     return [Case(split_name(path)[0], path.absolute(), place=str(path)) for path in scans]
 
 
@@ -89,9 +102,15 @@ def _channels(images: Sequence[Path]) -> dict[str, dict[int, Path]]:
 
 def _is_nnunet(folder: Path, images: Sequence[Path], channels: dict[str, dict[int, Path]]) -> bool:
     """Return True if names are those of nnU-Net; raise where they may as well number the images of a series."""
-    if sum(map(len, channels.values())) < len(images) or not all(0 in numbers for numbers in channels.values()):
+    if sum(map(len, channels.values())) < len(images) or not all(
+        0 in numbers for numbers in channels.values()
+    ):
         return False
-    if len(channels) > 1 or len(images) == 1 or any((at / "dataset.json").is_file() for at in (folder, folder.parent)):
+    if (
+        len(channels) > 1
+        or len(images) == 1
+        or any((at / "dataset.json").is_file() for at in (folder, folder.parent))
+    ):
         return True
     raise UsageError(
         f"{folder}: {images[0].name} to {images[-1].name} may be the channels of one case (nnU-Net) or "
@@ -100,10 +119,15 @@ def _is_nnunet(folder: Path, images: Sequence[Path], channels: dict[str, dict[in
     )
 
 
-def _nnunet(folder: Path, images: Sequence[Path], channels: dict[str, dict[int, Path]]) -> list[Case]:
+def _nnunet(
+    folder: Path, images: Sequence[Path], channels: dict[str, dict[int, Path]]
+) -> list[Case]:
     named = {path for numbers in channels.values() for path in numbers.values()}
     if others := [image for image in images if image not in named]:
-        raise InputError(f"{others[0]}: a name as CASE_0000 expected in nnU-Net's folder", "or use --layout folder")
+        raise InputError(
+            f"{others[0]}: a name as CASE_0000 expected in nnU-Net's folder",
+            "or use --layout folder",
+        )
     most = max(max(numbers) for numbers in channels.values())
     cases = []
     for name, numbers in sorted(channels.items()):

@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 
 #: What the command gives, which lies above this room, as a case does what the command does: the workers of a batch, the
 #: line of a lost case, a warning on stderr.
-MAKE_POOL, LOST_OUTCOME = "accelsurf.cli.batch_case:make_pool", "accelsurf.cli.batch_case:lost_outcome"
+MAKE_POOL, LOST_OUTCOME = (
+    "accelsurf.cli.batch_case:make_pool",
+    "accelsurf.cli.batch_case:lost_outcome",
+)
 WARN = "accelsurf.cli.interrupts:say"
 #: What a case may be: a path, or a mapping with ``image`` and, if wanted, ``id``, ``reference`` and settings.
 CaseLike = str | Path | Mapping[str, Any]
@@ -62,7 +65,10 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close(wait=kind is None)
 
@@ -100,7 +106,9 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
     def _run_in(self, files: FileSet) -> None:
         tables = self._work.tables(files)
         try:
-            self._work.run(self._pool, tables, _Watch(self._futures, tables), load(LOST_OUTCOME), self._resume)
+            self._work.run(
+                self._pool, tables, _Watch(self._futures, tables), load(LOST_OUTCOME), self._resume
+            )
         except BaseException:
             self._work.end_early(self._pool, tables, 1)
             raise
@@ -223,7 +231,9 @@ def _case(given: CaseLike, number: int) -> Case:
     image, reference = Path(settings.pop("image")), settings.pop("reference", None)
     given_id = settings.pop("id", None)
     id = split_name(image)[0] if given_id is None else str(given_id)
-    case = Case(id, image, settings, None if reference is None else Path(reference), f"case {number}")
+    case = Case(
+        id, image, settings, None if reference is None else Path(reference), f"case {number}"
+    )
     return case if given_id is None else check_id(case)
 
 

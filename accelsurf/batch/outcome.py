@@ -56,7 +56,10 @@ class CaseTask:
     def with_threads(self, threads: int) -> Self:
         """The same on so many threads."""
         run = self.run.model_copy(update={"threads": threads})
-        return replace(self, config=self.config.replace(run=run) if isinstance(self.config, TrackConfig) else run)
+        return replace(
+            self,
+            config=self.config.replace(run=run) if isinstance(self.config, TrackConfig) else run,
+        )
 
     @property
     def shown_folder(self) -> str:
@@ -130,13 +133,24 @@ def outcome_of_report(task: CaseTask, report: Mapping[str, Any], dice: float | N
     dice : float or None
     """
     error = report["error"]
-    of_kind = _of_tracking(report) if isinstance(task.config, TrackConfig) else {**_of_run(report), "dice": dice}
+    of_kind = (
+        _of_tracking(report)
+        if isinstance(task.config, TrackConfig)
+        else {**_of_run(report), "dice": dice}
+    )
     return Outcome(
         id=task.case.id,
         status="ok" if report["status"] == "ok" else "failed",
         **({**of_kind, "reason": error["message"]} if error else of_kind),
         folder=task.shown_folder,
-        picture=next((Path(output["path"]).name for output in report["outputs"] if output["kind"] == "preview"), ""),
+        picture=next(
+            (
+                Path(output["path"]).name
+                for output in report["outputs"]
+                if output["kind"] == "preview"
+            ),
+            "",
+        ),
         hint=error["hint"] if error else "",
         exit_code=report["exit_code"],
         warnings=tuple(report["warnings"]),
@@ -172,5 +186,9 @@ def _of_tracking(report: Mapping[str, Any]) -> dict[str, Any]:
 
 def _quality(report: Mapping[str, Any]) -> float | None:
     several = [entry["quality"] for entry in report["objects"] or ()]
-    found = [quality["probability"] for quality in (several or [report["quality"]]) if quality is not None]
+    found = [
+        quality["probability"]
+        for quality in (several or [report["quality"]])
+        if quality is not None
+    ]
     return min(found, default=None)

@@ -20,7 +20,12 @@ img { max-width: 100%; height: auto; }
 """
 #: What stands above the numbers of a case, in this order.
 _HEADS = {
-    "quality": "likely good", "ml": "ml", "dice": "Dice", "objects": "objects", "frames": "frames", "seconds": "seconds"
+    "quality": "likely good",
+    "ml": "ml",
+    "dice": "Dice",
+    "objects": "objects",
+    "frames": "frames",
+    "seconds": "seconds",
 }
 
 
@@ -41,7 +46,10 @@ def page_html(
     columns : sequence of str, optional
         Of the table in CSV; the page has those of them that it has a heading for.
     """
-    counts = {key: sum(outcome.status == key for outcome in outcomes) for key in ("ok", "failed", "waiting")}
+    counts = {
+        key: sum(outcome.status == key for outcome in outcomes)
+        for key in ("ok", "failed", "waiting")
+    }
     summary = ", ".join(f"{number} {key}" for key, number in counts.items() if number) or "no case"
     ended = [outcome for outcome in sorted(outcomes, key=doubt) if outcome.status != "waiting"]
     links = " ".join(f'<a href="{quote(name)}">{escape(name)}</a>' for name in files)
@@ -79,9 +87,11 @@ def _table(outcomes: Sequence[Outcome], columns: Sequence[str]) -> list[str]:
         name = f'<a href="#case{number}">{escape(outcome.id)}</a>'
         kind = ' class="failed"' if outcome.status == "failed" else ""
         values = {key: getattr(outcome, key) for key in numbers}
-        cells = (_percent(value) if key == "quality" else _number(value) for key, value in values.items())
+        cells = (
+            _percent(value) if key == "quality" else _number(value) for key, value in values.items()
+        )
         line = "".join(f"<td>{cell}</td>" for cell in (name, *cells))
-        lines.append(f'<tr{kind}>{line}<td class=text>{escape(outcome.reason)}</td></tr>')
+        lines.append(f"<tr{kind}>{line}<td class=text>{escape(outcome.reason)}</td></tr>")
     return [*lines, "</table>"]
 
 
@@ -107,7 +117,9 @@ def _summary(outcome: Outcome) -> str:
         f"{_percent(outcome.quality)} likely to be good" if outcome.quality is not None else "",
         f"{_number(outcome.ml)} ml" if outcome.ml is not None else "",
         f"Dice {_number(outcome.dice)}" if outcome.dice is not None else "",
-        f"{count} object{'' if count == 1 else 's'} in {outcome.frames} frames" if outcome.frames else "",
+        f"{count} object{'' if count == 1 else 's'} in {outcome.frames} frames"
+        if outcome.frames
+        else "",
         escape(outcome.reason),
     ]
     return ", ".join(part for part in parts if part)

@@ -87,7 +87,8 @@ def in_folders(pred: LabelFile, ref: LabelFile) -> list[Pair]:
     names = sorted({*sides[0], *sides[1]})
     if not names:
         raise InputError(
-            f"{pred.path}, {ref.path}: no label map in these folders", f"files end in {', '.join(image_suffixes())}"
+            f"{pred.path}, {ref.path}: no label map in these folders",
+            f"files end in {', '.join(image_suffixes())}",
         )
     pairs = []
     for name in names:
@@ -104,7 +105,9 @@ def _by_name(folder: Path) -> dict[str, Path]:
     for path in _maps(folder):
         name = (path.relative_to(folder).parent / split_name(path)[0]).as_posix()
         if name in found:
-            raise InputError(f"{found[name]}, {path}: two files of one name", "leave one of them out")
+            raise InputError(
+                f"{found[name]}, {path}: two files of one name", "leave one of them out"
+            )
         found[name] = path
     return found
 
@@ -137,23 +140,36 @@ def in_table(path: Path) -> list[Pair]:
 
     def pairs(header: list[str], lines: Any) -> list[Pair]:
         columns = _columns(header)
-        return [_pair_of(columns, cells, lines.line_num, base) for cells in lines if any(map(str.strip, cells))]
+        return [
+            _pair_of(columns, cells, lines.line_num, base)
+            for cells in lines
+            if any(map(str.strip, cells))
+        ]
 
     return read_rows(path, "pair", pairs)
 
 
 def _columns(header: list[str]) -> list[str]:
     names = [name.strip().lower() for name in header]
-    if not {PRED, REF} <= set(names) or not set(names) <= {PRED, REF, CASE} or len(set(names)) < len(names):
+    if (
+        not {PRED, REF} <= set(names)
+        or not set(names) <= {PRED, REF, CASE}
+        or len(set(names)) < len(names)
+    ):
         given = shown(", ".join(header))
-        raise InputError(f"the columns are {given}; {PRED}, {REF} and perhaps {CASE} expected", "write them in line 1")
+        raise InputError(
+            f"the columns are {given}; {PRED}, {REF} and perhaps {CASE} expected",
+            "write them in line 1",
+        )
     return names
 
 
 def _pair_of(columns: list[str], cells: list[str], line: int, base: Path) -> Pair:
     given = {name: cell.strip() for name, cell in zip(columns, cells, strict=False) if cell.strip()}
     if len(cells) > len(columns) or not {PRED, REF} <= set(given):
-        raise InputError(f"line {line}: not a {PRED} and a {REF}", "put a name with a comma in double quotes")
+        raise InputError(
+            f"line {line}: not a {PRED} and a {REF}", "put a name with a comma in double quotes"
+        )
     try:
         pred, ref = label_file(given[PRED], base), label_file(given[REF], base)
     except UsageError as error:

@@ -114,7 +114,9 @@ class _Worker:
     def __init__(self, function: Callable[[Any], Any], prepare: Callable[[], None] | None) -> None:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
-        self.process: SpawnProcess = context.Process(target=serve, args=(theirs, function, prepare), daemon=True)
+        self.process: SpawnProcess = context.Process(
+            target=serve, args=(theirs, function, prepare), daemon=True
+        )
         with _signals_wait():
             self.process.start()
         theirs.close()
@@ -236,7 +238,9 @@ class LocalPool:
     def _started(self) -> Iterator[Started]:
         """Give jobs to workers while there are both, and room for the job."""
         while (job := self._next()) is not None:
-            for worker in [worker for worker in self._workers if not (worker.job or worker.process.is_alive())]:
+            for worker in [
+                worker for worker in self._workers if not (worker.job or worker.process.is_alive())
+            ]:
                 self._workers.remove(worker)  # it was ended while it had nothing to do
             idle = next((worker for worker in self._workers if worker.job is None), None)
             if idle is None:
@@ -253,7 +257,9 @@ class LocalPool:
 
     def _next(self) -> Job | None:
         """The first waiting job that fits beside those that run."""
-        room = self._bytes - sum(worker.job.bytes for worker in self._workers if worker.job is not None)
+        room = self._bytes - sum(
+            worker.job.bytes for worker in self._workers if worker.job is not None
+        )
         return next((job for job in self._waiting if job.bytes <= room), None)
 
     def _ended(self) -> Iterator[Ended]:
@@ -261,7 +267,9 @@ class LocalPool:
         busy = [worker for worker in self._workers if worker.job is not None]
         if not busy:
             return
-        places = [place for worker in busy for place in (worker.connection, worker.process.sentinel)]
+        places = [
+            place for worker in busy for place in (worker.connection, worker.process.sentinel)
+        ]
         if self._heard_bell in connection.wait([self._heard_bell, *places], self._patience(busy)):
             raise Interrupted
         for worker in busy:
@@ -273,7 +281,9 @@ class LocalPool:
         """Seconds until something has to be looked at."""
         times = [_LOOK_SECONDS] if self._limit is not None else []
         if self._timeout is not None:
-            times += [max(0.0, w.began + self._timeout - time.monotonic()) for w in busy if w.is_ready]
+            times += [
+                max(0.0, w.began + self._timeout - time.monotonic()) for w in busy if w.is_ready
+            ]
         return min(times, default=None)
 
     def _heard(self, worker: _Worker) -> Iterator[Ended]:
@@ -293,12 +303,18 @@ class LocalPool:
             return
         if not alive:
             yield self._lost(worker, Failure("killed", _death(worker.process)))
-        elif self._timeout is not None and worker.is_ready and time.monotonic() >= worker.began + self._timeout:
+        elif (
+            self._timeout is not None
+            and worker.is_ready
+            and time.monotonic() >= worker.began + self._timeout
+        ):
             yield self._lost(worker, Failure("timeout", f"did not end within {self._timeout:g} s"))
 
     def _concluded(self, worker: _Worker, value: Any, failure: Failure | None) -> Ended:
         ended = worker.end_job(value, failure)
-        if worker.jobs_done >= JOBS_PER_WORKER or (failure is not None and failure.kind == "memory"):
+        if worker.jobs_done >= JOBS_PER_WORKER or (
+            failure is not None and failure.kind == "memory"
+        ):
             with suppress(OSError):
                 worker.connection.send(None)  # it ends by itself
             self._leaving.append(worker)
@@ -323,7 +339,9 @@ class LocalPool:
         if sum(sizes.values()) <= self._limit:
             return
         largest = max(busy, key=lambda worker: sizes[worker])
-        text = f"used {sizes[largest] / 1e9:.2f} GB of memory, {self._limit / 1e9:.2f} GB may be used"
+        text = (
+            f"used {sizes[largest] / 1e9:.2f} GB of memory, {self._limit / 1e9:.2f} GB may be used"
+        )
         if len(busy) > 1:
             text += f" by {len(busy)} cases together"
         yield self._lost(largest, Failure("memory", text))
@@ -383,7 +401,9 @@ class InlinePool:
         self._waiting.clear()
 
 
-def serve(connection: Connection, function: Callable[[Any], Any], prepare: Callable[[], None] | None) -> None:
+def serve(
+    connection: Connection, function: Callable[[Any], Any], prepare: Callable[[], None] | None
+) -> None:
     """Run jobs as they come, and send back a pair of result and `Failure` of each, one of them None.
 
     Ctrl-C in a terminal reaches all processes of a program; what it means is for the one that started this. SIGTERM
@@ -427,7 +447,9 @@ def _send(connection: Connection, reply: Reply) -> None:
     try:
         connection.send(reply)
     except (TypeError, AttributeError, ValueError) as error:  # the result cannot be sent
-        connection.send((None, Failure("error", f"{type(error).__name__}: {error}", traceback.format_exc())))
+        connection.send(
+            (None, Failure("error", f"{type(error).__name__}: {error}", traceback.format_exc()))
+        )
 
 
 def _end_with_parent() -> None:
@@ -438,7 +460,9 @@ def _end_with_parent() -> None:
 
 
 def _not_started(reason: str) -> AccelsurfError:
-    return AccelsurfError(f"worker processes cannot be started ({reason})", "is there memory left? try fewer jobs")
+    return AccelsurfError(
+        f"worker processes cannot be started ({reason})", "is there memory left? try fewer jobs"
+    )
 
 
 def _death(process: SpawnProcess) -> str:

@@ -38,7 +38,9 @@ def write_record(task: CaseTask, report: Mapping[str, Any], dice: float | None) 
     record = {
         "id": task.case.id,
         "files": {str(path): io.sha256(path) for path in named_files(task.config)},
-        "reference": {"path": str(reference), "sha256": io.sha256(reference)} if reference is not None else None,
+        "reference": {"path": str(reference), "sha256": io.sha256(reference)}
+        if reference is not None
+        else None,
         "labels": _checksum_of_labels(report),
         "dice": dice,
     }
@@ -55,13 +57,17 @@ def finished(task: CaseTask) -> Outcome | None:
     report = load_report(task.folder / report_name(task.case.id))
     if report is None or report["status"] != "ok":
         return None
-    if not all(is_output(task.folder / Path(str(output.get("path"))).name) for output in report["outputs"]):
+    if not all(
+        is_output(task.folder / Path(str(output.get("path"))).name) for output in report["outputs"]
+    ):
         return None
     record = _read(record_path(task))
     try:
         if not is_of(report, task.config, task.case.image):
             return None
-        if record.get("files", {}) != {str(path): io.sha256(path) for path in named_files(task.config)}:
+        if record.get("files", {}) != {
+            str(path): io.sha256(path) for path in named_files(task.config)
+        }:
             return None
         return outcome_of_report(task, report, _dice(task, report, record))
     except (AccelsurfError, LookupError, TypeError, AttributeError):
@@ -92,7 +98,9 @@ def dice_with(found: Volume, truth: Volume) -> float | None:
 
 
 def _checksum_of_labels(report: Mapping[str, Any]) -> str | None:
-    return next((output["sha256"] for output in report["outputs"] if output["kind"] == "labels"), None)
+    return next(
+        (output["sha256"] for output in report["outputs"] if output["kind"] == "labels"), None
+    )
 
 
 def _read(path: Path) -> dict[str, Any]:

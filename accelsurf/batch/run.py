@@ -10,7 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, Self
 
-from accelsurf.batch.admission import Admission, Limits, Need, admit, by_cluster, need_of, need_of_sequence
+from accelsurf.batch.admission import (
+    Admission,
+    Limits,
+    Need,
+    admit,
+    by_cluster,
+    need_of,
+    need_of_sequence,
+)
 from accelsurf.batch.cases import Shard
 from accelsurf.batch.outcome import COLUMNS, TRACK_COLUMNS, CaseTask, Outcome
 from accelsurf.batch.pool import Ended, Failure, Job, Pool, Started
@@ -135,7 +143,12 @@ class Batch:
 
     @classmethod
     def planned(
-        cls, tasks: Sequence[CaseTask], limits: Limits, shard: Shard | None, layout: str, argv: Sequence[str]
+        cls,
+        tasks: Sequence[CaseTask],
+        limits: Limits,
+        shard: Shard | None,
+        layout: str,
+        argv: Sequence[str],
     ) -> Self:
         """Return a batch whose cases have their number of threads, and how many of them run at once."""
         needs = {task.case.id: _need(task) for task in tasks}
@@ -145,10 +158,17 @@ class Batch:
             admission = by_cluster(list(needs.values()), threads)
         else:
             admission = admit(
-                list(needs.values()), available_cores(), available_memory(),
-                jobs=limits.jobs, threads=threads, memory=limits.memory,
+                list(needs.values()),
+                available_cores(),
+                available_memory(),
+                jobs=limits.jobs,
+                threads=threads,
+                memory=limits.memory,
             )
-        tasks = [task.with_threads(admission.threads) if task.run.threads == "auto" else task for task in tasks]
+        tasks = [
+            task.with_threads(admission.threads) if task.run.threads == "auto" else task
+            for task in tasks
+        ]
         return cls(tasks, needs, admission, shard, layout, argv)
 
     def tables(self, files: FileSet) -> Tables:

@@ -38,7 +38,11 @@ class TableNames:
 
     def __init__(self, shard: Shard | None = None) -> None:
         part = "" if shard is None else f"_{shard.number}of{shard.total}"
-        self.table, self.page, self.report = f"batch{part}.csv", f"batch{part}.html", f"batch_report{part}.json"
+        self.table, self.page, self.report = (
+            f"batch{part}.csv",
+            f"batch{part}.html",
+            f"batch_report{part}.json",
+        )
         #: Of the set of files.
         self.set = f"batch{part}"
 

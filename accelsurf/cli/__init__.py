@@ -162,9 +162,17 @@ def execute(argv: Sequence[str]) -> int:
             output.flush()
             code = interrupts.exit_code(code)
             # A reader that has seen enough, as in `accelsurf info | head`, is no error.
-            if output.error is not None and not isinstance(output.error, BrokenPipeError) and code == 0:
+            if (
+                output.error is not None
+                and not isinstance(output.error, BrokenPipeError)
+                and code == 0
+            ):
                 reason = getattr(output.error, "strerror", None) or output.error
-                code = _say(7, f"standard output: cannot be written ({reason})", "files that were written are complete")
+                code = _say(
+                    7,
+                    f"standard output: cannot be written ({reason})",
+                    "files that were written are complete",
+                )
             return code
     finally:
         interrupts.uninstall()
@@ -175,7 +183,10 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
     try:
         app = _app_for(arguments)
         arguments = _as_parsed(arguments)
-        code = int(app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0)
+        code = int(
+            app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+            or 0
+        )
     except CycloptsError as error:
         command = " ".join(["accelsurf", *(error.command_chain or ())])
         problem = str(error)
@@ -228,7 +239,13 @@ def _as_parsed(arguments: Sequence[str]) -> list[str]:
     if not first.startswith("-") and first not in _COMMANDS and os.path.exists(first):
         out.append("view")
     for word in arguments:
-        if _NEGATIVE.match(word) and out and out[-1].startswith("--") and "=" not in out[-1] and out[-1] != "--":
+        if (
+            _NEGATIVE.match(word)
+            and out
+            and out[-1].startswith("--")
+            and "=" not in out[-1]
+            and out[-1] != "--"
+        ):
             out[-1] = f"{out[-1]}={word}"
         else:
             out.append("--help" if word == HELP_ALL else word)

@@ -48,7 +48,9 @@ _SWITCH = Parameter(negative=(), show_default=False, group=BATCH)
 
 def _batch_settings() -> type:
     """Return a dataclass with the options of images and of tracking; where both have one it is a text for either."""
-    of_images = settings_class("ImageSettings", leave_out=("layout",))  # a folder is read in a layout of its own
+    of_images = settings_class(
+        "ImageSettings", leave_out=("layout",)
+    )  # a folder is read in a layout of its own
     both = {field.name: field.type for kind in (TrackSettings, of_images) for field in fields(kind)}
     return options_class("BatchSettings", [(name, kind, None) for name, kind in both.items()])
 
@@ -67,7 +69,9 @@ class BatchOptions:
     layout: Annotated[Literal["auto", "folder", "nnunet", "bids"], Parameter(group=BATCH)] = "auto"
     """How a folder is read; auto looks at its names."""
 
-    output_layout: Annotated[Literal["plain", "bids", "nnunet"] | None, Parameter(group=FILES)] = None
+    output_layout: Annotated[Literal["plain", "bids", "nnunet"] | None, Parameter(group=FILES)] = (
+        None
+    )
     """How label maps are named and laid out, as --layout of accelsurf segment."""
 
     plan: Annotated[bool, _SWITCH] = False
@@ -76,7 +80,9 @@ class BatchOptions:
     resume: Annotated[bool, _SWITCH] = False
     """Leave alone what is finished: cases with a result of the same image by the same settings. The others are run."""
 
-    jobs: Annotated[int | None, Parameter(group=BATCH, metavar="N", show_default="by cores and memory")] = None
+    jobs: Annotated[
+        int | None, Parameter(group=BATCH, metavar="N", show_default="by cores and memory")
+    ] = None
     """Cases at the same time. Unless --threads is given, all together have as many threads as there are cores."""
 
     shard: Annotated[str | None, Parameter(group=BATCH, metavar="I/N")] = None
@@ -85,7 +91,9 @@ class BatchOptions:
     case_timeout: Annotated[float | None, Parameter(group=BATCH, metavar="SECONDS")] = None
     """End a case that takes longer than this."""
 
-    max_memory: Annotated[str | None, Parameter(group=BATCH, metavar="SIZE", show_default="80% of what is free")] = None
+    max_memory: Annotated[
+        str | None, Parameter(group=BATCH, metavar="SIZE", show_default="80% of what is free")
+    ] = None
     """Memory of all cases together, such as 4GB. What needs more is not run; what takes more is ended."""
 
     scheduler: Annotated[str | None, Parameter(group=BATCH, metavar="ADDRESS")] = None
@@ -102,9 +110,14 @@ class BatchOptions:
         """
         from accelsurf.batch.admission import Limits
 
-        layouts = {"--layout": self.layout not in ("auto", "folder"), "--output-layout": self.output_layout is not None}
+        layouts = {
+            "--layout": self.layout not in ("auto", "folder"),
+            "--output-layout": self.output_layout is not None,
+        }
         for name in (name for name, is_other in layouts.items() if self.track and is_other):
-            raise UsageError(f"{name} is of single images, --track was given", "leave one of them out")
+            raise UsageError(
+                f"{name} is of single images, --track was given", "leave one of them out"
+            )
         return Limits(self.jobs, self.case_timeout, self.max_memory, self.scheduler)
 
 
@@ -156,14 +169,19 @@ def batch(
     configs = _configs(found, settings, config, options)
     how = overwrite or options.resume, strict, options.resume
     pairs = zip(found, configs, strict=True)
-    tasks = [task_of(CaseTask(case, folder.absolute(), settings_of_case, *how)) for case, settings_of_case in pairs]
+    tasks = [
+        task_of(CaseTask(case, folder.absolute(), settings_of_case, *how))
+        for case, settings_of_case in pairs
+    ]
     if shard is not None:
         tasks = shard.part_of(tasks)
     work = Batch.planned(tasks, limits, shard, words, sys.argv)
     if options.plan:
         return _print_plan(work, options.scheduler)
     tables = [*(Path(text) for text in cases), *([config] if config is not None else [])]
-    return _conclude(_run(work, folder, limits, overwrite, options.resume, display, tables), folder, display)
+    return _conclude(
+        _run(work, folder, limits, overwrite, options.resume, display, tables), folder, display
+    )
 
 
 def _configs(
@@ -182,17 +200,30 @@ def _configs(
     for key in given:
         name = "--" + key.replace("_", "-")
         if options.track and key not in (*FRAME_SETTINGS, *TrackFields.model_fields):
-            raise UsageError(f"{name} is of single images, --track was given", "leave one of them out")
-        if not options.track and key in TrackFields.model_fields and key not in RunConfig.model_fields:
+            raise UsageError(
+                f"{name} is of single images, --track was given", "leave one of them out"
+            )
+        if (
+            not options.track
+            and key in TrackFields.model_fields
+            and key not in RunConfig.model_fields
+        ):
             raise UsageError(f"{name} is a setting of tracking", "add --track, or leave it out")
     if not options.track and TABLE in below:
-        raise UsageError(f"{TABLE}: the configuration file has a table of tracking", "add --track, or take it out")
+        raise UsageError(
+            f"{TABLE}: the configuration file has a table of tracking",
+            "add --track, or take it out",
+        )
     if options.output_layout is not None:
         given["layout"] = options.output_layout
 
     def config(**more: Any) -> RunConfig | TrackConfig:
         values = {**given, **more}
-        return track_config(None, None, below, **values) if options.track else run_config(None, below, **values)
+        return (
+            track_config(None, None, below, **values)
+            if options.track
+            else run_config(None, below, **values)
+        )
 
     common, configs = config(), []
     for case in cases:
@@ -215,7 +246,9 @@ def _print_plan(work: Batch, scheduler: str | None) -> int:
     cells = [tuple(printable(cell, MAX_ERROR) for cell in line) for line in rows]
     print(table(("case", "values", "memory", ""), cells))
     print(f"\n{_at_once(work, scheduler)}, memory of all: {bytes_text(work.admission.bytes)}")
-    impossible = sum(need.values is None or need.bytes > work.admission.bytes for need in work.needs.values())
+    impossible = sum(
+        need.values is None or need.bytes > work.admission.bytes for need in work.needs.values()
+    )
     return SOME_FAILED if impossible else 0
 
 
@@ -224,11 +257,19 @@ def _at_once(work: Batch, scheduler: str | None) -> str:
     cases = "1 case" if count == 1 else f"{count} cases"
     if scheduler is not None:
         return f"{cases} of {work.layout}, on the cluster of {scheduler}; threads of each: {admission.threads}"
-    return f"{cases} of {work.layout}; {admission.jobs} at once, threads of each: {admission.threads}"
+    return (
+        f"{cases} of {work.layout}; {admission.jobs} at once, threads of each: {admission.threads}"
+    )
 
 
 def _run(
-    work: Batch, folder: Path, limits: Limits, overwrite: bool, resume: bool, display: Display, given: list[Path]
+    work: Batch,
+    folder: Path,
+    limits: Limits,
+    overwrite: bool,
+    resume: bool,
+    display: Display,
+    given: list[Path],
 ) -> Tables:
     """Run the cases; files of an earlier batch are refused before anything is computed, ``given`` files always."""
     from accelsurf.batch.run import refuse_results
@@ -251,11 +292,15 @@ def _run(
                 work.run(pool, tables, progress, batch_case.lost_outcome, resume)
             except BaseException as error:
                 if isinstance(error, KeyboardInterrupt) and work.running:
-                    say("interrupted: the cases that run keep their state (press again to quit at once)")
+                    say(
+                        "interrupted: the cases that run keep their state (press again to quit at once)"
+                    )
                     with suppress(KeyboardInterrupt):
                         work.stop(pool, tables)
                 with uninterrupted():
-                    work.end_early(pool, tables, interrupts.exit_code(getattr(error, "exit_code", 1)))
+                    work.end_early(
+                        pool, tables, interrupts.exit_code(getattr(error, "exit_code", 1))
+                    )
                 interrupts.note(
                     f"{tables.count('ok')} of {len(work.tasks)} cases are finished; to go on: {resuming_command()}"
                 )
@@ -269,7 +314,9 @@ def _conclude(tables: Tables, folder: Path, display: Display) -> int:
 
     failed = tables.count("failed")
     if not display.quiet:
-        print(f"{len(tables.outcomes)} cases: {tables.count('ok')} ok, {failed} failed, {tables.seconds:.1f} s")
+        print(
+            f"{len(tables.outcomes)} cases: {tables.count('ok')} ok, {failed} failed, {tables.seconds:.1f} s"
+        )
         for path in tables.paths(folder):
             print(f"  {path.absolute()}")
     return SOME_FAILED if failed else 0

@@ -36,13 +36,24 @@ if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
 
 #: What a case loads, so that a worker has it before its first one.
-_LOADED = ("accelsurf.api.segment", "accelsurf.output.outputs", "accelsurf.io.itk", "accelsurf.measure.metrics")
+_LOADED = (
+    "accelsurf.api.segment",
+    "accelsurf.output.outputs",
+    "accelsurf.io.itk",
+    "accelsurf.measure.metrics",
+)
 _MEMORY_HINT = "raise --max-memory, lower --jobs, or crop or downsample the image"
 #: Kind of a failure -> exit code of the case, what to do.
 _FAILURES = {
-    "error": (1, "this is a bug in accelsurf; report it with the details in the report of the batch"),
+    "error": (
+        1,
+        "this is a bug in accelsurf; report it with the details in the report of the batch",
+    ),
     "memory": (3, _MEMORY_HINT),
-    "timeout": (1, "raise --case-timeout, or look at this image alone: accelsurf segment shows how far it gets"),
+    "timeout": (
+        1,
+        "raise --case-timeout, or look at this image alone: accelsurf segment shows how far it gets",
+    ),
     "killed": (1, _MEMORY_HINT),
 }
 
@@ -70,11 +81,16 @@ def run_one(task: CaseTask) -> Outcome:
         warnings.simplefilter("always", AccelsurfWarning)
         try:
             if task.case.problem:
-                raise InputError(task.case.problem, "rename the file; or give the image an id, in a table of cases")
+                raise InputError(
+                    task.case.problem,
+                    "rename the file; or give the image an id, in a table of cases",
+                )
             outcome = _run(task)
         except AccelsurfError as error:
             outcome = _failed(task, error.message, error.hint, error.exit_code)
-    texts = dict.fromkeys(str(warning.message) for warning in said if issubclass(warning.category, AccelsurfWarning))
+    texts = dict.fromkeys(
+        str(warning.message) for warning in said if issubclass(warning.category, AccelsurfWarning)
+    )
     return replace(outcome, warnings=(*outcome.warnings, *texts))
 
 
@@ -104,7 +120,9 @@ def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
     with redirect_stderr(io.StringIO()):
         if isinstance(task.config, TrackConfig):
             track_case.report_failure(track_case.TrackCase(place_of(task), task.config), error)
-        elif failure.kind != "error":  # an exception has removed the staging files and written a report
+        elif (
+            failure.kind != "error"
+        ):  # an exception has removed the staging files and written a report
             report_failure(place_of(task), error)
     return _failed(task, failure.message, hint, code, failure.details)
 
@@ -112,10 +130,14 @@ def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
 def place_of(task: CaseTask) -> Place:
     """Return the image of a case and the folder of its files."""
     further = (task.case.reference,)
-    return Place(task.case.image, task.folder, task.case.id, task.overwrite, task.resume, further=further)
+    return Place(
+        task.case.image, task.folder, task.case.id, task.overwrite, task.resume, further=further
+    )
 
 
-def refuse_inputs_of(tasks: Sequence[CaseTask], tables: Sequence[Path], given: Sequence[Path]) -> None:
+def refuse_inputs_of(
+    tasks: Sequence[CaseTask], tables: Sequence[Path], given: Sequence[Path]
+) -> None:
     """Refuse a batch that would write its tables, or files of a case, over a file that it or one of its cases reads.
 
     Raises
@@ -124,7 +146,9 @@ def refuse_inputs_of(tasks: Sequence[CaseTask], tables: Sequence[Path], given: S
         With the file.
     """
     places = [(place_of(task), task.config) for task in tasks]
-    read = InputFiles([*given, *(path for place, config in places for path in place.inputs(config))])
+    read = InputFiles(
+        [*given, *(path for place, config in places for path in place.inputs(config))]
+    )
     read.refuse(tables)
     for place, config in places:
         read.refuse(outdated_inputs(place.report_path, read))
@@ -148,7 +172,12 @@ def make_pool(work: Batch, limits: Limits) -> Pool:
         return DaskPool(run_on_cluster, limits.scheduler)
     admission = work.admission
     return LocalPool(
-        run_one, admission.jobs, bytes=admission.bytes, timeout=limits.case_timeout, limit=limits.memory, prepare=load
+        run_one,
+        admission.jobs,
+        bytes=admission.bytes,
+        timeout=limits.case_timeout,
+        limit=limits.memory,
+        prepare=load,
     )
 
 
@@ -174,7 +203,9 @@ def _run(task: CaseTask) -> Outcome:
     return _concluded(task, done.place.report_path, dice, done.error is None)
 
 
-def _concluded(task: CaseTask, path: Path, dice: float | None = None, is_good: bool = True) -> Outcome:
+def _concluded(
+    task: CaseTask, path: Path, dice: float | None = None, is_good: bool = True
+) -> Outcome:
     """The line of a case that has a result, from its report; a good one leaves a record for `--resume`."""
     report = load_report(path)
     if report is None:  # somebody has removed it at this moment
@@ -196,5 +227,11 @@ def _truth_of(task: CaseTask) -> Volume | None:
 
 def _failed(task: CaseTask, message: str, hint: str, code: int, details: str = "") -> Outcome:
     return Outcome(
-        task.case.id, "failed", message, folder=task.shown_folder, hint=hint, exit_code=code, details=details
+        task.case.id,
+        "failed",
+        message,
+        folder=task.shown_folder,
+        hint=hint,
+        exit_code=code,
+        details=details,
     )

@@ -75,7 +75,9 @@ class Place:
     further: tuple[Path | None, ...] = ()
 
     @classmethod
-    def for_image(cls, source: Path, folder: Path, overwrite: bool = False, *further: Path | None) -> Place:
+    def for_image(
+        cls, source: Path, folder: Path, overwrite: bool = False, *further: Path | None
+    ) -> Place:
         """The place of an image whose outputs have its name, without suffix; ``further`` files are read, too."""
         from accelsurf.io.headers import name_of
 
@@ -146,7 +148,11 @@ class Place:
         if not config.has_ids:
             paths = {kind: self.folder / name for kind, name in names.items()}
         else:
-            paths = {k: self.folder / name for k, name in names.items() if not k.startswith(output_names.EACH)}
+            paths = {
+                k: self.folder / name
+                for k, name in names.items()
+                if not k.startswith(output_names.EACH)
+            }
             paths |= {path.name: path for path in output_names.existing(self.folder, names)}
         return paths | {"report": self.report_path}
 
@@ -234,11 +240,17 @@ class Finished:
     def summary_lines(self, name: str) -> list[str]:
         """Return the lines printed at the end; ``name`` is that of the case."""
         log = self.log
-        return summary_lines(name, self.result, log.outputs, log.seconds["total"], self.place.report_path)
+        return summary_lines(
+            name, self.result, log.outputs, log.seconds["total"], self.place.report_path
+        )
 
 
 def run_case(
-    place: Place, config: RunConfig, watcher: Watcher, strict: bool = False, compute: Compute | None = None
+    place: Place,
+    config: RunConfig,
+    watcher: Watcher,
+    strict: bool = False,
+    compute: Compute | None = None,
 ) -> Finished:
     """Run a case and write its outputs, all at once; print the shortcomings of its result.
 
@@ -305,15 +317,21 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
     case = replace(case, place=target)
     names, meshes = target.names(config, result.geometry.slice_axis is not None), MeshNotes()
     with output_folder.naming_final(files):
-        written = outputs.write_result(result, files.staging, names, content, log.seconds, log.checksum, meshes)
+        written = outputs.write_result(
+            result, files.staging, names, content, log.seconds, log.checksum, meshes
+        )
         entries = describe_staged(files, {path.name: kind for kind, path in written})
-        log.outputs.extend(entry | meshes.statistics.get(Path(entry["path"]).name, {}) for entry in entries)
+        log.outputs.extend(
+            entry | meshes.statistics.get(Path(entry["path"]).name, {}) for entry in entries
+        )
         log.warnings.extend(meshes.warnings)
         code = watcher.exit_code(error.exit_code if error is not None else 0)
         status: document.Status = "failed" if error is not None else "ok"
         _write_report(case, config, status, code, error, result)
         layouts.complete(config, target.source, target.folder)
-        output_folder.commit(files, target.report_path.name, error is not None, target.overwrite, gone)
+        output_folder.commit(
+            files, target.report_path.name, error is not None, target.overwrite, gone
+        )
     if config.label_group is not None and error is None:
         log.timed("write", lambda: label_files.into_image(result, target.source, target.overwrite))
     note_result(watcher, target)
@@ -323,8 +341,12 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
 def _failed_place(place: Place, config: RunConfig, error: AccelsurfError) -> Place:
     """Return the place of a failed result's files; raise its error where they would replace a result of that name."""
     target = place.beside_result(config)
-    if target is not place and result_sets.result_stands(target.folder, target.name, target.paths(config).values()):
-        say(f"warning: the result of this failed run is not written: {target.folder} has other files {target.name}_*")
+    if target is not place and result_sets.result_stands(
+        target.folder, target.name, target.paths(config).values()
+    ):
+        say(
+            f"warning: the result of this failed run is not written: {target.folder} has other files {target.name}_*"
+        )
         raise error
     return target
 
@@ -362,7 +384,12 @@ def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Res
 
 
 def evolve_at(
-    place: Place, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher, log: Log
+    place: Place,
+    volume: Volume,
+    channels: list[Volume],
+    config: RunConfig,
+    watcher: Watcher,
+    log: Log,
 ) -> Result:
     """Run a case from its start, or from its checkpoint where it is to go on and there is one."""
     state = state_of(place, config) if place.has_checkpoint else None
@@ -433,11 +460,19 @@ def check_reference(truth: Volume, volume: Volume) -> None:
     """
     if not truth.geometry.matches(volume.geometry):
         difference = truth.geometry.difference(volume.geometry)
-        raise GeometryError(f"reference and image lie on different grids: {difference}", "resample the reference first")
+        raise GeometryError(
+            f"reference and image lie on different grids: {difference}",
+            "resample the reference first",
+        )
 
 
 def evolve(
-    name: str, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher, state: CheckpointFile | None
+    name: str,
+    volume: Volume,
+    channels: list[Volume],
+    config: RunConfig,
+    watcher: Watcher,
+    state: CheckpointFile | None,
 ) -> Result:
     """Run one or several objects with progress, without writing anything but checkpoints to the file ``state``."""
     from accelsurf.api.segment import segment, segment_objects
@@ -446,11 +481,19 @@ def evolve(
     with watcher.watch(name, config.max_steps, then):
         if config.objects is not None:
             return segment_objects(
-                volume, channels=channels, config=config, on_step=watcher.on_step, on_warning=watcher.on_warning,
+                volume,
+                channels=channels,
+                config=config,
+                on_step=watcher.on_step,
+                on_warning=watcher.on_warning,
                 checkpoint_to=state,
             )
         return segment(
-            volume, channels=channels, config=config, on_step=watcher.on_step, on_warning=watcher.on_warning,
+            volume,
+            channels=channels,
+            config=config,
+            on_step=watcher.on_step,
+            on_warning=watcher.on_warning,
             checkpoint_to=state,
         )
 
@@ -463,7 +506,10 @@ def report_failure(place: Place, error: BaseException) -> None:
     place : Place
     error : BaseException
     """
-    with warning_without_report(), output_folder.opened_set(place.folder, place.name, place.inputs(None)) as files:
+    with (
+        warning_without_report(),
+        output_folder.opened_set(place.folder, place.name, place.inputs(None)) as files,
+    ):
         _write_failure(_Case(place, files, Log()), None, error)
 
 
@@ -474,7 +520,9 @@ def _write_failure(case: _Case, config: RunConfig | None, error: BaseException) 
     target = case.place.beside_result(config)
     with warning_without_report():
         if target is not case.place and result_sets.result_stands(target.folder, target.name, ()):
-            raise OutputError(f"{target.report_path}: is the report of a result")  # of an image that is called so
+            raise OutputError(
+                f"{target.report_path}: is the report of a result"
+            )  # of an image that is called so
         if not stopped and image.is_file() and image.stat().st_size <= MAX_HASHED:
             case.log.take_checksum(image)
         case = replace(case, place=target)
@@ -484,7 +532,11 @@ def _write_failure(case: _Case, config: RunConfig | None, error: BaseException) 
 
 
 def _write_report(
-    case: _Case, config: RunConfig | None, status: document.Status, code: int, error: BaseException | None,
+    case: _Case,
+    config: RunConfig | None,
+    status: document.Status,
+    code: int,
+    error: BaseException | None,
     result: Result | None,
 ) -> None:
     place, log = case.place, case.log
@@ -502,7 +554,9 @@ def _write_report(
         outputs=log.outputs,
         warnings=[warning for warning in log.warnings if warning not in of_result],
     )
-    write_bytes(case.files.staging / place.report_path.name, (document.to_json(contents) + "\n").encode())
+    write_bytes(
+        case.files.staging / place.report_path.name, (document.to_json(contents) + "\n").encode()
+    )
 
 
 def exit_code_of_finished(place: Place, config: RunConfig, quiet: bool = False) -> int | None:

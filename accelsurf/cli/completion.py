@@ -35,11 +35,17 @@ def install_completion(
     from accelsurf.io.files import write_bytes
 
     try:
-        path = made_app().install_completion(shell=shell, output=output, add_to_startup=output is None)
+        path = made_app().install_completion(
+            shell=shell, output=output, add_to_startup=output is None
+        )
     except ShellDetectionError:
-        raise UsageError("--shell: the shell that runs this is not known", "as in --shell bash") from None
+        raise UsageError(
+            "--shell: the shell that runs this is not known", "as in --shell bash"
+        ) from None
     except OSError as error:
-        raise OutputError(f"{error.filename}: {error.strerror}", "name another file with -o") from None
+        raise OutputError(
+            f"{error.filename}: {error.strerror}", "name another file with -o"
+        ) from None
     # Where there is nothing to offer, as behind --mask, bash shall offer names of files.
     script = path.read_text(encoding="utf-8").replace("\ncomplete -F ", "\ncomplete -o default -F ")
     write_bytes(path, script.encode())

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 SOME_FAILED = 9
 #: A leading hyphen is allowed for `-`, which prints the table.
-Table = Annotated[str | None, Parameter(name="--csv", metavar="FILE", group=FILES, allow_leading_hyphen=True)]
+Table = Annotated[
+    str | None, Parameter(name="--csv", metavar="FILE", group=FILES, allow_leading_hyphen=True)
+]
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,9 @@ def evaluate(
     tolerance: Annotated[str | None, Parameter(name="--tolerance", metavar="MM")] = None,
     pairs: Annotated[Path | None, Parameter(name="--pairs", metavar="TABLE")] = None,
     tracks: Annotated[bool, Parameter(name="--tracks", negative=(), show_default=False)] = False,
-    names: Annotated[Path | None, Parameter(name=("--label-table", "--names"), metavar="TABLE")] = None,
+    names: Annotated[
+        Path | None, Parameter(name=("--label-table", "--names"), metavar="TABLE")
+    ] = None,
     as_json: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
     table: Table = None,
     overwrite: Overwrite = False,
@@ -82,7 +86,9 @@ def evaluate(
     requested = Request(_labels(labels), _tolerances(tolerance))
     _check_table(table, as_json, overwrite)
     if tracks:
-        _refuse_with_tracks({"labels": labels, "tolerance": tolerance, "pairs": pairs, "label-table": names})
+        _refuse_with_tracks(
+            {"labels": labels, "tolerance": tolerance, "pairs": pairs, "label-table": names}
+        )
         return _evaluate_tracks(pred, ref, as_json, table)
     known = _names(names)
     found, many = _pairs(pred, ref, pairs)
@@ -92,8 +98,11 @@ def evaluate(
     from accelsurf.output.evaluation import document, table_csv
 
     _put(
-        table, as_json, lambda: table_csv(results, known),
-        lambda: document(results, known) if many else _one_pair(results[0], known), lambda: _show(results, known, many),
+        table,
+        as_json,
+        lambda: table_csv(results, known),
+        lambda: document(results, known) if many else _one_pair(results[0], known),
+        lambda: _show(results, known, many),
     )
     return SOME_FAILED if any(result.failure for result in results) else 0
 
@@ -106,7 +115,10 @@ def _check_table(table: str | None, as_json: bool, overwrite: bool) -> None:
         if as_json:
             raise UsageError("--json, --csv -: both would be printed", "name a file for the table")
     elif table.startswith("-"):
-        raise UsageError(f"--csv: {table} was given, expected the name of a file", "as in --csv table.csv, or --csv -")
+        raise UsageError(
+            f"--csv: {table} was given, expected the name of a file",
+            "as in --csv table.csv, or --csv -",
+        )
     elif Path(table).exists() and not overwrite:
         raise OutputError(f"{table}: exists already", "choose another name, or add --overwrite")
 
@@ -141,11 +153,17 @@ def _names(path: Path | None) -> LabelTable:
 
 def _tolerances(text: str | None) -> tuple[float, ...]:
     try:
-        values = tuple(dict.fromkeys(float(part) for part in text.split(","))) if text is not None else ()
+        values = (
+            tuple(dict.fromkeys(float(part) for part in text.split(",")))
+            if text is not None
+            else ()
+        )
     except ValueError:
         values = (math.nan,)
     if not all(0 <= value < math.inf for value in values):
-        raise UsageError(f"--tolerance: {text} was given, expected mm, at least 0", "as in --tolerance 1,2.5")
+        raise UsageError(
+            f"--tolerance: {text} was given, expected mm, at least 0", "as in --tolerance 1,2.5"
+        )
     return values
 
 
@@ -155,13 +173,17 @@ def _pairs(pred: str | None, ref: str | None, table: Path | None) -> tuple[list[
 
     if table is not None:
         if pred is not None:
-            raise UsageError("--pairs: was given with PRED, which the table names", "leave one of them out")
+            raise UsageError(
+                "--pairs: was given with PRED, which the table names", "leave one of them out"
+            )
         return in_table(table), True
     pred, ref = _both(pred, ref)
     sides = label_file(pred), label_file(ref)
     folders = [is_folder_of_maps(side.path) for side in sides]
     if any(folders) and not all(folders):
-        raise InputError(f"{pred}, {ref}: one of them is a folder of files", "name two files, or two folders")
+        raise InputError(
+            f"{pred}, {ref}: one of them is a folder of files", "name two files, or two folders"
+        )
     return (in_folders(*sides), True) if all(folders) else ([Pair("", *sides)], False)
 
 
@@ -187,11 +209,16 @@ def _result(pair: Pair, requested: Request) -> CaseResult:
     from accelsurf.output.evaluation import CaseResult
 
     if pair.pred is None or pair.ref is None:
-        raise InputError(f"there is no {'prediction' if pair.pred is None else 'reference'} of this name")
+        raise InputError(
+            f"there is no {'prediction' if pair.pred is None else 'reference'} of this name"
+        )
     for path in (pair.pred.path, pair.ref.path):
         finish_killed_runs(path.parent)
     volumes = io.on_one_grid(*(_read(side) for side in (pair.pred, pair.ref)))
-    pred, ref = (LabelMap(volume, side.ids) for volume, side in zip(volumes, (pair.pred, pair.ref), strict=True))
+    pred, ref = (
+        LabelMap(volume, side.ids)
+        for volume, side in zip(volumes, (pair.pred, pair.ref), strict=True)
+    )
     if requested.labels is None:
         agreements = [evaluate_object(pred, ref, requested.tolerances)]
     else:
@@ -219,7 +246,11 @@ def _written(side: LabelFile | None) -> str:
 
 
 def _put(
-    table: str | None, as_json: bool, csv: Callable[[], str], found: Callable[[], Any], show: Callable[[], None]
+    table: str | None,
+    as_json: bool,
+    csv: Callable[[], str],
+    found: Callable[[], Any],
+    show: Callable[[], None],
 ) -> None:
     """Write the table, and print it, or the numbers as JSON or for a person."""
     from accelsurf.io.files import write_bytes
@@ -245,7 +276,11 @@ def _one_pair(result: CaseResult, names: LabelTable) -> dict[str, Any]:
     case = document([result], names)["cases"][0]
     head, said = {"pred": result.pred, "ref": result.ref}, {"notes": case["notes"]}
     found = result.agreements
-    return {**head, **(found[0].values() if found and found[0].label is None else {"labels": case["labels"]}), **said}
+    return {
+        **head,
+        **(found[0].values() if found and found[0].label is None else {"labels": case["labels"]}),
+        **said,
+    }
 
 
 def _show(results: list[CaseResult], names: LabelTable, many: bool) -> None:
@@ -271,7 +306,11 @@ def _print_table(results: list[CaseResult], names: LabelTable, many: bool) -> No
     from accelsurf.output.evaluation import label_entry, label_name, notes, printed_rows, summaries
 
     named = any(label_name(found, names) for result in results for found in result.agreements)
-    head, rows, said = (("case",) if many else ()) + ("label",) + (("name",) if named else ()), [], []
+    head, rows, said = (
+        (("case",) if many else ()) + ("label",) + (("name",) if named else ()),
+        [],
+        [],
+    )
     for result in results:
         where = f"{result.case}: " if many else ""
         for found in result.agreements:
@@ -307,8 +346,11 @@ def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: st
     given, wanted = (open_tracks(side) for side in sides)
     found = compare(given, wanted)
     _put(
-        table, as_json, lambda: csv_text(found.frames[0]._fields if found.frames else (), found.frames),
-        lambda: _document(given, wanted, found), lambda: _print_values(found.values(), _notes(given, wanted)),
+        table,
+        as_json,
+        lambda: csv_text(found.frames[0]._fields if found.frames else (), found.frames),
+        lambda: _document(given, wanted, found),
+        lambda: _print_values(found.values(), _notes(given, wanted)),
     )
     return 0
 
@@ -316,15 +358,21 @@ def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: st
 def _both(pred: str | None, ref: str | None) -> tuple[str, str]:
     if pred is None or ref is None:
         lacking = "PRED" if pred is None else "REF"
-        raise UsageError(f"evaluate: no {lacking} was given", "accelsurf evaluate --help lists the options")
+        raise UsageError(
+            f"evaluate: no {lacking} was given", "accelsurf evaluate --help lists the options"
+        )
     return pred, ref
 
 
 def _document(given: TrackedFile, wanted: TrackedFile, found: TrackingScores) -> dict[str, Any]:
     frames = [frame._asdict() for frame in found.frames]
     return {
-        "pred": str(given.path.absolute()), "ref": str(wanted.path.absolute()), **found.values(),
-        "identities": found.identities, "frames": frames, "notes": _notes(given, wanted),
+        "pred": str(given.path.absolute()),
+        "ref": str(wanted.path.absolute()),
+        **found.values(),
+        "identities": found.identities,
+        "frames": frames,
+        "notes": _notes(given, wanted),
     }
 
 
@@ -332,8 +380,11 @@ def _notes(given: TrackedFile, wanted: TrackedFile) -> list[str]:
     """Return notes on the numbers."""
     said = [
         f"{side.path.name}: no table of tracks beside it; an id is a track, and nothing says who came from whom"
-        for side in (given, wanted) if side.table is None
+        for side in (given, wanted)
+        if side.table is None
     ]
     if wanted.outlines:
-        said.append(f"SEG is measured on the {len(wanted.outlines)} frames with outlines of their own")
+        said.append(
+            f"SEG is measured on the {len(wanted.outlines)} frames with outlines of their own"
+        )
     return said

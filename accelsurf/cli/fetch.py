@@ -39,7 +39,9 @@ class SampleFile(NamedTuple):
 def fetch(
     name: Annotated[str | None, Parameter(name="NAME")] = None,
     *,
-    to: Annotated[Path, Parameter(name=("--to", "--output", "-o"), group=FILES, show_default="this folder")] = Path(),
+    to: Annotated[
+        Path, Parameter(name=("--to", "--output", "-o"), group=FILES, show_default="this folder")
+    ] = Path(),
     list: Switch = False,
     overwrite: Overwrite = False,
 ) -> int:
@@ -75,7 +77,9 @@ def fetch(
     ]
     print(f"{name}: {sample['about']}\nlicence {sample['licence']}, source {sample['source']}")
     for file in files:
-        print(f"{file.name} {file.size / 1e6:.2f} MB sha256 {file.sha256}\n  {file.url}", flush=True)
+        print(
+            f"{file.name} {file.size / 1e6:.2f} MB sha256 {file.sha256}\n  {file.url}", flush=True
+        )
     if all(file.is_at(to) for file in files):
         print(f"there already: {to.absolute()}")
     else:
@@ -99,7 +103,9 @@ def _fetch_all(files: list[SampleFile], folder: Path, name: str, overwrite: bool
     from accelsurf.output.folder import naming_final, opened_set, refuse_existing
 
     with opened_set(folder, name) as staged:
-        refuse_existing({file.name: folder / file.name for file in files if not file.is_at(folder)}, overwrite)
+        refuse_existing(
+            {file.name: folder / file.name for file in files if not file.is_at(folder)}, overwrite
+        )
         with naming_final(staged):
             for file in files:
                 _fetch_file(file, staged.staging)
@@ -121,7 +127,9 @@ def _fetch_file(file: SampleFile, folder: Path) -> None:
     except RequestException as error:
         response = getattr(error, "response", None)
         reason = type(error).__name__ if response is None else f"status {response.status_code}"
-        raise InputError(f"{file.url}: cannot be fetched ({reason})", "is there a network? Try again later") from None
+        raise InputError(
+            f"{file.url}: cannot be fetched ({reason})", "is there a network? Try again later"
+        ) from None
     except ValueError:
         raise InputError(
             f"{file.url}: not the file that was expected, its checksum or size is another one; nothing of it is left",

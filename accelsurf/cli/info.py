@@ -77,7 +77,13 @@ def _show_image(path: Path, as_json: bool, requested: ReadOptions) -> None:
         print(to_json(description))
         return
     levels = description.pop("levels")
-    _print_table({key.replace("_", " "): str(value) for key, value in description.items() if value is not None})
+    _print_table(
+        {
+            key.replace("_", " "): str(value)
+            for key, value in description.items()
+            if value is not None
+        }
+    )
     for number, level in enumerate(levels):
         print(f"  level {number}: size {level['size']}, spacing {level['spacing']}")
 
@@ -101,7 +107,9 @@ def _show_results(reports: Sequence[Path], as_json: bool) -> None:
 def _summary(report: object) -> dict[str, str]:
     """Return what a report says of image, end, volume and quality."""
     document = report if isinstance(report, dict) else {}
-    source, stop, error, quality = (_fields_of(document, name) for name in ("input", "stop", "error", "quality"))
+    source, stop, error, quality = (
+        _fields_of(document, name) for name in ("input", "stop", "error", "quality")
+    )
     out = {"image": source.get("path"), "ended": stop.get("message") or error.get("message")}
     volume, probability = document.get("volume_mm3"), quality.get("probability")
     if isinstance(volume, int | float):
@@ -138,15 +146,28 @@ def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
         return
     for entry in volumes:
         phase = ", ".join(f"{name} {value}" for name, value in entry["phase"].items())
-        title = " ".join(word for word in (entry["modality"], entry["description"]) if word) or "without a name"
+        title = (
+            " ".join(word for word in (entry["modality"], entry["description"]) if word)
+            or "without a name"
+        )
         print(f"{entry['number']}  {title}" + (f" ({phase})" if phase else ""))
         if entry["size"] is not None:
-            size, voxel = " x ".join(map(str, entry["size"])), " x ".join(f"{h:.4g}" for h in entry["spacing"])
-            print(f"   {size} voxels of {voxel} mm, {entry['orientation']}, {entry['unit'] or 'no unit'}")
-        print(f"   {entry['files']} file{'s' if entry['files'] > 1 else ''}, first {entry['first_file']}")
+            size, voxel = (
+                " x ".join(map(str, entry["size"])),
+                " x ".join(f"{h:.4g}" for h in entry["spacing"]),
+            )
+            print(
+                f"   {size} voxels of {voxel} mm, {entry['orientation']}, {entry['unit'] or 'no unit'}"
+            )
+        print(
+            f"   {entry['files']} file{'s' if entry['files'] > 1 else ''}, first {entry['first_file']}"
+        )
         print(f"   series {entry['uid'] or 'without a UID'}")
         if entry["segments"]:
-            print("   segments " + ", ".join(f"{segment['id']} {segment['name']}" for segment in entry["segments"]))
+            print(
+                "   segments "
+                + ", ".join(f"{segment['id']} {segment['name']}" for segment in entry["segments"])
+            )
         for warning in entry["warnings"]:
             print(f"   warning: {warning}")
     for note in volumes[0]["left_out"]:
@@ -154,7 +175,11 @@ def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
     if any(entry["segments"] for entry in volumes):
         print("a label map: FILE@2 takes segment 2 alone")
     else:
-        print("--series NUMBER chooses one" if len(volumes) > 1 else "it is the only one: no --series is needed")
+        print(
+            "--series NUMBER chooses one"
+            if len(volumes) > 1
+            else "it is the only one: no --series is needed"
+        )
 
 
 def _described(path: Path, requested: ReadOptions) -> dict[str, Any]:
@@ -165,14 +190,22 @@ def _described(path: Path, requested: ReadOptions) -> dict[str, Any]:
     from accelsurf.io.headers import FRAME_KEY, UNIT_KEY
 
     first = replace(
-        requested, time_index=requested.time_index or 0, channel_index=requested.channel_index or 0,
+        requested,
+        time_index=requested.time_index or 0,
+        channel_index=requested.channel_index or 0,
         channels_from_time=False,
     )
     try:
-        lazy, by_boxes = io.open_volume(
-            path, level=requested.level, channel_index=first.channel_index, time_index=first.time_index,
-            spacing=requested.spacing,
-        ), True
+        lazy, by_boxes = (
+            io.open_volume(
+                path,
+                level=requested.level,
+                channel_index=first.channel_index,
+                time_index=first.time_index,
+                spacing=requested.spacing,
+            ),
+            True,
+        )
         channels, time_points = lazy.layout.channels, lazy.layout.time_points
     except InputError:  # packed as a whole, or damaged: reading says which
         lazy, by_boxes = io.LazyVolume.of_array(io.read(path, options=first)), False
@@ -235,7 +268,8 @@ def _known() -> dict[str, Any]:
             for name, spec in TERMS.items()
         },
         "trace_columns": {
-            name: column.help + (f" ({column.unit})" if column.unit else "") for name, column in TRACE_COLUMNS.items()
+            name: column.help + (f" ({column.unit})" if column.unit else "")
+            for name, column in TRACE_COLUMNS.items()
         },
         "exit_codes": {str(code): meaning for code, meaning in EXIT_CODES.items()},
     }

@@ -319,7 +319,8 @@ def guarded() -> Iterator[GuardedStream]:
     before = sys.stdout, sys.stderr
     # A stream that was closed is None, and print would write to the other one.
     output, error = (
-        GuardedStream(open(os.devnull, "w", encoding="utf-8") if stream is None else stream) for stream in before
+        GuardedStream(open(os.devnull, "w", encoding="utf-8") if stream is None else stream)
+        for stream in before
     )
     sys.stdout, sys.stderr = output, error
     try:

@@ -32,7 +32,9 @@ OBJECTS = Group("Many objects in a large image", sort_key=0)
 class ImageParts:
     """Options for the memory of a run."""
 
-    max_memory: Annotated[str | None, Parameter(group=FILES, show_default="0.8 of what is free")] = None
+    max_memory: Annotated[
+        str | None, Parameter(group=FILES, show_default="0.8 of what is free")
+    ] = None
     """Memory that the run may take, as 4GB. A larger image is read in parts near the object, with the same result; one
     whose object needs more is refused."""
 
@@ -45,7 +47,9 @@ class ImageParts:
         return allowed_bytes(self.max_memory, io.available_memory())
 
 
-def choose_computation(place: Place, config: RunConfig, image: LargeImage | None) -> tuple[RunConfig, Compute | None]:
+def choose_computation(
+    place: Place, config: RunConfig, image: LargeImage | None
+) -> tuple[RunConfig, Compute | None]:
     """Return the settings and the function by which a case is computed: None where the image is read as a whole.
 
     Raises
@@ -65,7 +69,10 @@ def fits(image: LargeImage, config: RunConfig) -> bool:
     from accelsurf.run.memory import run_bytes
 
     values = math.prod(image.geometry.shape) * len(image.channels)
-    return run_bytes(values, energy_expression.uses_model(config.energy), config.flow) <= image.max_bytes
+    return (
+        run_bytes(values, energy_expression.uses_model(config.energy), config.flow)
+        <= image.max_bytes
+    )
 
 
 def large_image(
@@ -110,7 +117,12 @@ def whole_volume(channel: LazyVolume) -> Volume:
     from accelsurf.grid.boxes import whole_box
     from accelsurf.image.volume import Volume
 
-    return Volume(channel.read(whole_box(channel.shape)), channel.geometry, dict(channel.metadata), channel.source)
+    return Volume(
+        channel.read(whole_box(channel.shape)),
+        channel.geometry,
+        dict(channel.metadata),
+        channel.source,
+    )
 
 
 def with_level(source: Path, config: RunConfig, parts: ImageParts, quiet: bool) -> RunConfig:
@@ -141,11 +153,14 @@ def settings_in_windows(place: Place, config: RunConfig) -> RunConfig:
             "leave it out, or let the image be read into memory (more --max-memory)",
         )
     keys = ("save_sdf", "also", "label_group", "mesh_smooth", "mesh_faces", "mesh_error")
-    asked = {key: bool(getattr(config, key)) for key in keys} | {"keep_state": config.keep_state == "yes"}
+    asked = {key: bool(getattr(config, key)) for key in keys} | {
+        "keep_state": config.keep_state == "yes"
+    }
     for name, given in asked.items():
         if given:
             raise UsageError(
-                f"{name.replace('_', '-')}: it was given, and the image is read in parts", "leave it out, or give --roi"
+                f"{name.replace('_', '-')}: it was given, and the image is read in parts",
+                "leave it out, or give --roi",
             )
     label_format = place.label_format(config)
     return config if label_format in STORES else config.replace(format="nii")
@@ -160,7 +175,9 @@ def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
     def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
         from accelsurf.cli.case import check_formats, evolve_at
 
-        read = image.channels[: len(image.channels) - len(config.channel)]  # a run reads the other files itself
+        read = image.channels[
+            : len(image.channels) - len(config.channel)
+        ]  # a run reads the other files itself
         volume, *more = log.timed("load", lambda: [whole_volume(channel) for channel in read])
         if has_checksum:
             log.timed("load", lambda: log.take_checksum(place.source))
@@ -181,7 +198,11 @@ def _in_windows(image: LargeImage) -> Compute:
         state = state_of(place, config)
         with watcher.watch(place.name, config.max_steps):
             result = segment_in_windows(
-                image, config, lambda record, object_id: watcher.on_step(record), watcher.on_warning, watcher.on_window,
+                image,
+                config,
+                lambda record, object_id: watcher.on_step(record),
+                watcher.on_warning,
+                watcher.on_window,
                 state,
             )
         log.warnings.extend(result.warnings)
@@ -220,5 +241,8 @@ class ObjectOptions:
         from accelsurf.batch.admission import Limits
 
         if config.objects is None:
-            raise UsageError("--jobs, --scheduler: were given without --objects", "accelsurf batch runs many images")
+            raise UsageError(
+                "--jobs, --scheduler: were given without --objects",
+                "accelsurf batch runs many images",
+            )
         Limits(self.jobs, scheduler=self.scheduler)

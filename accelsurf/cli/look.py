@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, IMAGE, File, Overwrite, required, run_config, settings_class
+from accelsurf.cli.options import (
+    FILES,
+    IMAGE,
+    File,
+    Overwrite,
+    required,
+    run_config,
+    settings_class,
+)
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.settings.entry import SettingGroup
 
@@ -22,7 +30,9 @@ if TYPE_CHECKING:
 #: The finest level of a store with at most so many voxels is shown, unless told.
 MAX_VOXELS = 1 << 27
 #: It chooses the level itself.
-ReadWithoutLevel = settings_class("ReadWithoutLevel", leave_out=("level",), groups=(SettingGroup.IMAGE,))
+ReadWithoutLevel = settings_class(
+    "ReadWithoutLevel", leave_out=("level",), groups=(SettingGroup.IMAGE,)
+)
 
 
 def look(
@@ -32,7 +42,9 @@ def look(
     at: str | None = None,
     window: str = "auto",
     labels: File = None,
-    level: Annotated[int | None, Parameter(group=IMAGE, show_default="the finest that is not too large")] = None,
+    level: Annotated[
+        int | None, Parameter(group=IMAGE, show_default="the finest that is not too large")
+    ] = None,
     overwrite: Overwrite = False,
     reading: ReadWithoutLevel | None = None,  # type: ignore[valid-type]
 ) -> int:
@@ -80,7 +92,9 @@ def look(
     make_writable(path.parent)
     head = f"{source.name}: {_said_of(volumes)}"
     write_bytes(path, look_png(volumes, head, at=place, window=shown, labels=drawn))
-    print(f"size     {_said_of(volumes)}" + (f", {len(volumes)} channels" if len(volumes) > 1 else ""))
+    print(
+        f"size     {_said_of(volumes)}" + (f", {len(volumes)} channels" if len(volumes) > 1 else "")
+    )
     for number, volume in enumerate(volumes, 1):
         which = f" of channel {number}" if len(volumes) > 1 else ""
         print(f"values   {_values(volume.array)}{which}")
@@ -107,7 +121,11 @@ def _values(array: NDArray[Any]) -> str:
     finite = np.isfinite(array)
     nans = int(np.isnan(array).sum())
     others = {"NaN": nans, "infinite": int(array.size - finite.sum()) - nans}
-    said = [f"{count} voxel{'s are' if count > 1 else ' is'} {what}" for what, count in others.items() if count]
+    said = [
+        f"{count} voxel{'s are' if count > 1 else ' is'} {what}"
+        for what, count in others.items()
+        if count
+    ]
     if finite.any():
         known = array[finite]
         said.insert(0, f"{known.min():.6g} to {known.max():.6g}")
@@ -121,7 +139,9 @@ def _said_of(volumes: list[Volume]) -> str:
 
     grid = volumes[0].geometry
     size = " x ".join(str(n) for n in grid.size)
-    return f"{size} voxels of {voxel_text(grid.spacing_xyz, volumes[0].metadata.get(UNIT_KEY, 'mm'))}"
+    return (
+        f"{size} voxels of {voxel_text(grid.spacing_xyz, volumes[0].metadata.get(UNIT_KEY, 'mm'))}"
+    )
 
 
 def _read(source: Path, level: int | None, requested: ReadOptions) -> tuple[list[Volume], Geometry]:
@@ -168,7 +188,9 @@ def _labels(path: Path, geometry: Geometry) -> NDArray[Any]:
     known = io.read_labels(path, grid=geometry)
     if not known.geometry.matches(geometry):
         difference = known.geometry.difference(geometry)
-        raise InputError(f"{path}: on another grid than the image ({difference})", "give labels of this image")
+        raise InputError(
+            f"{path}: on another grid than the image ({difference})", "give labels of this image"
+        )
     return known.array
 
 
@@ -207,9 +229,14 @@ def _place(text: str, geometry: Geometry) -> tuple[float, float, float]:
 
     found = coordinates_of(text)
     if found is None or len(found.numbers) != 3 or not np.isfinite(found.numbers).all():
-        raise UsageError(f"--at: {text[:40]!r} was given, expected X,Y,Z in mm, or indices as 12,40,7vox")
+        raise UsageError(
+            f"--at: {text[:40]!r} was given, expected X,Y,Z in mm, or indices as 12,40,7vox"
+        )
     index = np.array(found.numbers[::-1]) if found.vox else geometry.world_to_index(found.numbers)
     if not ((index >= -0.5) & (index <= np.array(geometry.shape) - 0.5)).all():
-        raise UsageError(f"--at: {text} lies outside of the image", extent_hint(geometry, found.numbers, found.vox))
+        raise UsageError(
+            f"--at: {text} lies outside of the image",
+            extent_hint(geometry, found.numbers, found.vox),
+        )
     x, y, z = (float(v) for v in geometry.index_to_world(index))
     return x, y, z

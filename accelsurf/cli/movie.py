@@ -34,7 +34,9 @@ if TYPE_CHECKING:
 
 MOVIE = Group("Movie", sort_key=0)
 #: It draws the run; ``color`` is what it colours surfaces by.
-RunSettings = settings_class("RunSettings", groups=WITHOUT_FILES, further=("name", "label_table", "window"))
+RunSettings = settings_class(
+    "RunSettings", groups=WITHOUT_FILES, further=("name", "label_table", "window")
+)
 
 
 @Parameter(name="*")
@@ -42,7 +44,9 @@ RunSettings = settings_class("RunSettings", groups=WITHOUT_FILES, further=("name
 class Look:
     """Content and number of the pictures."""
 
-    color: Annotated[Literal["plain", "speed", "force", "density"], Parameter(group=MOVIE)] = "plain"
+    color: Annotated[Literal["plain", "speed", "force", "density"], Parameter(group=MOVIE)] = (
+        "plain"
+    )
     """Colour the surfaces: plain, or by outward speed, force or density."""
 
     theme: Annotated[Literal["dark", "light"], Parameter(group=MOVIE)] = "dark"
@@ -118,10 +122,16 @@ def movie(
     source, target = required(input, "INPUT"), required(output, "-o FILE, the movie,")
     on_disk = preview and source.is_dir()
     if on_disk and look.color != "plain":
-        raise UsageError(f"--color: {look.color} was given for a result, which has none", "give its image")
-    movie_settings = movie_file.MovieSettings(look.every, look.fps, look.orbit, look.hold, _size(look.size))
+        raise UsageError(
+            f"--color: {look.color} was given for a result, which has none", "give its image"
+        )
+    movie_settings = movie_file.MovieSettings(
+        look.every, look.fps, look.orbit, look.hold, _size(look.size)
+    )
     if target.is_dir():
-        target /= f"{name_of(_source(source, settings, config)[0])}_movie.{'png' if preview else 'mp4'}"
+        target /= (
+            f"{name_of(_source(source, settings, config)[0])}_movie.{'png' if preview else 'mp4'}"
+        )
     _check_target(target, preview, movie_settings.size)
     image, run_settings = _source(source, settings, config)
     refuse_existing({"movie": target}, overwrite, inputs_of(image, run_settings, reference, config))
@@ -141,7 +151,9 @@ def movie(
                 what = _draw(drawn, drawing, target, None if preview else movie_settings, watcher)
     finally:
         drawing.close()
-    watcher.note(f"the {'picture' if preview else 'movie'} of the steps so far is written: {target.absolute()}")
+    watcher.note(
+        f"the {'picture' if preview else 'movie'} of the steps so far is written: {target.absolute()}"
+    )
     if not display.quiet and drawn.stop is not None:
         print(f"{image.name}: {_ending(drawn.stop, drawn.has_ids)}\n  {what}  {target.absolute()}")
     return watcher.exit_code(0)
@@ -154,11 +166,15 @@ def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
     if not preview:
         if target.suffix.lower() == ".png":
             formats = ", ".join(movies.FORMATS)
-            raise UsageError(f"{target.name}: .png was given, expected {formats}", "or add --preview")
+            raise UsageError(
+                f"{target.name}: .png was given, expected {formats}", "or add --preview"
+            )
         movies.check_target(target, size)
     elif target.suffix.lower() != ".png":
-        raise UsageError(f"{target.name}: {target.suffix or 'no suffix'} was given, expected .png with --preview",
-                         f"write {target.with_suffix('.png').name}, or leave --preview out")
+        raise UsageError(
+            f"{target.name}: {target.suffix or 'no suffix'} was given, expected .png with --preview",
+            f"write {target.with_suffix('.png').name}, or leave --preview out",
+        )
 
 
 def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, RunConfig]:
@@ -172,12 +188,16 @@ def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, Run
     given = given_options(settings)
     if given or config is not None:
         name = "config" if config is not None else next(iter(given)).replace("_", "-")
-        raise UsageError(f"--{name} was given for a folder of results, whose report has the settings",
-                         "leave it out, or give the image instead of the folder")
+        raise UsageError(
+            f"--{name} was given for a folder of results, whose report has the settings",
+            "leave it out, or give the image instead of the folder",
+        )
     return movie_file.run_of_folder(source)
 
 
-def _draw(run: Run, drawing: DrawingProcess, target: Path, movie: MovieSettings | None, watcher: Watcher) -> str:
+def _draw(
+    run: Run, drawing: DrawingProcess, target: Path, movie: MovieSettings | None, watcher: Watcher
+) -> str:
     """Run to the end; write the movie, or without its settings a picture of the last step; describe the file."""
     from accelsurf.output.pictures import movies
     from accelsurf.viewer import movie_file
@@ -185,7 +205,9 @@ def _draw(run: Run, drawing: DrawingProcess, target: Path, movie: MovieSettings 
     if movie is None:
         movies.write_png(target, movie_file.last_picture(run, drawing, watcher.on_step))
         return "picture"
-    count = movies.write_movie(target, movie_file.pictures(run, drawing, movie, watcher.on_step), movie.size, movie.fps)
+    count = movies.write_movie(
+        target, movie_file.pictures(run, drawing, movie, watcher.on_step), movie.size, movie.fps
+    )
     return f"{count} frames, {count / movie.fps:.1f} s"
 
 
@@ -200,5 +222,7 @@ def _size(text: str) -> tuple[int, int]:
     try:
         width, height = (int(part) for part in text.lower().split("x"))
     except ValueError:
-        raise UsageError(f"size: {shown(text)} was given, expected WIDTHxHEIGHT in pixels", "as in 1280x720") from None
+        raise UsageError(
+            f"size: {shown(text)} was given, expected WIDTHxHEIGHT in pixels", "as in 1280x720"
+        ) from None
     return width, height

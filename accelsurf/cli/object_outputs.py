@@ -61,7 +61,12 @@ class ObjectsDone:
 
 
 def write_outputs(
-    place: Place, config: RunConfig, image: LargeImage, done: ObjectsDone, files: FileSet, display: Display
+    place: Place,
+    config: RunConfig,
+    image: LargeImage,
+    done: ObjectsDone,
+    files: FileSet,
+    display: Display,
 ) -> int:
     """Write the label map, the table, the meshes and the report, all at once; returns the exit code.
 
@@ -86,15 +91,24 @@ def write_outputs(
     rows = rows_of(done)
     code = SOME_FAILED if done.failures else 0
     with interrupts.patience("finishing the files"), folder.naming_final(files):
-        kinds = {names["labels"]: "labels", names["objects"]: "objects", **_link_meshes(done, files, place.name)}
+        kinds = {
+            names["labels"]: "labels",
+            names["objects"]: "objects",
+            **_link_meshes(done, files, place.name),
+        }
         _write_labels(files.staging / names["labels"], image, done)
         write_bytes(files.staging / names["objects"], tables.objects_csv(rows).encode())
         outputs = describe_staged(files, kinds)
-        contents = _report(place, config, image, done, rows) | {"exit_code": code, "outputs": outputs}
+        contents = _report(place, config, image, done, rows) | {
+            "exit_code": code,
+            "outputs": outputs,
+        }
         report = place.report_path.name
         write_bytes(files.staging / report, f"{document.to_json(contents)}\n".encode())
         written = [*kinds, report]
-        files.commit(last=report, remove=result_sets.outdated(files.folder, place.name, written, False))
+        files.commit(
+            last=report, remove=result_sets.outdated(files.folder, place.name, written, False)
+        )
     if not done.failures:
         shutil.rmtree(done.folder, ignore_errors=True)
     if not display.quiet:
@@ -104,8 +118,14 @@ def write_outputs(
 
 def rows_of(done: ObjectsDone) -> list[dict[str, Any]]:
     """Return an entry for each object, in order of the ids: how it ended, or why it has no result."""
-    rows = {row["id"]: {**row, "status": "ok", "failure": ""} for record in done.records for row in record.rows}
-    keys = next(iter(rows.values()), dict.fromkeys(("id", "reason", "message", "centroid", "quality")))
+    rows = {
+        row["id"]: {**row, "status": "ok", "failure": ""}
+        for record in done.records
+        for row in record.rows
+    }
+    keys = next(
+        iter(rows.values()), dict.fromkeys(("id", "reason", "message", "centroid", "quality"))
+    )
     for label, why in done.failures.items():
         rows[label] = {**dict.fromkeys(keys), "id": label, "status": "failed", "failure": why}
     return [rows[label] for label in done.ids]
@@ -118,11 +138,15 @@ def _link_meshes(done: ObjectsDone, files: FileSet, case: str) -> dict[str, str]
         for meshes in record.meshes:
             for kind, name in meshes.items():
                 if not result_sets.is_named_as_output(name, case):
-                    raise OutputError(f"{record.folder}: has the mesh {name}, of another image", _BEGIN_ANEW)
+                    raise OutputError(
+                        f"{record.folder}: has the mesh {name}, of another image", _BEGIN_ANEW
+                    )
                 try:
                     os.link(record.folder / name, files.staging / name)
                 except FileExistsError:
-                    raise OutputError(f"{record.folder}: has a mesh {name} of another group", _BEGIN_ANEW) from None
+                    raise OutputError(
+                        f"{record.folder}: has a mesh {name} of another group", _BEGIN_ANEW
+                    ) from None
                 except OSError:  # a file system without links
                     shutil.copyfile(record.folder / name, files.staging / name)
                 kinds[name] = kind.partition("-")[0]
@@ -141,7 +165,11 @@ def _write_labels(path: Path, image: LargeImage, done: ObjectsDone) -> None:
 
 
 def _report(
-    place: Place, config: RunConfig, image: LargeImage, done: ObjectsDone, rows: list[dict[str, Any]]
+    place: Place,
+    config: RunConfig,
+    image: LargeImage,
+    done: ObjectsDone,
+    rows: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """The report, but for its outputs and the exit code."""
     contents = document.build(
@@ -150,14 +178,25 @@ def _report(
         argv=sys.argv,
         config=config,
         source=describe_input(place.source, geometry=image.geometry),
-        warnings=[*done.notes, *(line for record in done.records for line in record.report_entries["warnings"])],
+        warnings=[
+            *done.notes,
+            *(line for record in done.records for line in record.report_entries["warnings"]),
+        ],
     )
     contents["objects"] = rows
     if done.records:
-        facts, stops = done.records[0].report_entries, [stop for record in done.records for stop in record.stops]
+        facts, stops = (
+            done.records[0].report_entries,
+            [stop for record in done.records for stop in record.stops],
+        )
         stop = overall_stop(stops)
         contents |= {
-            "stop": {"reason": stop.reason, "steps": stop.steps, "time": stop.time, "message": stop.message},
+            "stop": {
+                "reason": stop.reason,
+                "steps": stop.steps,
+                "time": stop.time,
+                "message": stop.message,
+            },
             "resolved_settings": facts["resolved_settings"],
             "touches_border": any(row["touches_border"] for row in rows),
             **{key: _sum(done.records, key) for key in _SUMS},
@@ -178,8 +217,12 @@ def _sum(records: list[GroupRecord], key: str) -> Any:
     return sum(values) if values else None
 
 
-def _print_summary(place: Place, done: ObjectsDone, rows: list[dict[str, Any]], outputs: list[dict[str, str]]) -> None:
+def _print_summary(
+    place: Place, done: ObjectsDone, rows: list[dict[str, Any]], outputs: list[dict[str, str]]
+) -> None:
     """Print how many objects there are, and the files."""
     counts = Counter("failed" if row["status"] == "failed" else str(row["reason"]) for row in rows)
-    print(f"{place.name}: of {len(rows)} objects {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}")
+    print(
+        f"{place.name}: of {len(rows)} objects {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}"
+    )
     print("\n".join(file_lines(outputs, place.report_path, first_alone=True)))

@@ -114,7 +114,12 @@ def run_task(task: GroupTask) -> GroupEnd:
 
 
 def run_objects(
-    place: Place, config: RunConfig, image: LargeImage, options: ObjectOptions, resume: bool, display: Display
+    place: Place,
+    config: RunConfig,
+    image: LargeImage,
+    options: ObjectOptions,
+    resume: bool,
+    display: Display,
 ) -> int:
     """Run the objects of a large image, and write their files; returns the exit code.
 
@@ -167,7 +172,9 @@ def _work_folder(place: Place, resume: bool) -> Path:
     if work.is_dir() and not resume:
         others = [name for name in os.listdir(work) if not name.startswith(("group-", ".draft-"))]
         if others:
-            raise OutputError(f"{work}: has {others[0]}, which no run has left there", "move it away")
+            raise OutputError(
+                f"{work}: has {others[0]}, which no run has left there", "move it away"
+            )
         shutil.rmtree(work)
     work.mkdir(exist_ok=True)
     for draft in work.glob(".draft-*"):
@@ -179,7 +186,12 @@ class _Work:
     """Runs the groups of objects of one image, from the first to the last."""
 
     def __init__(
-        self, place: Place, config: RunConfig, image: LargeImage, options: ObjectOptions, folder: Path
+        self,
+        place: Place,
+        config: RunConfig,
+        image: LargeImage,
+        options: ObjectOptions,
+        folder: Path,
     ) -> None:
         from accelsurf.large.many_objects import Groups, many_starts, numbers_needed
         from accelsurf.large.windowed import notes_of
@@ -218,7 +230,9 @@ class _Work:
             finally:
                 pool.close()
         ids = self._starts.ids
-        failures = {int(ids[place]): why for group, why in self._failures.items() for place in group}
+        failures = {
+            int(ids[place]): why for group, why in self._failures.items() for place in group
+        }
         records = [self._records[group] for group in sorted(self._records)]
         return ObjectsDone(records, failures, ids.tolist(), self._folder, self._notes)
 
@@ -231,17 +245,26 @@ class _Work:
                 pool.submit(Job(key, self._task(group)))
             else:
                 self._put(group, record, progress)
-        too_large = [groups[event.key] for event in pool.events() if not self._took(event, groups, progress, False)]
+        too_large = [
+            groups[event.key]
+            for event in pool.events()
+            if not self._took(event, groups, progress, False)
+        ]
         for group in too_large:  # one after the other, with the memory of all jobs
             pool.submit(Job("alone", self._task(group, alone=True)))
             for event in pool.events():
                 self._took(event, {"alone": group}, progress, True)
 
-    def _took(self, event: Any, groups: dict[str, Places], progress: BatchProgress, alone: bool) -> bool:
+    def _took(
+        self, event: Any, groups: dict[str, Places], progress: BatchProgress, alone: bool
+    ) -> bool:
         """Record how a group ended; False where it was too large for its part of the memory."""
         if not isinstance(event, Ended):
             return True
-        group, failure = groups[event.key], event.value.failed if event.failure is None else event.failure.message
+        group, failure = (
+            groups[event.key],
+            event.value.failed if event.failure is None else event.failure.message,
+        )
         may_have_more = not alone and self._whole_image.max_bytes > self._image.max_bytes
         if event.failure is None and event.value.too_large and may_have_more:
             return False
@@ -270,7 +293,10 @@ class _Work:
 
     def _folder_of(self, group: Places) -> Path:
         """Return the folder of a group's files, found again by the same objects, starts, image and settings alone."""
-        rows = self._starts.ids[list(group)].tolist(), *(starts.tolist() for starts in self._groups.starts_of(group))
+        rows = (
+            self._starts.ids[list(group)].tolist(),
+            *(starts.tolist() for starts in self._groups.starts_of(group)),
+        )
         name = hashlib.sha256(f"{self._key} {rows}".encode()).hexdigest()[:16]
         return self._folder / f"group-{self._starts.ids[group[0]]}-{name}"
 
@@ -305,16 +331,25 @@ def _with_threads(config: RunConfig, options: ObjectOptions) -> RunConfig:
 
     if config.threads != "auto":
         return config
-    threads = 1 if options.scheduler is not None else max(1, available_cores() // (options.jobs or 1))
+    threads = (
+        1 if options.scheduler is not None else max(1, available_cores() // (options.jobs or 1))
+    )
     return config.model_copy(update={"threads": threads})
 
 
 def _key_of(config: RunConfig, image: LargeImage, numbers: Any) -> str:
     """Return a text of all that the files of a group depend on beside its objects."""
-    settings = {key: value for key, value in config.model_dump(mode="json").items() if key not in _WITHOUT_EFFECT}
+    settings = {
+        key: value
+        for key, value in config.model_dump(mode="json").items()
+        if key not in _WITHOUT_EFFECT
+    }
     start = Path(str(config.objects).partition("@")[0])
     files = [_version_of(path) for path in (start, *(channel.source for channel in image.channels))]
-    known = [sorted((_name_of(key), pickle.dumps(value).hex()) for key, value in found.items()) for found in numbers]
+    known = [
+        sorted((_name_of(key), pickle.dumps(value).hex()) for key, value in found.items())
+        for found in numbers
+    ]
     grid = repr(image.geometry), [str(channel.dtype) for channel in image.channels]
     return json.dumps([__version__, settings, files, known, grid], sort_keys=True)
 

@@ -20,7 +20,9 @@ from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 
 GROUPS = {group: Group(str(group), sort_key=place) for place, group in enumerate(SettingGroup, 1)}
-RUN, IMAGE, FILES = (GROUPS[group] for group in (SettingGroup.RUN, SettingGroup.IMAGE, SettingGroup.FILES))
+RUN, IMAGE, FILES = (
+    GROUPS[group] for group in (SettingGroup.RUN, SettingGroup.IMAGE, SettingGroup.FILES)
+)
 SHOW = Group("Display", sort_key=len(GROUPS) + 1)
 #: For commands that write none of a run's files.
 WITHOUT_FILES = tuple(group for group in SettingGroup if group is not SettingGroup.FILES)
@@ -32,7 +34,10 @@ InputFile = Annotated[
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
 File = Annotated[Path | None, Parameter(group=FILES)]
 Switch = Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)]
-Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
+Overwrite = Annotated[
+    bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)
+]
+
 
 def settings_class(
     name: str,
@@ -52,7 +57,9 @@ def settings_class(
         if key in leave_out or (said.group not in groups and key not in further):
             continue
         completer = None if is_switch(key) else partial(_completions, key)
-        members.append(option(key, RunConfig.model_fields[key], default_shown(key), completer=completer))
+        members.append(
+            option(key, RunConfig.model_fields[key], default_shown(key), completer=completer)
+        )
     return options_class(name, members)
 
 
@@ -86,11 +93,17 @@ def _completions(key: str, context: object) -> dict[str, str]:
 
 def given_options(settings: Any) -> dict[str, Any]:
     """Return the options of an instance of an `options_class`, or of None, that were given."""
-    every = {field.name: getattr(settings, field.name) for field in fields(settings)} if settings is not None else {}
+    every = (
+        {field.name: getattr(settings, field.name) for field in fields(settings)}
+        if settings is not None
+        else {}
+    )
     return {key: value for key, value in every.items() if value is not None}
 
 
-def run_config(settings: Any, file: Path | Mapping[str, Any] | None = None, **forced: Any) -> RunConfig:
+def run_config(
+    settings: Any, file: Path | Mapping[str, Any] | None = None, **forced: Any
+) -> RunConfig:
     """Return the configuration of a run: options override the file, which overrides the defaults.
 
     A preset given as an option overrides the file, but not the other options. A preset named in the file is overridden
@@ -125,7 +138,9 @@ class Display:
     quiet: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False
     """Print nothing but warnings and errors."""
 
-    progress: Annotated[ProgressKind | None, Parameter(group=SHOW, show_default="bar on a terminal, else none")] = None
+    progress: Annotated[
+        ProgressKind | None, Parameter(group=SHOW, show_default="bar on a terminal, else none")
+    ] = None
     """Progress on stderr: bar, json (one object per line and step), or none."""
 
 
@@ -138,5 +153,7 @@ def required(value: Path | None, name: str) -> Path:
         When it is missing.
     """
     if value is None:
-        raise UsageError(f"{name} is missing", "accelsurf COMMAND --help lists what a command needs")
+        raise UsageError(
+            f"{name} is missing", "accelsurf COMMAND --help lists what a command needs"
+        )
     return value

@@ -6,7 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
+from accelsurf.errors import (
+    AccelsurfError,
+    DivergedError,
+    DoubtfulError,
+    EmptyResultError,
+    NotConvergedError,
+)
 from accelsurf.io.headers import UNIT_KEY
 from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.wording import place_text, size_text, volume_text
@@ -40,7 +46,9 @@ def shortcoming(name: str, result: Result, strict: bool) -> tuple[AccelsurfError
     summary = f"{name}: {stop.message}"
     if not result.has_ids:
         summary = f"{name}: {stop.reason} after {stop.steps} steps: {stop.message}"
-    if not any(segmented.has_surface for segmented in result.objects) and (result.has_ids or stop.reason in EMPTY):
+    if not any(segmented.has_surface for segmented in result.objects) and (
+        result.has_ids or stop.reason in EMPTY
+    ):
         tried = _try_of(result, result.objects[0])
         return EmptyResultError(summary, f"try {tried}" if tried else ""), []
     if stop.reason == "diverged":
@@ -150,7 +158,9 @@ def _ending(name: str, result: Result, seconds: float) -> list[str]:
     if result.has_ids:
         return [f"{name}: {stop.message}; up to {stop.steps} steps, {seconds:.1f} s"]
     levels = f" on {len(result.levels)} levels" if len(result.levels) > 1 else ""
-    return [f"{name}: {stop.reason} after {stop.steps} steps{levels}, {seconds:.1f} s ({stop.message})"]
+    return [
+        f"{name}: {stop.reason} after {stop.steps} steps{levels}, {seconds:.1f} s ({stop.message})"
+    ]
 
 
 def _judgement(result: Result) -> list[str]:
@@ -162,7 +172,9 @@ def _judgement(result: Result) -> list[str]:
         quality, whose = segmented.quality, f"object {segmented.id}: " if result.has_ids else ""
         if quality.next_click is not None:
             place = place_text(quality.next_click, result.geometry.steps)
-            lines.append(f"{whose}{quality.probability:.0%} likely to be good; most doubtful near {place}")
+            lines.append(
+                f"{whose}{quality.probability:.0%} likely to be good; most doubtful near {place}"
+            )
         lines += [f"{whose}{line}" for line in _other_answers(quality)]
         lines += [f"{whose}note: {note}" for note in quality.notes]
     return lines
@@ -200,5 +212,7 @@ def _measures(result: Result) -> str:
     if result.has_ids:
         return f"{sizes} in all"
     parts = f"{result.components} component{'' if result.components == 1 else 's'}"
-    border = f", touches the {'image' if is_2d else 'volume'}'s border" if result.touches_border else ""
+    border = (
+        f", touches the {'image' if is_2d else 'volume'}'s border" if result.touches_border else ""
+    )
     return f"{sizes}, {parts}{border}"

@@ -47,7 +47,9 @@ class Watcher:
         self.printed_warnings: set[str] = set()
 
     @contextmanager
-    def watch(self, label: str, max_steps: int, then: str = "keeping its state") -> Iterator[Watcher]:
+    def watch(
+        self, label: str, max_steps: int, then: str = "keeping its state"
+    ) -> Iterator[Watcher]:
         """Show one run. Until it ends, a first Ctrl-C ends it after the present step, a second one at once.
 
         Parameters
@@ -84,7 +86,9 @@ class Watcher:
         self._has_noticed = True
         text = COMPILING_ANEW if STORAGE is None else COMPILING
         if self._show_json:
-            print_json({"event": "compiling", "run": self._label, "message": text.removeprefix("note: ")})
+            print_json(
+                {"event": "compiling", "run": self._label, "message": text.removeprefix("note: ")}
+            )
         elif self._bar is not None:
             self._bar.say(text)
         else:
@@ -165,7 +169,13 @@ class Watcher:
             state = f"frame {frame}, {objects} object{'' if objects == 1 else 's'}"
             self._bar.show(completed=done, total=count, state=state, unit="frame")
         if self._show_json:
-            line = {"frame": frame, "done": done, "frames": count, "objects": objects, "seconds": seconds}
+            line = {
+                "frame": frame,
+                "done": done,
+                "frames": count,
+                "objects": objects,
+                "seconds": seconds,
+            }
             print_json({"event": "frame", "run": self._label, **line})
         self._interrupts.check()
         return self.interrupted
@@ -192,7 +202,9 @@ def table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     """
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
     lines = [
-        "  ".join([row[0].ljust(widths[0]), *(row[i].rjust(widths[i]) for i in range(1, len(row)))]).rstrip()
+        "  ".join(
+            [row[0].ljust(widths[0]), *(row[i].rjust(widths[i]) for i in range(1, len(row)))]
+        ).rstrip()
         for row in (header, *rows)
     ]
     return "\n".join(lines)
@@ -225,7 +237,10 @@ class BatchProgress:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if self._bar is not None:
             self._bar.stop()
@@ -266,7 +281,9 @@ class BatchProgress:
         self._done += count
         self._failed += count if failure else 0
         if self._show_json:
-            self._print("end", objects_of=name, status="failed" if failure else "ok", reason=failure)
+            self._print(
+                "end", objects_of=name, status="failed" if failure else "ok", reason=failure
+            )
         elif failure:
             say(printable(f"failed: {name}: {failure}", MAX_ERROR))
         self._show_state(None)
@@ -284,7 +301,15 @@ class BatchProgress:
             self._bar.show(completed=self._done, state=state_text(self._failed, seconds_left))
 
     def _print(self, event: str, **fields: Any) -> None:
-        print_json({"event": event, **fields, "done": self._done, "failed": self._failed, self._what: self._count})
+        print_json(
+            {
+                "event": event,
+                **fields,
+                "done": self._done,
+                "failed": self._failed,
+                self._what: self._count,
+            }
+        )
 
 
 def state_text(failed: int, seconds_left: float | None) -> str:

@@ -89,7 +89,9 @@ def refine(
     object: Annotated[str | None, Parameter(group=RUN)] = None,
     objects: ObjectOptions | None = None,
     whole: WholeOptions | None = None,
-    labels: Annotated[str | None, Parameter(group=FILES, metavar="FILE[@IDS]", show_default=False)] = None,
+    labels: Annotated[
+        str | None, Parameter(group=FILES, metavar="FILE[@IDS]", show_default=False)
+    ] = None,
     output: Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)] = None,
     image: File = None,
     overwrite: Overwrite = False,
@@ -132,10 +134,25 @@ def refine(
     """
     again = resuming_command().removesuffix(" --resume")
     Interrupts.current().note(f"no file is changed; to begin again: {again}")
-    given = {"inside": inside, "outside": outside, "near": near, "object": object, **vars(objects or ObjectOptions())}
+    given = {
+        "inside": inside,
+        "outside": outside,
+        "near": near,
+        "object": object,
+        **vars(objects or ObjectOptions()),
+    }
     corrections = corrections_in_order({**given, **vars(whole or WholeOptions())})
     if labels is not None:
-        return _mend(required(result, "the image"), labels, corrections, output, image, overwrite, strict, display)
+        return _mend(
+            required(result, "the image"),
+            labels,
+            corrections,
+            output,
+            image,
+            overwrite,
+            strict,
+            display,
+        )
     from accelsurf.cli.case import Place, run_case
     from accelsurf.cli.progress import Watcher
 
@@ -147,15 +164,23 @@ def refine(
         _refuse_changed(place, source)
     compute = _CorrectedRun(source, corrections)
     watcher = Watcher(display or Display())
-    done = run_case(place, config.replace(refine=(*config.refine, *corrections)), watcher, strict, compute)
+    done = run_case(
+        place, config.replace(refine=(*config.refine, *corrections)), watcher, strict, compute
+    )
     if display is None or not display.quiet:
         _print_summary(done, compute)
     return done.code
 
 
 def _mend(
-    image: Path, labels: str, corrections: tuple[Correction, ...], output: Path | None, other: Path | None,
-    overwrite: bool, strict: bool, display: Display | None,
+    image: Path,
+    labels: str,
+    corrections: tuple[Correction, ...],
+    output: Path | None,
+    other: Path | None,
+    overwrite: bool,
+    strict: bool,
+    display: Display | None,
 ) -> int:
     """Mend a label map; the outputs are those of a run that begins with it."""
     from accelsurf.cli.case import Place, run_case
@@ -163,7 +188,9 @@ def _mend(
     from accelsurf.settings.run_config import RunConfig
 
     if other is not None:
-        raise UsageError("--image: was given with --labels", "the image comes first: refine SCAN --labels MASK")
+        raise UsageError(
+            "--image: was given with --labels", "the image comes first: refine SCAN --labels MASK"
+        )
     config = RunConfig(labels=labels, refine=corrections)
     folder = required(output, "-o DIR, the output folder,")
     place = replace(Place.for_image(image, folder, overwrite), has_checkpoint=False)
@@ -224,7 +251,9 @@ def _source_of(path: Path, image: Path | None) -> _Source:
 
     folder = path if path.is_dir() else path.parent
     if not path.exists():
-        raise InputError(f"{path}: there is no such folder or report", "give the folder that -o named")
+        raise InputError(
+            f"{path}: there is no such folder or report", "give the folder that -o named"
+        )
     finish_killed_runs(folder)
     report = path
     if path.is_dir():
@@ -234,21 +263,29 @@ def _source_of(path: Path, image: Path | None) -> _Source:
             raise InputError(f"{path}: has no result that can be refined", _STATE)
         if len(found) > 1:
             names = ", ".join(path.name for path in found[:5])
-            raise InputError(f"{path}: there are several results: {names}", "give the report of one")
+            raise InputError(
+                f"{path}: there are several results: {names}", "give the report of one"
+            )
         report = found[0]
     entry = result_sets.state_of(report)
     if entry is None:
-        raise InputError(f"{report}: is of a result that cannot be refined: it has no state", _STATE)
+        raise InputError(
+            f"{report}: is of a result that cannot be refined: it has no state", _STATE
+        )
     name, checksum, source = entry
     state_path = report.parent / name
     if not state_path.is_file() or sha256(state_path) != checksum:
-        raise InputError(f"{state_path}: is not as its report says: missing, damaged or of another run", _STATE)
+        raise InputError(
+            f"{state_path}: is not as its report says: missing, damaged or of another run", _STATE
+        )
     from accelsurf.correct.state_file import read_state  # loads what a run needs
 
     state = read_state(state_path)
     where = image if image is not None else Path(source)
     if not where.is_file():
-        raise InputError(f"{where}: the image of the run is not there", "give where it is now with --image FILE")
+        raise InputError(
+            f"{where}: the image of the run is not there", "give where it is now with --image FILE"
+        )
     return _Source(report, report.name.removesuffix("_report.json"), where, state)
 
 
@@ -265,7 +302,11 @@ def _refuse_changed(place: Place, source: _Source) -> None:
     from accelsurf.output import result_sets
 
     of_run = {*result_sets.unchanged_outputs(source.report, ()), source.report.name}
-    others = [path for path in place.paths(source.state.config).values() if path.exists() and path.name not in of_run]
+    others = [
+        path
+        for path in place.paths(source.state.config).values()
+        if path.exists() and path.name not in of_run
+    ]
     if others:
         raise OutputError(
             f"{others[0]}: was changed since the run wrote it, or is not of this run",

@@ -75,7 +75,9 @@ def segment(
     from accelsurf.cli.large_image import choose_computation, fits, large_image, with_level
 
     display, work = display or Display(), work or ObjectOptions()
-    place = Place.for_image(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite, config)
+    place = Place.for_image(
+        required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite, config
+    )
     try:
         run, parts = run_config(settings, config), parts or ImageParts()
         run, place = with_level(place.source, run, parts, display.quiet), place.laid_out(run)
@@ -94,7 +96,13 @@ def segment(
 
 
 def _run(
-    place: Place, run: RunConfig, compute: Compute | None, resume: bool, display: Display, strict: bool, profile: bool
+    place: Place,
+    run: RunConfig,
+    compute: Compute | None,
+    resume: bool,
+    display: Display,
+    strict: bool,
+    profile: bool,
 ) -> int:
     """Run a case, or go on with it."""
     from accelsurf.cli.case import run_case
@@ -102,6 +110,7 @@ def _run(
 
     if resume:
         from accelsurf.cli.case import exit_code_of_finished, resumed_place
+
         if (code := exit_code_of_finished(place, run, display.quiet)) is not None:
             return code
         place = resumed_place(place, place.paths(run).values())
@@ -117,10 +126,17 @@ def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
     UsageError
     """
     also, layout, group = bool(run.also), run.layout != "plain", run.label_group is not None
-    given = {"--strict": strict, "--profile": profile, "--also": also, "--layout": layout, "--label-group": group}
+    given = {
+        "--strict": strict,
+        "--profile": profile,
+        "--also": also,
+        "--layout": layout,
+        "--label-group": group,
+    }
     for name in (name for name, is_given in given.items() if is_given):
         raise UsageError(
-            f"{name}: was given with objects of an image that is read in parts", "leave it out; the table has all ends"
+            f"{name}: was given with objects of an image that is read in parts",
+            "leave it out; the table has all ends",
         )
 
 
@@ -134,7 +150,9 @@ def _summed_up(name: str, done: Finished, quiet: bool, profile: bool) -> int:
     return done.code
 
 
-def seconds_by_stage(seconds: Mapping[str, float], kernels: Mapping[str, float]) -> list[tuple[str, float]]:
+def seconds_by_stage(
+    seconds: Mapping[str, float], kernels: Mapping[str, float]
+) -> list[tuple[str, float]]:
     """Seconds by stage.
 
     Parameters
@@ -175,4 +193,7 @@ def seconds_by_stage(seconds: Mapping[str, float], kernels: Mapping[str, float])
 def profile_lines(seconds: Mapping[str, float], kernels: Mapping[str, float]) -> list[str]:
     """`seconds_by_stage` as lines of text: stage, seconds, share."""
     total = max(seconds["total"], 1e-9)
-    return [f"  {stage:18} {value:8.2f} s {value / total:6.1%}" for stage, value in seconds_by_stage(seconds, kernels)]
+    return [
+        f"  {stage:18} {value:8.2f} s {value / total:6.1%}"
+        for stage, value in seconds_by_stage(seconds, kernels)
+    ]

@@ -19,7 +19,9 @@ def serve(
     *,
     host: str = "127.0.0.1",
     port: int = 1527,
-    api_key: Annotated[str | None, Parameter(show_default=f"the environment's {_KEY}, if set")] = None,
+    api_key: Annotated[
+        str | None, Parameter(show_default=f"the environment's {_KEY}, if set")
+    ] = None,
     max_sessions: int = 2,
     idle_timeout: float = 600.0,
 ) -> int:
@@ -47,12 +49,18 @@ def serve(
     """
     import importlib.util
 
-    missing = [name for name in ("starlette", "uvicorn", "blosc2") if importlib.util.find_spec(name) is None]
+    missing = [
+        name
+        for name in ("starlette", "uvicorn", "blosc2")
+        if importlib.util.find_spec(name) is None
+    ]
     if missing:
         raise UsageError(f"serve: {', '.join(missing)} is not installed", _INSTALL)
     key = os.environ.get(_KEY) or None if api_key is None else api_key
     if key is not None and len(key) < 16:
-        raise UsageError("api_key: a key of less than 16 characters was given", "give a long random one")
+        raise UsageError(
+            "api_key: a key of less than 16 characters was given", "give a long random one"
+        )
     if not 1 <= max_sessions <= 64:
         raise UsageError(f"max_sessions: {max_sessions} was given, expected 1 to 64")
     if not 1 <= idle_timeout <= 1e6:

@@ -13,9 +13,24 @@ if TYPE_CHECKING:
 #: Commands with so many options that their help is cut, and options that it shows.
 COMMANDS = ("segment", "refine", "view", "movie", "batch", "track")
 SHOWN = {
-    "--answer", "--case", "--frame", "--inside", "--input", "--labels", "--objects", "--outside", "--output",
-    "--overwrite", "--preset", "--resume", "--size", "--smoothness", "--start", "--to-edges", "--track",
-}  # fmt: skip
+    "--answer",
+    "--case",
+    "--frame",
+    "--inside",
+    "--input",
+    "--labels",
+    "--objects",
+    "--outside",
+    "--output",
+    "--overwrite",
+    "--preset",
+    "--resume",
+    "--size",
+    "--smoothness",
+    "--start",
+    "--to-edges",
+    "--track",
+}
 
 
 class ShortHelp(DefaultFormatter):

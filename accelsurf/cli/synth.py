@@ -25,7 +25,18 @@ if TYPE_CHECKING:
     from accelsurf.phantoms.tissues import TissuePhantom
 
 #: Columns of the table of the bodies, as far as they go those of a table of tracks.
-COLUMNS = ("frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "volume_ml", "seen")
+COLUMNS = (
+    "frame",
+    "time",
+    "time_unit",
+    "id",
+    "parent",
+    "x_mm",
+    "y_mm",
+    "z_mm",
+    "volume_ml",
+    "seen",
+)
 #: Ends of the names of files by their kind.
 VOLUME = {"image": ".nii.gz", "labels": "_truth.nii.gz", "facts": ".json"}
 SEQUENCE = {"image": ".nii.gz", "labels": "_truth.nii.gz", "tracks": "_truth.csv", "facts": ".json"}
@@ -88,7 +99,9 @@ def write_volume(recipe: Recipe, folder: Path, overwrite: bool) -> dict[str, Pat
     return _written(recipe.name, VOLUME, folder, overwrite, write)
 
 
-def write_sequence(phantom: MovingPhantom | TissuePhantom, folder: Path, overwrite: bool) -> dict[str, Path]:
+def write_sequence(
+    phantom: MovingPhantom | TissuePhantom, folder: Path, overwrite: bool
+) -> dict[str, Path]:
     """Write the files of a phantom in time into a folder; they are returned by their kind."""
     from accelsurf.track.output.document import ML
 
@@ -96,13 +109,27 @@ def write_sequence(phantom: MovingPhantom | TissuePhantom, folder: Path, overwri
         with naming_final(files):
             for kind, dtype in (("image", np.float32), ("labels", np.uint8)):
                 staged = files.staging / paths[kind].name
-                with SequenceWriter(staged, phantom.geometry, phantom.times, phantom.time_unit, dtype) as writer:
+                with SequenceWriter(
+                    staged, phantom.geometry, phantom.times, phantom.time_unit, dtype
+                ) as writer:
                     for number in range(len(phantom)):
-                        frame = phantom.frame(number).array if kind == "image" else phantom.truth(number)
+                        frame = (
+                            phantom.frame(number).array
+                            if kind == "image"
+                            else phantom.truth(number)
+                        )
                         writer.write(number, frame)
             lines = (
-                (row.frame, row.time, phantom.time_unit, row.id, row.parent or "", *row.center, row.volume_mm3 * ML,
-                 row.shown)
+                (
+                    row.frame,
+                    row.time,
+                    phantom.time_unit,
+                    row.id,
+                    row.parent or "",
+                    *row.center,
+                    row.volume_mm3 * ML,
+                    row.shown,
+                )
                 for row in phantom.rows()
             )
             write_bytes(files.staging / paths["tracks"].name, csv_text(COLUMNS, lines).encode())

@@ -72,7 +72,9 @@ def track(
     display = display or Display()
     source = required(input, "SEQUENCE")
     folder = required(output, "-o DIR, the output folder,")
-    case = TrackCase(replace(Place.for_image(source, folder, overwrite, config), resume=resume), wanted)
+    case = TrackCase(
+        replace(Place.for_image(source, folder, overwrite, config), resume=resume), wanted
+    )
     done = run_track_case(case, Watcher(display))
     if not display.quiet:
         print("\n".join(_summary(case, done)))
@@ -83,7 +85,9 @@ def _summary(case: TrackCase, done: Tracked) -> list[str]:
     """Return lines about the end of the tracking."""
     ends = Counter(track.end for track in done.lineage.tracks)
     objects = len(done.lineage.tracks)
-    lines = [f"{case.place.name}: {objects} object{'' if objects == 1 else 's'} in {done.frames} frames"]
+    lines = [
+        f"{case.place.name}: {objects} object{'' if objects == 1 else 's'} in {done.frames} frames"
+    ]
     words = {"end of sequence": "to the end of the sequence"}
     lines += [f"  {count} {words.get(why, why)}" for why, count in ends.items()]
     if done.doubtful:

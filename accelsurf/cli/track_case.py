@@ -12,7 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from accelsurf.cli.case import Place, note_result, note_state, resumed_place, say_warnings, warning_without_report
+from accelsurf.cli.case import (
+    Place,
+    note_result,
+    note_state,
+    resumed_place,
+    say_warnings,
+    warning_without_report,
+)
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.output import folder
 
@@ -56,7 +63,9 @@ class TrackCase:
         from accelsurf.track.output.files import TrackFiles
 
         config = self.config
-        return TrackFiles(config.format, config.per_frame, config.mesh, config.mesh_space, config.also)
+        return TrackFiles(
+            config.format, config.per_frame, config.mesh, config.mesh_space, config.also
+        )
 
 
 @dataclass(frozen=True)
@@ -101,8 +110,13 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
         place = resumed_place(place, case.files.paths(place.folder, place.name).values())
     try:
         outputs = TrackOutputs(
-            place.folder, place.name, tracking.sequence, case.files,
-            run=_run_of(tracking.config, place.inputs(case.config)), overwrite=place.overwrite, store=case.store,
+            place.folder,
+            place.name,
+            tracking.sequence,
+            case.files,
+            run=_run_of(tracking.config, place.inputs(case.config)),
+            overwrite=place.overwrite,
+            store=case.store,
         )
         try:
             _follow(case, tracking, outputs, watcher)
@@ -157,8 +171,11 @@ def _begun(case: TrackCase, watcher: Watcher) -> Tracking:
     from accelsurf.track.track import Tracking, open_sequence
 
     return Tracking(
-        open_sequence(case.place.source, case.config), case.config, meshes=bool(case.config.mesh),
-        on_step=watcher.on_step, checkpoint_to=case.state,
+        open_sequence(case.place.source, case.config),
+        case.config,
+        meshes=bool(case.config.mesh),
+        on_step=watcher.on_step,
+        checkpoint_to=case.state,
     )
 
 
@@ -192,11 +209,15 @@ def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
 def _doubts(tracking: Tracking) -> list[str]:
     """Return doubts about the tracks, at most ten."""
     count = len(tracking.visits)
-    out = [
-        f"these tracks cannot be trusted in {len(tracking.doubtful)} of {count} frames, the first of them frame "
-        f"{min(tracking.doubtful)}: the image around the objects is not as it was in the given frame; give labels of a "
-        "frame nearer to these (--frame), or correct them (--correct)"
-    ] if tracking.doubtful else []
+    out = (
+        [
+            f"these tracks cannot be trusted in {len(tracking.doubtful)} of {count} frames, the first of them frame "
+            f"{min(tracking.doubtful)}: the image around the objects is not as it was in the given frame; give labels "
+            "of a frame nearer to these (--frame), or correct them (--correct)"
+        ]
+        if tracking.doubtful
+        else []
+    )
     for track in tracking.lineage.tracks:
         if track.end in ("vanished", "lost") and tracking.done == count:
             out.append(

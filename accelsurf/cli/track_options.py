@@ -15,7 +15,8 @@ from accelsurf.settings.track_fields import TrackFields
 
 #: Settings of the run on each frame.
 FrameSettings = settings_class(
-    "FrameSettings", leave_out=tuple(key for key in RunConfig.model_fields if key not in FRAME_SETTINGS)
+    "FrameSettings",
+    leave_out=tuple(key for key in RunConfig.model_fields if key not in FRAME_SETTINGS),
 )
 
 
@@ -57,4 +58,6 @@ def track_config(
     run, table = split_table(dict(toml.read_toml(file) if isinstance(file, Path) else file or {}))
     of_tracking = {key: value for key, value in forced.items() if key in TrackFields.model_fields}
     others = {key: value for key, value in forced.items() if key not in of_tracking}
-    return TrackConfig(run=run_config(frame, run, **others), **{**table, **given_options(track), **of_tracking})
+    return TrackConfig(
+        run=run_config(frame, run, **others), **{**table, **given_options(track), **of_tracking}
+    )

@@ -84,17 +84,26 @@ class FirstImage:
         from accelsurf.viewer.core.command_queue import in_background
 
         reading = self.config.reading
-        if self.tracks is not None or self.times.frames_from_slices or sequences.is_sequence(self.source, reading):
+        if (
+            self.tracks is not None
+            or self.times.frames_from_slices
+            or sequences.is_sequence(self.source, reading)
+        ):
             return self._sequence
         if self.times.frame_time is not None:
-            raise UsageError("frame_time: it was given for a single image", "leave it out, or add --frames-from-slices")
+            raise UsageError(
+                "frame_time: it was given for a single image",
+                "leave it out, or add --frames-from-slices",
+            )
         with naming(self.source):
             form = headers.format_of(self.source)
         # Loaded here: two threads that load the same library may see it half loaded.
         for work in (form.parse, form.read, form.read_channels):
             if work is not None:
                 load(work)
-        volumes = in_background(lambda: channels.read_channels(self.source, reading), "accelsurf reading")
+        volumes = in_background(
+            lambda: channels.read_channels(self.source, reading), "accelsurf reading"
+        )
         return partial(self._image, volumes)
 
     def _image(self, volumes: Future[list[Volume]]) -> OpenedImage:
@@ -104,13 +113,17 @@ class FirstImage:
         truth = self._truth()
         volume, *more = volumes.result()
         truth = None if truth is None else on_grid(truth, volume.geometry)
-        return OpenedImage(volume, self.config, split_name(self.source)[0], self.source, tuple(more), truth)
+        return OpenedImage(
+            volume, self.config, split_name(self.source)[0], self.source, tuple(more), truth
+        )
 
     def _sequence(self) -> OpenedImage:
         from accelsurf.viewer.core.opening import read_tracked
 
         truth, times = self._truth(), self.times
-        found = read_tracked(self.source, self.config, self.tracks, times.frame_time, times.frames_from_slices)
+        found = read_tracked(
+            self.source, self.config, self.tracks, times.frame_time, times.frames_from_slices
+        )
         return replace(found, reference=truth)
 
     def _truth(self) -> Volume | None:
@@ -146,7 +159,9 @@ class PageOptions:
     browser: Switch = False
     """Open a page in the browser, served from this machine, instead of a window; needs no screen. Ctrl-C ends it."""
 
-    host: Annotated[str | None, Parameter(group=SHOW, show_default="127.0.0.1, this machine alone")] = None
+    host: Annotated[
+        str | None, Parameter(group=SHOW, show_default="127.0.0.1, this machine alone")
+    ] = None
     """With --browser: address to listen on, for browsers on other machines. Nothing is encrypted."""
 
     port: Annotated[int | None, Parameter(group=SHOW, show_default="a free one")] = None
@@ -218,7 +233,11 @@ def view(
     overwrite
         Replace files in the folder that this session has not written.
     """
-    made, page, viewer = run_config(settings, config), page or PageOptions(), viewer or ViewerOptions()
+    made, page, viewer = (
+        run_config(settings, config),
+        page or PageOptions(),
+        viewer or ViewerOptions(),
+    )
     finished = None if input is None else finished_run(input)
     if finished is not None:
         input, before = finished
@@ -270,19 +289,37 @@ def finished_run(path: Path) -> tuple[Path, RunConfig] | None:
     from accelsurf.io import sha256
     from accelsurf.output import result_sets
 
-    known = sorted(path.glob("*_report.json")) if path.is_dir() else [path] if path.suffix == ".json" else []
-    documents = {each: result_sets.load_report(each) for each in known if not result_sets.is_failure_report(each)}
+    known = (
+        sorted(path.glob("*_report.json"))
+        if path.is_dir()
+        else [path]
+        if path.suffix == ".json"
+        else []
+    )
+    documents = {
+        each: result_sets.load_report(each)
+        for each in known
+        if not result_sets.is_failure_report(each)
+    }
     reports = {each: found for each, found in documents.items() if found is not None}
     if not reports:
         return None
     if len(reports) > 1:
-        raise InputError(f"{path}: there are several results: {', '.join(map(str, reports))}", "give one of them")
+        raise InputError(
+            f"{path}: there are several results: {', '.join(map(str, reports))}", "give one of them"
+        )
     ((report, document),) = reports.items()
     source, settings = document.get("input"), document.get("config")
-    if not isinstance(source, dict) or not isinstance(source.get("path"), str) or not isinstance(settings, dict):
+    if (
+        not isinstance(source, dict)
+        or not isinstance(source.get("path"), str)
+        or not isinstance(settings, dict)
+    ):
         raise InputError(f"{report}: names no image and settings to go on with", "give the image")
     image = Path(source["path"])
-    if not image.exists() or (source.get("sha256") and (not image.is_file() or sha256(image) != source["sha256"])):
+    if not image.exists() or (
+        source.get("sha256") and (not image.is_file() or sha256(image) != source["sha256"])
+    ):
         raise InputError(
             f"{image}: the image of the run is not there, or has changed",
             f"give where it is now: accelsurf view IMAGE --config {report.parent / '*run.toml'}",
@@ -290,7 +327,9 @@ def finished_run(path: Path) -> tuple[Path, RunConfig] | None:
     return image, RunConfig(**settings)
 
 
-def _check_given(image: Path | None, reference: Path | None, tracks: Path | None, times: TrackConfig) -> None:
+def _check_given(
+    image: Path | None, reference: Path | None, tracks: Path | None, times: TrackConfig
+) -> None:
     """Refuse inputs that lack their image, or exclude each other."""
     if image is None and (times.frame_time is not None or times.frames_from_slices):
         key = "frames_from_slices" if times.frames_from_slices else "frame_time"
@@ -314,7 +353,9 @@ def _opening(config: RunConfig, recent: bool, page: PageOptions) -> Opening:
         return Opening(config, listed)
     folder = page.folder or Path()
     if not folder.is_dir():
-        raise UsageError(f"--folder: {folder} was given, expected a folder", "give the folder of your images")
+        raise UsageError(
+            f"--folder: {folder} was given, expected a folder", "give the folder of your images"
+        )
     return Opening(config, listed, ServedFolder(folder))
 
 
@@ -363,13 +404,18 @@ def front_end(page: PageOptions, begin: Callable[[], None]) -> PageOptions:
         asked = {"--host": page.host, "--port": page.port, "--no-open": not page.open_page or None}
         for name, given in {**asked, "--folder": page.folder}.items():
             if given is not None:
-                raise UsageError(f"{name} was given for a window", "it has an effect with --browser only")
+                raise UsageError(
+                    f"{name} was given for a window", "it has an effect with --browser only"
+                )
         lack = display.lacks_window_packages()
         if not lack or not display.has_page_packages():
             display.require_display(meanwhile)
             _load_window()
             return page
-        print(f"note: {lack} ({display.INSTALL}); a page in the browser opens instead", file=sys.stderr)
+        print(
+            f"note: {lack} ({display.INSTALL}); a page in the browser opens instead",
+            file=sys.stderr,
+        )
     elif not display.has_page_packages():
         raise UsageError("browser: trame is not installed", display.INSTALL)
     meanwhile()
@@ -377,7 +423,9 @@ def front_end(page: PageOptions, begin: Callable[[], None]) -> PageOptions:
     return replace(page, browser=True)
 
 
-def _open_window(opening: Opening, first: ImageWithSession | None, settings: ViewerSettings) -> None:
+def _open_window(
+    opening: Opening, first: ImageWithSession | None, settings: ViewerSettings
+) -> None:
     """Open a window until the user closes it, or the run of the first image cannot be prepared.
 
     Raises

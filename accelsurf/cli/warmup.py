@@ -11,9 +11,7 @@ from cyclopts import Parameter
 from accelsurf.errors import OutputError
 
 
-def warmup(
-    *, quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False
-) -> int:
+def warmup(*, quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False) -> int:
     """Compile all kernels and store them, which the first runs would do otherwise: a minute or two, once.
 
     Run it after an installation or an update of accelsurf or numba, as the user who will segment, or with
@@ -41,7 +39,9 @@ def warmup(
         run()
     if not quiet:
         new = len(storage.stored() - before)
-        print(f"{new} kernels compiled and stored, {len(before)} were there, {time.perf_counter() - began:.1f} s")
+        print(
+            f"{new} kernels compiled and stored, {len(before)} were there, {time.perf_counter() - began:.1f} s"
+        )
         print(f"folder {storage.STORAGE}")
     return 0
 
@@ -52,7 +52,10 @@ def small_runs() -> dict[str, Callable[[], Any]]:
     from accelsurf.track import track
 
     return {
-        **segmentations.small_runs(), "windows": _in_windows, **track.small_runs(), "a picture": _picture,
+        **segmentations.small_runs(),
+        "windows": _in_windows,
+        **track.small_runs(),
+        "a picture": _picture,
     }
 
 

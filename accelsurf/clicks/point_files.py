@@ -20,12 +20,20 @@ from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
 
 #: Coordinate systems as Slicer names them, in words and, in older files, as numbers.
-_SYSTEMS = {"ras": Suffix(ras=True), "0": Suffix(ras=True), "lps": Suffix(), "1": Suffix(), "ijk": Suffix(vox=True),
-            "2": Suffix(vox=True)}
+_SYSTEMS = {
+    "ras": Suffix(ras=True),
+    "0": Suffix(ras=True),
+    "lps": Suffix(),
+    "1": Suffix(),
+    "ijk": Suffix(vox=True),
+    "2": Suffix(vox=True),
+}
 #: Columns of a table, and what their numbers are: Slicer's tables of control points, napari's points.
 _COLUMNS: dict[tuple[str, ...], Suffix] = {
-    ("r", "a", "s"): Suffix(ras=True), ("l", "p", "s"): Suffix(),
-    ("axis-2", "axis-1", "axis-0"): Suffix(vox=True), ("axis-1", "axis-0"): Suffix(vox=True),
+    ("r", "a", "s"): Suffix(ras=True),
+    ("l", "p", "s"): Suffix(),
+    ("axis-2", "axis-1", "axis-0"): Suffix(vox=True),
+    ("axis-1", "axis-0"): Suffix(vox=True),
 }
 #: Columns of an .fcsv file unless it says others.
 _FCSV_COLUMNS = ("id", "x", "y", "z")
@@ -83,7 +91,10 @@ def read_points(file: str) -> list[Coordinates]:
     found = []
     for rows, suffix in sets:
         if not all(abs(value) <= starts.MAX_LENGTH for row in rows for value in row):
-            raise InputError(f"{file}: a point has a coordinate that is no finite number", f"expected {_EXPECTED}")
+            raise InputError(
+                f"{file}: a point has a coordinate that is no finite number",
+                f"expected {_EXPECTED}",
+            )
         flat = [row if len(row) == 3 else (*row, 0.0) for row in rows]  # napari's, of one slice
         found += [Coordinates(suffix.in_lps(row), suffix.vox) for row in flat]
     if not found:
@@ -100,40 +111,63 @@ def _of_markups(file: str) -> list[_Points]:
         raise InputError(f"{file}: not JSON", f"expected {_EXPECTED}") from None
     markups = document.get("markups") if isinstance(document, Mapping) else None
     if not isinstance(markups, list) or not all(isinstance(markup, Mapping) for markup in markups):
-        raise InputError(f"{file}: it has no list of markups", "save it as markups (.mrk.json) in 3D Slicer")
+        raise InputError(
+            f"{file}: it has no list of markups", "save it as markups (.mrk.json) in 3D Slicer"
+        )
     return [_of_markup(file, markup) for markup in markups]
 
 
 def _of_markup(file: str, markup: Mapping[str, Any]) -> _Points:
     kind = markup.get("type", _CLICKED_MARKUPS[0])
     if kind not in _CLICKED_MARKUPS:
-        raise InputError(f"{file}: markups of the type {shown(kind)}", "save a point list, a line or a curve")
+        raise InputError(
+            f"{file}: markups of the type {shown(kind)}", "save a point list, a line or a curve"
+        )
     suffix = _system(file, markup.get("coordinateSystem", "LPS"))
     unit = markup.get("coordinateUnits", "mm")
-    unit = unit[0] if isinstance(unit, list) and unit else unit  # newer files have a code, its scheme and its meaning
+    unit = (
+        unit[0] if isinstance(unit, list) and unit else unit
+    )  # newer files have a code, its scheme and its meaning
     if not isinstance(unit, str) or unit not in UNITS_MM:
-        raise InputError(f"{file}: coordinates in {shown(unit)}, expected {', '.join(UNITS_MM)}", "save it in mm")
+        raise InputError(
+            f"{file}: coordinates in {shown(unit)}, expected {', '.join(UNITS_MM)}", "save it in mm"
+        )
     points = markup.get("controlPoints", [])
     if not isinstance(points, list) or not all(isinstance(point, Mapping) for point in points):
-        raise InputError(f"{file}: its control points are no list of points", f"expected {_EXPECTED}")
+        raise InputError(
+            f"{file}: its control points are no list of points", f"expected {_EXPECTED}"
+        )
     placed = [point for point in points if point.get("positionStatus", "defined") == "defined"]
-    return _Points([_position(file, point.get("position")) for point in placed], suffix._replace(unit=UNITS_MM[unit]))
+    return _Points(
+        [_position(file, point.get("position")) for point in placed],
+        suffix._replace(unit=UNITS_MM[unit]),
+    )
 
 
 def _position(file: str, value: Any) -> tuple[float, ...]:
     is_row = isinstance(value, list) and len(value) == 3
-    if not is_row or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value):
-        raise InputError(f"{file}: position {shown(value)} of a control point, expected three numbers", "save it again")
+    if not is_row or not all(
+        isinstance(v, (int, float)) and not isinstance(v, bool) for v in value
+    ):
+        raise InputError(
+            f"{file}: position {shown(value)} of a control point, expected three numbers",
+            "save it again",
+        )
     try:
         return tuple(float(v) for v in value)
     except OverflowError:
-        raise InputError(f"{file}: position {shown(value)} of a control point is too large", "save it again") from None
+        raise InputError(
+            f"{file}: position {shown(value)} of a control point is too large", "save it again"
+        ) from None
 
 
 def _system(file: str, name: Any) -> Suffix:
     suffix = _SYSTEMS.get(str(name).strip().lower())
     if suffix is None:
-        raise InputError(f"{file}: coordinate system {shown(name)}, expected RAS, LPS or IJK", "save it again as LPS")
+        raise InputError(
+            f"{file}: coordinate system {shown(name)}, expected RAS, LPS or IJK",
+            "save it again as LPS",
+        )
     return suffix
 
 
@@ -160,12 +194,16 @@ def _of_table(file: str) -> _Points:
     for names, suffix in _COLUMNS.items():
         if set(names) <= set(columns) and ("axis-3" not in columns):
             return _Points(_rows(file, lines[1:], columns, names), suffix)
-    raise InputError(f"{file}: {shown(','.join(columns))} was given as the first line", f"expected {_EXPECTED}")
+    raise InputError(
+        f"{file}: {shown(','.join(columns))} was given as the first line", f"expected {_EXPECTED}"
+    )
 
 
 def _of_landmarks(file: str) -> _Points:
     """The points of a text file as c3d takes them: X Y Z LABEL in each line, RAS."""
-    body = [",".join(line.split()) for line in _lines(file) if line.strip() and not line.startswith("#")]
+    body = [
+        ",".join(line.split()) for line in _lines(file) if line.strip() and not line.startswith("#")
+    ]
     return _Points(_rows(file, body, ["x", "y", "z", "label"], ("x", "y", "z")), Suffix(ras=True))
 
 
@@ -174,7 +212,9 @@ def _rows(
 ) -> list[tuple[float, ...]]:
     """Numbers of some columns of each line."""
     if not set(names) <= set(columns):
-        raise InputError(f"{file}: columns {shown(','.join(columns))} without {','.join(names)}", "save it again")
+        raise InputError(
+            f"{file}: columns {shown(','.join(columns))} without {','.join(names)}", "save it again"
+        )
     at, out = [columns.index(name) for name in names], []
     try:
         for row in csv.reader(lines, skipinitialspace=True):

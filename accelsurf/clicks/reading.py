@@ -71,11 +71,19 @@ def _parse_path(text: str) -> tuple[Floats, bool]:
     budgets.PATH.check(len(text), "a path", kind=UsageError)
     rest, suffix = split_suffix(text.strip().removeprefix("path:"))
     try:
-        rows = [suffix.in_lps([float(value) for value in row.split(",")]) for row in rest.split(";")]
+        rows = [
+            suffix.in_lps([float(value) for value in row.split(",")]) for row in rest.split(";")
+        ]
     except ValueError:
         rows = [()]
-    if any(len(row) != 4 or not 0 <= row[3] or not all(abs(v) <= starts.MAX_LENGTH for v in row) for row in rows):
-        raise UsageError(f"click {shown(text)!r}: x, y, z and a radius for each place expected", f"as in {_PATH_FORM}")
+    if any(
+        len(row) != 4 or not 0 <= row[3] or not all(abs(v) <= starts.MAX_LENGTH for v in row)
+        for row in rows
+    ):
+        raise UsageError(
+            f"click {shown(text)!r}: x, y, z and a radius for each place expected",
+            f"as in {_PATH_FORM}",
+        )
     return np.array(rows), suffix.vox
 
 
@@ -110,7 +118,9 @@ def _click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Cl
     radii = rows[:, 3] * finest if is_vox else rows[:, 3]
     pieces = [(places[i : i + 2], radii[i : i + 2]) for i in range(max(len(rows) - 1, 1))]
     boxes = (_extent(*piece, geometry) for piece in pieces)
-    budgets.PATH_VOXELS.check(sum(int(np.prod(np.maximum(b - a, 0), dtype=object)) for a, b in boxes), f"{side} path")
+    budgets.PATH_VOXELS.check(
+        sum(int(np.prod(np.maximum(b - a, 0), dtype=object)) for a, b in boxes), f"{side} path"
+    )
     parts = [segment_voxels(*piece, geometry) for piece in pieces]
     found = [part for part in parts if part is not None]
     if not found:
@@ -124,7 +134,9 @@ def _click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Cl
     return Click(side, box, mask, id)
 
 
-def segment_voxels(places: Floats, radii: Sequence[float] | Floats, geometry: Geometry) -> tuple[Box, NDArray] | None:
+def segment_voxels(
+    places: Floats, radii: Sequence[float] | Floats, geometry: Geometry
+) -> tuple[Box, NDArray] | None:
     """Voxels of a piece of a path, in their box; None where none lies in the volume.
 
     Parameters
@@ -139,11 +151,15 @@ def segment_voxels(places: Floats, radii: Sequence[float] | Floats, geometry: Ge
     low, high = _extent(places, radii, geometry)
     if (low >= high).any():
         return None
-    axes = np.meshgrid(*[np.arange(a, b) for a, b in zip(low, high, strict=True)], indexing="ij", sparse=True)
+    axes = np.meshgrid(
+        *[np.arange(a, b) for a, b in zip(low, high, strict=True)], indexing="ij", sparse=True
+    )
     along = (last - first) * spacing
     offsets = [(axis - c) * h for axis, c, h in zip(axes, first, spacing, strict=True)]
     length2 = float(along @ along)
-    share = sum(o * a for o, a in zip(offsets, along, strict=True)) / length2 if length2 > 0 else 0.0
+    share = (
+        sum(o * a for o, a in zip(offsets, along, strict=True)) / length2 if length2 > 0 else 0.0
+    )
     share = np.clip(share, 0.0, 1.0)
     distance2 = sum((o - share * a) ** 2 for o, a in zip(offsets, along, strict=True))
     reach = (1.0 + _ROUNDED) * (radii[0] + share * (radii[-1] - radii[0]))
@@ -156,7 +172,9 @@ def segment_voxels(places: Floats, radii: Sequence[float] | Floats, geometry: Ge
     return tightened(box_at((int(low[0]), int(low[1]), int(low[2])), mask.shape), mask)
 
 
-def _extent(places: Floats, radii: Sequence[float] | Floats, geometry: Geometry) -> tuple[NDArray, NDArray]:
+def _extent(
+    places: Floats, radii: Sequence[float] | Floats, geometry: Geometry
+) -> tuple[NDArray, NDArray]:
     """First voxel that a piece of a path may reach in the volume, and the one after the last."""
     width, shape = max(radii) / np.array(geometry.spacing), np.array(geometry.shape)
     low = np.clip(np.floor(places.min(axis=0) - width), 0, shape)
@@ -260,12 +278,20 @@ def clicks_of(
         As of `read_clicks`.
     """
     read = [
-        click for side in SIDES for click in read_clicks(getattr(written, side), side, volume, image, id or 1, window)
+        click
+        for side in SIDES
+        for click in read_clicks(getattr(written, side), side, volume, image, id or 1, window)
     ]
-    return [click._replace(side="inside", id=NO_OBJECT) for click in read] if has_ids and not id else read
+    return (
+        [click._replace(side="inside", id=NO_OBJECT) for click in read]
+        if has_ids and not id
+        else read
+    )
 
 
-def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int] = (0, 0, 0)) -> None:
+def check_contradictions(
+    clicks: Clicks, geometry: Geometry, first: Sequence[int] = (0, 0, 0)
+) -> None:
     """Refuse voxels that are clicked on both sides of an object, or inside two objects.
 
     Parameters
@@ -281,7 +307,9 @@ def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int
     InputError
         With the first such voxel, as index and in mm.
     """
-    boxes = np.array([[(side.start, side.stop) for side in click.box] for click in clicks.clicks]).reshape(-1, 3, 2)
+    boxes = np.array(
+        [[(side.start, side.stop) for side in click.box] for click in clicks.clicks]
+    ).reshape(-1, 3, 2)
     found = []
     for click, near in zip(clicks.clicks, meeting(boxes[..., 0], boxes[..., 1]), strict=True):
         for other in (clicks.clicks[number] for number in near):
@@ -294,7 +322,8 @@ def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int
         of = "" if {click.id for click in clicks.clicks} == {1} else f" of object {id}"
         where = voxel_named(np.array(voxel), geometry, first)
         raise InputError(
-            f"clicks: {where} is clicked both inside and outside{of}", "take one away, or make one smaller"
+            f"clicks: {where} is clicked both inside and outside{of}",
+            "take one away, or make one smaller",
         )
 
 
@@ -309,11 +338,14 @@ def check_left(before: Clicks, after: Clicks) -> None:
     for id in sorted(set(before.ids()) - set(after.ids()) - {NO_OBJECT}):
         of = "" if {click.id for click in before.clicks} == {1} else f" of object {id}"
         raise InputError(
-            f"clicks: nothing would be left that is clicked inside{of}", "click inside elsewhere first, or smaller"
+            f"clicks: nothing would be left that is clicked inside{of}",
+            "click inside elsewhere first, or smaller",
         )
 
 
-def voxel_named(index: NDArray[np.int64], geometry: Geometry, first: Sequence[int] = (0, 0, 0)) -> str:
+def voxel_named(
+    index: NDArray[np.int64], geometry: Geometry, first: Sequence[int] = (0, 0, 0)
+) -> str:
     """Return the name of a voxel (z, y, x) in messages: its index x,y,z in the image, and its place in mm."""
     place = np.asarray(index) + np.asarray(first)
     world = ",".join(f"{value:.4g}" for value in geometry.index_to_world(place.astype(float)))
@@ -332,7 +364,11 @@ def point_voxels(
         When one lies outside the volume.
     """
     places = np.array([[float(v) for v in point[:3]] for point in points])
-    index = places[:, ::-1] if vox else np.array([geometry.world_to_index(tuple(place)) for place in places])
+    index = (
+        places[:, ::-1]
+        if vox
+        else np.array([geometry.world_to_index(tuple(place)) for place in places])
+    )
     voxels = np.floor(index + 0.5).astype(np.int64)
     beyond = ((voxels < 0) | (voxels >= np.array(geometry.shape))).any(axis=1)
     if beyond.any():
@@ -350,13 +386,17 @@ def click_of_mask(side: Side, mask: NDArray[np.bool_], id: int = 1) -> Click:
     return Click(side, *tight, id)
 
 
-def _click_of_ball(side: Side, centre: Sequence[float], radius: float, geometry: Geometry, id: int = 1) -> Click:
+def _click_of_ball(
+    side: Side, centre: Sequence[float], radius: float, geometry: Geometry, id: int = 1
+) -> Click:
     """Return a click of the voxels in a ball: its ``centre`` as index (z, y, x), its ``radius`` in mm."""
     nearest = np.clip(np.rint(centre), 0, np.array(geometry.shape) - 1).astype(int)
     a, b, c = (slice(int(i), int(i) + 1) for i in nearest)
     reach = [math.ceil(radius / h) + 1 for h in geometry.spacing]
     box = widened((a, b, c), geometry.shape, reach)
-    tight = tightened(box, np.asarray(ball_distance(box, geometry.spacing, centre, radius) <= _ROUNDED * radius))
+    tight = tightened(
+        box, np.asarray(ball_distance(box, geometry.spacing, centre, radius) <= _ROUNDED * radius)
+    )
     assert tight is not None
     return Click(side, *tight, id)
 
@@ -370,7 +410,9 @@ def click_of_voxels(side: Side, voxels: NDArray[np.int64], id: int = 1) -> Click
     return Click(side, (z, y, x), mask, id)
 
 
-def click_of_numbers(side: Side, ball: Sequence[float], vox: bool, geometry: Geometry, id: int = 1) -> Click:
+def click_of_numbers(
+    side: Side, ball: Sequence[float], vox: bool, geometry: Geometry, id: int = 1
+) -> Click:
     """Return a click of a ball (x, y, z, r) in world mm, or in voxels.
 
     Raises
@@ -388,23 +430,42 @@ def click_of_numbers(side: Side, ball: Sequence[float], vox: bool, geometry: Geo
 def _point(text: str, rest: str) -> Coordinates:
     budgets.EXPRESSION.check(len(text), "a point", kind=UsageError)
     point = coordinates_of(rest)
-    if point is None or len(point.numbers) != 3 or not all(abs(v) <= starts.MAX_LENGTH for v in point.numbers):
-        raise UsageError(f"click {shown(text)!r}: 3 numbers separated by commas expected", f"as in {KINDS['point']}")
+    if (
+        point is None
+        or len(point.numbers) != 3
+        or not all(abs(v) <= starts.MAX_LENGTH for v in point.numbers)
+    ):
+        raise UsageError(
+            f"click {shown(text)!r}: 3 numbers separated by commas expected",
+            f"as in {KINDS['point']}",
+        )
     return point
 
 
 def _of_start(
-    text: str, side: Side, volume: Volume, image: NDArray[np.float32] | None, id: int, window: Window
+    text: str,
+    side: Side,
+    volume: Volume,
+    image: NDArray[np.float32] | None,
+    id: int,
+    window: Window,
 ) -> list[Click]:
     """A click that is written as a start."""
     try:
         start = starts.parse(text)
         if start.kind == "ball":
-            return _within(window, [_click_of_ball(side, *starts.ball_of(text, window.geometry), window.geometry, id)])
+            return _within(
+                window,
+                [_click_of_ball(side, *starts.ball_of(text, window.geometry), window.geometry, id)],
+            )
         return [click_of_mask(side, starts.build([text], volume, image, window) < 0, id)]
     except AccelsurfError as error:
         message = error.message.replace("start ", f"{side} ", 1)
-        hint = error.hint.replace("use one of ", f"use one of {', '.join(KINDS.values())}, ") if error.hint else ""
+        hint = (
+            error.hint.replace("use one of ", f"use one of {', '.join(KINDS.values())}, ")
+            if error.hint
+            else ""
+        )
         raise type(error)(message, hint) from None
 
 
@@ -418,30 +479,46 @@ def _stroke(text: str, file: str, side: Side, window: Window, id: int) -> list[C
     found = [int(value) for value in np.unique(labels)]
     unknown = [value for value in found if value not in (0, *_LABELS)]
     if unknown:
-        raise InputError(f"stroke:{file}: label {unknown[0]} was given, expected 1 (inside), 2 (outside) and 0", "")
+        raise InputError(
+            f"stroke:{file}: label {unknown[0]} was given, expected 1 (inside), 2 (outside) and 0",
+            "",
+        )
     masks = {way: labels == label for label, way in _LABELS.items()}
     if not masks[side].any():
-        raise InputError(f"{side} stroke:{file}: no voxel has its label", "1 is inside, 2 is outside")
+        raise InputError(
+            f"{side} stroke:{file}: no voxel has its label", "1 is inside, 2 is outside"
+        )
     return [click_of_mask(way, masks[way], id) for way in SIDES if masks[way].any()]
 
 
 def _stroke_of_points(file: str, side: Side, geometry: Geometry, id: int) -> list[Click]:
     """The clicks of a table: one for the points of each side, and one for each ball."""
     rows = read_table(
-        file, WORLD_COLUMNS, VOXEL_COLUMNS, _STROKE,
+        file,
+        WORLD_COLUMNS,
+        VOXEL_COLUMNS,
+        _STROKE,
         lambda line, number, vox: (vox, *stroke_row(line, number, vox, side)),
     )
     if not rows:
         raise InputError(f"{file}: it has no row", f"expected {_STROKE}")
     vox, out = rows[0][0], list[Click]()
     for way in SIDES:
-        points = [numbers[:3] for _, row_side, numbers in rows if row_side == way and numbers[3] == 0]
+        points = [
+            numbers[:3] for _, row_side, numbers in rows if row_side == way and numbers[3] == 0
+        ]
         if points:
             out.append(click_of_voxels(way, point_voxels(points, file, way, geometry, vox), id))
-    return out + [click_of_numbers(way, numbers, vox, geometry, id) for _, way, numbers in rows if numbers[3] > 0]
+    return out + [
+        click_of_numbers(way, numbers, vox, geometry, id)
+        for _, way, numbers in rows
+        if numbers[3] > 0
+    ]
 
 
-def stroke_row(line: dict[str, str], number: int, vox: bool, side: Side) -> tuple[Side, tuple[float, ...]]:
+def stroke_row(
+    line: dict[str, str], number: int, vox: bool, side: Side
+) -> tuple[Side, tuple[float, ...]]:
     """Side and (x, y, z, r) of a row of a stroke; r is 0 for a point.
 
     Raises
@@ -452,11 +529,16 @@ def stroke_row(line: dict[str, str], number: int, vox: bool, side: Side) -> tupl
     given = ",".join(str(value) for value in line.values() if isinstance(value, str))
     names = (*(VOXEL_COLUMNS if vox else WORLD_COLUMNS), "r_vox" if vox else "r")
     try:
-        numbers = tuple(float(line.get(name) or ("0" if name.startswith("r") else "")) for name in names)
+        numbers = tuple(
+            float(line.get(name) or ("0" if name.startswith("r") else "")) for name in names
+        )
     except (TypeError, ValueError):
         numbers = ()
     if not numbers or not all(abs(v) <= starts.MAX_LENGTH for v in numbers) or numbers[3] < 0:
-        raise InputError(f"line {number}: {given} was given, expected three numbers, and no radius below 0", _STROKE)
+        raise InputError(
+            f"line {number}: {given} was given, expected three numbers, and no radius below 0",
+            _STROKE,
+        )
     return side_of(line, number, side), numbers
 
 
@@ -473,7 +555,9 @@ def side_of(line: dict[str, str], number: int, otherwise: Side) -> Side:
         if word == side:
             return side
     if word:
-        raise InputError(f"line {number}: side {shown(word)} was given, expected inside or outside", _STROKE)
+        raise InputError(
+            f"line {number}: side {shown(word)} was given, expected inside or outside", _STROKE
+        )
     return otherwise
 
 
@@ -491,10 +575,14 @@ def on_image(clicks: Clicks | None, first: Corner, shape: tuple[int, int, int]) 
     """
     if clicks is None or not clicks.clicks:
         return None
-    return Clicks(tuple(click._replace(box=placed_at(click.box, first)) for click in clicks.clicks), shape)
+    return Clicks(
+        tuple(click._replace(box=placed_at(click.box, first)) for click in clicks.clicks), shape
+    )
 
 
-def clicked_voxels(clicks: Clicks | None, id: int, first: Corner, box: Box) -> NDArray[np.bool_] | None:
+def clicked_voxels(
+    clicks: Clicks | None, id: int, first: Corner, box: Box
+) -> NDArray[np.bool_] | None:
     """Voxels that are clicked inside or outside of an object; None without clicks.
 
     Parameters

@@ -40,14 +40,23 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
         return None
     world, voxels = ("id", *reading.WORLD_COLUMNS), ("id", *reading.VOXEL_COLUMNS)
     rows = read_table(
-        objects, world, voxels, _FORM, lambda line, number, vox: _click_of_row(line, number, vox, geometry)
+        objects,
+        world,
+        voxels,
+        _FORM,
+        lambda line, number, vox: _click_of_row(line, number, vox, geometry),
     )
     found = Clicks(tuple(rows), geometry.shape)
     if not any(found.ids()):
-        raise InputError(f"{objects}: no row is inside an object", "an id from 1 on, and the side inside")
+        raise InputError(
+            f"{objects}: no row is inside an object", "an id from 1 on, and the side inside"
+        )
     lost = {click.id for click in rows} - set(found.ids())
     if lost:
-        raise InputError(f"{objects}: id {min(lost)} has no row inside", "give it one, or take its other rows away")
+        raise InputError(
+            f"{objects}: id {min(lost)} has no row inside",
+            "give it one, or take its other rows away",
+        )
     reading.check_contradictions(found, geometry)
     return found
 
@@ -75,13 +84,21 @@ def _click_of_row(line: dict[str, str], number: int, vox: bool, geometry: Geomet
     except ValueError:
         number_given = -1.0
     if not 0 <= number_given <= MAX_ID or number_given != int(number_given):
-        raise InputError(f"line {number}: id {line.get('id')} was given, expected a whole number from 0 on", _FORM)
+        raise InputError(
+            f"line {number}: id {line.get('id')} was given, expected a whole number from 0 on",
+            _FORM,
+        )
     side, numbers = reading.stroke_row(line, number, vox, "inside")
     name, id = f"line {number}", int(number_given)
     if id == NO_OBJECT and side == "outside":
-        raise InputError(f"{name}: id 0 is no object, so nothing is outside of it", "write inside, or an object's id")
+        raise InputError(
+            f"{name}: id 0 is no object, so nothing is outside of it",
+            "write inside, or an object's id",
+        )
     if numbers[3] == 0:
-        return reading.click_of_voxels(side, reading.point_voxels([numbers], name, side, geometry, vox), id)
+        return reading.click_of_voxels(
+            side, reading.point_voxels([numbers], name, side, geometry, vox), id
+        )
     return reading.click_of_numbers(side, numbers, vox, geometry, id)
 
 

@@ -32,19 +32,30 @@ class CorrectedSurface(NamedTuple):
 
 def surface_of(segmented: SegmentedObject, region: Box) -> CorrectedSurface:
     """The surface of an object of a result on the grid of its region of interest, as a copy."""
-    box = tuple(slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(segmented.box, region, strict=True))
+    box = tuple(
+        slice(max(s.start, r.start), min(s.stop, r.stop))
+        for s, r in zip(segmented.box, region, strict=True)
+    )
     psi = np.array(
-        segmented.psi[counted_from((box[0], box[1], box[2]), corner_of(segmented.box))], np.float32, order="C"
+        segmented.psi[counted_from((box[0], box[1], box[2]), corner_of(segmented.box))],
+        np.float32,
+        order="C",
     )
     z, y, x = (s.start - r.start for s, r in zip(box, region, strict=True))
-    return CorrectedSurface(segmented.id, (z, y, x), psi, count_inside(psi), segmented.history, segmented.stop)
+    return CorrectedSurface(
+        segmented.id, (z, y, x), psi, count_inside(psi), segmented.history, segmented.stop
+    )
 
 
 def frozen_settings(result: Result) -> RunConfig:
     """The settings at the end of a run, with numbers in place of settings that were measured on the whole image."""
     done = result.config.edit[: result.edits_done]
     settings = result.config.replace(edit=done).at(max((edit.step for edit in done), default=0))
-    contrasts = [term["contrast"] for term in result.objects[0].terms if isinstance(term.get("contrast"), float)]
+    contrasts = [
+        term["contrast"]
+        for term in result.objects[0].terms
+        if isinstance(term.get("contrast"), float)
+    ]
     if settings.edge_contrast == "auto" and contrasts:
         settings = settings.replace(edge_contrast=contrasts[0])
     if settings.flow == AUTO:
@@ -57,7 +68,9 @@ def count_inside(psi: NDArray[np.float32]) -> int:
     return int(np.count_nonzero(psi < 0))
 
 
-def part_of_image(before: Box, corner: Corner, now: CorrectedSurface, prepared: PreprocessedInput) -> Box:
+def part_of_image(
+    before: Box, corner: Corner, now: CorrectedSurface, prepared: PreprocessedInput
+) -> Box:
     """The part of the image of one of several objects after a correction.
 
     What it was ``before``, and its array, from voxel ``corner`` of the image on; with room beyond the region of
@@ -65,7 +78,9 @@ def part_of_image(before: Box, corner: Corner, now: CorrectedSurface, prepared: 
     """
     out = []
     image = prepared.volumes[0].geometry.shape
-    for old, c, n, region, whole in zip(before, corner, now.psi.shape, prepared.box, image, strict=True):
+    for old, c, n, region, whole in zip(
+        before, corner, now.psi.shape, prepared.box, image, strict=True
+    ):
         low = c - (AROUND if c == region.start else 0)
         high = c + n + (AROUND if c + n == region.stop else 0)
         out.append(slice(max(min(low, old.start), 0), min(max(high, old.stop), whole)))
@@ -79,5 +94,7 @@ def stop_of_whole(stop: Stop, inside: int, voxels: int) -> Stop:
     if inside == voxels:
         return stop._replace(reason="filled", message="the corrected object fills the whole volume")
     if stop.reason in ("vanished", "filled"):
-        return stop._replace(reason="converged", message="the correction left no surface near the click")
+        return stop._replace(
+            reason="converged", message="the correction left no surface near the click"
+        )
     return stop

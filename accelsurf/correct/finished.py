@@ -59,7 +59,10 @@ def result_of(run: Run) -> Result:
         state=None if config.keep_state == "no" else state_at_end(run),
         other_labels=run.prepared.other_labels,
         warnings=run.level_warnings
-        + [f"edit at step {edit.step} was not made: the run ended after {steps} steps" for edit in missed],
+        + [
+            f"edit at step {edit.step} was not made: the run ended after {steps} steps"
+            for edit in missed
+        ],
     )
 
 
@@ -80,7 +83,9 @@ def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
         if stop is None:
             record = step.record
             history.append(record)
-            stop = Stop("interrupted", record.step, record.t, f"not ended after {record.step} steps")
+            stop = Stop(
+                "interrupted", record.step, record.t, f"not ended after {record.step} steps"
+            )
         out.append((history, stop))
     return out
 
@@ -98,15 +103,27 @@ def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
     learned, whole = run.prepared.learned_by(evolving.context), whole_box(run.volume.geometry.shape)
     plateaus = plateaus_of(evolving.evolution.state.rests.found, run.prepared, whole)
     return SegmentedObject(
-        1, whole, psi, image, run.volume.geometry, history, stop, evolving.made.terms, learned, plateaus,
-        clicked_voxels(run.clicks, 1, run.prepared.first, whole), _confidence(run, evolving),
+        1,
+        whole,
+        psi,
+        image,
+        run.volume.geometry,
+        history,
+        stop,
+        evolving.made.terms,
+        learned,
+        plateaus,
+        clicked_voxels(run.clicks, 1, run.prepared.first, whole),
+        _confidence(run, evolving),
     )
 
 
 def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedObject, ...]:
     """The objects of a run of several, each on a part of the grid a little larger than its own."""
     geometry, objects = run.volume.geometry, []
-    for evolving, (first, psi), (history, stop) in zip(run.objects, run.separated(), _ending(run), strict=True):
+    for evolving, (first, psi), (history, stop) in zip(
+        run.objects, run.separated(), _ending(run), strict=True
+    ):
         corner = run.prepared.corner_on_image(first)
         box = widened(box_at(corner, psi.shape), geometry.shape, (AROUND, AROUND, AROUND))
         around = closed_on(psi, corner, box)
@@ -139,7 +156,9 @@ def _resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
     rule = stop_rule(config, levels)
     return {
         "flow": config.flow,
-        "flow_why": run.flow_choice.why if run.config.flow == AUTO else f"{config.flow}, as it was given",
+        "flow_why": run.flow_choice.why
+        if run.config.flow == AUTO
+        else f"{config.flow}, as it was given",
         "presmooth_mm": prepared.filters.sigma,
         "closing_mm": prepared.filters.closing,
         "scale": [{"at_0": low, "at_1": low + width} for low, width in prepared.context.scales],
@@ -175,7 +194,9 @@ def finished(
         while made := run.step():
             asked = False
             for step in (step for step in made if step.object_id != NO_OBJECT):
-                evolving = next(evolving for evolving in run.objects if evolving.id == step.object_id)
+                evolving = next(
+                    evolving for evolving in run.objects if evolving.id == step.object_id
+                )
                 growth.watch(step, run.grid, evolving.corner, run.prepared.first)
                 if on_step is not None and on_step(step.record, step.object_id):
                     asked = True

@@ -97,7 +97,11 @@ def evolve_near(problem: LocalProblem, id: int, stepping: Stepping) -> LocalOutc
 
 
 def evolve_bounded(
-    problem: LocalProblem, id: int, stepping: Stepping, begin: NDArray[np.float32], bounds: ClickBounds,
+    problem: LocalProblem,
+    id: int,
+    stepping: Stepping,
+    begin: NDArray[np.float32],
+    bounds: ClickBounds,
     surface: LevelSet | None = None,
 ) -> LocalOutcome:
     """Evolve the surface in the region from another one, within bounds; the other parameters are of `evolve_near`.
@@ -137,21 +141,32 @@ def _surface_before(problem: LocalProblem, stepping: Stepping) -> LevelSet:
     """The surface before, with the band of the solver."""
     setup, nothing = problem.setup, np.ones(problem.psi.shape, np.float32)
     surface = LevelSet(
-        nothing, problem.spacing, setup.half_width, stepping.workers, overwrite=True, extension=setup.extension
+        nothing,
+        problem.spacing,
+        setup.half_width,
+        stepping.workers,
+        overwrite=True,
+        extension=setup.extension,
     )
     _restore(surface, problem.psi)
     return surface
 
 
 def evolve_to_end(
-    evolution: Evolution, setup: SolverSetup, on_step: OnStep | None, volume: float = 0.0, area: float = 0.0
+    evolution: Evolution,
+    setup: SolverSetup,
+    on_step: OnStep | None,
+    volume: float = 0.0,
+    area: float = 0.0,
 ) -> Stop:
     """Run an evolution to its end; ``volume`` and ``area``, mm3 and mm2, of the object beyond its box are added."""
     leaked = False
     for step in evolution:
         record = step.record
         if volume or area:
-            record = record._replace(volume_mm3=record.volume_mm3 + volume, area_mm2=record.area_mm2 + area)
+            record = record._replace(
+                volume_mm3=record.volume_mm3 + volume, area_mm2=record.area_mm2 + area
+            )
             evolution.history[-1] = record
         leaked = setup.max_volume is not None and record.volume_mm3 > setup.max_volume
         if leaked or (on_step is not None and on_step(record)):
@@ -175,7 +190,9 @@ def _restore(surface: LevelSet, psi: NDArray[np.float32]) -> None:
     surface.restore(band, inside.reshape(-1), beyond, surface.requested_half_width)
 
 
-def _relabel(psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spacing: Spacing) -> None:
+def _relabel(
+    psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spacing: Spacing
+) -> None:
     """Bring voxels of a basin to their side, in place, with distances around them as far as a band may go."""
     margin = [math.ceil(RELABEL_REACH * max(axis_steps(psi.shape, spacing)) / h) for h in spacing]
     box = bounding_box(basin)
@@ -187,7 +204,11 @@ def _relabel(psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spa
 
 
 def relabelled_psi(
-    psi: NDArray[np.float32], inside: NDArray[np.bool_], spacing: Spacing, half_width: float, workers: Workers
+    psi: NDArray[np.float32],
+    inside: NDArray[np.bool_],
+    spacing: Spacing,
+    half_width: float,
+    workers: Workers,
 ) -> NDArray[np.float32]:
     """Return psi of a surface with other voxels inside; away from those that change it has the same bytes.
 
@@ -217,7 +238,9 @@ def _distance_to(mask: NDArray[np.bool_], spacing: Spacing) -> NDArray[np.float3
     """Signed distance, mm, to some voxels, negative in them; no number is larger than that of `RELABEL_REACH`."""
     steps = axis_steps(mask.shape, spacing)
     reach, half = np.float32(RELABEL_REACH * max(steps)), np.float32(0.5 * min(steps))
-    to_mask, to_others = (distances_within(side, spacing, float(reach)) for side in (np.array(mask), ~mask))
+    to_mask, to_others = (
+        distances_within(side, spacing, float(reach)) for side in (np.array(mask), ~mask)
+    )
     return np.where(mask, half - np.minimum(to_others, reach), np.minimum(to_mask, reach) - half)
 
 

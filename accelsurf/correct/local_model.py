@@ -43,7 +43,9 @@ class LocalModel:
         Makes the model of clicks from one of the first of them.
     """
 
-    def __init__(self, state: ClickModel, spacing: Spacing, make: Callable[[Clicks, ClickModel], ClickModel]) -> None:
+    def __init__(
+        self, state: ClickModel, spacing: Spacing, make: Callable[[Clicks, ClickModel], ClickModel]
+    ) -> None:
         self.state, self.spacing, self._make = state, spacing, make
 
     def field_on(self, box: Box) -> Image:
@@ -76,7 +78,9 @@ class LocalModel:
         self.state = change.before
 
 
-def basin_of(click: Click, change: ModelChange, model: LocalModel, surface: CorrectedSurface) -> Click:
+def basin_of(
+    click: Click, change: ModelChange, model: LocalModel, surface: CorrectedSurface
+) -> Click:
     """Return the basin of a click, as a click: its voxels, and those that the model relabels to its side.
 
     Of those, the voxels that the model relabels because of the click: also a part that an outside click cuts off,
@@ -95,7 +99,9 @@ def basin_of(click: Click, change: ModelChange, model: LocalModel, surface: Corr
     surface : CorrectedSurface
     """
     spacing = model.spacing
-    near = automatic_near(surface.psi, [click._replace(box=counted_from(click.box, surface.corner))], spacing)
+    near = automatic_near(
+        surface.psi, [click._replace(box=counted_from(click.box, surface.corner))], spacing
+    )
     around = around_clicks([click], near, 0.0, model.state.clicks.shape, spacing, 0.0)
     box = enclosing(around.box, change.box)
     on_side = model.state.inside_on(box) == (click.side == "inside")
@@ -128,4 +134,8 @@ def _thicker_than_a_voxel(mask: Mask, spacing: Spacing) -> Mask:
 
 def local_model(context: ImageContext, state: ClickModel) -> LocalModel:
     """The model of an object of a finished run, from its ``state`` on."""
-    return LocalModel(state, context.spacing, lambda clicks, before: context.with_clicks(clicks).click_model(before))
+    return LocalModel(
+        state,
+        context.spacing,
+        lambda clicks, before: context.with_clicks(clicks).click_model(before),
+    )

@@ -30,7 +30,15 @@ from accelsurf.correct.region import NearRegion
 from accelsurf.energies import Energy, RegionField
 from accelsurf.energies.constraints.mask import MaskConstraint, mask_distance
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.boxes import Box, bounding_box, box_at, counted_from, placed_at, tightened, widened
+from accelsurf.grid.boxes import (
+    Box,
+    bounding_box,
+    box_at,
+    counted_from,
+    placed_at,
+    tightened,
+    widened,
+)
 from accelsurf.grid.click_bounds import ClickBounds, click_bounds
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.grid.pyramid import Level
@@ -71,7 +79,9 @@ class Mended(NamedTuple):
     voxels: int
 
 
-def mend(objects: CorrectedObjects, number: int, correction: Correction, stepping: Stepping) -> Mended:
+def mend(
+    objects: CorrectedObjects, number: int, correction: Correction, stepping: Stepping
+) -> Mended:
     """Remove islands, fill holes, and bring the border of an object to edges; voxels of others are not entered.
 
     Parameters
@@ -94,7 +104,9 @@ def mend(objects: CorrectedObjects, number: int, correction: Correction, steppin
     place = objects.place_of(id)
     inside = bounding_box(objects.surfaces[place].psi < 0)
     if inside is None:
-        raise InputError(f"refine: object {id} has no voxel", "remove it, or begin it anew with new")
+        raise InputError(
+            f"refine: object {id} has no voxel", "remove it, or begin it anew with new"
+        )
     inside = placed_at(inside, objects.surfaces[place].corner)
     settings = objects.models.settings_of(id)
     sigma = _sigma(correction.to_edges or 0.0, objects.spacing)
@@ -119,21 +131,38 @@ def mend(objects: CorrectedObjects, number: int, correction: Correction, steppin
         energy: Energy = RegionField(field, settings.smoothness or AREA * min(objects.spacing))
         if distance is not None:
             energy = MaskConstraint(energy, distance)
-        setup = setup_of(settings, 0, 1, objects.prepared.geometry)._replace(rule=correction_rule(settings))
+        setup = setup_of(settings, 0, 1, objects.prepared.geometry)._replace(
+            rule=correction_rule(settings)
+        )
         region = NearRegion(box, np.abs(before) <= correction.to_edges, 0.0)
         bounds = _band(before, correction.to_edges, clicks, max(steps))
         problem = LocalProblem(
-            outcome.psi, objects.spacing, region, bounds, [], frozenset(), energy, setup, outcome.history
+            outcome.psi,
+            objects.spacing,
+            region,
+            bounds,
+            [],
+            frozenset(),
+            energy,
+            setup,
+            outcome.history,
         )
         outcome = evolve_bounded(problem, id, stepping, outcome.psi, bounds)
         outcome = _tidied(outcome, correction, is_open, clicks, objects, stepping)
     count = surface.inside + count_inside(outcome.psi) - count_inside(psi)
     if count == 0:
-        raise InputError(f"refine: nothing of object {id} would be left", "give smaller islands, or a smaller to_edges")
+        raise InputError(
+            f"refine: nothing of object {id} would be left",
+            "give smaller islands, or a smaller to_edges",
+        )
     stop = stop_of_whole(outcome.stop, count, math.prod(objects.shape))
-    objects.put(place, here, outcome.psi, surface._replace(inside=count, history=outcome.history, stop=stop))
+    objects.put(
+        place, here, outcome.psi, surface._replace(inside=count, history=outcome.history, stop=stop)
+    )
     objects.models.begin_given(number, id, _mask_of(objects.surfaces[place]))
-    return Mended(objects.surfaces[place], box, int(np.count_nonzero((outcome.psi < 0) != (psi < 0))))
+    return Mended(
+        objects.surfaces[place], box, int(np.count_nonzero((outcome.psi < 0) != (psi < 0)))
+    )
 
 
 def _object_of(objects: CorrectedObjects, correction: Correction) -> int:
@@ -183,9 +212,15 @@ def edge_field(
     >>> (edge_field([image], distance, (1.0, 1.0, 1.0), 3.0) < 0).sum()
     np.int64(9)
     """
-    sigma = [_sigma(most, spacing) / h if n > 1 else 0.0 for h, n in zip(spacing, before.shape, strict=True)]
+    sigma = [
+        _sigma(most, spacing) / h if n > 1 else 0.0
+        for h, n in zip(spacing, before.shape, strict=True)
+    ]
     smooth = [gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in images]
-    band, old = np.abs(before) <= most, np.float32(OLD_PLACE) * np.clip(before / np.float32(most), -1.0, 1.0)
+    band, old = (
+        np.abs(before) <= most,
+        np.float32(OLD_PLACE) * np.clip(before / np.float32(most), -1.0, 1.0),
+    )
     distance, field = before, old
     for number in range(ROUNDS):
         if number:
@@ -194,13 +229,19 @@ def edge_field(
                 break
             distance = mask_distance(inside, spacing)
         mixed = MIXED * min(spacing)
-        pulls = [_pull(image, even, distance, sigma, mixed) for image, even in zip(images, smooth, strict=True)]
+        pulls = [
+            _pull(image, even, distance, sigma, mixed)
+            for image, even in zip(images, smooth, strict=True)
+        ]
         field = np.asarray(np.mean(pulls, axis=0) + old, np.float32)
     return field
 
 
 def _pull(
-    image: NDArray[np.float32], smooth: NDArray[np.float32], distance: NDArray[np.float32], sigma: Sequence[float],
+    image: NDArray[np.float32],
+    smooth: NDArray[np.float32],
+    distance: NDArray[np.float32],
+    sigma: Sequence[float],
     mixed: float,
 ) -> NDArray[np.float32]:
     """Return how much likelier a value is beyond the border than inside, -1 to 1; near 0 where both look alike."""
@@ -219,7 +260,12 @@ def _pull(
     variance = 0.5 * (variances[0] + variances[1]) + np.float32(MIN_VARIANCE)
     likelier = ((smooth - means[0]) ** 2 - (smooth - means[1]) ** 2) / (2.0 * variance)
     contrast = (means[0] - means[1]) ** 2 / variance
-    pull = contrast / (contrast + np.float32(CLEAR)) * np.clip(likelier, -CLEAREST, CLEAREST) / CLEAREST
+    pull = (
+        contrast
+        / (contrast + np.float32(CLEAR))
+        * np.clip(likelier, -CLEAREST, CLEAREST)
+        / CLEAREST
+    )
     return np.asarray(pull, np.float32)
 
 
@@ -230,21 +276,34 @@ def _mask_of(surface: CorrectedSurface) -> BoxMask:
     return BoxMask(*tight)
 
 
-def _band(before: NDArray[np.float32], most: float, clicks: ClickBounds, spacing: float) -> ClickBounds:
+def _band(
+    before: NDArray[np.float32], most: float, clicks: ClickBounds, spacing: float
+) -> ClickBounds:
     """Return bounds of psi that keep the surface within a distance, mm, of where it was, and of clicks."""
-    low, high = np.full(before.shape, -np.inf, np.float32), np.full(before.shape, np.inf, np.float32)
+    low, high = (
+        np.full(before.shape, -np.inf, np.float32),
+        np.full(before.shape, np.inf, np.float32),
+    )
     shell = np.abs(np.abs(before) - np.float32(most)) <= SHELL * spacing
     low[shell], high[shell] = before[shell] - np.float32(most), before[shell] + np.float32(most)
     flat_low, flat_high = low.reshape(-1), high.reshape(-1)
     # A click holds; a band around a surface on its side does not contradict it.
-    flat_low[clicks.cells] = np.where(clicks.high < 0, -np.inf, np.maximum(flat_low[clicks.cells], clicks.low))
-    flat_high[clicks.cells] = np.where(clicks.low > 0, np.inf, np.minimum(flat_high[clicks.cells], clicks.high))
+    flat_low[clicks.cells] = np.where(
+        clicks.high < 0, -np.inf, np.maximum(flat_low[clicks.cells], clicks.low)
+    )
+    flat_high[clicks.cells] = np.where(
+        clicks.low > 0, np.inf, np.minimum(flat_high[clicks.cells], clicks.high)
+    )
     cells = np.flatnonzero(np.isfinite(flat_low) | np.isfinite(flat_high))
     return ClickBounds(clicks.shape, cells, flat_low[cells], flat_high[cells])
 
 
 def _tidied(
-    outcome: LocalOutcome, correction: Correction, is_open: Mask, clicks: ClickBounds, objects: CorrectedObjects,
+    outcome: LocalOutcome,
+    correction: Correction,
+    is_open: Mask,
+    clicks: ClickBounds,
+    objects: CorrectedObjects,
     stepping: Stepping,
 ) -> LocalOutcome:
     """Return an object without its islands, and with its holes filled, as far as their sizes are given."""
@@ -268,7 +327,9 @@ def _tidied(
         measures_of(part, objects.spacing, width, stepping.workers) for part in (outcome.psi, psi)
     )
     last = outcome.history[-1]
-    last = last._replace(volume_mm3=last.volume_mm3 + volume_now - volume, area_mm2=last.area_mm2 + area_now - area)
+    last = last._replace(
+        volume_mm3=last.volume_mm3 + volume_now - volume, area_mm2=last.area_mm2 + area_now - area
+    )
     return outcome._replace(psi=psi, history=[*outcome.history[:-1], last])
 
 

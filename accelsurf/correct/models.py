@@ -62,7 +62,11 @@ class ObjectModels:
         self._state, self._frozen = state, settings
         self.prepared: PreprocessedInput = state.prepared
         self.clicks = state.clicks or Clicks((), state.prepared.geometry.shape)
-        self.contexts, self.settings, self.masks = dict(state.contexts), dict(state.settings), dict(state.masks)
+        self.contexts, self.settings, self.masks = (
+            dict(state.contexts),
+            dict(state.settings),
+            dict(state.masks),
+        )
         self._states, self._models = dict(state.models), dict[int, LocalModel]()
 
     @property
@@ -93,14 +97,22 @@ class ObjectModels:
             self._models[id] = local_model(context, known)
         return self._models[id]
 
-    def energy_on(self, id: int, box: Box, context: ImageContext, shared: Sequence[np.ndarray]) -> MadeEnergy:
+    def energy_on(
+        self, id: int, box: Box, context: ImageContext, shared: Sequence[np.ndarray]
+    ) -> MadeEnergy:
         """The energy of an object on a box of the grid; ``shared`` are the channels on the whole grid."""
         images = [np.ascontiguousarray(image[box]) for image in shared]
         model, settings = self.model(id), self.settings_of(id)
-        field, curvature = (None, None) if model is None else (lambda: model.field_on(box), model.mean_curvature)
+        field, curvature = (
+            (None, None) if model is None else (lambda: model.field_on(box), model.mean_curvature)
+        )
         given = None if id in self.settings else self._state.energy
         make = energy_maker(given, settings, 1, True)
-        return make(images[0], self.prepared.geometry.spacing, context.with_channels(images[1:], field, curvature))
+        return make(
+            images[0],
+            self.prepared.geometry.spacing,
+            context.with_channels(images[1:], field, curvature),
+        )
 
     # -- changes of the objects ----------------------------------------------------------------------------
 
@@ -123,7 +135,13 @@ class ObjectModels:
         id, prepared = correction.new, self.prepared
         assert id is not None
         self.settings[id] = self._frozen.replace(
-            objects=None, inside=(), outside=(), box=None, start=("clicks",), energy=_NEW_ENERGY, size=correction.size
+            objects=None,
+            inside=(),
+            outside=(),
+            box=None,
+            start=("clicks",),
+            energy=_NEW_ENERGY,
+            size=correction.size,
         )
         passes = prepared.open_on(whole_box(prepared.geometry.shape))
         if taken is not None:
@@ -132,7 +150,9 @@ class ObjectModels:
             passes[taken.box] &= ~taken.mask
         size = None if correction.size is None else volume_mm3(correction.size)
         inputs = ModelInputs(size, passes)
-        self.contexts[id] = prepared.context.with_model_inputs(inputs).with_clicks(self.clicks.of(id))
+        self.contexts[id] = prepared.context.with_model_inputs(inputs).with_clicks(
+            self.clicks.of(id)
+        )
         self._forget(id)
 
     def begin_given(self, number: int, id: int, mask: BoxMask) -> None:
@@ -156,7 +176,10 @@ class ObjectModels:
         """Give the clicks of several objects to the first; where it may be is not bounded by the others."""
         first, others = ids[0], ids[1:]
         self.clicks = Clicks(
-            tuple(click._replace(id=first) if click.id in others else click for click in self.clicks.clicks),
+            tuple(
+                click._replace(id=first) if click.id in others else click
+                for click in self.clicks.clicks
+            ),
             self.clicks.shape,
         )
         for id in others:
@@ -177,7 +200,10 @@ class ObjectModels:
             there = Click("inside", part.box, part.mask, new).mask_on(click_before.box)
             out += [
                 click_before._replace(id=owner, mask=mask)
-                for owner, mask in ((id, click_before.mask & ~there), (new, click_before.mask & there))
+                for owner, mask in (
+                    (id, click_before.mask & ~there),
+                    (new, click_before.mask & there),
+                )
                 if mask.any()
             ]
         self.clicks = Clicks((*out, click), self.clicks.shape)
@@ -191,7 +217,9 @@ class ObjectModels:
 
     def remove(self, id: int) -> None:
         """Forget an object and its clicks."""
-        self.clicks = Clicks(tuple(click for click in self.clicks.clicks if click.id != id), self.clicks.shape)
+        self.clicks = Clicks(
+            tuple(click for click in self.clicks.clicks if click.id != id), self.clicks.shape
+        )
         self._forget_object(id)
 
     def _forget_object(self, id: int) -> None:
@@ -215,8 +243,13 @@ class ObjectModels:
     def state(self, totals: Mapping[str, NDArray[np.float64]]) -> RunState:
         """Return the state from which a later correction continues; ``totals`` as of `RunState`."""
         return replace(
-            self._state, totals=dict(totals), clicks=self.clicks, models=self.made, contexts=dict(self.contexts),
-            settings=dict(self.settings), masks=dict(self.masks),
+            self._state,
+            totals=dict(totals),
+            clicks=self.clicks,
+            models=self.made,
+            contexts=dict(self.contexts),
+            settings=dict(self.settings),
+            masks=dict(self.masks),
         )
 
 
@@ -235,7 +268,9 @@ def check_id(id: int, ids: Sequence[int], what: str) -> None:
         With the ids that there are.
     """
     if id not in ids:
-        raise UsageError(f"refine: {what} {id} was given, expected one that is in the result", ids_text(ids))
+        raise UsageError(
+            f"refine: {what} {id} was given, expected one that is in the result", ids_text(ids)
+        )
 
 
 def ids_text(ids: Sequence[int]) -> str:
@@ -253,7 +288,11 @@ def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple
     """
     geometry = prepared.volumes[0].geometry
     placed = Clicks(tuple(clicks), geometry.shape).on_box(prepared.box).clicks
-    lost = sum(int(click.mask.sum()) for click in clicks if click.side == "inside" and click.id != NO_OBJECT)
+    lost = sum(
+        int(click.mask.sum())
+        for click in clicks
+        if click.side == "inside" and click.id != NO_OBJECT
+    )
     for click in placed:
         if click.side == "inside" and click.id != NO_OBJECT:
             is_open = prepared.open_on(click.box)
@@ -263,7 +302,9 @@ def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple
             f"refine: {lost} voxels are clicked inside that lie outside of the region of interest, the mask or the box"
             if prepared.other_labels is None
             else f"refine: {lost} voxels are clicked inside that have labels which are not to change",
-            "click within them" if prepared.other_labels is None else "click elsewhere, or ask for these labels too",
+            "click within them"
+            if prepared.other_labels is None
+            else "click elsewhere, or ask for these labels too",
         )
     return placed
 
@@ -285,16 +326,24 @@ def check_object(correction: Correction, ids: Sequence[int] | None) -> None:
     id = correction.object
     if ids is None:
         if id not in (None, 1):
-            raise UsageError(f"refine: object {id} was given, but there is a single one", "leave object out")
+            raise UsageError(
+                f"refine: object {id} was given, but there is a single one", "leave object out"
+            )
         return
     if id is None and correction.inside:
-        raise UsageError("refine: inside was given without object, expected an object's id", ids_text(ids))
+        raise UsageError(
+            "refine: inside was given without object, expected an object's id", ids_text(ids)
+        )
     if id is not None:
         check_id(id, ids, "object")
 
 
 def refuse_contradictions(
-    new: Sequence[Click], shape: tuple[int, int, int], ids: Sequence[int], geometry: Geometry, first: Corner
+    new: Sequence[Click],
+    shape: tuple[int, int, int],
+    ids: Sequence[int],
+    geometry: Geometry,
+    first: Corner,
 ) -> None:
     """Refuse clicks of one correction that put a voxel on both sides of an object; costs no more than their boxes.
 

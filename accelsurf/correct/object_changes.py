@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.clicks.reading import point_voxels
-from accelsurf.correct.corrected_surface import CorrectedSurface, count_inside, part_of_image, stop_of_whole
+from accelsurf.correct.corrected_surface import (
+    CorrectedSurface,
+    count_inside,
+    part_of_image,
+    stop_of_whole,
+)
 from accelsurf.correct.local_evolution import LocalOutcome, Stepping, evolve_to_end, measures_of
 from accelsurf.correct.models import check_id, point_click
 from accelsurf.correct.objects import CorrectedObjects
@@ -55,7 +60,11 @@ MARGIN = 8.0
 
 
 def begin_object(
-    objects: CorrectedObjects, number: int, correction: Correction, new: Sequence[Click], base: Result,
+    objects: CorrectedObjects,
+    number: int,
+    correction: Correction,
+    new: Sequence[Click],
+    base: Result,
     stepping: Stepping,
 ) -> tuple[CorrectedSurface, Box, int]:
     """Begin an object beside the others, and let it evolve until it has converged.
@@ -129,7 +138,9 @@ def _start(
         energy, psi = MaskConstraint(energy, distance), np.maximum(psi, distance)
     bounds.apply(psi)
     if not (psi < 0).any():
-        raise InputError(f"refine: nothing of object {id} is beside the others", "click where no object is")
+        raise InputError(
+            f"refine: nothing of object {id} is beside the others", "click where no object is"
+        )
     return psi, box, ClickConstraint(energy, bounds), made.terms
 
 
@@ -152,17 +163,25 @@ def taken_voxels(objects: CorrectedObjects, takes: frozenset[int]) -> BoxMask | 
 
 
 def _evolved(
-    id: int, psi: NDArray[np.float32], spacing: tuple[float, float, float], energy: ClickConstraint,
-    setup: SolverSetup, stepping: Stepping,
+    id: int,
+    psi: NDArray[np.float32],
+    spacing: tuple[float, float, float],
+    energy: ClickConstraint,
+    setup: SolverSetup,
+    stepping: Stepping,
 ) -> LocalOutcome:
     """Evolve a first surface on its box."""
-    surface = LevelSet(psi, spacing, setup.half_width, stepping.workers, overwrite=True, extension=setup.extension)
+    surface = LevelSet(
+        psi, spacing, setup.half_width, stepping.workers, overwrite=True, extension=setup.extension
+    )
     evolution = Evolution.of(surface, energy, setup, stepping.max_steps)
     stop = evolve_to_end(evolution, setup, stepping.watch_of(id))
     return LocalOutcome(np.array(surface.psi), list(evolution.history), stop)
 
 
-def _surface(id: int, corner: Corner, outcome: LocalOutcome, objects: CorrectedObjects) -> CorrectedSurface:
+def _surface(
+    id: int, corner: Corner, outcome: LocalOutcome, objects: CorrectedObjects
+) -> CorrectedSurface:
     """A new surface on the box that it needs."""
     inside = count_inside(outcome.psi)
     stop = stop_of_whole(outcome.stop, inside, math.prod(objects.shape))
@@ -193,14 +212,20 @@ def merge(objects: CorrectedObjects, ids: Sequence[int], workers: Workers) -> Co
     box = box_at(parts[0].corner, parts[0].psi.shape)
     for part in parts[1:]:
         box = enclosing(box, box_at(part.corner, part.psi.shape))
-    psi = np.full([s.stop - s.start for s in box], max(float(np.abs(part.psi).max()) for part in parts), np.float32)
+    psi = np.full(
+        [s.stop - s.start for s in box],
+        max(float(np.abs(part.psi).max()) for part in parts),
+        np.float32,
+    )
     for part in parts:
         where = counted_from(box_at(part.corner, part.psi.shape), corner_of(box))
         np.minimum(psi[where], part.psi, out=psi[where])
     first = parts[0]
     merged = _measured(first._replace(corner=corner_of(box), psi=psi), objects, workers)
     objects.models.merge(ids)
-    objects.replace([merged, *(surface for surface in objects.surfaces if surface.id not in ids)], {})
+    objects.replace(
+        [merged, *(surface for surface in objects.surfaces if surface.id not in ids)], {}
+    )
     return merged
 
 
@@ -233,10 +258,15 @@ def completed(objects: CorrectedObjects, correction: Correction, base: Result) -
     here = next((surface.id for surface in objects.surfaces if _contains(surface, voxel)), None)
     if here is None or here != (correction.object or here):
         where = "no object" if here is None else f"object {here}"
-        raise InputError(f"refine: {correction.split} lies in {where}", "click in the part that is to be split off")
+        raise InputError(
+            f"refine: {correction.split} lies in {where}",
+            "click in the part that is to be split off",
+        )
     new = correction.new or max(base.label_ids + tuple(objects.ids)) + 1
     if new in objects.ids or new > MAX_ID:
-        raise UsageError(f"refine: new {new} was given with split, expected an id that no object has")
+        raise UsageError(
+            f"refine: new {new} was given with split, expected an id that no object has"
+        )
     return correction.model_copy(update={"object": here, "new": new})
 
 
@@ -264,12 +294,19 @@ def split(
     InputError
         When the object is in one piece.
     """
-    assert correction.split is not None and correction.object is not None and correction.new is not None
+    assert (
+        correction.split is not None
+        and correction.object is not None
+        and correction.new is not None
+    )
     voxel = voxel_of(correction.split, base) - np.array(objects.prepared.first)
     new, here = correction.new, objects.surfaces[objects.place_of(correction.object)]
     labels, count = ndimage.label(here.psi < 0)
     if count < 2:
-        raise InputError(f"refine: object {here.id} is in one piece", "cut it first: outside clicks between the parts")
+        raise InputError(
+            f"refine: object {here.id} is in one piece",
+            "cut it first: outside clicks between the parts",
+        )
     split_off = np.asarray(labels == labels[tuple(voxel - np.array(here.corner))])
     away = np.abs(here.psi)
     part = here._replace(id=new, psi=np.where((labels > 0) & ~split_off, away, here.psi))
@@ -277,13 +314,18 @@ def split(
     tight = bounding_box(split_off)
     assert tight is not None
     objects.models.split(
-        number, here.id, new, BoxMask(placed_at(tight, here.corner), split_off[tight]), point_click(voxel, new)
+        number,
+        here.id,
+        new,
+        BoxMask(placed_at(tight, here.corner), split_off[tight]),
+        point_click(voxel, new),
     )
     rest, part = _measured(rest, objects, workers), _measured(_on_tight_box(part), objects, workers)
     known = objects.known(here.id)
     others = [surface for surface in objects.surfaces if surface.id != here.id]
     objects.replace(
-        [*others, rest, part], {new: replace(_known(part, objects, base), terms=known.terms, learned=known.learned)}
+        [*others, rest, part],
+        {new: replace(_known(part, objects, base), terms=known.terms, learned=known.learned)},
     )
     return rest, part
 
@@ -306,7 +348,9 @@ def remove(objects: CorrectedObjects, id: int) -> int:
     """
     check_id(id, objects.ids, "remove")
     if len(objects.ids) == 1:
-        raise UsageError(f"refine: object {id} is the only one and cannot be removed", "begin another one first")
+        raise UsageError(
+            f"refine: object {id} is the only one and cannot be removed", "begin another one first"
+        )
     gone = objects.surfaces[objects.place_of(id)]
     objects.models.remove(id)
     objects.replace([surface for surface in objects.surfaces if surface.id != id], {})
@@ -315,13 +359,24 @@ def remove(objects: CorrectedObjects, id: int) -> int:
 
 def _contains(surface: CorrectedSurface, voxel: NDArray[np.int64]) -> bool:
     at = voxel - np.array(surface.corner)
-    return bool((at >= 0).all() and (at < np.array(surface.psi.shape)).all() and surface.psi[tuple(at)] < 0)
+    return bool(
+        (at >= 0).all() and (at < np.array(surface.psi.shape)).all() and surface.psi[tuple(at)] < 0
+    )
 
 
-def _measured(surface: CorrectedSurface, objects: CorrectedObjects, workers: Workers) -> CorrectedSurface:
+def _measured(
+    surface: CorrectedSurface, objects: CorrectedObjects, workers: Workers
+) -> CorrectedSurface:
     """A surface whose voxels have changed without a step: its last record has volume and area of now."""
     inside, settings = count_inside(surface.psi), objects.models.settings_of(surface.id)
-    volume, area = measures_of(np.array(surface.psi), objects.spacing, half_width(settings), workers)
-    history = [*surface.history[:-1], surface.history[-1]._replace(volume_mm3=volume, area_mm2=area)]
+    volume, area = measures_of(
+        np.array(surface.psi), objects.spacing, half_width(settings), workers
+    )
+    history = [
+        *surface.history[:-1],
+        surface.history[-1]._replace(volume_mm3=volume, area_mm2=area),
+    ]
     stop = surface.stop if inside else stop_of_whole(surface.stop, inside, math.prod(objects.shape))
-    return surface._replace(psi=np.ascontiguousarray(surface.psi), inside=inside, history=history, stop=stop)
+    return surface._replace(
+        psi=np.ascontiguousarray(surface.psi), inside=inside, history=history, stop=stop
+    )

@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import clicked_voxels
-from accelsurf.correct.corrected_surface import CorrectedSurface, count_inside, part_of_image, stop_of_whole, surface_of
+from accelsurf.correct.corrected_surface import (
+    CorrectedSurface,
+    count_inside,
+    part_of_image,
+    stop_of_whole,
+    surface_of,
+)
 from accelsurf.correct.local_evolution import measures_of
 from accelsurf.correct.local_model import LocalModel, ModelChange
 from accelsurf.correct.models import ObjectModels
@@ -102,7 +108,14 @@ class CorrectedObjects:
     def begin_correction(self) -> None:
         """Begin a correction: all that follows is taken back at once."""
         self._undo.append(
-            _CorrectionBefore(self.has_ids, tuple(self.surfaces), dict(self._known), self.models.snapshot(), [], [])
+            _CorrectionBefore(
+                self.has_ids,
+                tuple(self.surfaces),
+                dict(self._known),
+                self.models.snapshot(),
+                [],
+                [],
+            )
         )
 
     def undo(self) -> bool:
@@ -127,13 +140,17 @@ class CorrectedObjects:
         """Put a changed part of a surface in its place."""
         surface = self.surfaces[place]
         before = surface.psi[box].copy()
-        self._undo[-1].surfaces.append(_SurfaceBefore(surface, box, before, dict(self._regional.totals)))
+        self._undo[-1].surfaces.append(
+            _SurfaceBefore(surface, box, before, dict(self._regional.totals))
+        )
         surface.psi[box] = psi
         if not self.has_ids:
             self._regional.change(box, before < 0, psi < 0)
         self.surfaces[place] = after
 
-    def replace(self, surfaces: Sequence[CorrectedSurface], known: dict[int, SegmentedObject]) -> None:
+    def replace(
+        self, surfaces: Sequence[CorrectedSurface], known: dict[int, SegmentedObject]
+    ) -> None:
         """Have other objects from now on; ``known`` has the entries in results of those that are new."""
         self.surfaces = sorted(surfaces, key=lambda surface: surface.id)
         self._known = {id: known.get(id) or self._known[id] for id in self.ids}
@@ -155,8 +172,12 @@ class CorrectedObjects:
         """Places of the objects that have voxels of new inside clicks."""
         out = []
         for place, surface in enumerate(self.surfaces):
-            placed = Clicks(tuple(new), self.shape).on_box(box_at(surface.corner, surface.psi.shape))
-            if any((surface.psi[c.box] < 0)[c.mask].any() for c in placed.clicks if c.side == "inside"):
+            placed = Clicks(tuple(new), self.shape).on_box(
+                box_at(surface.corner, surface.psi.shape)
+            )
+            if any(
+                (surface.psi[c.box] < 0)[c.mask].any() for c in placed.clicks if c.side == "inside"
+            ):
                 out.append(place)
         return out
 
@@ -168,7 +189,9 @@ class CorrectedObjects:
         for place, other in enumerate(self.surfaces):
             if other.id == id or place in takes:
                 continue
-            mine, theirs = shared(corner_of(box), [s.stop - s.start for s in box], other.corner, other.psi.shape)
+            mine, theirs = shared(
+                corner_of(box), [s.stop - s.start for s in box], other.corner, other.psi.shape
+            )
             if any(s.start >= s.stop for s in mine):
                 continue
             if distance is None:
@@ -177,10 +200,14 @@ class CorrectedObjects:
             distance[mine] = np.maximum(distance[mine], -other.psi[theirs])
         return distance
 
-    def take_from(self, place: int, region: NearRegion, winner: NDArray[np.float32], workers: Workers) -> None:
+    def take_from(
+        self, place: int, region: NearRegion, winner: NDArray[np.float32], workers: Workers
+    ) -> None:
         """Take from an object the voxels that another has gained in a region."""
         surface = self.surfaces[place]
-        mine, theirs = shared(corner_of(region.box), winner.shape, surface.corner, surface.psi.shape)
+        mine, theirs = shared(
+            corner_of(region.box), winner.shape, surface.corner, surface.psi.shape
+        )
         psi = surface.psi[theirs].copy()
         after = np.where(region.mask[mine], np.maximum(psi, -winner[mine]), psi)
         if not ((after < 0) != (psi < 0)).any():
@@ -189,12 +216,16 @@ class CorrectedObjects:
         volume, area = (measures_of(part, self.spacing, width, workers) for part in (psi, after))
         last = surface.history[-1]
         last = last._replace(
-            volume_mm3=last.volume_mm3 + area[0] - volume[0], area_mm2=last.area_mm2 + area[1] - volume[1]
+            volume_mm3=last.volume_mm3 + area[0] - volume[0],
+            area_mm2=last.area_mm2 + area[1] - volume[1],
         )
         inside = surface.inside + count_inside(after) - count_inside(psi)
         stop = stop_of_whole(surface.stop, inside, math.prod(self.shape))
         self.put(
-            place, theirs, after, surface._replace(inside=inside, history=[*surface.history[:-1], last], stop=stop)
+            place,
+            theirs,
+            after,
+            surface._replace(inside=inside, history=[*surface.history[:-1], last], stop=stop),
         )
 
     def grown(self, place: int, box: Box) -> CorrectedSurface:
@@ -215,11 +246,24 @@ class CorrectedObjects:
 
     def segmented(self, now: CorrectedSurface) -> SegmentedObject:
         """An object as results have it; later corrections do not change it."""
-        segmented, prepared, base, models = self._known[now.id], self.prepared, self._base, self.models
+        segmented, prepared, base, models = (
+            self._known[now.id],
+            self.prepared,
+            self._base,
+            self.models,
+        )
         is_same = now.history is segmented.history
         corner = prepared.corner_on_image(now.corner)
-        box = segmented.box if is_same or not self.has_ids else part_of_image(segmented.box, corner, now, prepared)
-        clicked = clicked_voxels(models.clicks, segmented.id, prepared.first, box) if len(models.clicks) else None
+        box = (
+            segmented.box
+            if is_same or not self.has_ids
+            else part_of_image(segmented.box, corner, now, prepared)
+        )
+        clicked = (
+            clicked_voxels(models.clicks, segmented.id, prepared.first, box)
+            if len(models.clicks)
+            else None
+        )
         if segmented.id in models.made:
             confidence = models.contexts[segmented.id].confidence(models.made[segmented.id])
             segmented = dataclasses.replace(segmented, confidence=confidence)
@@ -231,9 +275,17 @@ class CorrectedObjects:
         if not self.has_ids:
             psi = prepared.on_whole_grid(now.psi)
             psi = psi.copy() if psi is now.psi else psi
-            return dataclasses.replace(segmented, psi=psi, history=now.history, stop=now.stop, clicked=clicked)
+            return dataclasses.replace(
+                segmented, psi=psi, history=now.history, stop=now.stop, clicked=clicked
+            )
         return dataclasses.replace(
-            segmented, box=box, psi=closed_on(now.psi, corner, box), image=base.image[box],
-            geometry=cropped(base.geometry, box), history=now.history, stop=now.stop, clicked=clicked,
+            segmented,
+            box=box,
+            psi=closed_on(now.psi, corner, box),
+            image=base.image[box],
+            geometry=cropped(base.geometry, box),
+            history=now.history,
+            stop=now.stop,
+            clicked=clicked,
             plateaus=on_larger_box(segmented.plateaus, segmented.box, box),
         )

@@ -94,7 +94,9 @@ def refine(
     """
     if isinstance(result, Result):
         if labels is not None or spacing is not None:
-            raise UsageError("refine: labels or spacing were given with a result", "give the image in its place")
+            raise UsageError(
+                "refine: labels or spacing were given with a result", "give the image in its place"
+            )
     else:
         result = _given(result, labels, spacing)
     table: dict[str, Any] = {"inside": inside, "outside": outside, "near": near, "object": object}
@@ -113,7 +115,9 @@ def _given(
 ) -> Result:
     """Return the result that a label map is, before it is mended."""
     if labels is None:
-        raise UsageError("refine: an image was given without labels", "give the label map that is to be mended")
+        raise UsageError(
+            "refine: an image was given without labels", "give the label map that is to be mended"
+        )
     volume, given = as_volume(image, spacing), from_library(labels, "labels")
     if isinstance(given, (str, os.PathLike)):
         run = Run(volume, RunConfig(labels=os.fspath(given)))

@@ -23,9 +23,21 @@ from accelsurf.correct.finished import OnObjectStep
 from accelsurf.correct.local_evolution import LocalProblem, Stepping, evolve_near
 from accelsurf.correct.local_model import basin_of
 from accelsurf.correct.mending import mend
-from accelsurf.correct.models import check_object, clicks_on, placed_clicks, point_click, refuse_contradictions
+from accelsurf.correct.models import (
+    check_object,
+    clicks_on,
+    placed_clicks,
+    point_click,
+    refuse_contradictions,
+)
 from accelsurf.correct.objects import CorrectedObjects
-from accelsurf.correct.region import NearRegion, around_clicks, automatic_near, box_around, rim_width
+from accelsurf.correct.region import (
+    NearRegion,
+    around_clicks,
+    automatic_near,
+    box_around,
+    rim_width,
+)
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import Stop
@@ -78,8 +90,14 @@ class Refiner:
     def __init__(self, result: Result) -> None:
         state = result.state
         if state is None:
-            raise UsageError("refine: the result has no state to go on from", "run with keep_state=yes")
-        if state.energy is not None and not isinstance(state.energy, str) and not is_maker(state.energy):
+            raise UsageError(
+                "refine: the result has no state to go on from", "run with keep_state=yes"
+            )
+        if (
+            state.energy is not None
+            and not isinstance(state.energy, str)
+            and not is_maker(state.energy)
+        ):
             raise UsageError(
                 "refine: the energy has one image, and a correction needs it on a box",
                 "give a class or function that makes the energy of (image, spacing)",
@@ -87,7 +105,11 @@ class Refiner:
         self._result, self._state, self.config = result, state, result.config
         self._settings = frozen_settings(result)
         self._objects = CorrectedObjects(result, state, self._settings)
-        self._images, self._shape, self._spacing = self._objects.images, self._objects.shape, self._objects.spacing
+        self._images, self._shape, self._spacing = (
+            self._objects.images,
+            self._objects.shape,
+            self._objects.spacing,
+        )
         self._reach = window_reach(self._settings, state.prepared.geometry)
         self._undo: list[RunConfig] = []
         self._seconds = 0.0
@@ -149,13 +171,19 @@ class Refiner:
         """
         objects, number = self._objects, len(self.config.refine)
         others = self._result.other_labels
-        if others is not None and correction.object is None and len(objects.ids) == 1 and correction.is_of_one:
+        if (
+            others is not None
+            and correction.object is None
+            and len(objects.ids) == 1
+            and correction.is_of_one
+        ):
             correction = correction.model_copy(update={"object": objects.ids[0]})
         if correction.split is not None:
             correction = object_changes.completed(objects, correction, self._result)
         if others is not None and correction.new is not None and (others == correction.new).any():
             raise UsageError(
-                f"refine: new {correction.new} was given, which is a label that is not to change", "take another id"
+                f"refine: new {correction.new} was given, which is a label that is not to change",
+                "take another id",
             )
         self._undo.append(self.config)
         objects.begin_correction()
@@ -200,7 +228,9 @@ class Refiner:
         new = placed_clicks(read, prepared)
         before = objects.models.clicks
         if correction.new in ids:  # it begins anew
-            before = Clicks(tuple(click for click in before.clicks if click.id != correction.new), before.shape)
+            before = Clicks(
+                tuple(click for click in before.clicks if click.id != correction.new), before.shape
+            )
         known = sorted({*ids, correction.new or ids[0]})
         refuse_contradictions(new, self._shape, known, prepared.geometry, prepared.first)
         check_left(before, before.with_later(new))
@@ -233,7 +263,9 @@ class Refiner:
         surface, box, voxels = mend(self._objects, number, correction, stepping)
         return (Change(surface.id, box, voxels, time.perf_counter() - began, surface.stop),)
 
-    def _rearrange(self, number: int, correction: Correction, workers: Workers) -> tuple[Change, ...]:
+    def _rearrange(
+        self, number: int, correction: Correction, workers: Workers
+    ) -> tuple[Change, ...]:
         """Merge objects, split one, or remove one: no surface moves."""
         began, objects, voxels = time.perf_counter(), self._objects, 0
         if correction.removed_id is not None:
@@ -248,7 +280,13 @@ class Refiner:
             voxels = surface.inside
         id = surface.id if correction.removed_id is None else correction.removed_id
         return (
-            Change(id, box_at(surface.corner, surface.psi.shape), voxels, time.perf_counter() - began, surface.stop),
+            Change(
+                id,
+                box_at(surface.corner, surface.psi.shape),
+                voxels,
+                time.perf_counter() - began,
+                surface.stop,
+            ),
         )
 
     def undo(self) -> None:
@@ -264,7 +302,13 @@ class Refiner:
         surface = self._objects.grown(place, box_around(new))
         relabelled = self._relabelled(surface, new)
         if not relabelled:
-            return Change(surface.id, box_at((0, 0, 0), (0, 0, 0)), 0, time.perf_counter() - began, surface.stop)
+            return Change(
+                surface.id,
+                box_at((0, 0, 0), (0, 0, 0)),
+                0,
+                time.perf_counter() - began,
+                surface.stop,
+            )
         takes = frozenset(self._objects.holders(new)) - {place}
         region = self._region(surface, new, relabelled, near)
         surface = self._objects.grown(place, region.box)
@@ -278,7 +322,12 @@ class Refiner:
         outcome = evolve_near(problem, surface.id, stepping)
         inside = surface.inside + count_inside(outcome.psi) - count_inside(psi)
         stop = stop_of_whole(outcome.stop, inside, math.prod(self._shape))
-        self._objects.put(place, box, outcome.psi, surface._replace(inside=inside, history=outcome.history, stop=stop))
+        self._objects.put(
+            place,
+            box,
+            outcome.psi,
+            surface._replace(inside=inside, history=outcome.history, stop=stop),
+        )
         for other in sorted(takes):
             self._objects.take_from(other, region, outcome.psi, stepping.workers)
         changed = int(np.count_nonzero((outcome.psi < 0) != (psi < 0)))
@@ -300,16 +349,27 @@ class Refiner:
         return [click for click in wrong if click is not None]
 
     def _region(
-        self, surface: CorrectedSurface, new: Sequence[Click], relabelled: Sequence[Click], near: float | str
+        self,
+        surface: CorrectedSurface,
+        new: Sequence[Click],
+        relabelled: Sequence[Click],
+        near: float | str,
     ) -> NearRegion:
         """Return the region of motion for new clicks: within ``near``, or where they relabel, or by their depth."""
         rim = rim_width(self._shape, self._spacing)
-        margin = max(MARGIN * max(h for h, n in zip(self._spacing, self._shape, strict=True) if n > 1), self._reach)
+        margin = max(
+            MARGIN * max(h for h, n in zip(self._spacing, self._shape, strict=True) if n > 1),
+            self._reach,
+        )
         if not isinstance(near, str):
-            return around_clicks(new, near, min(rim, 0.5 * near), self._shape, self._spacing, margin)
+            return around_clicks(
+                new, near, min(rim, 0.5 * near), self._shape, self._spacing, margin
+            )
         if self._objects.models.model(surface.id) is not None:
             return around_clicks([*new, *relabelled], rim, rim, self._shape, self._spacing, margin)
-        placed = Clicks(tuple(new), self._shape).on_box(box_at(surface.corner, surface.psi.shape)).clicks
+        placed = (
+            Clicks(tuple(new), self._shape).on_box(box_at(surface.corner, surface.psi.shape)).clicks
+        )
         near = automatic_near(surface.psi, placed, self._spacing) + rim
         return around_clicks(new, near, rim, self._shape, self._spacing, margin)
 
@@ -324,15 +384,21 @@ class Refiner:
         """Return the evolution of a region: energy and clicks on its box."""
         models = self._objects.models
         settings = models.settings_of(surface.id)
-        settings = settings.replace(seed=None if self.config.seed is None else self.config.seed + surface.id)
-        context = models.contexts[surface.id].seeing_elsewhere(totals, counted_from(region.box, surface.corner))
+        settings = settings.replace(
+            seed=None if self.config.seed is None else self.config.seed + surface.id
+        )
+        context = models.contexts[surface.id].seeing_elsewhere(
+            totals, counted_from(region.box, surface.corner)
+        )
         energy = models.energy_on(surface.id, region.box, context, self._images).energy
         distance = self._objects.bounding(surface.id, region.box, takes)
         if distance is not None:
             energy = MaskConstraint(energy, distance)
         clicks = models.clicks.of(surface.id).on_box(region.box)
         bounds = click_bounds(clicks, Level(0, (1, 1, 1), psi.shape, self._spacing))
-        setup = setup_of(settings, 0, 1, self._state.prepared.geometry)._replace(rule=correction_rule(settings))
+        setup = setup_of(settings, 0, 1, self._state.prepared.geometry)._replace(
+            rule=correction_rule(settings)
+        )
         return LocalProblem(
             psi, self._spacing, region, bounds, [], frozenset(), energy, setup, surface.history
         )
@@ -346,21 +412,28 @@ class Refiner:
         seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
         clicks = on_image(models.clicks, self._state.prepared.first, base.geometry.shape)
         return dataclasses.replace(
-            base, objects=objects, has_ids=self.has_ids, config=self.config, state=self._objects.state, seconds=seconds,
-            clicks=clicks, late_leakage=_still_inside(base.late_leakage, objects),
+            base,
+            objects=objects,
+            has_ids=self.has_ids,
+            config=self.config,
+            state=self._objects.state,
+            seconds=seconds,
+            clicks=clicks,
+            late_leakage=_still_inside(base.late_leakage, objects),
         )
 
 
-def _still_inside(
-    place: Place | None, objects: Iterable[SegmentedObject]
-) -> Place | None:
+def _still_inside(place: Place | None, objects: Iterable[SegmentedObject]) -> Place | None:
     """Return a place where an object is there, after corrections; else None."""
     if place is None:
         return None
     voxel = [round(at) for at in place]
     for segmented in objects:
         index = tuple(at - part.start for at, part in zip(voxel, segmented.box, strict=True))
-        if all(0 <= at < n for at, n in zip(index, segmented.psi.shape, strict=True)) and segmented.psi[index] < 0:
+        if (
+            all(0 <= at < n for at, n in zip(index, segmented.psi.shape, strict=True))
+            and segmented.psi[index] < 0
+        ):
             return place
     return None
 

@@ -56,7 +56,12 @@ def rim_width(shape: Sequence[int], spacing: Spacing) -> float:
 
 
 def around_clicks(
-    clicks: Sequence[Click], near: float, rim: float, shape: Sequence[int], spacing: Spacing, margin: float
+    clicks: Sequence[Click],
+    near: float,
+    rim: float,
+    shape: Sequence[int],
+    spacing: Spacing,
+    margin: float,
 ) -> NearRegion:
     """The region within a distance of the clicks.
 
@@ -87,7 +92,9 @@ def _voxels(clicks: Sequence[Click], box: Box) -> NDArray[np.bool_]:
     """The voxels of clicks that lie in a box."""
     mask = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
     for click in clicks:
-        at = tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(click.box, box, strict=True))
+        at = tuple(
+            slice(c.start - b.start, c.stop - b.start) for c, b in zip(click.box, box, strict=True)
+        )
         mask[at] |= click.mask
     return mask
 
@@ -121,7 +128,9 @@ def _distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacin
     while True:
         box = widened(click.box, psi.shape, (search, search, search))
         side = (psi[box] < 0) == inside
-        at = tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(click.box, box, strict=True))
+        at = tuple(
+            slice(c.start - b.start, c.stop - b.start) for c, b in zip(click.box, box, strict=True)
+        )
         covers_all = all(s.stop - s.start == n for s, n in zip(box, psi.shape, strict=True))
         if side.any():
             farthest = float(ndimage.distance_transform_edt(~side, spacing)[at][wrong].max())
@@ -133,18 +142,25 @@ def _distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacin
         search *= 2
 
 
-def signed_distance(psi: NDArray[np.float32], gamma: float, spacing: Spacing) -> NDArray[np.float32]:
+def signed_distance(
+    psi: NDArray[np.float32], gamma: float, spacing: Spacing
+) -> NDArray[np.float32]:
     """Psi with the distances beyond the band, where it is +-``gamma``, continued as far as `_BEYOND_BAND`; mm."""
     far = np.abs(psi) >= np.float32(gamma * (1.0 - 1e-6))
     if far.all():
         return np.where(psi < 0, np.float32(-1e6), np.float32(1e6))
     reach = _BEYOND_BAND * max(axis_steps(psi.shape, spacing))
-    beyond = np.float32(gamma) + np.minimum(distances_within(~far, spacing, reach), np.float32(reach))
+    beyond = np.float32(gamma) + np.minimum(
+        distances_within(~far, spacing, reach), np.float32(reach)
+    )
     return np.where(far, np.copysign(beyond, psi), psi)
 
 
 def near_bounds(
-    before: NDArray[np.float32], region: NearRegion, spacing: Spacing, sides: Collection[Side] = SIDES
+    before: NDArray[np.float32],
+    region: NearRegion,
+    spacing: Spacing,
+    sides: Collection[Side] = SIDES,
 ) -> ClickBounds:
     """Bounds of psi that keep the surface beyond the region and let it move within it.
 
@@ -166,9 +182,16 @@ def near_bounds(
     with np.errstate(divide="ignore"):
         room = (0.25 * region.rim * u2 / (1.0 - u2)).astype(np.float32)
     values, shape = before[bounded], before.shape
-    low, high = (values - room if "inside" in sides else values), (values + room if "outside" in sides else values)
+    low, high = (
+        (values - room if "inside" in sides else values),
+        (values + room if "outside" in sides else values),
+    )
     # Away from the surface before only the side is bounded, not the distance: new surface may arise nearby.
-    half, away, inside = np.float32(0.5 * min(axis_steps(shape, spacing))), ~beside[bounded], values < 0
+    half, away, inside = (
+        np.float32(0.5 * min(axis_steps(shape, spacing))),
+        ~beside[bounded],
+        values < 0,
+    )
     low[away] = np.where(inside, -np.inf, np.minimum(low, half))[away]
     high[away] = np.where(inside, np.maximum(high, -half), np.inf)[away]
     cells, counts = np.flatnonzero(bounded), np.isfinite(low) | np.isfinite(high)

@@ -12,7 +12,14 @@ from accelsurf.correct.corrected_surface import frozen_settings
 from accelsurf.correct.finished import result_of
 from accelsurf.correct.models import ObjectModels, clicks_on, placed_clicks, point_click
 from accelsurf.correct.object_changes import voxel_of
-from accelsurf.correct.state_file import ObjectFile, StateFile, box_of, masks_of, plateaus_of, surface_of
+from accelsurf.correct.state_file import (
+    ObjectFile,
+    StateFile,
+    box_of,
+    masks_of,
+    plateaus_of,
+    surface_of,
+)
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.run.region_of_interest import cropped
@@ -40,21 +47,29 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
         As of `accelsurf.segment`: files that the settings name are read again.
     """
     if volume.geometry.shape != state.shape:
-        raise InputError("the state is of an image of another size", "give the image that the run had, with --image")
+        raise InputError(
+            "the state is of an image of another size",
+            "give the image that the run had, with --image",
+        )
     with Run(volume, state.config.replace(refine=()), None, channels) as run:
         base = result_of(run)
     assert base.state is not None
     prepared, has_ids = base.state.prepared, base.has_ids or state.config.has_ids
     models, known = _replayed(state, base)
     if sorted(known) != [segmented.id for segmented in state.objects]:
-        raise InputError("the state has other objects than its settings name", "run accelsurf segment again")
-    objects = tuple(_object(segmented, known[segmented.id], base, has_ids) for segmented in state.objects)
+        raise InputError(
+            "the state has other objects than its settings name", "run accelsurf segment again"
+        )
+    objects = tuple(
+        _object(segmented, known[segmented.id], base, has_ids) for segmented in state.objects
+    )
     made, clicks = models.made, models.clicks
     placed = clicks if clicks.clicks else None
     confidences = {id: models.contexts[id].confidence(model) for id, model in made.items()}
     objects = tuple(
         dataclasses.replace(
-            segmented, clicked=clicked_voxels(placed, segmented.id, prepared.first, segmented.box),
+            segmented,
+            clicked=clicked_voxels(placed, segmented.id, prepared.first, segmented.box),
             confidence=confidences.get(segmented.id, segmented.confidence),
         )
         for segmented in objects
@@ -102,7 +117,10 @@ def _replay(
     if correction.kind in ("clicks", "new"):
         if correction.new in known:
             models.remove(correction.new or 0)
-        new = placed_clicks(clicks_of(correction, base.volume, base.image, correction.target, has_ids), models.prepared)
+        new = placed_clicks(
+            clicks_of(correction, base.volume, base.image, correction.target, has_ids),
+            models.prepared,
+        )
         models.add(new)
     if correction.new is not None and correction.split is None:
         models.begin_object(number, correction, mask)
@@ -116,7 +134,9 @@ def _replay(
     elif correction.kind == "mend":
         id = correction.object or next(iter(known))
         if mask is None or id not in known:
-            raise InputError(f"the state says nothing of correction {number + 1}", "run accelsurf segment again")
+            raise InputError(
+                f"the state says nothing of correction {number + 1}", "run accelsurf segment again"
+            )
         models.begin_given(number, id, mask)
     elif correction.merge:
         models.merge(correction.merge)
@@ -126,11 +146,22 @@ def _replay(
         models.remove(correction.removed_id)
         del known[correction.removed_id]
     else:
-        if mask is None or correction.split is None or correction.object not in known or correction.new is None:
-            raise InputError(f"the state says nothing of correction {number + 1}", "run accelsurf segment again")
+        if (
+            mask is None
+            or correction.split is None
+            or correction.object not in known
+            or correction.new is None
+        ):
+            raise InputError(
+                f"the state says nothing of correction {number + 1}", "run accelsurf segment again"
+            )
         voxel = voxel_of(correction.split, base) - np.array(models.prepared.first)
-        models.split(number, correction.object, correction.new, mask, point_click(voxel, correction.new))
-        known[correction.new] = dataclasses.replace(known[correction.object], id=correction.new, plateaus=())
+        models.split(
+            number, correction.object, correction.new, mask, point_click(voxel, correction.new)
+        )
+        known[correction.new] = dataclasses.replace(
+            known[correction.object], id=correction.new, plateaus=()
+        )
 
 
 def _begun(id: int, base: Result, models: ObjectModels) -> SegmentedObject:
@@ -140,11 +171,19 @@ def _begun(id: int, base: Result, models: ObjectModels) -> SegmentedObject:
     made = models.energy_on(id, model.state.box, context, models.prepared.images)
     learned = models.prepared.learned_by(context)
     return dataclasses.replace(
-        base.objects[0], id=id, terms=made.terms, learned=learned, plateaus=(), clicked=None, confidence=None
+        base.objects[0],
+        id=id,
+        terms=made.terms,
+        learned=learned,
+        plateaus=(),
+        clicked=None,
+        confidence=None,
     )
 
 
-def _object(stored: ObjectFile, known: SegmentedObject, base: Result, has_ids: bool) -> SegmentedObject:
+def _object(
+    stored: ObjectFile, known: SegmentedObject, base: Result, has_ids: bool
+) -> SegmentedObject:
     """An object as the state has it, with the image of the run."""
     try:
         psi, plateaus = surface_of(stored), plateaus_of(stored)
@@ -152,8 +191,16 @@ def _object(stored: ObjectFile, known: SegmentedObject, base: Result, has_ids: b
         raise InputError(f"the state is damaged ({error})", "run accelsurf segment again") from None
     box = box_of(stored)
     if not has_ids:
-        return dataclasses.replace(known, psi=psi, history=list(stored.history), stop=stored.stop, plateaus=plateaus)
+        return dataclasses.replace(
+            known, psi=psi, history=list(stored.history), stop=stored.stop, plateaus=plateaus
+        )
     return dataclasses.replace(
-        known, box=box, psi=psi, image=base.image[box], geometry=cropped(base.geometry, box),
-        history=list(stored.history), stop=stored.stop, plateaus=plateaus,
+        known,
+        box=box,
+        psi=psi,
+        image=base.image[box],
+        geometry=cropped(base.geometry, box),
+        history=list(stored.history),
+        stop=stored.stop,
+        plateaus=plateaus,
     )

@@ -113,8 +113,18 @@ class StateFile(NamedTuple):
 
 #: The types in the file, by the names under which they are written.
 TYPES: dict[str, type] = {
-    kind.__name__: kind for kind in (
-        Level, LevelSummary, MaskFile, ObjectFile, PackedArray, RestFile, StateFile, StepRecord, Stop, SurfaceFile,
+    kind.__name__: kind
+    for kind in (
+        Level,
+        LevelSummary,
+        MaskFile,
+        ObjectFile,
+        PackedArray,
+        RestFile,
+        StateFile,
+        StepRecord,
+        Stop,
+        SurfaceFile,
     )
 }
 
@@ -136,17 +146,29 @@ def state_bytes(result: Result, image: str) -> bytes:
             _packed_surface(segmented.psi, corner_of(segmented.box)),
             tuple(without_costs(segmented.history)),
             segmented.stop,
-            tuple(RestFile(*plateau[:-1], _packed(plateau.labels > 0)) for plateau in segmented.plateaus),
+            tuple(
+                RestFile(*plateau[:-1], _packed(plateau.labels > 0))
+                for plateau in segmented.plateaus
+            ),
         )
         for segmented in result.objects
     )
     masks = tuple(
-        MaskFile(number, corner_of(array.box), _packed(array.mask)) for number, array in result.state.masks.items()
+        MaskFile(number, corner_of(array.box), _packed(array.mask))
+        for number, array in result.state.masks.items()
     )
     config = result.config.model_dump(mode="json")
     state = StateFile(
-        config, image, result.geometry.shape, objects, masks, dict(result.state.totals), tuple(result.levels),
-        result.edits_done, tuple(result.warnings), result.late_leakage,
+        config,
+        image,
+        result.geometry.shape,
+        objects,
+        masks,
+        dict(result.state.totals),
+        tuple(result.levels),
+        result.edits_done,
+        tuple(result.warnings),
+        result.late_leakage,
     )
     header = {"accelsurf": __version__, "state": VERSION}
     return to_bytes((header, state), TYPES)
@@ -166,13 +188,17 @@ def read_state(path: Path) -> StateFile:
         if not isinstance(header, dict) or not isinstance(state, StateFile):
             raise ValueError("not the state of a finished run")
         if header.get("state") != VERSION:
-            raise InputError(f"{path}: a state of version {header.get('state')}, expected {VERSION}", _AGAIN)
+            raise InputError(
+                f"{path}: a state of version {header.get('state')}, expected {VERSION}", _AGAIN
+            )
         _check(state)
         return state._replace(config=RunConfig(**state.config))
     except InputError as error:
         if error.message.startswith(str(path)):
             raise
-        raise InputError(f"{path}: {error.message.replace('checkpoint', 'state')}", _AGAIN) from None
+        raise InputError(
+            f"{path}: {error.message.replace('checkpoint', 'state')}", _AGAIN
+        ) from None
     except (AccelsurfError, ValueError, TypeError, KeyError) as error:
         raise InputError(f"{path}: the state is damaged ({error})", _AGAIN) from None
 
@@ -180,13 +206,19 @@ def read_state(path: Path) -> StateFile:
 def _check(state: StateFile) -> None:
     """Refuse a state whose parts do not fit together."""
     shape = state.shape
-    if len(shape) != 3 or not all(isinstance(n, int) and 0 < n < 2**31 for n in shape) or not state.objects:
+    if (
+        len(shape) != 3
+        or not all(isinstance(n, int) and 0 < n < 2**31 for n in shape)
+        or not state.objects
+    ):
         raise ValueError("its grid has no size")
     if not isinstance(state.image, str) or not isinstance(state.config, Mapping):
         raise ValueError("it names no image")
     for segmented in state.objects:
         corner, box = segmented.surface.corner, segmented.surface.in_band.shape
-        if len(box) != 3 or any(c < 0 or n < 1 or c + n > m for c, n, m in zip(corner, box, shape, strict=True)):
+        if len(box) != 3 or any(
+            c < 0 or n < 1 or c + n > m for c, n, m in zip(corner, box, shape, strict=True)
+        ):
             raise ValueError(f"the surface of object {segmented.id} lies beyond the image")
         if not segmented.history:
             raise ValueError(f"object {segmented.id} has no history")
@@ -298,4 +330,6 @@ def _unpacked(packed: PackedArray) -> NDArray[Any]:
     flat = np.frombuffer(raw, np.uint8)
     if kind == np.bool_:
         return np.unpackbits(flat, count=count).astype(np.bool_).reshape(packed.shape)
-    return np.ascontiguousarray(flat.reshape(kind.itemsize, count).T).view(kind).reshape(packed.shape)
+    return (
+        np.ascontiguousarray(flat.reshape(kind.itemsize, count).T).view(kind).reshape(packed.shape)
+    )

@@ -7,10 +7,21 @@ and the ``..._at_front`` functions are for energies of your own.
 
 from accelsurf.energies.chan_vese import ChanVese, LocalRegion
 from accelsurf.energies.energy import Energy
-from accelsurf.energies.front_samples import normals_at_front, points_at_front, sample_at_front, slope_at_front
+from accelsurf.energies.front_samples import (
+    normals_at_front,
+    points_at_front,
+    sample_at_front,
+    slope_at_front,
+)
 from accelsurf.energies.geodesic import Geodesic, edge_contrast, edge_indicator
 from accelsurf.energies.image_energy import AreaTerm, ImageEnergy, RegionField
-from accelsurf.energies.likelihood import Gaussian, GaussianLikelihood, HistogramLikelihood, Parzen, gaussian_of
+from accelsurf.energies.likelihood import (
+    Gaussian,
+    GaussianLikelihood,
+    HistogramLikelihood,
+    Parzen,
+    gaussian_of,
+)
 from accelsurf.energies.region_sums import MomentTracker, RegionMoments
 from accelsurf.energies.threshold import Threshold
 from accelsurf.energies.user_energy import CheckedEnergy

@@ -74,9 +74,17 @@ class ChanVese(RegionEnergy):
         energy = 0.0
         means = []
         for i, sums in enumerate(self.regions(surface, fraction)):
-            mean = self._fixed[i] if self._fixed else sums.total / sums.voxels if sums.voxels > 0 else 0.0
+            mean = (
+                self._fixed[i]
+                if self._fixed
+                else sums.total / sums.voxels
+                if sums.voxels > 0
+                else 0.0
+            )
             means.append(mean)
-            energy += self._weights[i] * (sums.squares - 2.0 * mean * sums.total + mean * mean * sums.voxels)
+            energy += self._weights[i] * (
+                sums.squares - 2.0 * mean * sums.total + mean * mean * sums.voxels
+            )
         self.means = TwoMeans(*means)
         return energy * surface.voxel_volume + self._area.value(area)
 
@@ -110,7 +118,9 @@ class LocalRegion(Energy):
         Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
     """
 
-    def __init__(self, image: np.ndarray, radius: float, alpha: float = 0.0, epsilon: float = 0.0) -> None:
+    def __init__(
+        self, image: np.ndarray, radius: float, alpha: float = 0.0, epsilon: float = 0.0
+    ) -> None:
         self._shape = np.shape(image)
         self._image = np.ascontiguousarray(image, dtype=np.float32).ravel()
         self.radius, self.alpha = float(radius), float(alpha)
@@ -154,7 +164,9 @@ class LocalRegion(Energy):
         for some in runs(self._image.size):
             cells = np.arange(some.start, some.stop)
             self._scatter(surface, cells, np.ones(cells.size), self._total)
-        self._windows = np.stack([self._smooth(surface, field.reshape(sizes)) for field in self._total])
+        self._windows = np.stack(
+            [self._smooth(surface, field.reshape(sizes)) for field in self._total]
+        )
         n, total = self._windows
         squares = float((self._image.astype(np.float64) ** 2).sum())
         # About one mean in each window.
@@ -169,36 +181,58 @@ class LocalRegion(Energy):
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also finds the means for the next `force`."""
         inside = self._inside.copy()
-        self._scatter(surface, surface.band.cells, self._interface.fraction(surface, fraction), inside)
+        self._scatter(
+            surface, surface.band.cells, self._interface.fraction(surface, fraction), inside
+        )
         # Windows that the surface can cross, and the nodes that they are made of.
         crossed, made_of = self._box(surface, 1), self._box(surface, 2)
-        within = tuple(slice(c.start - m.start, c.stop - m.start) for c, m in zip(crossed, made_of, strict=True))
+        within = tuple(
+            slice(c.start - m.start, c.stop - m.start)
+            for c, m in zip(crossed, made_of, strict=True)
+        )
         nodes = (np.ascontiguousarray(field.reshape(self._nodes[:3])[made_of]) for field in inside)
         n1, total1 = (np.ascontiguousarray(self._smooth(surface, field)[within]) for field in nodes)
         n, total = (np.ascontiguousarray(field[crossed]) for field in self._windows)
         means = np.empty((3, n.size))
         surface.workers.parallel(
-            windows.two_means, n.size, n.ravel(), total.ravel(), n1.ravel(), total1.ravel(), MIN_SHARE, means
+            windows.two_means,
+            n.size,
+            n.ravel(),
+            total.ravel(),
+            n1.ravel(),
+            total1.ravel(),
+            MIN_SHARE,
+            means,
         )
         self._means = [self._smooth(surface, field.reshape(n.shape)).ravel() for field in means[:2]]
         before = [b - s.start for b, s in zip(self._nodes[6:], crossed, strict=True)]
         sizes = dict(zip(("nz", "ny", "nx"), n.shape, strict=True))
         self._near_nodes = self._nodes._replace(**sizes, pz=before[0], py=before[1], px=before[2])
-        return (self._one_mean - float(means[2].sum())) * surface.voxel_volume + self._area.value(area)
+        return (self._one_mean - float(means[2].sum())) * surface.voxel_volume + self._area.value(
+            area
+        )
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
         means = np.empty((surface.size, 2))
         surface.workers.parallel(
-            windows.read_nodes, surface.size, surface.grid, surface.band, front,
-            self._near_nodes, tuple(self._means), means,
+            windows.read_nodes,
+            surface.size,
+            surface.grid,
+            surface.band,
+            front,
+            self._near_nodes,
+            tuple(self._means),
+            means,
         )
         image = self._interface.force(self._image, surface, front, curvature, (0.0, 1.0, 0.0))
         force: np.ndarray = (means[:, 1] - 2.0 * image * means[:, 0]).astype(np.float32)
         self._area.add_force(force, curvature)
         return force
 
-    def _scatter(self, surface: LevelSet, cells: np.ndarray, weight: np.ndarray, sums: np.ndarray) -> None:
+    def _scatter(
+        self, surface: LevelSet, cells: np.ndarray, weight: np.ndarray, sums: np.ndarray
+    ) -> None:
         surface.workers.serial(
             windows.scatter, cells, weight, self._image, surface.grid, self._nodes, sums[0], sums[1]
         )
@@ -212,7 +246,13 @@ class LocalRegion(Energy):
                 out = np.empty_like(field)
                 half_width = self._half_widths[axis]
                 surface.workers.parallel(
-                    windows.tent_along, field.size, field.ravel(), size * step, step, half_width, out.ravel()
+                    windows.tent_along,
+                    field.size,
+                    field.ravel(),
+                    size * step,
+                    step,
+                    half_width,
+                    out.ravel(),
                 )
                 field = out
             step *= size
@@ -220,12 +260,16 @@ class LocalRegion(Energy):
 
     def _box(self, surface: LevelSet, widths: int) -> tuple[slice, ...]:
         """Nodes within ``widths`` half widths of the window around the band."""
-        index = np.unravel_index(surface.band.cells, surface.shape) if surface.size else ([0], [0], [0])
+        index = (
+            np.unravel_index(surface.band.cells, surface.shape) if surface.size else ([0], [0], [0])
+        )
         box = []
         for axis in range(3):
             n, b, before = self._nodes[axis], self._nodes[3 + axis], self._nodes[6 + axis]
             low = math.floor(np.min(index[axis]) / b + before) - widths * self._half_widths[axis]
-            high = math.floor(np.max(index[axis]) / b + before) + widths * self._half_widths[axis] + 2
+            high = (
+                math.floor(np.max(index[axis]) / b + before) + widths * self._half_widths[axis] + 2
+            )
             box.append(slice(max(low, 0), min(high, n)))
         return tuple(box)
 

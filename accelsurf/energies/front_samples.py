@@ -64,11 +64,15 @@ def sample_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> 
     """
     out = np.empty(surface.size, np.float32)
     flat = raveled(image, surface)
-    surface.workers.parallel(motion.sample_image, surface.size, flat, surface.grid, surface.band, front, out)
+    surface.workers.parallel(
+        motion.sample_image, surface.size, flat, surface.grid, surface.band, front, out
+    )
     return out
 
 
-def slope_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def slope_at_front(
+    image: np.ndarray, surface: LevelSet, front: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Values of an image at the closest points, and its slopes grad I . n along the outward normal.
 
     Parameters
@@ -90,7 +94,14 @@ def slope_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> t
     out = np.empty((surface.size, 2), np.float32)
     flat, normals = raveled(image, surface), normals_at_front(surface, front)
     surface.workers.parallel(
-        point_sampling.value_and_slope, surface.size, flat, surface.grid, surface.band, normals, front, out
+        point_sampling.value_and_slope,
+        surface.size,
+        flat,
+        surface.grid,
+        surface.band,
+        normals,
+        front,
+        out,
     )
     return out[:, 0].copy(), out[:, 1].copy()
 
@@ -99,7 +110,13 @@ def normals_at_front(surface: LevelSet, front: np.ndarray) -> np.ndarray:
     """Outward unit normals n = grad psi/|grad psi| (n, 3), float32, axes (z, y, x) in mm. The inward N is -n."""
     out = np.empty((surface.size, 3), np.float32)
     surface.workers.parallel(
-        point_sampling.outward_normals, surface.size, surface.dense.psi, surface.grid, surface.band, front, out
+        point_sampling.outward_normals,
+        surface.size,
+        surface.dense.psi,
+        surface.grid,
+        surface.band,
+        front,
+        out,
     )
     return out
 

@@ -50,7 +50,9 @@ class Geodesic(ImageEnergy):
         phi = sample_at_front(self.sums.image, surface, area > 0)
         energy = dot(phi, area) + self._area.value(area)
         if self.balloon:
-            energy += self.balloon * self.sums.inside(surface, fraction).total * surface.voxel_volume
+            energy += (
+                self.balloon * self.sums.inside(surface, fraction).total * surface.voxel_volume
+            )
         return energy
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
@@ -62,7 +64,10 @@ class Geodesic(ImageEnergy):
 
 
 def edge_indicator(
-    image: np.ndarray, spacing: Sequence[float], scale: float | None = None, contrast: float | None = None
+    image: np.ndarray,
+    spacing: Sequence[float],
+    scale: float | None = None,
+    contrast: float | None = None,
 ) -> np.ndarray:
     """Edge indicator phi = 1/(1 + (|grad I_s|/K)^2): 1 where the image is flat, near 0 on its edges.
 
@@ -96,8 +101,12 @@ def edge_indicator(
     >>> bool(phi[0, 4, 12] < 0.1), bool(phi[0, 4, 2] > 0.99)
     (True, True)
     """
-    gradient = gradient_magnitude(image, spacing, max(axis_steps(image.shape, spacing)) if scale is None else scale)
-    return edge_indicator_of(gradient, edge_contrast(gradient) if contrast is None else float(contrast))
+    gradient = gradient_magnitude(
+        image, spacing, max(axis_steps(image.shape, spacing)) if scale is None else scale
+    )
+    return edge_indicator_of(
+        gradient, edge_contrast(gradient) if contrast is None else float(contrast)
+    )
 
 
 def edge_indicator_of(gradient: np.ndarray, contrast: float) -> np.ndarray:
@@ -140,5 +149,7 @@ def edge_contrast(gradient: np.ndarray) -> float:
     strong = float(np.percentile(gradient, _STRONG_PERCENTILE)) or float(np.max(gradient))
     contrast = max(_STRONG_SHARE * strong, _ABOVE_NOISE * float(np.median(gradient)))
     if not contrast > 0:
-        raise InputError("the image has no edge at this scale: its gradient is 0", "take a smaller edge scale")
+        raise InputError(
+            "the image has no edge at this scale: its gradient is 0", "take a smaller edge scale"
+        )
     return contrast

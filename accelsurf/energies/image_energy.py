@@ -85,7 +85,12 @@ class RegionEnergy(ImageEnergy):
     """
 
     def __init__(
-        self, image: np.ndarray, alpha: float, epsilon: float, elsewhere: Elsewhere | None, whole: RegionMoments | None
+        self,
+        image: np.ndarray,
+        alpha: float,
+        epsilon: float,
+        elsewhere: Elsewhere | None,
+        whole: RegionMoments | None,
     ) -> None:
         super().__init__(image, alpha)
         self._interface, self._elsewhere = Interface(float(epsilon)), elsewhere
@@ -93,7 +98,9 @@ class RegionEnergy(ImageEnergy):
         if elsewhere is not None:
             self._all = self._all.plus(elsewhere.all)
 
-    def regions(self, surface: LevelSet, fraction: np.ndarray) -> tuple[RegionMoments, RegionMoments]:
+    def regions(
+        self, surface: LevelSet, fraction: np.ndarray
+    ) -> tuple[RegionMoments, RegionMoments]:
         """Sums over the inside and over the outside."""
         inside = self.sums.inside(surface, self._interface.fraction(surface, fraction))
         if self._elsewhere is not None:
@@ -129,7 +136,9 @@ class RegionField(ImageEnergy):
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface."""
-        return self.sums.inside(surface, fraction).total * surface.voxel_volume + self._area.value(area)
+        return self.sums.inside(surface, fraction).total * surface.voxel_volume + self._area.value(
+            area
+        )
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """The field at each front cell's closest surface point, plus alpha H."""

@@ -113,7 +113,10 @@ class GaussianLikelihood(RegionEnergy):
 
 def _no_sample() -> InputError:
     """Return the error of a region to learn from that has no voxel."""
-    return InputError("likelihood: a region to learn from has no voxel", "give --foreground and --background voxels")
+    return InputError(
+        "likelihood: a region to learn from has no voxel",
+        "give --foreground and --background voxels",
+    )
 
 
 def least_variance(image: np.ndarray) -> float:
@@ -165,7 +168,9 @@ def robust_gaussian_of(values: np.ndarray, min_variance: float) -> Gaussian:
         raise _no_sample()
     sample = np.asarray(values, np.float64)
     middle = float(np.median(sample))
-    return Gaussian(middle, max((NORMAL_MAD * float(np.median(np.abs(sample - middle)))) ** 2, min_variance))
+    return Gaussian(
+        middle, max((NORMAL_MAD * float(np.median(np.abs(sample - middle)))) ** 2, min_variance)
+    )
 
 
 def _gaussian(sums: RegionMoments, min_variance: float) -> Gaussian:
@@ -196,7 +201,9 @@ class Parzen:
     @classmethod
     def of_image(cls, image: np.ndarray) -> Parzen:
         """The bins for an image: between its percentiles, or its extremes where those are equal."""
-        return cls.between(np.percentile(image, END_PERCENTILES), np.array([np.min(image), np.max(image)]))
+        return cls.between(
+            np.percentile(image, END_PERCENTILES), np.array([np.min(image), np.max(image)])
+        )
 
     @classmethod
     def between(cls, percentiles: np.ndarray, extremes: np.ndarray) -> Parzen:
@@ -206,7 +213,9 @@ class Parzen:
 
     def histogram(self, values: np.ndarray) -> np.ndarray:
         """Histogram (BINS,) of values, each shared by the two bins next to it."""
-        place = np.clip((np.asarray(values, np.float64) - self.scale[0]) * self.scale[1], 0, BINS - 1)
+        place = np.clip(
+            (np.asarray(values, np.float64) - self.scale[0]) * self.scale[1], 0, BINS - 1
+        )
         below = np.minimum(place.astype(np.int64), BINS - 2)
         share = place - below
         counts = np.bincount(below, 1.0 - share, BINS) + np.bincount(below + 1, share, BINS)
@@ -215,7 +224,9 @@ class Parzen:
     def density(self, counts: np.ndarray) -> np.ndarray:
         """Density p (BINS,), sum 1, of the values of a histogram."""
         total = counts.sum()
-        smooth = (self._window * counts).sum(axis=1) / total if total > 0 else np.full(BINS, 1.0 / BINS)
+        smooth = (
+            (self._window * counts).sum(axis=1) / total if total > 0 else np.full(BINS, 1.0 / BINS)
+        )
         return np.asarray((1.0 - _UNIFORM_SHARE) * smooth + _UNIFORM_SHARE / BINS)
 
     def value_and_slope(self, counts: np.ndarray) -> tuple[float, np.ndarray]:
@@ -275,7 +286,11 @@ class HistogramLikelihood(Energy):
         self._interface = Interface(float(epsilon))
         self._parzen = parzen or Parzen.of_image(image)
         self._beyond_band = np.zeros(BINS)
-        self._all = sums_by_plane(np.asarray(image, np.float32), self._parzen.histogram) if whole is None else whole
+        self._all = (
+            sums_by_plane(np.asarray(image, np.float32), self._parzen.histogram)
+            if whole is None
+            else whole
+        )
         self._elsewhere = elsewhere
         if elsewhere is not None:
             self._all = self._all + elsewhere.all
@@ -303,8 +318,12 @@ class HistogramLikelihood(Energy):
 
     def follow(self, surface: LevelSet, change: BandChange) -> None:
         """Update the histogram by the cells that entered or left the band."""
-        left, entered = (self.sums.image[cells] for cells in (change.left_inside, change.entered_inside))
-        self._beyond_band = self._beyond_band + self._parzen.histogram(left) - self._parzen.histogram(entered)
+        left, entered = (
+            self.sums.image[cells] for cells in (change.left_inside, change.entered_inside)
+        )
+        self._beyond_band = (
+            self._beyond_band + self._parzen.histogram(left) - self._parzen.histogram(entered)
+        )
 
     def state(self) -> np.ndarray:
         """Return the histogram of the inside beyond the band; not to be changed."""
@@ -335,7 +354,9 @@ class HistogramLikelihood(Energy):
             energy = dot(self._fixed[0], inside) + dot(self._fixed[1], outside)
             self._table = self._fixed[0] - self._fixed[1]
         else:
-            (inner, slope), (outer, outer_slope) = (self._parzen.value_and_slope(h) for h in (inside, outside))
+            (inner, slope), (outer, outer_slope) = (
+                self._parzen.value_and_slope(h) for h in (inside, outside)
+            )
             energy, self._table = inner + outer, slope - outer_slope
         return energy * surface.voxel_volume + self._area.value(area)
 
@@ -355,5 +376,7 @@ class HistogramLikelihood(Energy):
 
     def _looked_up(self, values: np.ndarray, surface: LevelSet) -> np.ndarray:
         out = np.empty(values.size, np.float32)
-        surface.workers.parallel(statistics.look_up, values.size, values, self._parzen.scale, self._table, out)
+        surface.workers.parallel(
+            statistics.look_up, values.size, values, self._parzen.scale, self._table, out
+        )
         return out

@@ -44,7 +44,8 @@ def sums_by_plane(
     read some planes at a time.
     """
     return sum_in_order(
-        summing(plane.ravel() if where is None else plane[where[z]]) for z, plane in enumerate(image)
+        summing(plane.ravel() if where is None else plane[where[z]])
+        for z, plane in enumerate(image)
     )
 
 
@@ -96,7 +97,9 @@ class MomentTracker:
 
     def follow(self, change: BandChange) -> None:
         """Update the sums by the cells that entered or left the band."""
-        left, entered = (moments_of(self.image[cells]) for cells in (change.left_inside, change.entered_inside))
+        left, entered = (
+            moments_of(self.image[cells]) for cells in (change.left_inside, change.entered_inside)
+        )
         self._beyond_band = self._beyond_band + left - entered
 
     def state(self) -> np.ndarray:
@@ -116,7 +119,9 @@ class MomentTracker:
 
     def whole_image(self) -> RegionMoments:
         """Sums over the whole volume."""
-        return RegionMoments(*(float(v) for v in sums_by_plane(self.image.reshape(self._shape), moments_of)))
+        return RegionMoments(
+            *(float(v) for v in sums_by_plane(self.image.reshape(self._shape), moments_of))
+        )
 
 
 class Interface(NamedTuple):
@@ -134,7 +139,9 @@ class Interface(NamedTuple):
         if self.epsilon == 0:
             return sharp
         fraction = np.empty(surface.size)
-        surface.workers.parallel(region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, fraction)
+        surface.workers.parallel(
+            region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, fraction
+        )
         return fraction
 
     def force(
@@ -165,7 +172,9 @@ class Interface(NamedTuple):
         return out
 
 
-def polynomial_of(values: NDArray[np.float32], polynomial: tuple[float, float, float]) -> NDArray[np.float32]:
+def polynomial_of(
+    values: NDArray[np.float32], polynomial: tuple[float, float, float]
+) -> NDArray[np.float32]:
     """Return a I^2 + b I + c of values I, in their precision."""
     a, b, c = (np.float32(v) for v in polynomial)
     return np.asarray((a * values + b) * values + c)

@@ -106,7 +106,8 @@ class CheckedEnergy(Energy):
         value = self._energy.value(surface, fraction, area)
         if not _is_number(value):
             raise InputError(
-                f"{self._kind}.value returned {_described(value)}, expected one number", "return float(...)"
+                f"{self._kind}.value returned {_described(value)}, expected one number",
+                "return float(...)",
             )
         return float(value)
 
@@ -119,7 +120,11 @@ class CheckedEnergy(Energy):
             When it is not one finite number for each front cell.
         """
         force = self._energy.force(surface, front, curvature)
-        if not isinstance(force, np.ndarray) or force.shape != front.shape or force.dtype.kind not in "fiu":
+        if (
+            not isinstance(force, np.ndarray)
+            or force.shape != front.shape
+            or force.dtype.kind not in "fiu"
+        ):
             raise InputError(
                 f"{self._kind}.force returned {_described(force)}, expected an array of numbers of shape {front.shape}",
                 "one number for each band cell, in the order of the arrays front and curvature",

@@ -125,7 +125,9 @@ class BetweenFrames(WeightedSum):
 
     def __init__(self, times: Sequence[float], energies: Sequence[Energy]) -> None:
         if len(times) != len(energies) or not len(times) or not (np.diff(times) > 0).all():
-            raise ValueError(f"{len(energies)} energies at the times {list(times)}: as many rising times expected")
+            raise ValueError(
+                f"{len(energies)} energies at the times {list(times)}: as many rising times expected"
+            )
         self._times, self._energies = np.asarray(times, np.float64), list(energies)
         self._first, self._share = 0, 0.0
         self.alpha = max(energy.alpha for energy in energies)
@@ -143,7 +145,9 @@ class BetweenFrames(WeightedSum):
         before = {id(energy) for _, energy in self._terms}
         self._first, self._share = first, 0.0
         if len(times) > 1:
-            self._share = float(np.clip((time - times[first]) / (times[first + 1] - times[first]), 0.0, 1.0))
+            self._share = float(
+                np.clip((time - times[first]) / (times[first + 1] - times[first]), 0.0, 1.0)
+            )
         for _, energy in self._terms:
             if id(energy) not in before:
                 energy.start(surface)

@@ -68,7 +68,9 @@ class StopRule(NamedTuple):
             # What oscillates in a window oscillates in ten: only what would be added counts.
             if forecast(moved.mean, moved_before, twice, HORIZON) - moved.mean > self.further:
                 return None
-        return Reason("converged", f"the surface moved {moved.mean:.3f} voxels in {len(records)} steps")
+        return Reason(
+            "converged", f"the surface moved {moved.mean:.3f} voxels in {len(records)} steps"
+        )
 
     def _is_past_lowest(self, surface: LevelSet, state: LoopState) -> bool:
         """Test if the lowest potential lies ``patience`` steps back, and the surface is still there."""
@@ -89,9 +91,13 @@ class StopRule(NamedTuple):
             return False
         if last.motion_voxels > STILL:
             return True
-        early, late = (sum(record.kinetic for record in part) for part in (records[:half], records[-half:]))
+        early, late = (
+            sum(record.kinetic for record in part) for part in (records[:half], records[-half:])
+        )
         # At the minimum itself some speed may stay that redistancing undoes: a run that has hardly moved may end.
-        travelled = sum(record.motion_voxels for record in state.history[state.first :]) > Restart().travel
+        travelled = (
+            sum(record.motion_voxels for record in state.history[state.first :]) > Restart().travel
+        )
         return travelled and last.kinetic > LEVEL_KINETIC * gained and late > LEVEL * early
 
 
@@ -121,7 +127,11 @@ def forecast(moved: float, moved_before: float, moved_twice: float, windows: flo
         return 0.0
     ratio = 1.0 if math.isnan(moved_before) else min(moved / max(moved_before, 1e-9), 1.0) ** 0.5
     falling = windows if ratio > 0.999 else ratio * (1.0 - ratio**windows) / (1.0 - ratio)
-    growth = 1.0 if math.isnan(moved_twice) else min(max(math.log2(max(moved_twice, 1e-9) / moved), 0.0), 1.0)
+    growth = (
+        1.0
+        if math.isnan(moved_twice)
+        else min(max(math.log2(max(moved_twice, 1e-9) / moved), 0.0), 1.0)
+    )
     return moved * min(falling, windows**growth)
 
 
@@ -170,10 +180,10 @@ def stalled(records: list[StepRecord]) -> Reason | None:
         return Reason(
             "stalled",
             f"the steps are {last.cfl_dt / last.dt:.0e} times shorter than the forces allow: diffusion, "
-            "noise, smoothness or gravity limit them; reduce it, or use --diffusion free"
+            "noise, smoothness or gravity limit them; reduce it, or use --diffusion free",
         )
     return Reason(
         "stalled",
         "the time step has become too small to move the surface; "
-        "use a larger --presmooth, or --flow constant-density"
+        "use a larger --presmooth, or --flow constant-density",
     )

@@ -107,14 +107,28 @@ class Evolution:
     ) -> Evolution:
         """Return the evolution of a surface under solver settings; the other parameters are those of the class."""
         made = cls(
-            surface, energy, setup.flow, setup.limits, max_steps, setup.restart, setup.rule, level, state, fields
+            surface,
+            energy,
+            setup.flow,
+            setup.limits,
+            max_steps,
+            setup.restart,
+            setup.rule,
+            level,
+            state,
+            fields,
         )
         made.corner, made.stop_at_rest, made.end = corner, setup.stop_at_rest, setup.end
         return made
 
     def use(self, setup: SolverSetup, energy: Energy | None = None) -> None:
         """Have other solver settings, and another energy unless it is None; a `restore` follows."""
-        self.flow, self.limits, self.restart, self.rule = setup.flow, setup.limits, setup.restart, setup.rule
+        self.flow, self.limits, self.restart, self.rule = (
+            setup.flow,
+            setup.limits,
+            setup.restart,
+            setup.rule,
+        )
         self.energy = energy or self.energy
 
     @property
@@ -175,7 +189,9 @@ class Evolution:
         self.initialize()
         began = time.perf_counter()
         fraction, area = self.surface.fraction_and_area()
-        columns = self._columns(len(self.history), self.energy.value(self.surface, fraction, area), fraction, area)
+        columns = self._columns(
+            len(self.history), self.energy.value(self.surface, fraction, area), fraction, area
+        )
         record = self._final_record(columns, began)._replace(edits=self.state.edits)
         return Step(record, self.surface, self.state.fields)
 
@@ -225,12 +241,21 @@ class Evolution:
                 change_psi(surface)
             surface.reinitialize(half_width)
             flow.change_region(surface, inside)
-            here = Level(0, (1, 1, 1), surface.shape, (surface.grid.hz, surface.grid.hy, surface.grid.hx))
+            here = Level(
+                0, (1, 1, 1), surface.shape, (surface.grid.hz, surface.grid.hy, surface.grid.hx)
+            )
             fields = transfer_fields(fields, flow.fill_values, slot, here, surface, here)
         state = self.state.after_edit(compares=energy is None)
         setup = setup._replace(stop_at_rest=self.stop_at_rest, end=self.end)
         following = Evolution.of(
-            surface, energy or self.energy, setup, self.max_steps, self.level, state, fields, self.corner
+            surface,
+            energy or self.energy,
+            setup,
+            self.max_steps,
+            self.level,
+            state,
+            fields,
+            self.corner,
         )
         following.initialize()
         state.expect(potential - flow.energy(surface.fraction_and_area()[1]))
@@ -243,7 +268,12 @@ class Evolution:
         self.initialize()
         surface = checkpoint_surface(self.surface)
         return Checkpoint(
-            self.level, self.state.copy(), surface, self.flow.state(), self.energy.state(), self.stop
+            self.level,
+            self.state.copy(),
+            surface,
+            self.flow.state(),
+            self.energy.state(),
+            self.stop,
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -252,7 +282,12 @@ class Evolution:
         restore_surface(self.surface, checkpoint.surface)
         self.flow.restore(self.surface, checkpoint.flow)
         self.energy.restore(self.surface, checkpoint.energy)
-        self._initialized, self._fields, self._stop_requested, self.stop = True, None, False, checkpoint.stop
+        self._initialized, self._fields, self._stop_requested, self.stop = (
+            True,
+            None,
+            False,
+            checkpoint.stop,
+        )
 
     # -- one step ------------------------------------------------------------------------------------------
 
@@ -276,20 +311,31 @@ class Evolution:
             potential = state.potential
         columns = self._columns(n, potential, fraction, area) | {"returned": decision != "stay"}
         if reason is None and (rest := self._left_rest(n, columns)) is not None:
-            fraction, area = rests.go_back(rest, state, area, surface, self.energy, flow, self.corner)
-            columns = self._columns(n, state.potential, fraction, area) | {"returned": True, "back_to": rest.at.step}
+            fraction, area = rests.go_back(
+                rest, state, area, surface, self.energy, flow, self.corner
+            )
+            columns = self._columns(n, state.potential, fraction, area) | {
+                "returned": True,
+                "back_to": rest.at.step,
+            }
             reason = Reason("rested", rests.WHY.format(rest.at.step))
         if reason is not None:
             if columns["returned"] and surface.size:
-                fields = StepFields(surface.band.cells, self._force()[1], np.zeros(surface.size, np.float32))
+                fields = StepFields(
+                    surface.band.cells, self._force()[1], np.zeros(surface.size, np.float32)
+                )
                 state.record_motion(fields, 0.0)
             return self._end(reason, columns, began)
-        restarted = self.restart is not None and self.restart.is_due(potential, self.history[state.first :])
+        restarted = self.restart is not None and self.restart.is_due(
+            potential, self.history[state.first :]
+        )
         if restarted:
             state.budget.record_loss(flow.zero_momentum(area))
         self._react(area)
         front, force, curvature = self._force()
-        plan = flow.move(StepInput(surface, front, force, curvature, area, self.energy.alpha), self._limits_now())
+        plan = flow.move(
+            StepInput(surface, front, force, curvature, area, self.energy.alpha), self._limits_now()
+        )
         if not plan.dt > 0:
             return self._end(Reason("converged", "no force acts on the surface"), columns, began)
         entries = state.budget.record_step(plan.energy_rates, plan.dt)
@@ -329,7 +375,9 @@ class Evolution:
             self.flow.add_velocity(self.surface, change)
             self.state.budget.record_jump(before - self.flow.energy(area))
 
-    def _columns(self, n: int, potential: float, fraction: np.ndarray, area: np.ndarray) -> dict[str, Any]:
+    def _columns(
+        self, n: int, potential: float, fraction: np.ndarray, area: np.ndarray
+    ) -> dict[str, Any]:
         """The columns of a record that say where the surface is."""
         return {
             "step": n,
@@ -363,14 +411,26 @@ class Evolution:
         last = self.history[-1] if self.history else None
         entries: dict[str, Any] = {key: getattr(last, key) if last else 0.0 for key in COLUMNS}
         entries["weight"] = self.flow.weight
-        back_to = columns.pop("back_to", self.state.lowest.step if self.state.lowest is not None else 0)
+        back_to = columns.pop(
+            "back_to", self.state.lowest.step if self.state.lowest is not None else 0
+        )
         if columns.get("returned"):
             entries["kinetic"], entries["smoothing_work"] = 0.0, self.state.budget.smoothing
             then = self.history[back_to]
             entries.update({key: getattr(then, key) for key in MASS_COLUMNS})
         return StepRecord(
-            **columns, **entries, dt=0.0, cfl_dt=0.0, speed=0.0, motion_voxels=0.0, limited_fraction=0.0,
-            diffusion=0.0, cells_visited=0, restarted=False, removed_components=0, seconds=time.perf_counter() - began,
+            **columns,
+            **entries,
+            dt=0.0,
+            cfl_dt=0.0,
+            speed=0.0,
+            motion_voxels=0.0,
+            limited_fraction=0.0,
+            diffusion=0.0,
+            cells_visited=0,
+            restarted=False,
+            removed_components=0,
+            seconds=time.perf_counter() - began,
         )
 
     # -- decisions -----------------------------------------------------------------------------------------
@@ -385,13 +445,17 @@ class Evolution:
         Without a stop rule the motion itself is wanted, not the minimum.
         """
         state, surface = self.state, self.surface
-        if self.rule is None or (self.end == "present" and reason is not None and reason.name == "max-steps"):
+        if self.rule is None or (
+            self.end == "present" and reason is not None and reason.name == "max-steps"
+        ):
             return "stay"
         if self.energy.is_disturbed:
             self.state.lowest = None
             return "stay"
         if surface.size and math.isfinite(state.potential):
-            self.state.lowest = lowest.lowest_of(state.lowest, state.potential, n, surface, self.flow, self.energy)
+            self.state.lowest = lowest.lowest_of(
+                state.lowest, state.potential, n, surface, self.flow, self.energy
+            )
         elif state.lowest is not None:
             self.state.lowest = lowest.completed(state.lowest, surface)
         since = n - max(state.returned_at, state.lowest.step if state.lowest else 0)
@@ -406,8 +470,12 @@ class Evolution:
         """Watch for a rest; the one that the surface has just broken through from, if the run shall end at it."""
         state, found = self.state, len(self.state.rests.found)
         now = rests.Moment(n, self.level, columns["volume_mm3"], columns["area_mm2"], self.corner)
-        self.state.rests = rests.watched(state.rests, self.history[state.first :], now, self.surface, state.fields)
-        return state.rests.found[-1] if self.stop_at_rest and len(state.rests.found) > found else None
+        self.state.rests = rests.watched(
+            state.rests, self.history[state.first :], now, self.surface, state.fields
+        )
+        return (
+            state.rests.found[-1] if self.stop_at_rest and len(state.rests.found) > found else None
+        )
 
     def _limits_now(self) -> StepLimits:
         """The limits of a step, shorter the more often the run has gone back."""

@@ -32,7 +32,12 @@ Decision = Literal["stay", "continue", "end"]
 
 
 def lowest_of(
-    before: LowestState | None, potential: float, step: int, surface: LevelSet, flow: Flow, energy: Energy
+    before: LowestState | None,
+    potential: float,
+    step: int,
+    surface: LevelSet,
+    flow: Flow,
+    energy: Energy,
 ) -> LowestState:
     """The lowest of ``before`` and the present state; to be called at every step, as the band is kept by reference."""
     if before is None or potential < before.potential:
@@ -47,7 +52,9 @@ def completed(lowest: LowestState, surface: LevelSet) -> LowestState:
     return lowest._replace(surface=complete_state(lowest.surface, surface), complete=True)
 
 
-def go_back(state: LoopState, n: int, area: np.ndarray, surface: LevelSet, flow: Flow, energy: Energy) -> None:
+def go_back(
+    state: LoopState, n: int, area: np.ndarray, surface: LevelSet, flow: Flow, energy: Energy
+) -> None:
     """Go back to the state of the lowest potential, at rest, before step ``n``; the steps from there are shorter."""
     assert state.lowest is not None
     before = state.potential + flow.energy(area)
@@ -66,7 +73,12 @@ def patience(state: LoopState, near_end: bool) -> int:
 
 
 def decide(
-    reason: Reason | None, state: LoopState, surface: LevelSet, since: int, same: float, patient: int = PATIENCE
+    reason: Reason | None,
+    state: LoopState,
+    surface: LevelSet,
+    since: int,
+    same: float,
+    patient: int = PATIENCE,
 ) -> Decision:
     """Decide if the loop goes back to the lowest state.
 

@@ -11,7 +11,16 @@ if TYPE_CHECKING:
     from accelsurf.levelset import LevelSet
 
 StopReason = Literal[
-    "converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged", "leaked", "rested", "given"
+    "converged",
+    "max-steps",
+    "vanished",
+    "filled",
+    "stalled",
+    "interrupted",
+    "diverged",
+    "leaked",
+    "rested",
+    "given",
 ]
 
 

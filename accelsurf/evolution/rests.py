@@ -82,14 +82,22 @@ def watched(
     watch, speed = watch._replace(slowest=slowest), front_speed(records, now)
     if speed is None or surface.size == 0:
         return watch
-    if slowest is not None and fields is not None and _breaks_through(slowest, watch.peak, speed, now):
+    if (
+        slowest is not None
+        and fields is not None
+        and _breaks_through(slowest, watch.peak, speed, now)
+    ):
         rest = FoundRest(slowest, now.step, fastest_place(fields, surface.shape, now.corner))
         return RestWatch(speed, None, (*watch.found, rest)[:MAX_PLATEAUS])
     watch = watch._replace(peak=max(watch.peak, speed))
-    calm = not any(record.restarted or record.returned or record.edits for record in records[-AFTER_RESTART:])
+    calm = not any(
+        record.restarted or record.returned or record.edits for record in records[-AFTER_RESTART:]
+    )
     if calm and _is_slowest(watch, speed, now):
         band = band_state(surface)
-        slowest = Slowest(now.step, now.level, max(speed, 0.0), now.volume_mm3, now.corner, surface.shape, band)
+        slowest = Slowest(
+            now.step, now.level, max(speed, 0.0), now.volume_mm3, now.corner, surface.shape, band
+        )
         return watch._replace(slowest=slowest)
     return watch
 
@@ -109,7 +117,13 @@ def _is_slowest(watch: RestWatch, speed: float, now: Moment) -> bool:
 
 
 def go_back(
-    rest: FoundRest, state: LoopState, area: np.ndarray, surface: LevelSet, energy: Energy, flow: Flow, corner: Corner
+    rest: FoundRest,
+    state: LoopState,
+    area: np.ndarray,
+    surface: LevelSet,
+    energy: Energy,
+    flow: Flow,
+    corner: Corner,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Go back to a rest on this level, in a box from voxel ``corner`` on that has grown since at most.
 
@@ -118,7 +132,10 @@ def go_back(
     before = state.potential + flow.energy(area)
     psi = surface.dense.psi.reshape(surface.shape)
     psi.fill(surface.gamma)
-    z, y, x = (slice(c - k, c - k + n) for c, k, n in zip(rest.at.corner, corner, rest.at.shape, strict=True))
+    z, y, x = (
+        slice(c - k, c - k + n)
+        for c, k, n in zip(rest.at.corner, corner, rest.at.shape, strict=True)
+    )
     psi[z, y, x] = psi_of(rest.at.surface, rest.at.shape, float(surface.gamma))
     surface.reinitialize(surface.requested_half_width)
     energy.start(surface)
@@ -139,7 +156,9 @@ def fastest_place(fields: StepFields, shape: tuple[int, int, int], corner: Corne
     cells = np.stack(np.unravel_index(fields.cells[fast], shape), axis=1).astype(np.float64)
     weight = growing[fast].astype(np.float64)
     # Blocks of 8 voxels stand for clusters; counted from the part's own first voxel, wherever its grid begins.
-    blocks, member = np.unique((cells - cells.min(axis=0, initial=np.inf)) // 8, axis=0, return_inverse=True)
+    blocks, member = np.unique(
+        (cells - cells.min(axis=0, initial=np.inf)) // 8, axis=0, return_inverse=True
+    )
     member = member.reshape(-1)
     largest = int(np.argmax(np.bincount(member, weight, len(blocks))))
     cluster = cells[member == largest]

@@ -27,7 +27,13 @@ FORMAT = 3
 _TREE = "tree"
 _END = ".npy"
 #: What a field of a plain type may hold.
-_PLAIN: dict[Any, Any] = {int: Integral, float: Real, bool: (bool, np.bool_), str: str, type(None): type(None)}
+_PLAIN: dict[Any, Any] = {
+    int: Integral,
+    float: Real,
+    bool: (bool, np.bool_),
+    str: str,
+    type(None): type(None),
+}
 
 
 def to_bytes(value: Any, types: Mapping[str, type]) -> bytes:
@@ -49,7 +55,12 @@ def to_bytes(value: Any, types: Mapping[str, type]) -> bytes:
     arrays: dict[str, np.ndarray] = {}
     names = {kind: name for name, kind in types.items()}
     state = _encode(value, arrays, names)
-    about = {"format": FORMAT, "records": _layout(types), "digest": _digest(state, arrays), "state": state}
+    about = {
+        "format": FORMAT,
+        "records": _layout(types),
+        "digest": _digest(state, arrays),
+        "state": state,
+    }
     tree = json.dumps(about)
     stream = io.BytesIO()
     np.savez(stream, **{_TREE: np.frombuffer(tree.encode(), np.uint8)}, **arrays)  # type: ignore[arg-type]
@@ -72,19 +83,25 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
         about = json.loads(tree.tobytes().decode())
         found, layout = about["format"], about["records"]
     except Exception as error:  # whatever zipfile, numpy and json make of damaged bytes
-        raise InputError(f"the checkpoint is damaged ({error})", "run from the start again") from None
+        raise InputError(
+            f"the checkpoint is damaged ({error})", "run from the start again"
+        ) from None
     if found != FORMAT:
         what = f"a checkpoint of another version of accelsurf was given (format {found}, expected {FORMAT})"
         raise InputError(what, "run from the start again")
     if layout != _layout(types):
-        raise InputError("a checkpoint of another version of accelsurf was given", "run from the start again")
+        raise InputError(
+            "a checkpoint of another version of accelsurf was given", "run from the start again"
+        )
     if about.get("digest") != _digest(about.get("state"), arrays):
         what = "the checkpoint is damaged (its checksum does not fit its content)"
         raise InputError(what, "run from the start again")
     try:
         return _decode(about["state"], arrays, types)
     except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise InputError(f"the checkpoint is damaged ({error})", "run from the start again") from None
+        raise InputError(
+            f"the checkpoint is damaged ({error})", "run from the start again"
+        ) from None
 
 
 def _arrays(content: bytes) -> dict[str, np.ndarray]:
@@ -129,7 +146,11 @@ def _digest(state: Any, arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def _encode(value: Any, arrays: dict[str, np.ndarray], names: Mapping[type, str]) -> Any:
-    if value is None or isinstance(value, (bool, int, float, str)) and not isinstance(value, np.generic):
+    if (
+        value is None
+        or isinstance(value, (bool, int, float, str))
+        and not isinstance(value, np.generic)
+    ):
         return value
     if isinstance(value, (np.ndarray, np.generic)):
         array = np.asarray(value)
@@ -142,7 +163,12 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], names: Mapping[type, str]
         fields = [_encode(item, arrays, names) for item in _values(value)]
         return {"record": names[type(value)], "fields": fields}
     if isinstance(value, Mapping):
-        return {"dict": [[_encode(key, arrays, names), _encode(item, arrays, names)] for key, item in value.items()]}
+        return {
+            "dict": [
+                [_encode(key, arrays, names), _encode(item, arrays, names)]
+                for key, item in value.items()
+            ]
+        }
     if type(value) in (tuple, list):
         kind = "tuple" if isinstance(value, tuple) else "list"
         return {kind: [_encode(item, arrays, names) for item in value]}
@@ -180,7 +206,9 @@ def _decode(tree: Any, arrays: Mapping[str, np.ndarray], types: Mapping[str, typ
                 raise ValueError(f"{name} of {tree['record']} is of another type")
         return record
     if "dict" in tree:
-        return {_decode(key, arrays, types): _decode(item, arrays, types) for key, item in tree["dict"]}
+        return {
+            _decode(key, arrays, types): _decode(item, arrays, types) for key, item in tree["dict"]
+        }
     items = [_decode(item, arrays, types) for item in tree["tuple" if "tuple" in tree else "list"]]
     return tuple(items) if "tuple" in tree else items
 
@@ -202,14 +230,21 @@ def _is_of(value: Any, declared: Any, types: Mapping[str, type]) -> bool:
         return value in inner
     if origin is tuple and inner[-1] is not Ellipsis:
         fits = isinstance(value, tuple) and len(value) == len(inner)
-        return fits and all(_is_of(item, kind, types) for item, kind in zip(value, inner, strict=True))
+        return fits and all(
+            _is_of(item, kind, types) for item, kind in zip(value, inner, strict=True)
+        )
     if origin in (tuple, list):
         return isinstance(value, origin) and all(_is_of(item, inner[0], types) for item in value)
     if origin is dict:
         return isinstance(value, dict) and all(
-            _is_of(key, inner[0], types) and _is_of(item, inner[1], types) for key, item in value.items()
+            _is_of(key, inner[0], types) and _is_of(item, inner[1], types)
+            for key, item in value.items()
         )
     if np.ndarray in (declared, origin):
         kind = get_args(inner[1])[0] if inner else Any  # of NDArray[kind]
-        return isinstance(value, np.ndarray) and value.ndim > 0 and (kind is Any or value.dtype == kind)
+        return (
+            isinstance(value, np.ndarray)
+            and value.ndim > 0
+            and (kind is Any or value.dtype == kind)
+        )
     return isinstance(value, declared) if declared in types.values() else True

@@ -157,7 +157,9 @@ class RestWatch(NamedTuple):
 
     def on_next_grid(self) -> RestWatch:
         """The watch on another grid; a state whose sides are not known yet is left behind."""
-        return self if self.slowest is None or self.slowest.complete else self._replace(slowest=None)
+        return (
+            self if self.slowest is None or self.slowest.complete else self._replace(slowest=None)
+        )
 
     def anew(self) -> RestWatch:
         """The watch under other settings: it begins anew, and keeps what was found."""
@@ -166,7 +168,9 @@ class RestWatch(NamedTuple):
     @property
     def nbytes(self) -> int:
         """Memory of the surfaces, bytes."""
-        states = [rest.at for rest in self.found] + ([self.slowest] if self.slowest is not None else [])
+        states = [rest.at for rest in self.found] + (
+            [self.slowest] if self.slowest is not None else []
+        )
         return sum(state.surface.nbytes for state in states)
 
 
@@ -245,16 +249,29 @@ class LoopState:
         """
         count = len(self.history)
         state = LoopState(
-            self.history, self.time, gained_before=self.gained, first=count, judged_at=count, returned_at=count,
-            edits=self.edits, rests=self.rests.on_next_grid(),
+            self.history,
+            self.time,
+            gained_before=self.gained,
+            first=count,
+            judged_at=count,
+            returned_at=count,
+            edits=self.edits,
+            rests=self.rests.on_next_grid(),
         )
-        return replace(state, budget=self.budget, potential_before=self.potential) if with_fields else state
+        return (
+            replace(state, budget=self.budget, potential_before=self.potential)
+            if with_fields
+            else state
+        )
 
     def after_edit(self, compares: bool) -> LoopState:
         """Return the state to continue from after an edit; ``compares``: the potentials before and after compare."""
         return replace(
-            self.on_next_grid(with_fields=True), gained_before=self.gained if compares else 0.0,
-            edits=self.edits + 1, fields=self.fields, rests=self.rests.anew(),
+            self.on_next_grid(with_fields=True),
+            gained_before=self.gained if compares else 0.0,
+            edits=self.edits + 1,
+            fields=self.fields,
+            rests=self.rests.anew(),
         )
 
     def record_potential(self, potential: float) -> None:
@@ -270,7 +287,12 @@ class LoopState:
 
     def record_check(self, snapshot: Snapshot, moved: float) -> None:
         """Record a check of convergence: the surface, and its mean distance from the one before."""
-        self.earlier, self.snapshot, self.moved, self.judged_at = self.snapshot, snapshot, moved, len(self.history)
+        self.earlier, self.snapshot, self.moved, self.judged_at = (
+            self.snapshot,
+            snapshot,
+            moved,
+            len(self.history),
+        )
 
     def record_motion(self, fields: StepFields, dt: float) -> None:
         """Record a step of the surface."""
@@ -278,7 +300,12 @@ class LoopState:
 
     def record_return(self, potential: float, step: int) -> None:
         """Record that the surface went back to that of the lowest potential before a step."""
-        self.potential, self.returns, self.returned_at, self.judged_at = potential, self.returns + 1, step, step
+        self.potential, self.returns, self.returned_at, self.judged_at = (
+            potential,
+            self.returns + 1,
+            step,
+            step,
+        )
         self.snapshot, self.earlier, self.moved, self.fields = None, None, math.nan, None
 
     def record_rest(self, potential: float) -> None:
@@ -309,7 +336,11 @@ class Checkpoint(NamedTuple):
         """Upper bound of its memory, bytes: without records, with arrays that checkpoints may share."""
         fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
         acting = self.loop.fields
-        shared = sum(12 * snapshot.psi.size for snapshot in (self.loop.snapshot, self.loop.earlier) if snapshot)
+        shared = sum(
+            12 * snapshot.psi.size
+            for snapshot in (self.loop.snapshot, self.loop.earlier)
+            if snapshot
+        )
         shared += 16 * acting.speed.size if acting else 0
         shared += self.loop.lowest.nbytes if self.loop.lowest is not None else 0
         shared += self.loop.rests.nbytes

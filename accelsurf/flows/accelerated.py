@@ -134,7 +134,10 @@ class Accelerated(Flow):
         if not self.clock.at_rest:
             # The kick damps the speeds that diffusion left, which may be far below those before.
             gamma = self.clock.gamma
-            friction = gamma * self._kinetic(area, smoothed + kicked, mean) + (self.clock.loss - 2.0 * gamma) * kinetic
+            friction = (
+                gamma * self._kinetic(area, smoothed + kicked, mean)
+                + (self.clock.loss - 2.0 * gamma) * kinetic
+            )
         return EnergyRates(
             kinetic=kinetic,
             weight=w,
@@ -155,7 +158,9 @@ class Accelerated(Flow):
         """
         reverses = kinetic < 0.0
         if reverses and self._reversed:
-            self._stiffness_factor = min(self._stiffness_factor * STIFFNESS_GROWTH, MAX_STIFFNESS_FACTOR)
+            self._stiffness_factor = min(
+                self._stiffness_factor * STIFFNESS_GROWTH, MAX_STIFFNESS_FACTOR
+            )
         self._reversed = reverses
 
     def _bounded(self, dt: float, surface: LevelSet, limits: StepLimits) -> float:

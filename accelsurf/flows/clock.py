@@ -26,7 +26,11 @@ class Clock:
     """
 
     def __init__(
-        self, k: float = 2.0, lambda_: float = 1.0, friction: float | None = None, t0: float | None = None
+        self,
+        k: float = 2.0,
+        lambda_: float = 1.0,
+        friction: float | None = None,
+        t0: float | None = None,
     ) -> None:
         self.k, self.lambda_, self.friction = float(k), float(lambda_), friction
         self._given = 0.0 if t0 is None and (k > 1 or friction is not None) else t0
@@ -64,7 +68,10 @@ class Clock:
     def continue_from(self, before: Clock) -> None:
         """Continue from a clock with other settings: take its time, unless it is at rest; then keep the own t0."""
         same = (self.k, self.lambda_, self.friction, self._given) == (
-            before.k, before.lambda_, before.friction, before._given
+            before.k,
+            before.lambda_,
+            before.friction,
+            before._given,
         )
         if same:
             self.restore(*before.state())
@@ -115,7 +122,9 @@ class Clock:
             a, tau = self.friction, stop - start
             return math.exp(-a * tau), self.lambda_ * (-math.expm1(-a * tau) / a if a > 0 else tau)
         k, ratio = self.k, start / stop
-        return ratio ** (k + 1.0), 0.5 * self.lambda_ * k * stop ** (k - 1.0) * (1.0 - ratio ** (2.0 * k))
+        return ratio ** (k + 1.0), 0.5 * self.lambda_ * k * stop ** (k - 1.0) * (
+            1.0 - ratio ** (2.0 * k)
+        )
 
     def first_dt(self, peak: float, stiffness: float, h: float, cfl: float) -> float:
         """Largest first step: CFL, beta(dt/2) dt <= cfl with f/rho = ``peak`` (voxels), and the wave bound.

@@ -71,7 +71,9 @@ class ConstantDensity(Accelerated):
         """Kick the speeds by the force over the step around the present time; the centred leap-frog."""
         surface, front, clock = now.surface, now.front, self.clock
         force = front_percentiles(now, now.force, limits.percentile)
-        speed = (0.0, 0.0) if clock.at_rest else front_percentiles(now, self.beta, limits.percentile)
+        speed = (
+            (0.0, 0.0) if clock.at_rest else front_percentiles(now, self.beta, limits.percentile)
+        )
         dt, cfl_dt = self.stable_dt(now, limits, force, speed)
         if not math.isfinite(dt):
             return StepPlan.none(surface)
@@ -81,13 +83,17 @@ class ConstantDensity(Accelerated):
         dm = 0.5 * (dt + clock.last_dt)
         if not clock.at_rest:
             damping, impulse = clock.gamma * dm, clock.weight() * dm
-            diffusion = self._diffusion_now(surface, dm, speed[0] + dt * impulse / (self.rho * dm) * force[0])
+            diffusion = self._diffusion_now(
+                surface, dm, speed[0] + dt * impulse / (self.rho * dm) * force[0]
+            )
             if diffusion > 0:
                 diffuse(surface, front, self.beta, diffusion * dm)
                 smoothed = self.beta.copy()
         kick = np.float32(impulse / self.rho) * np.asarray(now.force, np.float32)
         rates = damping, 0.0 if clock.at_rest else dm
-        surface.workers.parallel(motion.kick, surface.size, self.beta, kick, now.curvature, front, rates)
+        surface.workers.parallel(
+            motion.kick, surface.size, self.beta, kick, now.curvature, front, rates
+        )
         # Copies: the speeds are clipped in place.
         kicked = noisy = self.beta.copy()
         noise = self._noise_now(now, dm, 1)
@@ -101,8 +107,12 @@ class ConstantDensity(Accelerated):
             # less than what the change of the area took, and diffusion has taken so much less.
             bend = np.float32(0.5 * dm) * np.where(front, now.curvature, np.float32(0.0))
             missing = bend * kicked * (before - smoothed)
-            share = self._kinetic(now.area, missing, before) + self._kinetic(now.area, missing, self.beta)
-            energy_rates = energy_rates._replace(smoothing=energy_rates.smoothing + share / clock.weight())
+            share = self._kinetic(now.area, missing, before) + self._kinetic(
+                now.area, missing, self.beta
+            )
+            energy_rates = energy_rates._replace(
+                smoothing=energy_rates.smoothing + share / clock.weight()
+            )
         energy_rates = energy_rates._replace(mass=self.rho * float(now.area.sum()))
         front_speed = percentile(self.beta, limits.percentile, front)
         surface.extend_outwards(self.beta, front)
@@ -116,7 +126,9 @@ class ConstantDensity(Accelerated):
         damping, impulse = self.clock.gamma * dm, self.clock.weight() * dm
         kick = np.float32(impulse / self.rho) * np.asarray(now.force, np.float32)
         self.beta = self.beta.copy()
-        surface.workers.parallel(motion.kick, surface.size, self.beta, kick, now.curvature, now.front, (damping, dm))
+        surface.workers.parallel(
+            motion.kick, surface.size, self.beta, kick, now.curvature, now.front, (damping, dm)
+        )
         surface.extend_outwards(self.beta, now.front)
         self.clock.start_moving()
 
@@ -126,7 +138,11 @@ class ConstantDensity(Accelerated):
         return 0.5 * self.rho * float(products[0])
 
     def stable_dt(
-        self, now: StepInput, limits: StepLimits, force: tuple[float, float], speed: tuple[float, float]
+        self,
+        now: StepInput,
+        limits: StepLimits,
+        force: tuple[float, float],
+        speed: tuple[float, float],
     ) -> tuple[float, float]:
         """Largest stable time step, and that of the CFL number alone.
 

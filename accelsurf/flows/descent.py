@@ -84,12 +84,23 @@ class Descent(Flow):
         surface, area = now.surface, now.area
 
         def product(speed: np.ndarray) -> float:
-            return float(surface.workers.block_sums(statistics.products, area.size, 1, area, self._last, speed)[0])
+            return float(
+                surface.workers.block_sums(
+                    statistics.products, area.size, 1, area, self._last, speed
+                )[0]
+            )
 
         squares = product(self._last)
-        moved = self._last_dt * math.sqrt(squares / max(float(area.sum()), 1e-300)) / surface.smallest_spacing
+        moved = (
+            self._last_dt
+            * math.sqrt(squares / max(float(area.sum()), 1e-300))
+            / surface.smallest_spacing
+        )
         undone = -product(speed) / squares if moved > STILL else 0.0
-        before, self._reversal = self._reversal, (1.0 + min(undone, 1.0)) / self._last_dt if undone > UNDONE else 0.0
+        before, self._reversal = (
+            self._reversal,
+            (1.0 + min(undone, 1.0)) / self._last_dt if undone > UNDONE else 0.0,
+        )
         self._stiffness = max(self._stiffness, min(before, self._reversal))
         return min(dt, (1.0 + UNDONE) / self._stiffness) if self._stiffness > 0 else dt
 
@@ -130,13 +141,17 @@ def descent_plan(
     now.surface.extend_outwards(speed, now.front)
     share = clipped / max(1, int(now.front.sum()))
     rates = EnergyRates(friction=_work(now, speed), friction_before=_work(now, last))
-    return StepPlan(dt, speed, None, front_speed, share, diffusion, rates, min(cfl_dt, limits.dt_max))
+    return StepPlan(
+        dt, speed, None, front_speed, share, diffusion, rates, min(cfl_dt, limits.dt_max)
+    )
 
 
 def _work(now: StepInput, speed: np.ndarray) -> float:
     """Work of the force per unit of time on a surface with a ``speed`` (n,): int f beta dA."""
     force = np.where(now.front, now.force, 0.0).astype(np.float32)
-    sums = now.surface.workers.block_sums(statistics.products, force.size, 1, now.area, force, speed)
+    sums = now.surface.workers.block_sums(
+        statistics.products, force.size, 1, now.area, force, speed
+    )
     return float(sums[0])
 
 
@@ -211,7 +226,9 @@ class HeavyBall(Descent):
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Step with the bounds of plain descent; a step beyond the limit is clipped before it becomes the last one."""
         force = np.asarray(now.force, np.float32)
-        cfl_dt = self.cfl_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
+        cfl_dt = self.cfl_dt(
+            voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits
+        )
         dt = min(stable_dt(now, cfl_dt), limits.dt_max)
         if not math.isfinite(dt):
             return StepPlan.none(now.surface)
@@ -254,7 +271,9 @@ class Sobolev(Descent):
         return self.remember(descent_plan(now, self._last, speed, dt, limits, cfl_dt))
 
 
-def h1_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.ndarray) -> np.ndarray:
+def h1_gradient(
+    surface: LevelSet, force: np.ndarray, length: float, guess: np.ndarray
+) -> np.ndarray:
     """Solution g (n,) of (1 - length^2 Lap_S) g = force near the surface, by conjugate gradients from ``guess``.
 
     Solved as the minimum of sum eta ((g - f)^2 + length^2 |grad g|^2) over a tube around the surface whose weight

@@ -71,7 +71,9 @@ def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
     return min(largest_diffusion(surface) / dt, MIXING * surface.smallest_spacing * speed)
 
 
-def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float, component: int = -1) -> None:
+def diffuse(
+    surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float, component: int = -1
+) -> None:
     """Diffuse a field (n,), given on the ``front``, along the surface in place, by ``amount`` = D dt (mm2).
 
     Off the front the field is as before, or extended. No flux passes the volume's border: the field is mirrored there.
@@ -81,7 +83,9 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     Laplacian and an extension. Two of them combined are of second order, see `stages_of`; as few as ``amount`` needs.
     """
     bound = SAFETY * one_stage_diffusion(surface)
-    step = next((polynomial for polynomial in STAGES if polynomial.amount * bound >= amount), STAGES[-1])
+    step = next(
+        (polynomial for polynomial in STAGES if polynomial.amount * bound >= amount), STAGES[-1]
+    )
     share = amount / step.amount
     parallel, grid = surface.workers.parallel, surface.grid
     rows = surface.front_rows(front, component)
@@ -95,12 +99,24 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     rows.extend(surface.workers, first)
     field[off] = first[on.size :]
     # Stage 1 reads an older one, with weight 0.
-    turn, blended = [first.copy() if step.blended == 0 else first, np.empty_like(first), np.zeros_like(first)], first
+    turn, blended = (
+        [first.copy() if step.blended == 0 else first, np.empty_like(first), np.zeros_like(first)],
+        first,
+    )
     for j in range(1, step.stages + 1):
         mu, nu = (2.0 * j - 1.0) / j, (1.0 - j) / j
         new, old, older = turn[j % 3], turn[(j - 1) % 3], turn[(j - 2) % 3]
         weights = np.float32(mu), np.float32(mu * share), np.float32(nu)
-        parallel(motion.diffusion_stage, on.size, rows.order, rows.neighbours, grid, (old, older), weights, new)
+        parallel(
+            motion.diffusion_stage,
+            on.size,
+            rows.order,
+            rows.neighbours,
+            grid,
+            (old, older),
+            weights,
+            new,
+        )
         if walls.size:
             new[walls] -= np.float32(mu * share * to_wall) * old[walls]
         if j < step.stages:

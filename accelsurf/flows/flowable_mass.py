@@ -161,16 +161,24 @@ class FlowableMass(Accelerated):
             return StepPlan.none(surface)
         before, dm = self.velocity, 0.5 * (dt + clock.last_dt)
         smoothed, diffusion = self._diffused(now, normal, acceleration, dt, limits)
-        damping, impulse = (0.0, clock.first_kick(dt)) if clock.at_rest else (clock.gamma * dm, clock.weight() * dm)
+        damping, impulse = (
+            (0.0, clock.first_kick(dt))
+            if clock.at_rest
+            else (clock.gamma * dm, clock.weight() * dm)
+        )
         gain = np.float32(impulse) * acceleration
-        kicked = (smoothed * np.float32(1.0 - 0.5 * damping) + gain) / np.float32(1.0 + 0.5 * damping)
+        kicked = (smoothed * np.float32(1.0 - 0.5 * damping) + gain) / np.float32(
+            1.0 + 0.5 * damping
+        )
         noise = self._noise_now(now, dm, 3)
         noisy = kicked if noise is None else kicked + noise
         velocity = noisy.copy()
         rates = self._rates(surface, velocity)
         rates[~front] = 0.0
         clipped = clip_speed(velocity, rates, dt, limits.cfl)
-        energy_rates = self._energy_rates(now.area, (before, smoothed, kicked, noisy, velocity))._replace(
+        energy_rates = self._energy_rates(
+            now.area, (before, smoothed, kicked, noisy, velocity)
+        )._replace(
             mass_potential=0.0 if gravity is None else gravity.potential,
             mass=self.mass,
             mass_correction=self._correction - 1.0,
@@ -184,7 +192,9 @@ class FlowableMass(Accelerated):
         self._stretch(now, normal, dt)
         clock.tick(dt)
         share = clipped / max(1, int(front.sum()))
-        return StepPlan(dt, speed, self.velocity, front_speed, share, diffusion, energy_rates, cfl_dt)
+        return StepPlan(
+            dt, speed, self.velocity, front_speed, share, diffusion, energy_rates, cfl_dt
+        )
 
     def synchronize(self, now: StepInput) -> None:
         """Kick the velocity over the half step that it is behind, and balance the mass."""
@@ -194,7 +204,9 @@ class FlowableMass(Accelerated):
         normal, dm = surface.normals(), 0.5 * self.clock.last_dt
         acceleration = self._acceleration(now, normal, self._gravity_now(now._replace(area=layer)))
         damping, gain = self.clock.gamma * dm, np.float32(self.clock.weight() * dm) * acceleration
-        kicked = (self.velocity * np.float32(1.0 - 0.5 * damping) + gain) / np.float32(1.0 + 0.5 * damping)
+        kicked = (self.velocity * np.float32(1.0 - 0.5 * damping) + gain) / np.float32(
+            1.0 + 0.5 * damping
+        )
         self.velocity = self._extended(surface, kicked, now.front)
         self.clock.start_moving()
 
@@ -223,7 +235,9 @@ class FlowableMass(Accelerated):
         if transported:
             self._correction *= factor
 
-    def _expect_mass(self, surface: LevelSet, mass: np.ndarray, velocity: np.ndarray, dt: float) -> None:
+    def _expect_mass(
+        self, surface: LevelSet, mass: np.ndarray, velocity: np.ndarray, dt: float
+    ) -> None:
         """Note where the coming motion takes the ``mass`` (n,)."""
         self._expected, self._least, self._most = predict(surface, mass, velocity, dt)
         self._moved = True
@@ -231,9 +245,15 @@ class FlowableMass(Accelerated):
     def _inertia(self, area: np.ndarray) -> np.ndarray:
         """The density (n,) that forces accelerate: rho within its range."""
         # Several energies of a step need it.
-        if self._inertia_of is None or self._inertia_of[0] is not area or self._inertia_of[1] is not self.density:
+        if (
+            self._inertia_of is None
+            or self._inertia_of[0] is not area
+            or self._inertia_of[1] is not self.density
+        ):
             mean = float((area * self.density).sum()) / max(float(area.sum()), 1e-300)
-            clamped = np.clip(self.density, np.float32(mean / DENSITY_RANGE), np.float32(mean * DENSITY_RANGE))
+            clamped = np.clip(
+                self.density, np.float32(mean / DENSITY_RANGE), np.float32(mean * DENSITY_RANGE)
+            )
             self._inertia_of = area, self.density, clamped
         return self._inertia_of[2]
 
@@ -242,10 +262,18 @@ class FlowableMass(Accelerated):
         surface, front = now.surface, now.front
         stretch = np.empty(surface.size, np.float32)
         surface.workers.parallel(
-            transport.area_stretch, surface.size, surface.dense.slot, surface.grid, surface.band.cells,
-            front, (self.velocity, normal, dt), stretch,
+            transport.area_stretch,
+            surface.size,
+            surface.dense.slot,
+            surface.grid,
+            surface.band.cells,
+            front,
+            (self.velocity, normal, dt),
+            stretch,
         )
-        self.density = np.asarray(self.density / np.clip(stretch, 1.0 / STRETCH_RANGE, STRETCH_RANGE), np.float32)
+        self.density = np.asarray(
+            self.density / np.clip(stretch, 1.0 / STRETCH_RANGE, STRETCH_RANGE), np.float32
+        )
         surface.extend_outwards(self.density, front)
 
     # -- forces --------------------------------------------------------------------------------------------
@@ -263,7 +291,9 @@ class FlowableMass(Accelerated):
             tension[low] = -self.support
         return Gravity(g * area * squares, tension.astype(np.float32), area, clamped)
 
-    def _acceleration(self, now: StepInput, normal: np.ndarray, gravity: Gravity | None) -> np.ndarray:
+    def _acceleration(
+        self, now: StepInput, normal: np.ndarray, gravity: Gravity | None
+    ) -> np.ndarray:
         """Acceleration (n, 3) at the front, per weight w: f N/rho and the mass potential's."""
         surface = now.surface
         density = np.maximum(self._inertia(now.area), np.float32(1e-30))
@@ -273,13 +303,24 @@ class FlowableMass(Accelerated):
         along = along + gravity.tension * now.curvature / density
         slope = np.empty((surface.size, 3), np.float32)
         surface.workers.parallel(
-            transport.surface_gradient, surface.size, surface.dense.slot, surface.grid, surface.band.cells,
-            now.front, (self.density[:, None], normal), slope,
+            transport.surface_gradient,
+            surface.size,
+            surface.dense.slot,
+            surface.grid,
+            surface.band.cells,
+            now.front,
+            (self.density[:, None], normal),
+            slope,
         )
         return np.asarray(along[:, None] * normal - np.float32(self.gravity * gravity.area) * slope)
 
     def _diffused(
-        self, now: StepInput, normal: np.ndarray, acceleration: np.ndarray, dt: float, limits: StepLimits
+        self,
+        now: StepInput,
+        normal: np.ndarray,
+        acceleration: np.ndarray,
+        dt: float,
+        limits: StepLimits,
     ) -> tuple[np.ndarray, float]:
         """The velocity after diffusion over the time of the kick, and the coefficient used.
 
@@ -290,7 +331,11 @@ class FlowableMass(Accelerated):
             return self.velocity, 0.0
         front, dm = now.front, 0.5 * (dt + self.clock.last_dt)
         speed = percentile(np.linalg.norm(self.velocity, axis=1), limits.percentile, front)
-        speed += dt * self.weight * percentile(np.linalg.norm(acceleration, axis=1), limits.percentile, front)
+        speed += (
+            dt
+            * self.weight
+            * percentile(np.linalg.norm(acceleration, axis=1), limits.percentile, front)
+        )
         diffusion = self._diffusion_now(now.surface, dm, speed)
         if diffusion <= 0:
             return self.velocity, 0.0
@@ -346,4 +391,6 @@ class FlowableMass(Accelerated):
 
     def _kinetic(self, area: np.ndarray, first: np.ndarray, second: np.ndarray) -> float:
         """1/2 int rho V . V' dA."""
-        return 0.5 * float((area * self._inertia(area) * (first.astype(np.float64) * second).sum(axis=1)).sum())
+        return 0.5 * float(
+            (area * self._inertia(area) * (first.astype(np.float64) * second).sum(axis=1)).sum()
+        )

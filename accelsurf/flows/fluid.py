@@ -50,7 +50,9 @@ def spacing_of(surface: LevelSet) -> np.ndarray:
     return np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])
 
 
-def fluid_sums(workers: Workers, first: np.ndarray, second: np.ndarray, voxel: float, dry: float) -> FluidSums:
+def fluid_sums(
+    workers: Workers, first: np.ndarray, second: np.ndarray, voxel: float, dry: float
+) -> FluidSums:
     """Sums of two fluids, that before and that after a change of the momentum, in voxels of ``voxel`` mm3."""
     shape = (first.shape[1], first.shape[2], first.shape[3])
     sums = workers.plane_sums(kernels.fluid_sums, shape, 5, first, second, dry) * voxel
@@ -60,7 +62,9 @@ def fluid_sums(workers: Workers, first: np.ndarray, second: np.ndarray, voxel: f
 def fastest_rate(surface: LevelSet, fluid: np.ndarray, stiffness: float, dry: float) -> float:
     """Largest (|V| + c)/h along an axis of more than one voxel, voxels per unit time."""
     fastest = np.zeros((surface.shape[0], 3))
-    surface.workers.parallel(kernels.fastest_waves, surface.shape[0], fluid, (stiffness, dry), fastest)
+    surface.workers.parallel(
+        kernels.fastest_waves, surface.shape[0], fluid, (stiffness, dry), fastest
+    )
     rates = fastest.max(axis=0) / spacing_of(surface)
     return max((float(rates[a]) for a in range(3) if surface.shape[a] > 1), default=0.0)
 
@@ -92,13 +96,17 @@ def transport_fluid(
             planes = (surface.shape[1], 1, 1) if a == 0 else surface.shape
             ratio = part * step / spacing[a]
             left += float(
-                surface.workers.plane_sums(kernels.sweep_planes, planes, 1, out, a, ratio, (stiffness, dry))[0]
+                surface.workers.plane_sums(
+                    kernels.sweep_planes, planes, 1, out, a, ratio, (stiffness, dry)
+                )[0]
             )
         done, steps = (dt if more == 1 else done + step), steps + 1
     return Transported(out, left, steps)
 
 
-def regrid_fluid(fluid: np.ndarray, place: np.ndarray, shape: tuple[int, ...], outside: float) -> np.ndarray:
+def regrid_fluid(
+    fluid: np.ndarray, place: np.ndarray, shape: tuple[int, ...], outside: float
+) -> np.ndarray:
     """The fluid on another grid of ``shape``, by linear interpolation of density and velocity.
 
     ``place`` (2, 3): factor and addition that take an index of the new grid to one of the old. Beyond the old grid
@@ -121,11 +129,15 @@ def regrid_fluid(fluid: np.ndarray, place: np.ndarray, shape: tuple[int, ...], o
     return out
 
 
-def _shifted(fluid: np.ndarray, by: np.ndarray, shape: tuple[int, ...], outside: float) -> np.ndarray:
+def _shifted(
+    fluid: np.ndarray, by: np.ndarray, shape: tuple[int, ...], outside: float
+) -> np.ndarray:
     """The same voxels, whose first is ``by`` in the old grid, in another box."""
     out = np.zeros((4, *shape), np.float32)
     out[0] = outside
-    old = [slice(max(b, 0), min(b + n, m)) for b, n, m in zip(by, shape, fluid.shape[1:], strict=True)]
+    old = [
+        slice(max(b, 0), min(b + n, m)) for b, n, m in zip(by, shape, fluid.shape[1:], strict=True)
+    ]
     new = [slice(s.start - b, s.stop - b) for s, b in zip(old, by, strict=True)]
     out[(slice(None), *new)] = fluid[(slice(None), *old)]
     return out

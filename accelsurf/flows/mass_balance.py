@@ -41,7 +41,9 @@ def lattice_shape(surface: LevelSet) -> tuple[np.ndarray, tuple[int, ...]]:
     """Voxels between nodes along z, y, x, and the number of nodes."""
     grid, far = surface.grid, STRIDE * surface.largest_spacing
     stride = np.array([far / h for h in (grid.hz, grid.hy, grid.hx)])
-    return stride, tuple(3 + math.ceil((n - 1) / s) for n, s in zip(surface.shape, stride, strict=True))
+    return stride, tuple(
+        3 + math.ceil((n - 1) / s) for n, s in zip(surface.shape, stride, strict=True)
+    )
 
 
 def layer_area(surface: LevelSet, width: float = LAYER_WIDTH) -> np.ndarray:
@@ -87,7 +89,9 @@ def balance(surface: LevelSet, mass: np.ndarray, before: Prediction) -> Balance:
     wanted = np.clip(here, before.least, before.most)
     # Where all is gone at the border, it has left.
     wanted[(here <= 0.0) & (before.least < before.most)] = 0.0
-    ratio = np.divide(wanted, here, out=np.ones_like(here), where=here > 1e-6 * before.total / here.size)
+    ratio = np.divide(
+        wanted, here, out=np.ones_like(here), where=here > 1e-6 * before.total / here.size
+    )
     np.clip(ratio, 1.0 / MAX_FACTOR, MAX_FACTOR, out=ratio)
     factor = np.empty(surface.size, np.float32)
     stride, _ = lattice_shape(surface)
@@ -100,5 +104,7 @@ def balance(surface: LevelSet, mass: np.ndarray, before: Prediction) -> Balance:
 def _deposited(surface: LevelSet, mass: np.ndarray, motion: tuple[np.ndarray, float]) -> np.ndarray:
     stride, shape = lattice_shape(surface)
     lattice = np.zeros(shape)
-    surface.workers.serial(windows.deposit, surface.grid, surface.band, mass, motion, stride, lattice)
+    surface.workers.serial(
+        windows.deposit, surface.grid, surface.band, mass, motion, stride, lattice
+    )
     return lattice

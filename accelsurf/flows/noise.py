@@ -36,7 +36,13 @@ class Noise:
         Flow time at which the noise ends; None is when momentum is first set to zero.
     """
 
-    def __init__(self, strength: float, length: float | None = None, seed: int = 0, until: float | None = None) -> None:
+    def __init__(
+        self,
+        strength: float,
+        length: float | None = None,
+        seed: int = 0,
+        until: float | None = None,
+    ) -> None:
         self.strength, self.length, self.seed, self.until = float(strength), length, seed, until
         self.start()
 
@@ -48,7 +54,11 @@ class Noise:
 
     def state(self) -> tuple[dict[str, Any], float, bool]:
         """Position in the sequence."""
-        return copy.deepcopy(dict(self._random.bit_generator.state)), self._elapsed, self._momentum_was_reset
+        return (
+            copy.deepcopy(dict(self._random.bit_generator.state)),
+            self._elapsed,
+            self._momentum_was_reset,
+        )
 
     def restore(self, generator: dict[str, Any], elapsed: float, momentum_was_reset: bool) -> None:
         """Set the position in the sequence, from a `state`."""
@@ -81,7 +91,14 @@ class Noise:
                 continue
             xi = np.empty(surface.size, np.float32)
             surface.workers.parallel(
-                waves.sum_of_waves, surface.size, surface.grid, surface.band, front, vectors, phases, xi
+                waves.sum_of_waves,
+                surface.size,
+                surface.grid,
+                surface.band,
+                front,
+                vectors,
+                phases,
+                xi,
             )
             out[:, c] = np.float32(self.strength * math.sqrt(dt)) * xi
         self._elapsed += dt

@@ -192,7 +192,13 @@ def voxel_rates(surface: LevelSet, front: np.ndarray, speed: np.ndarray) -> np.n
     """|speed| (n,) in voxels along the normal per unit time at the front, 0 elsewhere."""
     out = np.empty(surface.size, np.float32)
     surface.workers.parallel(
-        motion.voxel_rates, surface.size, surface.grid, surface.band, front, np.asarray(speed, np.float32), out
+        motion.voxel_rates,
+        surface.size,
+        surface.grid,
+        surface.band,
+        front,
+        np.asarray(speed, np.float32),
+        out,
     )
     return out
 
@@ -216,7 +222,9 @@ def percentile(values: np.ndarray, percent: float, where: np.ndarray | None = No
     if count == 0:
         return 0.0
     rank = min(count - 1, int(count * percent / 100.0))
-    return float(statistics.magnitude_at_rank(np.ascontiguousarray(values, np.float32), where, rank))
+    return float(
+        statistics.magnitude_at_rank(np.ascontiguousarray(values, np.float32), where, rank)
+    )
 
 
 def clip_speed(speed: np.ndarray, rates: np.ndarray, dt: float, cfl: float) -> int:

@@ -9,7 +9,15 @@ import numpy as np
 
 from accelsurf.flows.accelerated import Accelerated
 from accelsurf.flows.clock import NOW
-from accelsurf.flows.fluid import DRY, FluidSums, fluid_sums, make_fluid, regrid_fluid, spacing_of, transport_fluid
+from accelsurf.flows.fluid import (
+    DRY,
+    FluidSums,
+    fluid_sums,
+    make_fluid,
+    regrid_fluid,
+    spacing_of,
+    transport_fluid,
+)
 from accelsurf.flows.mass_balance import layer_area
 from accelsurf.flows.protocol import (
     EnergyRates,
@@ -99,7 +107,10 @@ class RegionMass(Accelerated):
 
     def change_grid(self, surface: LevelSet, place: np.ndarray) -> None:
         """Take the fluid to the grid of ``surface``, ``place`` as for `regrid_fluid`; what is new is at rest."""
-        self.fluid, self._cell = regrid_fluid(self.fluid, place, surface.shape, self.rho), surface.voxel_volume
+        self.fluid, self._cell = (
+            regrid_fluid(self.fluid, place, surface.shape, self.rho),
+            surface.voxel_volume,
+        )
 
     def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
         """Continue with other settings."""
@@ -166,7 +177,9 @@ class RegionMass(Accelerated):
             smoothing=(clipped + met) / clock.weight(clock.time + 0.5 * dt),
             mass=self.mass,
         )
-        return self._plan(now, limits, 0.5 * (first + last), layer.normal, dt, rates)._replace(cfl_dt=cfl_dt)
+        return self._plan(now, limits, 0.5 * (first + last), layer.normal, dt, rates)._replace(
+            cfl_dt=cfl_dt
+        )
 
     def _plan(
         self,
@@ -185,7 +198,12 @@ class RegionMass(Accelerated):
         clipped = front & (self._voxel_rates(surface, velocity) > limits.cfl / dt * (1.0 - 1e-6))
         self.clock.tick(dt)
         return StepPlan(
-            dt, speed, velocity, front_speed, float(clipped.sum()) / max(1, int(front.sum())), energy_rates=rates
+            dt,
+            speed,
+            velocity,
+            front_speed,
+            float(clipped.sum()) / max(1, int(front.sum())),
+            energy_rates=rates,
         )
 
     def synchronize(self, now: StepInput) -> None:
@@ -211,7 +229,9 @@ class RegionMass(Accelerated):
             dt = min(cfl_dt, wave_bound(surface, math.sqrt(w * stiffness)))
         return self._bounded(dt, surface, limits), cfl_dt
 
-    def _peak_and_stiffness(self, now: StepInput, layer: Layer, limits: StepLimits) -> tuple[float, float]:
+    def _peak_and_stiffness(
+        self, now: StepInput, layer: Layer, limits: StepLimits
+    ) -> tuple[float, float]:
         """Peak acceleration of the layer, voxels, and alpha per mass per area."""
         surface, front = now.surface, now.front
         mm = 1.0 / np.maximum(self._voxel_rates(surface, layer.normal), 1e-30)
@@ -231,11 +251,19 @@ class RegionMass(Accelerated):
         across = layer.area > 0.0, layer.normal, self.width, np.zeros((surface.size, 3))
         where = surface.dense.slot, surface.grid, surface.band
         surface.workers.serial(
-            kernels.spread_across, 0, surface.size, *where, across, along[:, None] * layer.normal, push
+            kernels.spread_across,
+            0,
+            surface.size,
+            *where,
+            across,
+            along[:, None] * layer.normal,
+            push,
         )
         return self._pushed(surface, slowed, push, limit)
 
-    def _clipped(self, now: StepInput, layer: Layer, dt: float, limit: float) -> tuple[np.ndarray, float]:
+    def _clipped(
+        self, now: StepInput, layer: Layer, dt: float, limit: float
+    ) -> tuple[np.ndarray, float]:
         """The fluid after the kick, and the energy T that the limit of V in the layer takes."""
         surface, kicked = now.surface, self._kicked(now, layer, dt, math.inf)
         there = kicked.reshape(4, -1)[:, surface.band.cells[layer.area > 0]].astype(np.float64)
@@ -245,7 +273,9 @@ class RegionMass(Accelerated):
         after = self._kicked(now, layer, dt, limit)
         # The work of the change is its product with the mean of the velocities before and after all.
         first, last = self._sums(self.fluid, after), self._sums(kicked, after)
-        return after, self._sums(self.fluid, kicked).between - first.between + last.between - last.after
+        return after, self._sums(
+            self.fluid, kicked
+        ).between - first.between + last.between - last.after
 
     # -- surface and fluid ---------------------------------------------------------------------------------
 
@@ -257,7 +287,9 @@ class RegionMass(Accelerated):
         mean = float((area * density).sum()) / max(float(area.sum()), 1e-300)
         return Layer(normal, area, np.maximum(density, max(mean / DENSITY_RANGE, 1e-30)))
 
-    def _velocity(self, surface: LevelSet, fluid: np.ndarray, where: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    def _velocity(
+        self, surface: LevelSet, fluid: np.ndarray, where: np.ndarray, normal: np.ndarray
+    ) -> np.ndarray:
         """V (n, 3) of the surface at the cells ``where`` (n,)."""
         return self._means(surface, fluid, where, normal)[:, 1:]
 
@@ -273,14 +305,22 @@ class RegionMass(Accelerated):
         out = np.empty((surface.size, 4))
         shift = np.zeros((surface.size, 3)) if shift is None else shift
         layer = where, normal, self.width, shift
-        surface.workers.parallel(kernels.means_across, surface.size, fluid, surface.grid, surface.band, layer, out)
+        surface.workers.parallel(
+            kernels.means_across, surface.size, fluid, surface.grid, surface.band, layer, out
+        )
         return out
 
     @staticmethod
     def _pushed(surface: LevelSet, fluid: np.ndarray, push: np.ndarray, limit: float) -> np.ndarray:
         out = fluid.copy()
         surface.workers.parallel(
-            kernels.push_layer, surface.size, out, surface.grid, surface.band.cells, np.asarray(push, np.float64), limit
+            kernels.push_layer,
+            surface.size,
+            out,
+            surface.grid,
+            surface.band.cells,
+            np.asarray(push, np.float64),
+            limit,
         )
         return out
 

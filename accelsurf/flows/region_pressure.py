@@ -75,7 +75,10 @@ class RegionPressure(RegionMass):
 
     def change_grid(self, surface: LevelSet, place: np.ndarray) -> None:
         """Take the fluid to the grid of ``surface``, ``place`` as for `regrid_fluid`; the mass is that there."""
-        self.fluid, self._cell = regrid_fluid(self.fluid, place, surface.shape, 0.0), surface.voxel_volume
+        self.fluid, self._cell = (
+            regrid_fluid(self.fluid, place, surface.shape, 0.0),
+            surface.voxel_volume,
+        )
         self.mass = 0.0
 
     def change_region(self, surface: LevelSet, before: np.ndarray) -> None:
@@ -136,7 +139,9 @@ class RegionPressure(RegionMass):
         self.fluid = self._pressed(now.surface, inside, layer, 0.0)
         self.clock.start_moving()
 
-    def _peak_and_stiffness(self, now: StepInput, layer: Layer, limits: StepLimits) -> tuple[float, float]:
+    def _peak_and_stiffness(
+        self, now: StepInput, layer: Layer, limits: StepLimits
+    ) -> tuple[float, float]:
         """Peak acceleration at the surface, voxels, and the larger of alpha per mass per area and of c^2/w."""
         mean = np.full(now.surface.size, self.mass / max(self._volume, 1e-300))
         peak, stiffness = super()._peak_and_stiffness(now, layer._replace(density=mean), limits)
@@ -147,7 +152,9 @@ class RegionPressure(RegionMass):
         dt, cfl_dt = super().stable_dt(now, layer, limits)
         speed = math.sqrt(self.clock.next_weight() * self._sound(now.surface))
         if not self.clock.at_rest:
-            speed += self._fastest(self.fluid.reshape(4, -1)[:, now.surface.dense.psi < 0].astype(np.float64))
+            speed += self._fastest(
+                self.fluid.reshape(4, -1)[:, now.surface.dense.psi < 0].astype(np.float64)
+            )
         return min(dt, wave_bound(now.surface, speed)) if speed > 0 else dt, cfl_dt
 
     def _fastest(self, gas: np.ndarray) -> float:
@@ -172,7 +179,9 @@ class RegionPressure(RegionMass):
         gas = self.fluid.reshape(4, -1)[:, surface.dense.psi < 0].astype(np.float64)
         speed = self._fastest(gas) + 2.0 * math.sqrt(stiffness * float(gas[0].max(initial=0.0)))
         beyond = partial(self._continue, surface, layer, max(speed, 1e-30))
-        moved = transport_fluid(surface, self._slowed(self.fluid, first), lasting, stiffness, self._dry, beyond).fluid
+        moved = transport_fluid(
+            surface, self._slowed(self.fluid, first), lasting, stiffness, self._dry, beyond
+        ).fluid
         beyond(moved)
         return self._slowed(moved, second)
 
@@ -231,7 +240,14 @@ class RegionPressure(RegionMass):
         """Density below the surface (n,), and velocity (n, 3) ``depth`` (n,) voxels beyond it, continued evenly."""
         out = np.empty((surface.size, 2, 4))
         surface.workers.parallel(
-            kernels.probe_inside, surface.size, fluid, surface.grid, surface.band, normal, np.array(DEPTHS), out
+            kernels.probe_inside,
+            surface.size,
+            fluid,
+            surface.grid,
+            surface.band,
+            normal,
+            np.array(DEPTHS),
+            out,
         )
         near, far = out[:, 0], out[:, 1]
         along = (depth + DEPTHS[0]) / (DEPTHS[1] - DEPTHS[0])
@@ -239,9 +255,13 @@ class RegionPressure(RegionMass):
         along[near[:, 0] < MIN_BEYOND * self.mass / max(self._volume, 1e-300)] = 0.0
         return near[:, 0], near[:, 1:] + (near[:, 1:] - far[:, 1:]) * along[:, None]
 
-    def _velocity(self, surface: LevelSet, fluid: np.ndarray, where: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    def _velocity(
+        self, surface: LevelSet, fluid: np.ndarray, where: np.ndarray, normal: np.ndarray
+    ) -> np.ndarray:
         """V (n, 3) of the surface at the cells ``where`` (n,): that of the gas below, continued evenly."""
-        return np.where(where[:, None], self._continued(surface, fluid, normal, np.zeros(surface.size))[1], 0.0)
+        return np.where(
+            where[:, None], self._continued(surface, fluid, normal, np.zeros(surface.size))[1], 0.0
+        )
 
     def _continue(self, surface: LevelSet, layer: Layer, fastest: float, fluid: np.ndarray) -> None:
         """Set, in place, the fluid up to `BEYOND` voxels outside, with V at most ``fastest``; further out is none."""
@@ -262,5 +282,7 @@ class RegionPressure(RegionMass):
         for axis, h in enumerate(spacing_of(surface)):
             if surface.shape[axis] > 1:
                 flux = self.fluid[1 + axis] * share
-                total += float(flux.take(-1, axis).sum() - flux.take(0, axis).sum()) * self._cell / h
+                total += (
+                    float(flux.take(-1, axis).sum() - flux.take(0, axis).sum()) * self._cell / h
+                )
         return total

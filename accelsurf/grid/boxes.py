@@ -36,7 +36,9 @@ def bounding_box(mask: NDArray[np.bool_], margin: int = 0) -> Box | None:
     """
     shape, box = mask.shape, []
     for axis in range(3):
-        occupied = np.flatnonzero(mask.any(axis=tuple(other for other in range(3) if other != axis)))
+        occupied = np.flatnonzero(
+            mask.any(axis=tuple(other for other in range(3) if other != axis))
+        )
         if not occupied.size:
             return None
         box.append(slice(int(occupied[0]), int(occupied[-1]) + 1))
@@ -47,7 +49,11 @@ def bounding_box(mask: NDArray[np.bool_], margin: int = 0) -> Box | None:
 def tightened(box: Box, mask: NDArray[np.bool_]) -> tuple[Box, NDArray[np.bool_]] | None:
     """Return the box that just holds a mask on a box, and the mask on it; None where it has no voxel."""
     inner = bounding_box(mask)
-    return None if inner is None else (placed_at(inner, corner_of(box)), np.ascontiguousarray(mask[inner]))
+    return (
+        None
+        if inner is None
+        else (placed_at(inner, corner_of(box)), np.ascontiguousarray(mask[inner]))
+    )
 
 
 def whole_box(shape: Sequence[int]) -> Box:
@@ -86,7 +92,10 @@ def widened(box: Box, shape: Sequence[int], margin: Sequence[int]) -> Box:
     >>> widened((slice(1, 3), slice(0, 4), slice(5, 6)), (4, 5, 6), (1, 2, 0))
     (slice(0, 4, None), slice(0, 5, None), slice(5, 6, None))
     """
-    z, y, x = (slice(max(s.start - m, 0), min(s.stop + m, n)) for s, n, m in zip(box, shape, margin, strict=True))
+    z, y, x = (
+        slice(max(s.start - m, 0), min(s.stop + m, n))
+        for s, n, m in zip(box, shape, margin, strict=True)
+    )
     return z, y, x
 
 
@@ -98,7 +107,10 @@ def enclosing(first: Box, second: Box) -> Box:
     >>> enclosing((slice(1, 3), slice(0, 4), slice(5, 6)), (slice(2, 5), slice(1, 2), slice(0, 1)))
     (slice(1, 5, None), slice(0, 4, None), slice(0, 6, None))
     """
-    z, y, x = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(first, second, strict=True))
+    z, y, x = (
+        slice(min(a.start, b.start), max(a.stop, b.stop))
+        for a, b in zip(first, second, strict=True)
+    )
     return z, y, x
 
 
@@ -187,11 +199,16 @@ def common(first: Box, second: Box) -> Box:
     >>> common((slice(1, 3), slice(0, 4), slice(5, 9)), (slice(2, 5), slice(1, 2), slice(0, 6)))
     (slice(2, 3, None), slice(1, 2, None), slice(5, 6, None))
     """
-    z, y, x = (slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(first, second, strict=True))
+    z, y, x = (
+        slice(max(a.start, b.start), min(a.stop, b.stop))
+        for a, b in zip(first, second, strict=True)
+    )
     return z, y, x
 
 
-def shared(corner: Corner, shape: Sequence[int], other: Corner, other_shape: Sequence[int]) -> tuple[Box, Box]:
+def shared(
+    corner: Corner, shape: Sequence[int], other: Corner, other_shape: Sequence[int]
+) -> tuple[Box, Box]:
     """Return the voxels that two overlapping boxes share, counted from the first voxel of each.
 
     Examples

@@ -53,7 +53,9 @@ class ClickBounds(NamedTuple):
         index = np.stack(np.unravel_index(self.cells, self.shape)) - np.array(corner)[:, None]
         within = ((index >= 0) & (index < np.array(shape)[:, None])).all(axis=0)
         cells = np.ravel_multi_index(tuple(index[:, within]), shape).astype(np.int64)
-        return ClickBounds((shape[0], shape[1], shape[2]), cells, self.low[within], self.high[within])
+        return ClickBounds(
+            (shape[0], shape[1], shape[2]), cells, self.low[within], self.high[within]
+        )
 
     def apply(self, psi: NDArray[np.float32]) -> None:
         """Bring psi (nz, ny, nx), mm, within the bounds, in place."""
@@ -97,7 +99,9 @@ def click_bounds(clicks: Clicks, grid: Level, known: KnownDistances | None = Non
     (array([0, 1, 2, 3]), array([ 1.5,  0.5, -0.5,  0.5], dtype=float32), array([2]))
     """
     placed = [_on_level(click, grid) for click in clicks.clicks]
-    clicked = [_cells_of((click for click in placed if click.side == side), grid.shape) for side in SIDES]
+    clicked = [
+        _cells_of((click for click in placed if click.side == side), grid.shape) for side in SIDES
+    ]
     free = np.intersect1d(clicked[0], clicked[1])
     if known is None or grid.number > 0 or free.size:
         known = {}
@@ -128,12 +132,17 @@ def _on_level(click: Click, grid: Level) -> Click:
     low, high = place.min(axis=0), place.max(axis=0) + 1
     mask = np.zeros(tuple(high - low), np.bool_)
     mask[tuple((place - low).T)] = True
-    return click._replace(box=box_at((int(low[0]), int(low[1]), int(low[2])), mask.shape), mask=mask)
+    return click._replace(
+        box=box_at((int(low[0]), int(low[1]), int(low[2])), mask.shape), mask=mask
+    )
 
 
 def _cells_of(clicks: Iterable[Click], shape: tuple[int, int, int]) -> NDArray[np.int64]:
     """Raveled cells of clicks."""
-    cells = [_raveled(np.argwhere(click.mask) + np.array(corner_of(click.box)), shape) for click in clicks]
+    cells = [
+        _raveled(np.argwhere(click.mask) + np.array(corner_of(click.box)), shape)
+        for click in clicks
+    ]
     return np.unique(np.concatenate(cells)) if cells else np.empty(0, np.int64)
 
 

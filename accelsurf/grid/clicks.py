@@ -107,7 +107,9 @@ class Clicks:
         seen: list[Click] = []
         for click, foreign in zip(self.clicks, self._foreign, strict=True):
             if click.id == id:
-                seen.append(click._replace(id=1, owner=click.id if click.side == "inside" else None))
+                seen.append(
+                    click._replace(id=1, owner=click.id if click.side == "inside" else None)
+                )
             elif foreign is not None:
                 seen.append(foreign)
         return Clicks(tuple(seen), self.shape)

@@ -69,7 +69,10 @@ class Geometry:
     def __post_init__(self) -> None:
         shape = _three(self.shape, "shape (nz, ny, nx)")
         if any(n != int(n) or n < 1 for n in shape):
-            raise GeometryError(f"shape {_short(shape)} given, three whole numbers from 1 on expected", "give z, y, x")
+            raise GeometryError(
+                f"shape {_short(shape)} given, three whole numbers from 1 on expected",
+                "give z, y, x",
+            )
         spacing = _three(self.spacing, "spacing (hz, hy, hx)")
         if any(h <= 0.0 for h in spacing):
             raise GeometryError(
@@ -98,7 +101,9 @@ class Geometry:
         direction = ""
         if not np.array_equal(self.direction, np.eye(3)):
             direction = f", direction={self.direction.round(6).tolist()}"
-        return f"Geometry(shape={self.shape}, spacing={self.spacing}, origin={self.origin}{direction})"
+        return (
+            f"Geometry(shape={self.shape}, spacing={self.spacing}, origin={self.origin}{direction})"
+        )
 
     @property
     def size(self) -> tuple[int, int, int]:
@@ -198,7 +203,9 @@ class Geometry:
         """
         if self.shape != other.shape:
             return False
-        tolerance = 1e-3 * min(*self.spacing, *other.spacing) if tolerance_mm is None else tolerance_mm
+        tolerance = (
+            1e-3 * min(*self.spacing, *other.spacing) if tolerance_mm is None else tolerance_mm
+        )
         return self._corner_distance(other) <= tolerance and self._axes_agree(other, tolerance)
 
     def difference(self, other: Geometry) -> str:
@@ -218,7 +225,9 @@ class Geometry:
             return ""
         parts = []
         if not np.allclose(self.spacing, other.spacing, rtol=1e-5, atol=0.0):
-            parts.append(f"spacing (z,y,x) {_short(self.spacing)} against {_short(other.spacing)} mm")
+            parts.append(
+                f"spacing (z,y,x) {_short(self.spacing)} against {_short(other.spacing)} mm"
+            )
         if not np.allclose(self.origin, other.origin, rtol=0.0, atol=1e-3 * min(self.spacing)):
             parts.append(f"origin (x,y,z) {_short(self.origin)} against {_short(other.origin)} mm")
         angle = _angle_degrees(self.direction, other.direction)
@@ -232,7 +241,10 @@ class Geometry:
 
     def _axes_agree(self, other: Geometry, tolerance: float) -> bool:
         # Along an axis of one voxel the corners say nothing about spacing or direction: compare one step as well.
-        return float(np.linalg.norm(self._index_matrix - other._index_matrix, axis=0).max()) <= tolerance
+        return (
+            float(np.linalg.norm(self._index_matrix - other._index_matrix, axis=0).max())
+            <= tolerance
+        )
 
 
 def axis_steps(shape: Sequence[int], spacing: Sequence[float]) -> tuple[float, ...]:
@@ -268,7 +280,8 @@ def _checked_direction(direction: Any) -> Floats:
         matrix = np.empty(0)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise GeometryError(
-            "the direction matrix given is not one, 3 x 3 finite numbers expected", hint="correct it in the header"
+            "the direction matrix given is not one, 3 x 3 finite numbers expected",
+            hint="correct it in the header",
         )
     deviation = orthonormal_deviation(np.clip(matrix, -1e6, 1e6))
     if deviation > ORTHONORMAL_TOLERANCE:
@@ -287,7 +300,9 @@ def _three(values: Any, name: str) -> tuple[float, float, float]:
     except (TypeError, ValueError):
         numbers = ()
     if len(numbers) != 3 or not np.isfinite(numbers).all():
-        raise GeometryError(f"{name} = {values!r} given, three finite numbers expected", hint="correct the header")
+        raise GeometryError(
+            f"{name} = {values!r} given, three finite numbers expected", hint="correct the header"
+        )
     return numbers[0], numbers[1], numbers[2]
 
 

@@ -73,7 +73,9 @@ class DisplayOrientation:
     def reorient(self, array: NDArray[Any]) -> NDArray[Any]:
         """The array with the new axes; a view."""
         permuted = array.transpose(self.order)
-        return permuted[tuple(slice(None, None, -1) if flip else slice(None) for flip in self.flips)]
+        return permuted[
+            tuple(slice(None, None, -1) if flip else slice(None) for flip in self.flips)
+        ]
 
     def coordinate(self, axis: int, index: float) -> float:
         """Coordinate, mm, of an index along a new axis."""

@@ -57,7 +57,9 @@ class Level(NamedTuple):
     def on_box(self, corner: Corner, shape: Sequence[int]) -> Level:
         """A box of this grid, from voxel ``corner`` on."""
         nz, ny, nx = shape
-        z, y, x = (f + c * width for f, c, width in zip(self.first, corner, self.factors, strict=True))
+        z, y, x = (
+            f + c * width for f, c, width in zip(self.first, corner, self.factors, strict=True)
+        )
         return self._replace(shape=(nz, ny, nx), first=(z, y, x))
 
     def places_in(self, coarse: Level) -> NDArray[np.float64]:
@@ -156,7 +158,9 @@ def planes_of_blocks(planes: slice, fine: Level, coarse: Level) -> slice:
     return slice(max(low, 0), min(high, fine.shape[0]))
 
 
-def _block_means(array: NDArray[np.float32], axis: int, offset: float, count: int) -> NDArray[np.float32]:
+def _block_means(
+    array: NDArray[np.float32], axis: int, offset: float, count: int
+) -> NDArray[np.float32]:
     """The means over ``count`` blocks along an axis; the first is centred at index ``offset`` of the array."""
     n = array.shape[axis]
     low, high = _touched(offset, 0)[0], _touched(offset, count - 1)[1]
@@ -168,7 +172,9 @@ def _block_means(array: NDArray[np.float32], axis: int, offset: float, count: in
         if start < stop:
             low, high = _touched(offset, start)[0], _touched(offset, stop - 1)[1]
             part = _along(array, axis, slice(max(low, 0), min(high, n)))
-            parts.append(_pairs(_continued(part, axis, max(-low, 0), max(high - n, 0)), axis, offset))
+            parts.append(
+                _pairs(_continued(part, axis, max(-low, 0), max(high - n, 0)), axis, offset)
+            )
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)
 
 
@@ -191,7 +197,9 @@ def _pairs(array: NDArray[np.float32], axis: int, offset: float) -> NDArray[np.f
     return means
 
 
-def _continued(array: NDArray[np.float32], axis: int, before: int, after: int) -> NDArray[np.float32]:
+def _continued(
+    array: NDArray[np.float32], axis: int, before: int, after: int
+) -> NDArray[np.float32]:
     """The array with more voxels along an axis: its values and their slope at the ends go on there."""
     if not before and not after:
         return array
@@ -233,7 +241,9 @@ def prolong(psi: NDArray[np.float32], coarse: Level, fine: Level) -> NDArray[np.
     return out
 
 
-def _prolong(psi: NDArray[np.float32], offsets: Mapping[int, float], fine: Level) -> NDArray[np.float32]:
+def _prolong(
+    psi: NDArray[np.float32], offsets: Mapping[int, float], fine: Level
+) -> NDArray[np.float32]:
     for axis, offset in offsets.items():
         psi = _between(_continued(psi, axis, 2, 2), axis, offset, fine.shape[axis])
     return psi
@@ -253,7 +263,9 @@ def _between(padded: NDArray[np.float32], axis: int, offset: float, n: int) -> N
         if not offset and parity == 0:
             half[...] = _along(padded, axis, slice(2, 2 + count))
             continue
-        nodes = [_along(padded, axis, slice(begin, begin + count)) for begin in range(parity, parity + 4)]
+        nodes = [
+            _along(padded, axis, slice(begin, begin + count)) for begin in range(parity, parity + 4)
+        ]
         if not offset:
             half += np.float32(HALF_WEIGHTS[0]) * (nodes[0] + nodes[3])
             half += np.float32(HALF_WEIGHTS[1]) * (nodes[1] + nodes[2])

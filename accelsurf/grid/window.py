@@ -91,7 +91,9 @@ class Window(NamedTuple):
         x, y, z = (float(v) for v in self.geometry.index_to_world(np.rint(2.0 * index) / 2.0))
         return x, y, z
 
-    def check(self, low: Sequence[int], high: Sequence[int], factors: Sequence[int] = (1, 1, 1)) -> None:
+    def check(
+        self, low: Sequence[int], high: Sequence[int], factors: Sequence[int] = (1, 1, 1)
+    ) -> None:
         """Refuse voxels that come near an open face.
 
         Parameters
@@ -116,7 +118,9 @@ class Window(NamedTuple):
         ((False, True, False), (False, False, False))
         """
         begins, ends = [], []
-        for side, whole, a, b, factor in zip(self.box, self.geometry.shape, low, high, factors, strict=True):
+        for side, whole, a, b, factor in zip(
+            self.box, self.geometry.shape, low, high, factors, strict=True
+        ):
             guard = GUARD * factor
             begins.append(side.start > 0 and a * factor < guard)
             ends.append(side.stop < whole and b * factor > side.stop - side.start - guard)
@@ -154,7 +158,9 @@ def aligned(box: Box, geometry: Geometry, blocks: Sequence[int]) -> Box:
 def enlarged(window: Window, face: LeavesWindow, blocks: Sequence[int], factor: float) -> Box:
     """Return a box that is larger at the faces that were reached, by ``factor`` times the window's extent there."""
     sides = []
-    for side, whole, low, high in zip(window.box, window.geometry.shape, face.low, face.high, strict=True):
+    for side, whole, low, high in zip(
+        window.box, window.geometry.shape, face.low, face.high, strict=True
+    ):
         more = max(GUARD, round(factor * (side.stop - side.start)))
         first, end = (more if low else 0), (more if high else 0)
         sides.append(slice(max(side.start - first, 0), min(side.stop + end, whole)))

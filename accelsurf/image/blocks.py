@@ -29,7 +29,9 @@ def coarsening(counts: Sequence[int], spacing: Sequence[float], most: int) -> tu
     """
     steps = [1, 1, 1]
     while math.prod(-(-n // step) for n, step in zip(counts, steps, strict=True)) > most:
-        axis = min((i for i in range(3) if steps[i] < counts[i]), key=lambda i: (steps[i] * spacing[i], -i))
+        axis = min(
+            (i for i in range(3) if steps[i] < counts[i]), key=lambda i: (steps[i] * spacing[i], -i)
+        )
         steps[axis] += 1
     return steps[0], steps[1], steps[2]
 
@@ -58,7 +60,9 @@ def block_means(values: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np
     return values
 
 
-def on_voxels(blocks: NDArray[np.float32], steps: Sequence[int], shape: Sequence[int]) -> NDArray[np.float32]:
+def on_voxels(
+    blocks: NDArray[np.float32], steps: Sequence[int], shape: Sequence[int]
+) -> NDArray[np.float32]:
     """Values of blocks at voxels, linear between the middles of blocks and constant beyond the outermost.
 
     Parameters
@@ -77,9 +81,13 @@ def on_voxels(blocks: NDArray[np.float32], steps: Sequence[int], shape: Sequence
     out = blocks
     for axis, step in enumerate(steps):
         if step > 1:
-            at = np.clip((np.arange(shape[axis]) - 0.5 * (step - 1)) / step, 0.0, out.shape[axis] - 1)
+            at = np.clip(
+                (np.arange(shape[axis]) - 0.5 * (step - 1)) / step, 0.0, out.shape[axis] - 1
+            )
             below = np.floor(at).astype(np.int64)
             above = np.minimum(below + 1, out.shape[axis] - 1)
-            part = (at - below).astype(np.float32).reshape([-1 if i == axis else 1 for i in range(3)])
+            part = (
+                (at - below).astype(np.float32).reshape([-1 if i == axis else 1 for i in range(3)])
+            )
             out = np.take(out, below, axis) * (1 - part) + np.take(out, above, axis) * part
     return np.ascontiguousarray(out)

@@ -106,7 +106,11 @@ class ImageCheck:
         step = float(np.spacing(np.float32(max(abs(float(low)), abs(float(high))))))
         span = int(high) - int(low) if low.dtype.kind in "ui" else float(high) - float(low)
         is_single = low.dtype.kind == "f" and low.dtype.itemsize <= 4
-        is_exact = is_single or step <= 1 and all(float(np.float32(value)) == float(value) for value in (low, high))
+        is_exact = (
+            is_single
+            or step <= 1
+            and all(float(np.float32(value)) == float(value) for value in (low, high))
+        )
         if not is_exact and 0 < span < MIN_STEPS * step:
             raise InputError(
                 f"the image has values from {low} to {high}: computed in single precision, it would have "
@@ -132,7 +136,10 @@ class Places:
     def add(self, bad: NDArray[np.bool_], corner: Corner = (0, 0, 0)) -> None:
         """Count voxels of a box from voxel ``corner`` on."""
         if not self.count and bad.any():
-            z, y, x = (int(i) + c for i, c in zip(np.unravel_index(int(bad.argmax()), bad.shape), corner, strict=True))
+            z, y, x = (
+                int(i) + c
+                for i, c in zip(np.unravel_index(int(bad.argmax()), bad.shape), corner, strict=True)
+            )
             self._first = z, y, x
         self.count += int(bad.sum())
 
@@ -145,9 +152,7 @@ class Places:
     def __str__(self) -> str:
         """'3 voxels are', with the first place in the order people type it, x first."""
         z, y, x = self._first
-        return (
-            f"{self.count} {'voxel is' if self.count == 1 else 'voxels are'} (first at index x={x}, y={y}, z={z})"
-        )
+        return f"{self.count} {'voxel is' if self.count == 1 else 'voxels are'} (first at index x={x}, y={y}, z={z})"
 
 
 def as_labels(array: NDArray[Any], corner: Corner = (0, 0, 0)) -> NDArray[Any]:

@@ -49,7 +49,11 @@ class ImageFilters(NamedTuple):
         return gaussian_mm(image, spacing, self.sigma) if self.sigma > 0 else image
 
     def on_box(
-        self, read: Callable[[Box], NDArray[Any]], shape: Sequence[int], spacing: Sequence[float], box: Box
+        self,
+        read: Callable[[Box], NDArray[Any]],
+        shape: Sequence[int],
+        spacing: Sequence[float],
+        box: Box,
     ) -> NDArray[np.float32]:
         """The bytes of a box of the whole image, filtered, of which only the box and what lies around it are read.
 
@@ -66,7 +70,9 @@ class ImageFilters(NamedTuple):
         ndarray of the box's shape, float32
         """
         # A dilation at the faces of the halo lacks what lies beyond it, and the erosion reads that far again.
-        halo = [2 * int(self.closing / h) if n > 1 else 0 for n, h in zip(shape, spacing, strict=True)]
+        halo = [
+            2 * int(self.closing / h) if n > 1 else 0 for n, h in zip(shape, spacing, strict=True)
+        ]
 
         def closed(around: Box) -> NDArray[np.float32]:
             return self._closed(read(around).astype(np.float32, copy=False), spacing)
@@ -88,7 +94,9 @@ class ImageFilters(NamedTuple):
 NO_FILTERS = ImageFilters()
 
 
-def closed_mm(image: NDArray[np.float32], spacing: Sequence[float], radius: float) -> NDArray[np.float32]:
+def closed_mm(
+    image: NDArray[np.float32], spacing: Sequence[float], radius: float
+) -> NDArray[np.float32]:
     """Close an image by a ball: dark places that no ball of this radius fits into are filled up.
 
     The smallest, over all balls that a voxel lies in, of their largest value (Serra, Image Analysis and Mathematical

@@ -22,7 +22,12 @@ RIM, TOUCHING = 3, 0.005
 #: A rim is looked for in so many voxels, of some of the slices.
 MAX_RIM = 1 << 22
 #: Windows of CT by name, level (the value of the middle grey) and width, Hounsfield units.
-CT_WINDOWS = {"soft-tissue": (40.0, 400.0), "bone": (500.0, 2000.0), "lung": (-600.0, 1500.0), "brain": (40.0, 80.0)}
+CT_WINDOWS = {
+    "soft-tissue": (40.0, 400.0),
+    "bone": (500.0, 2000.0),
+    "lung": (-600.0, 1500.0),
+    "brain": (40.0, 80.0),
+}
 #: Of a CT without an object: what radiologists begin with.
 SOFT_TISSUE = CT_WINDOWS["soft-tissue"]
 #: What stands for a window that follows from object and image.
@@ -57,8 +62,12 @@ class GreyWindow(NamedTuple):
 
     def grey(self, values: NDArray[Any]) -> NDArray[np.uint8]:
         """Grey values of an array; values that are not finite are black."""
-        share = (np.asarray(values, np.float32) - np.float32(self.low)) / np.float32(self.high - self.low)
-        return (255.0 * np.clip(np.nan_to_num(share, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)).astype(np.uint8)
+        share = (np.asarray(values, np.float32) - np.float32(self.low)) / np.float32(
+            self.high - self.low
+        )
+        return (
+            255.0 * np.clip(np.nan_to_num(share, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+        ).astype(np.uint8)
 
 
 def parse_window(text: str) -> GreyWindow | None:
@@ -119,7 +128,11 @@ def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> G
     part = tuple(slice(None, None, stride if n > 2 * stride else 1) for n in image.shape)
     values = np.asarray(image[part], np.float64).ravel()
     finite = np.isfinite(values)
-    sample = np.zeros(0) if inside is None else np.asarray(image[inside][:: max(1, inside.sum() // MAX_SAMPLES)], float)
+    sample = (
+        np.zeros(0)
+        if inside is None
+        else np.asarray(image[inside][:: max(1, inside.sum() // MAX_SAMPLES)], float)
+    )
     object_values = sample[np.isfinite(sample)]
     values = values[finite]
     if not values.size:
@@ -136,14 +149,24 @@ def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> G
     else:
         kinds, counts = np.unique(values, return_counts=True)
         most = kinds[np.argmax(counts)]
-        filled = values[values != most] if counts.max() > 0.2 * values.size and len(kinds) > 2 else values
+        filled = (
+            values[values != most]
+            if counts.max() > 0.2 * values.size and len(kinds) > 2
+            else values
+        )
         low, high = np.percentile(filled, IMAGE_ENDS)
         if filled is not values:
             low = min(low, most)
-    return GreyWindow(float(low), float(high)) if high > low else GreyWindow(float(low), float(low) + 1.0)
+    return (
+        GreyWindow(float(low), float(high))
+        if high > low
+        else GreyWindow(float(low), float(low) + 1.0)
+    )
 
 
-def _touching(image: NDArray[Any], inside: NDArray[np.bool_] | None, low: float, high: float) -> tuple[float, float]:
+def _touching(
+    image: NDArray[Any], inside: NDArray[np.bool_] | None, low: float, high: float
+) -> tuple[float, float]:
     """Return the typical value of what touches an object and is darker than ``low``, and brighter than ``high``.
 
     The bounds themselves where nothing is. At the ribs a spleen that is all white would leak unseen.
@@ -176,5 +199,8 @@ def is_hounsfield(values: NDArray[Any]) -> bool:
     low = np.percentile(values, 0.5)
     if not -3100 <= low <= -800:  # some scanners pad with -2048 or -3024
         return False
-    air, tissue = np.mean((values > -1100) & (values < -700)), np.mean((values > -200) & (values < 250))
+    air, tissue = (
+        np.mean((values > -1100) & (values < -700)),
+        np.mean((values > -200) & (values < 250)),
+    )
     return bool(air > 0.01 and tissue > 0.01)

@@ -56,7 +56,9 @@ class OrderStatistics(ABC):
         if isinstance(q, int | float):
             share = float(share)
         width = high - low
-        return np.where(np.asarray(share) >= 0.5, high - width * (1 - share), low + width * share)[()]
+        return np.where(np.asarray(share) >= 0.5, high - width * (1 - share), low + width * share)[
+            ()
+        ]
 
 
 class IntegerCounts(OrderStatistics):
@@ -75,7 +77,9 @@ class IntegerCounts(OrderStatistics):
     """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
-        least, most = (0, 1) if dtype.kind == "b" else (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max))
+        least, most = (
+            (0, 1) if dtype.kind == "b" else (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max))
+        )
         self._least, self.size = least, 0
         self.values = np.arange(least, most + 1).astype(np.float32)
         self.counts = np.zeros(self.values.size, np.int64)
@@ -89,7 +93,9 @@ class IntegerCounts(OrderStatistics):
         """Count the voxels of a part."""
         # Big-endian numbers are none that kernels know.
         values = part.ravel().astype(part.dtype.newbyteorder("="), copy=False)
-        count_integers(values.view(np.uint8) if values.dtype.kind == "b" else values, self._least, self.counts)
+        count_integers(
+            values.view(np.uint8) if values.dtype.kind == "b" else values, self._least, self.counts
+        )
         self.size += part.size
 
     def at(self, ranks: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -121,7 +127,9 @@ class FloatCounts(OrderStatistics):
         upto = np.cumsum(self._high)
         upper = np.searchsorted(upto, ranks, side="right")
         # The extremes are asked for sooner or later: they come with the first pass.
-        wanted = {int(half) for half in (*upper, *np.searchsorted(upto, [0, self.size - 1], side="right"))}
+        wanted = {
+            int(half) for half in (*upper, *np.searchsorted(upto, [0, self.size - 1], side="right"))
+        }
         self._count_low(sorted(wanted - set(self._low)))
         ordered = np.empty(len(ranks), np.uint32)
         for i, (half, rank) in enumerate(zip(upper, ranks, strict=True)):

@@ -34,7 +34,9 @@ _STRAIGHT = (
 
 #: Corners of a box, 0 for the first end along z, y, x and 1 for the last; and its edges, from corner to corner.
 _BITS = np.array(list(product((0, 1), repeat=3)))
-_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(_BITS[a] - _BITS[b]).sum() == 1]
+_EDGES = [
+    (a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(_BITS[a] - _BITS[b]).sum() == 1
+]
 
 Floats = NDArray[np.float64]
 Extent = tuple[float, float, float, float]
@@ -104,21 +106,34 @@ class SliceStack:
         # The front is at the top of an axial slice.
         turn = np.array([1.0, -1.0 if plane == 0 else 1.0, 1.0])
         signs = np.array([-1.0 if up.flips[axis] else 1.0 for axis in axes]) * turn
-        frame = np.stack([geometry.direction[:, 2 - up.order[axis]] for axis in axes], axis=1) * signs
+        frame = (
+            np.stack([geometry.direction[:, 2 - up.order[axis]] for axis in axes], axis=1) * signs
+        )
         corner = np.zeros(3)
         for axis in axes:
             corner[up.order[axis]] = geometry.shape[up.order[axis]] - 1 if up.flips[axis] else 0
         first = np.array([up.first[axis] for axis in axes]) * turn
         ends = [
-            sorted(sign * up.coordinate(axis, index) for index in (-0.5, geometry.shape[up.order[axis]] - 0.5))
+            sorted(
+                sign * up.coordinate(axis, index)
+                for index in (-0.5, geometry.shape[up.order[axis]] - 0.5)
+            )
             for axis, sign in zip((horizontal, vertical), turn, strict=False)
         ]
         n, h = geometry.shape[up.order[plane]], up.spacing[plane]
         return cls(
-            geometry, up.order[plane], False, up.names[plane], frame, geometry.index_to_world(corner) - frame @ first,
-            (*ends[0], *ends[1]), (up.spacing[horizontal], up.spacing[vertical]),
-            up.coordinate(plane, n - 1 if up.flips[plane] else 0), -h if up.flips[plane] else h, n,
-        )  # fmt: skip
+            geometry,
+            up.order[plane],
+            False,
+            up.names[plane],
+            frame,
+            geometry.index_to_world(corner) - frame @ first,
+            (*ends[0], *ends[1]),
+            (up.spacing[horizontal], up.spacing[vertical]),
+            up.coordinate(plane, n - 1 if up.flips[plane] else 0),
+            -h if up.flips[plane] else h,
+            n,
+        )
 
     @classmethod
     def straight(cls, geometry: Geometry, plane: int) -> SliceStack:
@@ -134,10 +149,25 @@ class SliceStack:
         # Slices through voxels' centres, so that the cursor can be in each.
         centers = geometry.corners_world() @ frame[:, 2]
         count = int(np.ptp(centers) / step + ROUNDING) + 1
-        extent = (middle[0] - half[0], middle[0] + half[0], middle[1] - half[1], middle[1] + half[1])
+        extent = (
+            middle[0] - half[0],
+            middle[0] + half[0],
+            middle[1] - half[1],
+            middle[1] + half[1],
+        )
         first = float(middle[2] - 0.5 * (count - 1) * step)
         return cls(
-            geometry, axis, True, "zyx"[plane], frame, np.zeros(3), extent, (pitch, pitch), first, step, count
+            geometry,
+            axis,
+            True,
+            "zyx"[plane],
+            frame,
+            np.zeros(3),
+            extent,
+            (pitch, pitch),
+            first,
+            step,
+            count,
         )
 
     # -- places -------------------------------------------------------------------------------------------
@@ -176,7 +206,12 @@ class SliceStack:
 
     def contains(self, index: Floats) -> bool:
         """Test if an index (z, y, x) lies in a voxel of the image."""
-        return bool(((index >= -0.5 - ROUNDING) & (index <= np.array(self.geometry.shape) - 0.5 + ROUNDING)).all())
+        return bool(
+            (
+                (index >= -0.5 - ROUNDING)
+                & (index <= np.array(self.geometry.shape) - 0.5 + ROUNDING)
+            ).all()
+        )
 
     def go_to(self, index: Floats, number: int) -> Floats:
         """Move an index (z, y, x) across, to a slice; beside the image there, to where the image begins."""
@@ -186,11 +221,17 @@ class SliceStack:
         if ((start >= -ROUNDING) & (start <= last + ROUNDING)).all():
             return np.clip(start, 0.0, last)
         outline = self.outline(across, np.full(3, 0.5), last - 0.5)
-        end = self.to_index([*(outline.mean(axis=0) if len(outline) else self.to_place(0.5 * last)[:2]), across])
+        end = self.to_index(
+            [*(outline.mean(axis=0) if len(outline) else self.to_place(0.5 * last)[:2]), across]
+        )
         way = end - start
         with np.errstate(divide="ignore", invalid="ignore"):
-            shares = np.where(start < 0, -start / way, np.where(start > last, (last - start) / way, 0.0))
-        return np.clip(start + float(np.clip(np.nan_to_num(shares), 0.0, 1.0).max()) * way, 0.0, last)
+            shares = np.where(
+                start < 0, -start / way, np.where(start > last, (last - start) / way, 0.0)
+            )
+        return np.clip(
+            start + float(np.clip(np.nan_to_num(shares), 0.0, 1.0).max()) * way, 0.0, last
+        )
 
     def cuts(self, number: int, low: ArrayLike, high: ArrayLike) -> bool:
         """Test if a slice cuts the box of the voxels ``low`` to ``high``, (z, y, x)."""
@@ -233,7 +274,9 @@ class SliceStack:
     def size(self, fine: int = 1) -> tuple[int, int]:
         """Rows and columns of a picture with ``fine`` pixels along the pitch."""
         left, right, bottom, top = self.extent
-        return round((top - bottom) / self.pitch[1]) * fine, round((right - left) / self.pitch[0]) * fine
+        return round((top - bottom) / self.pitch[1]) * fine, round(
+            (right - left) / self.pitch[0]
+        ) * fine
 
     def patch(self, number: int, low: ArrayLike = (), high: ArrayLike = (), fine: int = 1) -> Patch:
         """Pixels of a slice within the box of the voxels ``low`` to ``high``, (z, y, x); all of them unless given."""
@@ -243,7 +286,10 @@ class SliceStack:
         ends = np.array([[0, 0], [columns, rows]])
         if np.size(low):
             places = self._corners(low, high)[:, :2]
-            within = (np.stack([places.min(axis=0), places.max(axis=0)]) - [left, bottom]) / [right, up]
+            within = (np.stack([places.min(axis=0), places.max(axis=0)]) - [left, bottom]) / [
+                right,
+                up,
+            ]
             first, last = np.floor(within[0] + ROUNDING), np.ceil(within[1] - ROUNDING)
             ends = np.clip(np.stack([first, last]).astype(int), 0, [columns, rows])
         across = slice(int(ends[0, 0]), max(int(ends[1, 0]), int(ends[0, 0])))
@@ -252,7 +298,8 @@ class SliceStack:
         y = bottom + up * (np.arange(down.start, down.stop) + 0.5)
         start, matrix = self.to_index([0.0, 0.0, self.across(number)]), self._to_index
         z, row, column = (
-            start[axis] + matrix[axis, 1] * y[:, None] + matrix[axis, 0] * x[None, :] for axis in range(3)
+            start[axis] + matrix[axis, 1] * y[:, None] + matrix[axis, 0] * x[None, :]
+            for axis in range(3)
         )
         return Patch(down, across, (z, row, column))
 
@@ -281,7 +328,10 @@ class SliceStack:
         rows = int(np.argmax(np.abs(self._to_index[:, 1])))
         columns = 3 - rows - self.axis
         turned = plane if rows < columns else plane.T
-        return turned[:: 1 if self._to_index[rows, 1] > 0 else -1, :: 1 if self._to_index[columns, 0] > 0 else -1]
+        return turned[
+            :: 1 if self._to_index[rows, 1] > 0 else -1,
+            :: 1 if self._to_index[columns, 0] > 0 else -1,
+        ]
 
 
 def linear(

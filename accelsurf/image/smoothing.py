@@ -61,7 +61,11 @@ def gaussian_mm(
 
 
 def gaussian_on_box(
-    read: Callable[[Box], NDArray[Any]], shape: Sequence[int], spacing: Sequence[float], sigma: float, box: Box
+    read: Callable[[Box], NDArray[Any]],
+    shape: Sequence[int],
+    spacing: Sequence[float],
+    sigma: float,
+    box: Box,
 ) -> NDArray[np.float32]:
     """A box of the image that `gaussian_mm` makes of a whole one, of which only the box and its halo are read.
 
@@ -79,7 +83,10 @@ def gaussian_on_box(
     -------
     ndarray of the box's shape, float32
     """
-    halo = [reach_of(sigma / h) if n > 1 and sigma > 0 else 0 for n, h in zip(shape, spacing, strict=True)]
+    halo = [
+        reach_of(sigma / h) if n > 1 and sigma > 0 else 0
+        for n, h in zip(shape, spacing, strict=True)
+    ]
 
     def smoothed(around: Box) -> NDArray[np.float32]:
         values = read(around).astype(np.float32, copy=False)

@@ -21,7 +21,9 @@ OUTLINE = (0xE6, 0x9F, 0x00)
 GREY_PERCENTILES = (1.0, 99.0)
 
 
-def as_html(text: str, image: NDArray[Any], geometry: Geometry, labels: NDArray[Any] | None = None) -> str:
+def as_html(
+    text: str, image: NDArray[Any], geometry: Geometry, labels: NDArray[Any] | None = None
+) -> str:
     """Return HTML of a thumbnail above a line of text.
 
     Parameters
@@ -72,7 +74,10 @@ def data_uri(image: NDArray[Any], geometry: Geometry, labels: NDArray[Any] | Non
     rgb = _grey(np.take(values, index, axis=plane)[upward])
     if found is not None:
         rgb[_outline(np.take(found, index, axis=plane)[upward])] = OUTLINE
-    tall, wide = (n * orientation.spacing[axis] for n, axis in zip(rgb.shape[:2], IN_PLANE[plane], strict=True))
+    tall, wide = (
+        n * orientation.spacing[axis]
+        for n, axis in zip(rgb.shape[:2], IN_PLANE[plane], strict=True)
+    )
     scale = SIZE / max(tall, wide)
     size = max(1, round(wide * scale)), max(1, round(tall * scale))
     stream = io.BytesIO()

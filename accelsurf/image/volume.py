@@ -90,7 +90,9 @@ class Volume:
                 hint="take one channel or time point; Volume.from_array accepts 2D as one slice",
             )
         if array.shape != self.geometry.shape:
-            raise InputError(f"an array of shape {array.shape} given, the grid's {self.geometry.shape} expected")
+            raise InputError(
+                f"an array of shape {array.shape} given, the grid's {self.geometry.shape} expected"
+            )
 
     def __repr__(self) -> str:
         source = f", source={str(self.source)!r}" if self.source is not None else ""
@@ -142,7 +144,11 @@ class Volume:
                 f"an array of shape {values.shape} given, (z, y, x) with at least one voxel expected",
                 hint="take one channel or time point of it first",
             )
-        steps = (float(spacing),) * 3 if isinstance(spacing, (int, float, np.number)) else tuple(spacing)
+        steps = (
+            (float(spacing),) * 3
+            if isinstance(spacing, (int, float, np.number))
+            else tuple(spacing)
+        )
         if flat and len(steps) == 2:
             steps = (1.0, *steps)
         frame = np.eye(3) if direction is None else np.asarray(direction)

@@ -47,7 +47,9 @@ def selected(channels: int, time_points: int, options: ReadOptions) -> list[tupl
     ([(1, 0), (1, 1)], [(0, 0), (1, 0), (2, 0)])
     """
     if options.channels_from_time and options.time_index is not None:
-        raise UsageError("channels-from-time and time-index exclude each other", "leave one of them out")
+        raise UsageError(
+            "channels-from-time and time-index exclude each other", "leave one of them out"
+        )
     check_index("time", "time points", time_points, options.time_index)
     check_index("channel", "channels", channels, options.channel_index)
     several_times = options.time_index is None and time_points > 1
@@ -78,7 +80,11 @@ def single(channels: int, time_points: int, options: ReadOptions) -> tuple[int, 
     """
     found = selected(channels, time_points, options)
     if len(found) > 1:
-        hint = f"say which: --channel-index 0 to {channels - 1} (channel_index=0)" if channels > 1 else "extract one"
+        hint = (
+            f"say which: --channel-index 0 to {channels - 1} (channel_index=0)"
+            if channels > 1
+            else "extract one"
+        )
         raise InputError(f"an image of {len(found)} channels given, one expected", hint)
     return found[0]
 
@@ -93,7 +99,8 @@ def check_channels(count: int) -> None:
     """
     if count > MAX_CHANNELS:
         raise InputError(
-            f"{count} channels or time points, expected at most {MAX_CHANNELS}", "extract one of them first"
+            f"{count} channels or time points, expected at most {MAX_CHANNELS}",
+            "extract one of them first",
         )
 
 
@@ -105,7 +112,9 @@ def check_index(name: str, plural: str, n: int, asked: int | None) -> None:
     UsageError
     """
     if asked is not None and not 0 <= asked < n:
-        raise UsageError(f"{name} {asked} asked for, the image has {n} {plural}", f"give 0 to {n - 1}")
+        raise UsageError(
+            f"{name} {asked} asked for, the image has {n} {plural}", f"give 0 to {n - 1}"
+        )
 
 
 def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:
@@ -145,9 +154,7 @@ def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:
     return grey, "; ".join(notes)
 
 
-def read_channels(
-    path: str | os.PathLike[str], options: ReadOptions = AS_IT_IS
-) -> list[Volume]:
+def read_channels(path: str | os.PathLike[str], options: ReadOptions = AS_IT_IS) -> list[Volume]:
     """Read an image of one or more channels.
 
     Parameters
@@ -198,4 +205,8 @@ def read_further(paths: tuple[str, ...], options: ReadOptions = AS_IT_IS) -> lis
     """
     if any(not path for path in paths):
         raise UsageError("channel: nothing was given, expected a file", "write --channel FILE")
-    return [volume for path in paths for volume in read_channels(path, options.restricted_to(headers.options_of(path)))]
+    return [
+        volume
+        for path in paths
+        for volume in read_channels(path, options.restricted_to(headers.options_of(path)))
+    ]

@@ -46,7 +46,9 @@ def uninterrupted() -> Iterator[None]:
         return
     waiting: list[int] = []
     before = {number: signal.getsignal(number) for number in SIGNALS}
-    python_ones = [signal.Signals(number) for number, handler in before.items() if callable(handler)]
+    python_ones = [
+        signal.Signals(number) for number, handler in before.items() if callable(handler)
+    ]
     for number in python_ones:
         signal.signal(number, lambda number, frame: waiting.append(number))
     try:
@@ -81,7 +83,9 @@ class FileSet:
     def discard(self) -> None:
         """Remove the staging files."""
         shutil.rmtree(self.staging, ignore_errors=True)
-        with suppress(FileNotFoundError):  # somebody has removed the output folder: what is written next says so
+        with suppress(
+            FileNotFoundError
+        ):  # somebody has removed the output folder: what is written next says so
             self.staging.mkdir(exist_ok=True)
 
     def commit(self, last: str | None = None, remove: Iterable[str] = ()) -> None:
@@ -102,18 +106,28 @@ class FileSet:
             When one of the old files is an input of the run.
         """
         names = sorted(path.name for path in self.staging.iterdir() if path.name != last)
-        gone = [name for name in remove if name not in {*names, last} and os.path.lexists(self.folder / name)]
-        InputFiles(self._inputs).refuse(self.folder / name for name in (*names, *gone, *([last] if last else [])))
+        gone = [
+            name
+            for name in remove
+            if name not in {*names, last} and os.path.lexists(self.folder / name)
+        ]
+        InputFiles(self._inputs).refuse(
+            self.folder / name for name in (*names, *gone, *([last] if last else []))
+        )
         for path in self.staging.iterdir():
             sync(path)
         everything = names if last is None else [*names, last]
         with uninterrupted():
             if len(everything) == 1 and not gone and not self._has_folder(everything[0]):
-                os.replace(self.staging / everything[0], self.folder / everything[0])  # all or nothing by itself
+                os.replace(
+                    self.staging / everything[0], self.folder / everything[0]
+                )  # all or nothing by itself
             else:
                 sync_folder(self.staging)
                 self._plan(Moves(names, gone, last))
-                self.committed = True  # staging files must not be removed from here on, whatever happens
+                self.committed = (
+                    True  # staging files must not be removed from here on, whatever happens
+                )
                 try:
                     _move(self._journal, self.folder)
                 except Exception:
@@ -136,7 +150,9 @@ class FileSet:
 
 
 @contextmanager
-def open_set(folder: Path, name: str, unique: bool = False, inputs: Sequence[Path] = ()) -> Iterator[FileSet]:
+def open_set(
+    folder: Path, name: str, unique: bool = False, inputs: Sequence[Path] = ()
+) -> Iterator[FileSet]:
     """Prepare a set of files. What a killed process has left of one is finished or removed first.
 
     Parameters
@@ -173,7 +189,8 @@ def open_set(folder: Path, name: str, unique: bool = False, inputs: Sequence[Pat
     journal = _begun(folder, name, unique)
     if journal is None:
         raise OutputError(
-            f"{folder / name}: another run is writing there now", "wait until it ends, or choose another folder with -o"
+            f"{folder / name}: another run is writing there now",
+            "wait until it ends, or choose another folder with -o",
         )
     if not (unique or journal.has_file or set_journals.is_staging(folder)):
         _warn_without_journal(folder, journal)
@@ -244,7 +261,11 @@ def _staging_folders(folder: Path) -> list[str]:
         names = os.listdir(folder)
     except OSError:
         return []
-    return sorted(name for name in names if name.startswith(PREFIX) and name.endswith(SUFFIX) and name != SUFFIX)
+    return sorted(
+        name
+        for name in names
+        if name.startswith(PREFIX) and name.endswith(SUFFIX) and name != SUFFIX
+    )
 
 
 def _name_foreign(folder: Path, there: list[str]) -> None:

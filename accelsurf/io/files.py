@@ -34,7 +34,8 @@ def naming(path: Path) -> Iterator[None]:
         raise type(error)(f"{path}: {error.message}", hint=error.hint) from error.__cause__
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be read ({error.strerror or error})", hint="check the path and its permissions"
+            f"{path}: cannot be read ({error.strerror or error})",
+            hint="check the path and its permissions",
         ) from error
     except RuntimeError as error:
         raise InputError(
@@ -42,7 +43,9 @@ def naming(path: Path) -> Iterator[None]:
             hint="the file may be damaged: export it again",
         ) from error
     except MemoryError as error:
-        raise InputError(f"{path}: does not fit into memory", hint="crop or downsample the image") from error
+        raise InputError(
+            f"{path}: does not fit into memory", hint="crop or downsample the image"
+        ) from error
 
 
 @contextmanager
@@ -63,7 +66,9 @@ def library_named(what: str, hint: str) -> Iterator[None]:
         if not isinstance(error, OSError) or error.errno is not None:
             raise
         raise InputError(f"{what} ({one_line(error)})", hint) from error
-    except Exception as error:  # zlib, lzma, zipfile, gzip, struct, numpy, nibabel: each has its own kinds
+    except (
+        Exception
+    ) as error:  # zlib, lzma, zipfile, gzip, struct, numpy, nibabel: each has its own kinds
         raise InputError(f"{what} ({one_line(error)})", hint) from error
 
 
@@ -135,7 +140,9 @@ def staging(path: Path, folder_marks: tuple[str, ...] = ()) -> Iterator[FileSet]
     """
     try:
         if path.is_dir() and not any((path / mark).is_file() for mark in folder_marks):
-            raise OutputError(f"{path}: is a folder, a file name expected", hint="choose another name")
+            raise OutputError(
+                f"{path}: is a folder, a file name expected", hint="choose another name"
+            )
         with open_set(path.parent, path.name, unique=True) as files:
             yield files
     except OSError as error:
@@ -144,7 +151,9 @@ def staging(path: Path, folder_marks: tuple[str, ...] = ()) -> Iterator[FileSet]
             hint=f"does the folder {path.parent} exist, is it writable, is there space on the disk?",
         ) from error
     except RuntimeError as error:
-        raise OutputError(f"{path}: cannot be written ({_itk_reason(error)})", hint=SPACE_HINT) from error
+        raise OutputError(
+            f"{path}: cannot be written ({_itk_reason(error)})", hint=SPACE_HINT
+        ) from error
 
 
 @contextmanager
@@ -164,7 +173,9 @@ def undone_on_failure(path: Path, files: FileSet, undo: Callable[[], None]) -> I
         yield
     except AccelsurfError as error:
         undo()
-        raise type(error)(error.message.replace(str(files.staging), str(path.parent)), error.hint) from error
+        raise type(error)(
+            error.message.replace(str(files.staging), str(path.parent)), error.hint
+        ) from error
     except OSError as error:
         undo()
         raise OutputError(
@@ -206,7 +217,9 @@ def check_bytes(staged: Path, content: bytes) -> None:
     with staged.open("rb") as file:
         for begin in range(0, len(content), _BLOCK):
             if file.read(_BLOCK) != meant[begin : begin + _BLOCK]:
-                raise OutputError(incomplete(staged, "other bytes are read than were written"), SPACE_HINT)
+                raise OutputError(
+                    incomplete(staged, "other bytes are read than were written"), SPACE_HINT
+                )
 
 
 def incomplete(staged: Path, reason: str) -> str:
@@ -239,7 +252,9 @@ def _folder_sha256(folder: Path) -> str:
     names = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     # What is written about an OME-Zarr image, in its labels, is not the image; in other folders all files count.
     besides = "labels/" if (folder / "zarr.json").is_file() else None
-    return _files_sha256(folder, sorted(name for name in names if besides is None or not name.startswith(besides)))
+    return _files_sha256(
+        folder, sorted(name for name in names if besides is None or not name.startswith(besides))
+    )
 
 
 def _files_sha256(folder: Path, names: Sequence[str]) -> str:
@@ -290,12 +305,21 @@ def read_table(
     """
     with open_table(file) as stream:
         try:
-            table = csv.reader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
+            table = csv.reader(
+                (line for line in stream if not line.startswith("#")), skipinitialspace=True
+            )
             columns = [name.strip() for name in next(table, [])]
             vox = set(voxels) <= set(columns)
             if not vox and not set(world) <= set(columns):
                 given = ",".join(columns) or "no line"
-                raise InputError(f"{given} was given as the first line, expected {form}", f"as in {','.join(world)}")
-            return [read_row(dict(zip(columns, row, strict=False)), table.line_num, vox) for row in table if row]
+                raise InputError(
+                    f"{given} was given as the first line, expected {form}",
+                    f"as in {','.join(world)}",
+                )
+            return [
+                read_row(dict(zip(columns, row, strict=False)), table.line_num, vox)
+                for row in table
+                if row
+            ]
         except (UnicodeDecodeError, csv.Error) as error:
             raise InputError(f"not a table of text ({error})", f"expected {form}") from None

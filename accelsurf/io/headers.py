@@ -82,10 +82,14 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
 def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
     """Claims of a header."""
     # The first of one is harmless to ask for, and the level that fits.
-    unknown = [n for n in options.given if n not in form.options and getattr(options, n) not in (0, "auto")]
+    unknown = [
+        n for n in options.given if n not in form.options and getattr(options, n) not in (0, "auto")
+    ]
     if unknown:
         name, value = unknown[0].replace("_", "-"), getattr(options, unknown[0])
-        raise UsageError(f"{name}: {value} was given, and {kind_of(form)} has no such choice", "leave it out")
+        raise UsageError(
+            f"{name}: {value} was given, and {kind_of(form)} has no such choice", "leave it out"
+        )
     return load(form.parse)(path, options) if form.options else load(form.parse)(path)
 
 
@@ -101,7 +105,10 @@ def format_of(path: Path) -> ImageFormat:
     if path.is_dir():
         form = _folder_format(path)
         if form is None:
-            raise InputError("this is a folder, an image file expected", "give an image file, or a folder of DICOM")
+            raise InputError(
+                "this is a folder, an image file expected",
+                "give an image file, or a folder of DICOM",
+            )
         return form
     if not path.exists():
         if is_pattern(path):
@@ -109,7 +116,10 @@ def format_of(path: Path) -> ImageFormat:
         raise InputError("there is no such file", hint="check the path")
     form = image_format(split_name(path)[1])
     if form is None and path.is_file():
-        form = next((kind for kind in IMAGE_FORMATS.values() if kind.is_file and load(kind.is_file)(path)), None)
+        form = next(
+            (kind for kind in IMAGE_FORMATS.values() if kind.is_file and load(kind.is_file)(path)),
+            None,
+        )
         if form is None and zipfile.is_zipfile(path):
             raise InputError("zip archives are not read", "unpack it, and give what is in it")
     if form is None:
@@ -129,7 +139,9 @@ def _folder_format(path: Path) -> ImageFormat | None:
         return None
     named = image_format(split_name(path)[1])
     for form in IMAGE_FORMATS.values():
-        if form.folder_marks and (form is named or any((path / mark).is_file() for mark in form.folder_marks)):
+        if form.folder_marks and (
+            form is named or any((path / mark).is_file() for mark in form.folder_marks)
+        ):
             return form
     for form in IMAGE_FORMATS.values():
         if form.is_folder is not None and load(form.is_folder)(path):
@@ -280,7 +292,8 @@ def check_data_file(path: Path, data: Path) -> None:
     _check_data_folder(path, data)
     if not data.is_file():
         raise InputError(
-            f"the header names the file {data.name}, which is missing", f"copy {data.name} into the same folder"
+            f"the header names the file {data.name}, which is missing",
+            f"copy {data.name} into the same folder",
         )
 
 
@@ -293,7 +306,8 @@ def _check_data_folder(path: Path, data: Path) -> None:
     folders = {path.parent.resolve(), path.resolve().parent}
     if not any(data.resolve().is_relative_to(folder) for folder in folders):
         raise InputError(
-            f"the header names the data file {data}, outside of its own folder", "copy it into the folder of the header"
+            f"the header names the data file {data}, outside of its own folder",
+            "copy it into the folder of the header",
         )
 
 
@@ -306,7 +320,10 @@ def check_within_store(store: Path, path: Path) -> None:
     """
     if not path.resolve().is_relative_to(store.resolve()):
         name = path.relative_to(store).as_posix()
-        raise InputError(f"{name} is a link to a place outside of the store", "copy the store with its links: cp -rL")
+        raise InputError(
+            f"{name} is a link to a place outside of the store",
+            "copy the store with its links: cp -rL",
+        )
 
 
 def is_anatomical(metadata: Mapping[str, str]) -> bool:
@@ -365,7 +382,9 @@ class FrameTimes:
             raise UsageError(f"time unit {unit!r} given, s or frame expected")
         numbers = tuple(float(value) for value in values)
         if not numbers or not all(map(math.isfinite, numbers)):
-            raise UsageError(f"{len(numbers)} times given, finite numbers for one frame or more expected")
+            raise UsageError(
+                f"{len(numbers)} times given, finite numbers for one frame or more expected"
+            )
         check_times(numbers)
         return cls(numbers, cast(TimeUnit, unit))
 
@@ -394,10 +413,18 @@ class FrameTimes:
         """
         found = _TEXT.fullmatch(text.strip())
         values = tuple(float(word) for word in found.group(2).split()) if found else ()
-        if found is not None and len(values) == 1 < count and values[0] > 0 and found.group(1) == "s":
+        if (
+            found is not None
+            and len(values) == 1 < count
+            and values[0] > 0
+            and found.group(1) == "s"
+        ):
             return cls.regular(count, values[0])
         if found is None or len(values) != count or not all(map(math.isfinite, values)):
-            raise InputError(f"the times of {count} frames expected, found {text[:60]!r}", "correct or take them out")
+            raise InputError(
+                f"the times of {count} frames expected, found {text[:60]!r}",
+                "correct or take them out",
+            )
         check_times(values)
         return cls(values, cast(TimeUnit, found.group(1)))
 

@@ -118,7 +118,10 @@ def read_labels(
 
 
 def write(
-    image: ImageLike, path: str | os.PathLike[str], *, spacing: float | tuple[float, float, float] | None = None
+    image: ImageLike,
+    path: str | os.PathLike[str],
+    *,
+    spacing: float | tuple[float, float, float] | None = None,
 ) -> None:
     """Write an image; the suffix decides the format, and all but plain .nii are compressed.
 
@@ -149,7 +152,10 @@ def write(
 
 
 def write_labels(
-    image: ImageLike, path: str | os.PathLike[str], *, spacing: float | tuple[float, float, float] | None = None
+    image: ImageLike,
+    path: str | os.PathLike[str],
+    *,
+    spacing: float | tuple[float, float, float] | None = None,
 ) -> None:
     """Write a label map: as `write`, with values as uint8, uint16 or uint32, as small as they fit.
 
@@ -164,7 +170,10 @@ def write_labels(
     values = as_labels(volume.array)
     low, high = int(values.min()), int(values.max())
     if low < 0 or high > 2**32 - 1:
-        raise InputError(f"labels from {low} to {high} given, 0 to {2**32 - 1} expected", hint="renumber the labels")
+        raise InputError(
+            f"labels from {low} to {high} given, 0 to {2**32 - 1} expected",
+            hint="renumber the labels",
+        )
     values = values.astype(label_type(high))
     form = image_format(split_name(path)[1])
     if high == 1 and form is not None and form.white_labels:
@@ -189,7 +198,9 @@ def _write(volume: Volume, path: Path, labels: bool) -> None:
         load((form.write_labels if labels else None) or form.write)(volume, target)
         _check_staged(volume, target, path.name)
         target.rename(files.staging / path.name)
-        files.commit(last=path.name)  # of .mhd the data file first: a header never names what is not there
+        files.commit(
+            last=path.name
+        )  # of .mhd the data file first: a header never names what is not there
 
 
 def label_type(largest: int) -> np.dtype[Any]:
@@ -232,7 +243,9 @@ def _check_staged(volume: Volume, staged: Path, name: str) -> None:
         )
     except InputError as error:
         reason = error.message.removeprefix(f"{staged}: ")
-        raise OutputError(f"{name}: cannot be written (what was written is damaged: {reason})", SPACE_HINT) from error
+        raise OutputError(
+            f"{name}: cannot be written (what was written is damaged: {reason})", SPACE_HINT
+        ) from error
     if difference or not same:
         what = difference or "other voxels are read than were written"
         raise OutputError(f"{name}: cannot be written ({what})", SPACE_HINT)

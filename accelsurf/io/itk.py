@@ -112,7 +112,9 @@ def geometry_of(image: sitk.Image | sitk.ImageFileReader) -> Geometry:
     """The grid of an image or of a header, by its first three axes."""
     axes = image.GetDimension()
     direction = np.array(image.GetDirection()).reshape(axes, axes)[:3, :3]
-    return Geometry(image.GetSize()[2::-1], image.GetSpacing()[2::-1], image.GetOrigin()[:3], direction)
+    return Geometry(
+        image.GetSize()[2::-1], image.GetSpacing()[2::-1], image.GetOrigin()[:3], direction
+    )
 
 
 def volume_of(image: sitk.Image) -> Volume:
@@ -154,10 +156,15 @@ def check_kind(reader: sitk.ImageFileReader, count: int = 1) -> None:
     text = " x ".join(map(str, size))
     pixel = sitk.GetPixelIDValueAsString(reader.GetPixelIDValue())
     if "complex" in pixel:
-        raise InputError("a complex image given, one real number per voxel expected", hint="take the magnitude first")
+        raise InputError(
+            "a complex image given, one real number per voxel expected",
+            hint="take the magnitude first",
+        )
     volumes = size[3] if len(size) == 4 else 1
     if components > 1 and components * volumes != count:
-        kind = "colour (RGB) or vector" if components in (3, 4) and "unsigned" in pixel else "vector"
+        kind = (
+            "colour (RGB) or vector" if components in (3, 4) and "unsigned" in pixel else "vector"
+        )
         raise InputError(
             f"a {kind} image ({text}, {components} components per voxel) given, one number per voxel expected",
             hint="say which channel (--channel-index N), or extract one, or the magnitude, first",
@@ -169,7 +176,8 @@ def check_kind(reader: sitk.ImageFileReader, count: int = 1) -> None:
         )
     if len(size) > 4 or components * volumes != count:
         raise InputError(
-            f"a {len(size)}D image ({text}) given, 3D expected", hint="extract one time point or channel first"
+            f"a {len(size)}D image ({text}) given, 3D expected",
+            hint="extract one time point or channel first",
         )
 
 
@@ -193,13 +201,16 @@ def listened(work: Callable[[], _T], refuses: bool = True) -> _T:
         shown = sitk.ProcessObject.GetGlobalWarningDisplay()
         sitk.ProcessObject.SetGlobalWarningDisplay(False)
         try:
-            future, lines = _apart(work, printed) if sys.platform == "linux" else _among_others(work, printed)
+            future, lines = (
+                _apart(work, printed) if sys.platform == "linux" else _among_others(work, printed)
+            )
         finally:
             sitk.ProcessObject.SetGlobalWarningDisplay(shown)
     failure = future.exception()
     if lines and refuses and (failure is None or isinstance(failure, RuntimeError)):
         raise InputError(
-            f"the library that reads it says: {lines[0]}", "the file is damaged: copy or export it again"
+            f"the library that reads it says: {lines[0]}",
+            "the file is damaged: copy or export it again",
         ) from failure
     return future.result()
 
@@ -267,4 +278,8 @@ def _standard_error() -> int:
 def _lines(printed: IO[bytes]) -> list[str]:
     """Read the lines that were printed."""
     printed.seek(0)
-    return [line.strip() for line in printed.read(_MAX_PRINTED).decode("utf-8", "replace").splitlines() if line.strip()]
+    return [
+        line.strip()
+        for line in printed.read(_MAX_PRINTED).decode("utf-8", "replace").splitlines()
+        if line.strip()
+    ]

@@ -85,14 +85,18 @@ class LabelStore:
         form = image_format(headers.split_name(self.path)[1])
         if form is None or form.store is None:
             known = [form.suffixes[0] for form in IMAGE_FORMATS.values() if form.store is not None]
-            raise UsageError(f"{self.path}: label maps are written box by box as {' or '.join(known)}")
+            raise UsageError(
+                f"{self.path}: label maps are written box by box as {' or '.join(known)}"
+            )
         self._lock = Lock()
         self._stack = ExitStack()
         try:
             self._files = self._stack.enter_context(staging(self.path, form.folder_marks))
             with self._naming():
                 staged = self._files.staging / self.path.name
-                self._store = load(form.store)(staged, geometry, self.dtype, metadata or {}, self._relative(source))
+                self._store = load(form.store)(
+                    staged, geometry, self.dtype, metadata or {}, self._relative(source)
+                )
         except BaseException:
             self.discard()
             raise
@@ -110,7 +114,9 @@ class LabelStore:
         check_box(box, self.geometry.shape)
         shape = tuple(s.stop - s.start for s in box)
         if array.shape != shape or array.dtype != self.dtype:
-            raise UsageError(f"labels {array.shape} of {array.dtype} given, {shape} of {self.dtype} expected")
+            raise UsageError(
+                f"labels {array.shape} of {array.dtype} given, {shape} of {self.dtype} expected"
+            )
         with self._lock, self._naming():
             self._store.write(box, np.ascontiguousarray(array))
 
@@ -147,7 +153,12 @@ class LabelStore:
     def __enter__(self) -> LabelStore:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         if kind is None:
             self.finish()
         else:
@@ -214,11 +225,23 @@ def on_one_grid(a: Volume, b: Volume) -> tuple[Volume, Volume]:
     if (places := _places(a.geometry, b.geometry)) is None:
         return a, b
     first, axes = places
-    corners = np.stack([np.zeros(3, int), np.array(b.geometry.shape) - 1, first, first + axes.T @ _last(a.geometry)])
+    corners = np.stack(
+        [
+            np.zeros(3, int),
+            np.array(b.geometry.shape) - 1,
+            first,
+            first + axes.T @ _last(a.geometry),
+        ]
+    )
     low = corners.min(axis=0)
     shape = corners.max(axis=0) - low + 1
     grid = b.geometry
-    whole = Geometry(tuple(shape.tolist()), grid.spacing, tuple(grid.index_to_world(low).tolist()), grid.direction)
+    whole = Geometry(
+        tuple(shape.tolist()),
+        grid.spacing,
+        tuple(grid.index_to_world(low).tolist()),
+        grid.direction,
+    )
     return on_grid(a, whole), on_grid(b, whole)
 
 
@@ -226,7 +249,9 @@ def _last(geometry: Geometry) -> NDArray[np.int64]:
     return np.array(geometry.shape) - 1
 
 
-def _places(stored: Geometry, geometry: Geometry) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+def _places(
+    stored: Geometry, geometry: Geometry
+) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
     """Index on a grid of the first stored voxel, and steps there along each stored axis, (3, 3); None where the voxels
     are others.
     """

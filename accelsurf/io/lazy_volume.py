@@ -146,7 +146,9 @@ class LazyVolume:
     @classmethod
     def of_array(cls, volume: Volume) -> LazyVolume:
         """A volume that is in memory, to be read like one that is not."""
-        return cls(_ArrayVoxels(volume.array), volume.geometry, dict(volume.metadata), volume.source)
+        return cls(
+            _ArrayVoxels(volume.array), volume.geometry, dict(volume.metadata), volume.source
+        )
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -251,7 +253,12 @@ def check_box(box: Box, shape: tuple[int, int, int]) -> None:
     """
     for along, n in zip(box, shape, strict=True):
         start, stop = along.start, along.stop
-        if along.step not in (None, 1) or start is None or stop is None or not 0 <= start < stop <= n:
+        if (
+            along.step not in (None, 1)
+            or start is None
+            or stop is None
+            or not 0 <= start < stop <= n
+        ):
             text = ", ".join(f"{s.start}:{s.stop}" + (f":{s.step}" if s.step else "") for s in box)
             raise UsageError(
                 f"the box [{text}] was given, expected one within the grid {shape}",
@@ -318,7 +325,11 @@ def open_with(path: str | os.PathLike[str], options: ReadOptions) -> LazyVolume:
     """Open a volume with those options of an image that the format of the file has; see `open_volume`."""
     asked = options.restricted_to(headers.options_of(path))
     return open_volume(
-        path, level=asked.level, channel_index=asked.channel_index, time_index=asked.time_index, spacing=asked.spacing
+        path,
+        level=asked.level,
+        channel_index=asked.channel_index,
+        time_index=asked.time_index,
+        spacing=asked.spacing,
     )
 
 
@@ -334,7 +345,10 @@ def open_channels(path: str | os.PathLike[str], options: ReadOptions) -> list[La
     asked = options.restricted_to(headers.options_of(path))
     with naming(path):
         places = selected(*headers.counts(path, asked), asked)
-    return [open_with(path, replace(asked, channels_from_time=False, time_index=t, channel_index=c)) for t, c in places]
+    return [
+        open_with(path, replace(asked, channels_from_time=False, time_index=t, channel_index=c))
+        for t, c in places
+    ]
 
 
 def checked_level(level: Level, shapes: Sequence[tuple[int, ...]]) -> int:
@@ -362,7 +376,9 @@ def checked_level(level: Level, shapes: Sequence[tuple[int, ...]]) -> int:
         small = (n for n, shape in enumerate(shapes) if math.prod(shape) * _RUN_BYTES <= free)
         return next(small, len(shapes) - 1)
     if not 0 <= level < len(shapes):
-        raise UsageError(f"level {level} asked for, the image has {len(shapes)}", f"give 0 to {len(shapes) - 1}")
+        raise UsageError(
+            f"level {level} asked for, the image has {len(shapes)}", f"give 0 to {len(shapes) - 1}"
+        )
     return level
 
 
@@ -385,7 +401,9 @@ class StackedVoxels:
     def __init__(self, slabs: Sequence[VoxelSource], depths: Sequence[int]) -> None:
         self._slabs, self.dtype = tuple(slabs), slabs[0].dtype
         if any(slab.dtype != self.dtype for slab in slabs):
-            raise InputError("the slices have values of several types", "convert them to one type first")
+            raise InputError(
+                "the slices have values of several types", "convert them to one type first"
+            )
         self._ends = np.cumsum(depths)
 
     @property

@@ -39,7 +39,9 @@ ImageLike = Volume | os.PathLike[str] | ArrayLike | ItkImage
 
 
 def as_volume(
-    image: ImageLike, spacing: float | Sequence[float] | None = None, name: str = "the image",
+    image: ImageLike,
+    spacing: float | Sequence[float] | None = None,
+    name: str = "the image",
     grid: Geometry | None = None,
 ) -> Volume:
     """Return an image as a volume.
@@ -66,12 +68,20 @@ def as_volume(
         given = load(_READ)(given)
     if isinstance(given, Volume):
         if spacing is not None:
-            raise InputError("spacing given together with an image, which has its own", "leave spacing out")
+            raise InputError(
+                "spacing given together with an image, which has its own", "leave spacing out"
+            )
         return given
-    is_array = isinstance(given, (list, tuple)) or hasattr(given, "__array__") or hasattr(given, "__array_interface__")
+    is_array = (
+        isinstance(given, (list, tuple))
+        or hasattr(given, "__array__")
+        or hasattr(given, "__array_interface__")
+    )
     several = hasattr(given, "data_vars")
     if not is_array or several or hasattr(given, "GetSpacing"):
-        hint = "take a variable: dataset['NAME']" if several else "accelsurf.read(PATH) reads a file"
+        hint = (
+            "take a variable: dataset['NAME']" if several else "accelsurf.read(PATH) reads a file"
+        )
         raise InputError(f"{name}: a {type(given).__name__} was given, expected {_EXPECTED}", hint)
     if grid is not None and spacing is None:
         return Volume(array_on_grid(given, grid, name), grid)
@@ -96,7 +106,9 @@ def array_of(image: ImageLike, geometry: Geometry, name: str) -> NDArray[Any]:
         When it lies on another grid; InputError as `as_volume`.
     """
     value = from_library(image, name)
-    return array_on_grid(load(_READ)(value) if isinstance(value, (str, os.PathLike)) else value, geometry, name)
+    return array_on_grid(
+        load(_READ)(value) if isinstance(value, (str, os.PathLike)) else value, geometry, name
+    )
 
 
 class VolumeSequence(ImageSequence):
@@ -119,9 +131,16 @@ class VolumeSequence(ImageSequence):
     """
 
     def __init__(
-        self, frames: Any, times: float | Sequence[float] | None = None, spacing: float | Sequence[float] | None = None
+        self,
+        frames: Any,
+        times: float | Sequence[float] | None = None,
+        spacing: float | Sequence[float] | None = None,
     ) -> None:
-        is_array = hasattr(frames, "__array__") and getattr(frames, "ndim", 0) > 2 and not hasattr(frames, "affine")
+        is_array = (
+            hasattr(frames, "__array__")
+            and getattr(frames, "ndim", 0) > 2
+            and not hasattr(frames, "affine")
+        )
         if not (is_array or isinstance(frames, (list, tuple))) or not len(frames):
             raise InputError(
                 f"the sequence: a {type(frames).__name__} of no frames was given, expected a path, images in a list, "
@@ -130,10 +149,16 @@ class VolumeSequence(ImageSequence):
             )
         self._frames, self._spacing, self.source = frames, spacing, ""
         step = 1.0 if times is None else times
-        self.times = tuple(step * n for n in range(len(frames))) if isinstance(step, (int, float)) else tuple(step)
+        self.times = (
+            tuple(step * n for n in range(len(frames)))
+            if isinstance(step, (int, float))
+            else tuple(step)
+        )
         self.time_unit = "frame" if times is None else "s"
         if len(self.times) != len(frames):
-            raise InputError(f"{len(self.times)} times given for {len(frames)} frames, one for each expected")
+            raise InputError(
+                f"{len(self.times)} times given for {len(frames)} frames, one for each expected"
+            )
         check_times(self.times)
         self.geometry = as_volume(frames[0], spacing, "frame 0").geometry
 
@@ -170,7 +195,10 @@ def from_library(value: Any, name: str = "the image") -> Any:
     Volume(int16 array, Geometry(shape=(6, 5, 4), spacing=(3.0, 1.0, 2.0), origin=(-7.0, -8.0, 9.0)))
     """
     kinds = [kind.__module__.partition(".")[0] for kind in type(value).__mro__]
-    library = next((kind for kind in kinds if kind in ("SimpleITK", "nibabel", "xarray", "torch", "dask")), None)
+    library = next(
+        (kind for kind in kinds if kind in ("SimpleITK", "nibabel", "xarray", "torch", "dask")),
+        None,
+    )
     if library == "SimpleITK" and hasattr(value, "GetSpacing"):
         return load("accelsurf.io.itk:volume_of")(value)
     if library == "nibabel" and hasattr(value, "affine"):
@@ -204,7 +232,9 @@ def _of_xarray(image: Any, name: str) -> Volume | NDArray[Any]:
     """Return a DataArray as a volume, or without coordinates as an array."""
     named = [dim for dim in image.dims if str(dim).lower() in ("z", "y", "x")]
     if named:
-        image = image.squeeze([dim for dim in image.dims if dim not in named and image.sizes[dim] == 1], drop=True)
+        image = image.squeeze(
+            [dim for dim in image.dims if dim not in named and image.sizes[dim] == 1], drop=True
+        )
         if extra := [str(dim) for dim in image.dims if dim not in named]:
             raise InputError(
                 f"{name}: dimensions {', '.join(map(str, image.dims))} were given, z, y, x expected",
@@ -214,13 +244,20 @@ def _of_xarray(image: Any, name: str) -> Volume | NDArray[Any]:
     array = np.asarray(image.values)
     if not any(dim in image.coords for dim in image.dims):
         return array
-    axes = [_axis(image.coords[dim], name) if dim in image.coords else (0.0, 1.0) for dim in image.dims]
+    axes = [
+        _axis(image.coords[dim], name) if dim in image.coords else (0.0, 1.0) for dim in image.dims
+    ]
     axes = [(0.0, 1.0)] * (3 - len(axes)) + axes
     steps = np.array([step for _, step in axes])
-    direction, given = np.eye(3), np.asarray(image.attrs.get("direction", np.eye(len(image.dims))), np.float64)
+    direction, given = (
+        np.eye(3),
+        np.asarray(image.attrs.get("direction", np.eye(len(image.dims))), np.float64),
+    )
     direction[: len(given), : len(given)] = np.flip(given)
     origin = [first for first, _ in axes][::-1]
-    return Volume.from_array(array, np.abs(steps).tolist(), origin, direction * np.sign(steps[::-1]))
+    return Volume.from_array(
+        array, np.abs(steps).tolist(), origin, direction * np.sign(steps[::-1])
+    )
 
 
 def _axis(coordinate: Any, name: str) -> tuple[float, float]:
@@ -235,11 +272,15 @@ def _axis(coordinate: Any, name: str) -> tuple[float, float]:
     places = np.asarray(coordinate.values)
     where = f"{name}: coordinate {coordinate.name}"
     if not mm_of(unit) or places.dtype.kind not in "iuf":
-        raise GeometryError(f"{where}: {unit if not mm_of(unit) else places.dtype} given, lengths expected")
+        raise GeometryError(
+            f"{where}: {unit if not mm_of(unit) else places.dtype} given, lengths expected"
+        )
     places = places.astype(np.float64) * mm_of(unit)
     first, last = float(places[0]), float(places[-1])
     step = (last - first) / (len(places) - 1) if len(places) > 1 else 1.0
     even = first + step * np.arange(len(places))
     if step == 0 or not np.abs(places - even).max() <= _ROUNDING * abs(step):
-        raise GeometryError(f"{where}: its places are not evenly spaced", "resample it: image.interp")
+        raise GeometryError(
+            f"{where}: its places are not evenly spaced", "resample it: image.interp"
+        )
     return first, step

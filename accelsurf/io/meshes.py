@@ -62,7 +62,9 @@ def read_mesh(path: str | Path, space: str = "") -> tuple[NDArray[np.float64], N
     path = Path(path)
     with naming(path):
         suffix = path.suffix.lower()
-        readers = {form.suffix: form.read for form in MESH_FORMATS.values() if form.read is not None}
+        readers = {
+            form.suffix: form.read for form in MESH_FORMATS.values() if form.read is not None
+        }
         if suffix not in readers:
             raise InputError("no mesh format that accelsurf reads", f"one of {', '.join(readers)}")
         if not path.is_file():
@@ -78,13 +80,17 @@ def read_mesh(path: str | Path, space: str = "") -> tuple[NDArray[np.float64], N
         except Exception as error:  # whatever a reader makes of a damaged file
             reason = " ".join(str(error).split())[:200]
             hint = error.hint if isinstance(error, InputError) else ""
-            raise InputError(f"cannot be read as a mesh ({reason})", hint or "is the file complete?") from None
+            raise InputError(
+                f"cannot be read as a mesh ({reason})", hint or "is the file complete?"
+            ) from None
         if is_ras(mesh.header, space):
             points = points * (-1.0, -1.0, 1.0)
         return closed_mesh(points, mesh.triangles)
 
 
-def closed_mesh(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def closed_mesh(
+    points: NDArray[Any], triangles: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the same surface with points at the same place made one; refuse what is damaged or open.
 
     Parameters
@@ -154,7 +160,9 @@ def closed_triangles(points: Floats, triangles: Ints) -> tuple[Ints, int]:
     largest = float(np.abs(points).max())
     for tolerance in TOLERANCES:
         number = np.arange(len(points))
-        number[corners] = corners[_welded(points[corners], min(tolerance * largest, MAX_EDGE_SHARE * usual))]
+        number[corners] = corners[
+            _welded(points[corners], min(tolerance * largest, MAX_EDGE_SHARE * usual))
+        ]
         welded = _without_copies(_with_three_corners(number[triangles]))
         if len(welded) and not len(_open(welded)):
             return welded, 0
@@ -163,7 +171,9 @@ def closed_triangles(points: Floats, triangles: Ints) -> tuple[Ints, int]:
 
 def _without_copies(triangles: Ints) -> Ints:
     """Triangles that are there several times, once; or where that leaves edges open, none of those that are a wall."""
-    _, first, counts = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True, return_counts=True)
+    _, first, counts = np.unique(
+        np.sort(triangles, axis=1), axis=0, return_index=True, return_counts=True
+    )
     once, without = triangles[np.sort(first)], triangles[np.sort(first[counts % 2 == 1])]
     return without if len(without) and len(_open(once)) and not len(_open(without)) else once
 
@@ -267,22 +277,33 @@ def voxels_inside(
     wide = np.maximum(high - low + 1, 0)
     last = np.cumsum(wide[:, 0] * wide[:, 1])  # of the rows of all triangles, one after the other
     rows = int(last[-1]) if len(last) else 0
-    budgets.MESH_ROWS.check(rows, f"a mesh of {len(triangles)} triangles, which together span many rows of voxels")
-    crossings = np.zeros((shape[0], shape[1], shape[2] + 1), np.uint8)  # only odd or even counts: it may overflow
+    budgets.MESH_ROWS.check(
+        rows, f"a mesh of {len(triangles)} triangles, which together span many rows of voxels"
+    )
+    crossings = np.zeros(
+        (shape[0], shape[1], shape[2] + 1), np.uint8
+    )  # only odd or even counts: it may overflow
     for begin in range(0, rows, BATCH_ROWS):
         row = np.arange(begin, min(begin + BATCH_ROWS, rows))
         t = np.searchsorted(last, row, side="right")
         nth = row - (last[t] - wide[t, 0] * wide[t, 1])
-        at = _crossings(plane[t], corners[t, :, 2], low[t, 0] + nth // wide[t, 1], low[t, 1] + nth % wide[t, 1])
+        at = _crossings(
+            plane[t], corners[t, :, 2], low[t, 0] + nth // wide[t, 1], low[t, 1] + nth % wide[t, 1]
+        )
         # The first voxel beyond the crossing.
-        np.add.at(crossings, (at[0], at[1], np.clip(np.ceil(at[2]), 0, shape[2]).astype(np.int64)), 1)
+        np.add.at(
+            crossings, (at[0], at[1], np.clip(np.ceil(at[2]), 0, shape[2]).astype(np.int64)), 1
+        )
     np.cumsum(crossings, axis=2, dtype=np.uint8, out=crossings)
     crossings &= 1
     return np.ascontiguousarray(crossings[:, :, :-1]).view(np.bool_)
 
 
 def _crossings(
-    plane: NDArray[np.float64], depth: NDArray[np.float64], z: NDArray[np.int64], y: NDArray[np.int64]
+    plane: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    z: NDArray[np.int64],
+    y: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Rows (z, y) and places x where triangles cross them: of each row the corners' (z, y) and x of one triangle."""
     a, b, c = plane[:, 0], plane[:, 1], plane[:, 2]

@@ -60,7 +60,12 @@ class Journal:
     """
 
     def __init__(
-        self, path: Path | None, lock: int, staging: Path, moves: Moves | None = None, reason: str = ""
+        self,
+        path: Path | None,
+        lock: int,
+        staging: Path,
+        moves: Moves | None = None,
+        reason: str = "",
     ) -> None:
         self._path, self._lock = path, lock
         self.staging, self.moves, self.reason = staging, moves, reason
@@ -79,10 +84,17 @@ class Journal:
             When it cannot be written.
         """
         if self._path is not None:
-            content = {"staging": self.staging.name, "moves": None if moves is None else asdict(moves)}
+            content = {
+                "staging": self.staging.name,
+                "moves": None if moves is None else asdict(moves),
+            }
             unfinished = self._path.with_suffix(_UNFINISHED)
             unfinished.unlink(missing_ok=True)
-            with open(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+            with open(
+                os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600),
+                "w",
+                encoding="utf-8",
+            ) as file:
                 file.write(json.dumps(content))  # names that are no UTF-8 are escaped
                 if moves is not None:
                     file.flush()
@@ -138,7 +150,9 @@ def state_folder() -> Path:
     if not folder.is_absolute():  # older versions say so in this way
         raise OSError(errno.ENOENT, "the user has no home folder")
     there = next(parent for parent in folder.parents if parent.exists())
-    if os.name == "posix" and os.geteuid() == 0 and there.stat().st_uid != 0:  # sudo: these would not be the user's
+    if (
+        os.name == "posix" and os.geteuid() == 0 and there.stat().st_uid != 0
+    ):  # sudo: these would not be the user's
         raise PermissionError(errno.EACCES, "it is the folder of another user", str(folder))
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     for part in (folder.parent, folder):
@@ -219,7 +233,9 @@ def journals_of_the_dead(folder: Path) -> Iterator[Journal]:
             Journal(path, lock, folder).end()
         else:
             moves = content["moves"]
-            yield Journal(path, lock, folder / content["staging"], None if moves is None else Moves(**moves))
+            yield Journal(
+                path, lock, folder / content["staging"], None if moves is None else Moves(**moves)
+            )
 
 
 def recorded_staging(folder: Path) -> set[str]:

@@ -68,7 +68,9 @@ def kernel(
     def compiled_with_stage(function: Callable[..., Any]) -> Callable[..., Any]:
         name = function.__name__
         if stage is not None and STAGE_OF_KERNEL.setdefault(name, stage) is not stage:
-            raise ValueError(f"kernel {name} has stage {STAGE_OF_KERNEL[name]} elsewhere, {stage} was given")
+            raise ValueError(
+                f"kernel {name} has stage {STAGE_OF_KERNEL[name]} elsewhere, {stage} was given"
+            )
         return _compiled(function, inlined)
 
     return compiled_with_stage

@@ -81,7 +81,9 @@ def march(times, medium, tissue, grid, seeds, cap):
     """
     width = bucket_width(tissue.weights, grid)
     queue = new_queue(tissue.weights, grid, width)
-    costs = np.empty(len(times))  # of the voxels that a front has come to; memory that nobody writes to costs nothing
+    costs = np.empty(
+        len(times)
+    )  # of the voxels that a front has come to; memory that nobody writes to costs nothing
     order = np.empty(max(FIRST_CAPACITY, len(seeds)), np.int64)
     order[: len(seeds)] = seeds
     done, count, waiting, bucket = 0, len(seeds), 0, np.int64(0)
@@ -127,7 +129,11 @@ def offer(times, costs, cell, medium, tissue, grid, limits, queue):
             continue
         if 0 <= index + 2 * step < length and 0.0 <= times[other + stride] < time:
             continue  # along this axis it has been reached earlier, from beyond it
-        at = (iz + (step if axis == 0 else 0), iy + (step if axis == 1 else 0), ix + (step if axis == 2 else 0))
+        at = (
+            iz + (step if axis == 0 else 0),
+            iy + (step if axis == 1 else 0),
+            ix + (step if axis == 2 else 0),
+        )
         if before == np.inf:
             costs[other] = cost_at(other, at, medium, tissue, grid)
         found = np.float32(upwind_time(times, other, at, costs[other], grid))
@@ -247,7 +253,11 @@ def difference(values, channel, cell, index, length, stride):
     before, after = (stride if index > 0 else 0), (stride if index < length - 1 else 0)
     if before + after == 0:
         return 0.0
-    return np.float64(values[channel, cell + after] - values[channel, cell - before]) * stride / (before + after)
+    return (
+        np.float64(values[channel, cell + after] - values[channel, cell - before])
+        * stride
+        / (before + after)
+    )
 
 
 @kernel(inlined=True)
@@ -323,7 +333,10 @@ def step_costs(values, lengths, weight):
                 row = out[axis, iz, iy, dx:]
                 row[:] = square
                 for channel in range(channels):
-                    here, before = values[channel, iz, iy, dx:], values[channel, iz - dz, iy - dy, : nx - dx]
+                    here, before = (
+                        values[channel, iz, iy, dx:],
+                        values[channel, iz - dz, iy - dy, : nx - dx],
+                    )
                     for k in range(nx - dx):
                         difference = scale * (here[k] - before[k])
                         row[k] += difference * difference

@@ -37,7 +37,11 @@ def keep_mask(start, stop, psi, grid, known, half_width, keep):
     cells, foot, state = known
     for s in range(start, stop):
         voxels = voxels_along(foot[s, 0], foot[s, 1], foot[s, 2], grid)
-        keep[s] = state[s] != OPEN and voxels <= half_width and is_within_reach(psi, grid, cells[s], voxels)
+        keep[s] = (
+            state[s] != OPEN
+            and voxels <= half_width
+            and is_within_reach(psi, grid, cells[s], voxels)
+        )
 
 
 @kernel(stage=Stage.BAND)
@@ -123,7 +127,9 @@ def sample_at_feet(start, stop, slot, grid, band, front, values, out):
             else:
                 value, found = band_value_at(values[field], slot, n_old, grid, position, w)
             if not found:
-                value = values[field, slot_before] if slot_before >= 0 and slot_before < n_old else 0.0
+                value = (
+                    values[field, slot_before] if slot_before >= 0 and slot_before < n_old else 0.0
+                )
             out[field, s] = value
 
 
@@ -147,7 +153,11 @@ def outward_table(start, stop, slot, grid, band, front, off, table):
         total = 0.0
         for corner in range(8):
             i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
-            share = (tz if i == 1 else 1.0 - tz) * (ty if j == 1 else 1.0 - ty) * (tx if k == 1 else 1.0 - tx)
+            share = (
+                (tz if i == 1 else 1.0 - tz)
+                * (ty if j == 1 else 1.0 - ty)
+                * (tx if k == 1 else 1.0 - tx)
+            )
             at = -1
             if share > 1e-6:
                 at = slot[np.uint64(((iz + i) * grid.ny + iy + j) * grid.nx + ix + k)]
@@ -192,7 +202,9 @@ def quadratic_table(start, stop, slot, grid, band, row_of, off, across, table):
     for row in range(np.uint64(start), np.uint64(stop)):
         s = np.uint64(off[row])
         iz, iy, ix = unravel(band.cells[s], grid)
-        cz, uz, tz, az = nearest_node(iz + band.to_closest[s, 0] / grid.hz, grid.nz, grid.ny * grid.nx)
+        cz, uz, tz, az = nearest_node(
+            iz + band.to_closest[s, 0] / grid.hz, grid.nz, grid.ny * grid.nx
+        )
         cy, uy, ty, ay = nearest_node(iy + band.to_closest[s, 1] / grid.hy, grid.ny, grid.nx)
         cx, ux, tx, ax = nearest_node(ix + band.to_closest[s, 2] / grid.hx, grid.nx, 1)
         mirrored[row] = (tz * az == 0) + 2 * (ty * ay == 0) + 4 * (tx * ax == 0)
@@ -203,9 +215,15 @@ def quadratic_table(start, stop, slot, grid, band, row_of, off, across, table):
         c = cz + cy + cx
         rest = 1.0 - uz * uz - uy * uy - ux * ux + uz * uy + uz * ux + uy * ux
         known = put(slot, row_of, c, rest, rows, shares, row, 0)
-        known &= put(slot, row_of, c + tz, sz * uz * (0.5 * (uz + 1.0) - uy - ux), rows, shares, row, 1)
-        known &= put(slot, row_of, c + ty, sy * uy * (0.5 * (uy + 1.0) - uz - ux), rows, shares, row, 2)
-        known &= put(slot, row_of, c + tx, sx * ux * (0.5 * (ux + 1.0) - uz - uy), rows, shares, row, 3)
+        known &= put(
+            slot, row_of, c + tz, sz * uz * (0.5 * (uz + 1.0) - uy - ux), rows, shares, row, 1
+        )
+        known &= put(
+            slot, row_of, c + ty, sy * uy * (0.5 * (uy + 1.0) - uz - ux), rows, shares, row, 2
+        )
+        known &= put(
+            slot, row_of, c + tx, sx * ux * (0.5 * (ux + 1.0) - uz - uy), rows, shares, row, 3
+        )
         known &= put(slot, row_of, c + az, oz * 0.5 * uz * (uz - 1.0), rows, shares, row, 4)
         known &= put(slot, row_of, c + ay, oy * 0.5 * uy * (uy - 1.0), rows, shares, row, 5)
         known &= put(slot, row_of, c + ax, ox * 0.5 * ux * (ux - 1.0), rows, shares, row, 6)
@@ -213,7 +231,9 @@ def quadratic_table(start, stop, slot, grid, band, row_of, off, across, table):
         known &= put(slot, row_of, c + ty + tx, sy * sx * uy * ux, rows, shares, row, 8)
         known &= put(slot, row_of, c + tx + tz, sx * sz * ux * uz, rows, shares, row, 9)
         if not known:
-            put_linear(slot, row_of, c, ((uz, tz, sz), (uy, ty, sy), (ux, tx, sx)), rows, shares, row)
+            put_linear(
+                slot, row_of, c, ((uz, tz, sz), (uy, ty, sy), (ux, tx, sx)), rows, shares, row
+            )
 
 
 @kernel
@@ -228,7 +248,11 @@ def put_linear(slot, row_of, c, axes, rows, shares, row):
         shares[row, k] = 0.0
     for corner in range(8):
         i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
-        share = (uz if i == 1 else 1.0 - uz) * (uy if j == 1 else 1.0 - uy) * (ux if k == 1 else 1.0 - ux)
+        share = (
+            (uz if i == 1 else 1.0 - uz)
+            * (uy if j == 1 else 1.0 - uy)
+            * (ux if k == 1 else 1.0 - ux)
+        )
         sign = (sz if i == 1 else 1.0) * (sy if j == 1 else 1.0) * (sx if k == 1 else 1.0)
         if put(slot, row_of, c + i * tz + j * ty + k * tx, sign * share, rows, shares, row, corner):
             total += share
@@ -312,7 +336,10 @@ def store_band(start, stop, dense, band):
 def front_mask(start, stop, grid, band, width, front):
     """Mark the slots within ``width`` voxels of the surface."""
     for s in range(start, stop):
-        front[s] = voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid) <= width
+        front[s] = (
+            voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid)
+            <= width
+        )
 
 
 @kernel(stage=Stage.BAND)

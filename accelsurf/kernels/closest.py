@@ -11,7 +11,13 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import BATCH, THICK, neighbours, step_of, unravel, unravel_in_vectors
-from accelsurf.kernels.interpolate import LEVELS, enter_point, limited_in_vectors, limited_memory, value_and_gradient
+from accelsurf.kernels.interpolate import (
+    LEVELS,
+    enter_point,
+    limited_in_vectors,
+    limited_memory,
+    value_and_gradient,
+)
 from accelsurf.kernels.simd.cubic import cubic
 
 
@@ -42,7 +48,11 @@ def is_between_signs(psi, grid, iz, iy, ix, foot):
     slices: a surface that the labels do not have. A smooth surface may pass a corner of a cube of voxels and change no
     sign there: the next voxels count too, along axes as fine as the finest.
     """
-    bz, by, bx = int(iz + foot[0] / grid.hz), int(iy + foot[1] / grid.hy), int(ix + foot[2] / grid.hx)
+    bz, by, bx = (
+        int(iz + foot[0] / grid.hz),
+        int(iy + foot[1] / grid.hy),
+        int(ix + foot[2] / grid.hx),
+    )
     inside = psi[np.uint64((iz * grid.ny + iy) * grid.nx + ix)] < 0.0
     # The voxel beyond the surface, if there is one: nearly always this ends it.
     az = min(bz + 1, grid.nz - 1) if foot[0] > 0.0 else bz
@@ -100,7 +110,9 @@ def nodes_memory():
     `limited_levels_at` has the first nodes in the order of that list.
     """
     return (
-        np.zeros(3 * BATCH, np.float32), np.zeros(3 * BATCH, np.float32), np.zeros(BATCH, np.int64),
+        np.zeros(3 * BATCH, np.float32),
+        np.zeros(3 * BATCH, np.float32),
+        np.zeros(BATCH, np.int64),
         np.zeros(BATCH, np.int64),
     )
 
@@ -151,9 +163,20 @@ def find_nodes(i, grid, nodes, memory):
     px = place[i + NEXT + NEXT] + memory[FOOT + NEXT + NEXT + i] * (1.0 / grid.hx)
     unit = np.int32(1)
     bz, by, bx = np.int32(pz) - unit, np.int32(py) - unit, np.int32(px) - unit
-    inner[i], inner[i + NEXT], inner[i + NEXT + NEXT] = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
+    inner[i], inner[i + NEXT], inner[i + NEXT + NEXT] = (
+        np.float32(pz - bz),
+        np.float32(py - by),
+        np.float32(px - bx),
+    )
     # Well inside the volume, without the cases that value_and_gradient is for.
-    inside = (0 <= bz) & (bz <= grid.nz - 4) & (0 <= by) & (by <= grid.ny - 4) & (0 <= bx) & (bx <= grid.nx - 4)
+    inside = (
+        (0 <= bz)
+        & (bz <= grid.nz - 4)
+        & (0 <= by)
+        & (by <= grid.ny - 4)
+        & (0 <= bx)
+        & (bx <= grid.nx - 4)
+    )
     first[i] = (bz * grid.ny + by) * grid.nx + bx if inside else -1
 
 
@@ -190,11 +213,19 @@ def levels_at(count, psi, grid, nodes, memory, w):
             level, gz, gy, gx = cubic(psi, first[i], sy, sz, uz, uy, ux)
             gz, gy, gx = gz * hz, gy * hy, gx * hx
         else:
-            pz, py = place[i] + memory[FOOT + i] * hz, place[i + NEXT] + memory[FOOT + NEXT + i] * hy
+            pz, py = (
+                place[i] + memory[FOOT + i] * hz,
+                place[i + NEXT] + memory[FOOT + NEXT + i] * hy,
+            )
             px = place[i + NEXT + NEXT] + memory[FOOT + NEXT + NEXT + i] * hx
             level, gz, gy, gx = value_and_gradient(psi, grid, pz, py, px, w)
         at = LEVEL + i
-        memory[at], memory[at + NEXT], memory[at + NEXT + NEXT], memory[at + NEXT + NEXT + NEXT] = level, gz, gy, gx
+        memory[at], memory[at + NEXT], memory[at + NEXT + NEXT], memory[at + NEXT + NEXT + NEXT] = (
+            level,
+            gz,
+            gy,
+            gx,
+        )
     return active
 
 
@@ -238,7 +269,11 @@ def correct(count, iteration, grid, memory):
         tz, ty, tx = along * gz - z, along * gy - y, along * gx - x
         t2 = tz * tz + ty * ty + tx * tx
         before, relax, begun = memory[SQUARE + i], memory[RELAX + i], memory[START + i]
-        left = tz * memory[LAST + i] + ty * memory[LAST + NEXT + i] + tx * memory[LAST + NEXT + NEXT + i]
+        left = (
+            tz * memory[LAST + i]
+            + ty * memory[LAST + NEXT + i]
+            + tx * memory[LAST + NEXT + NEXT + i]
+        )
         longer = min(max(relax / max(unit - left / max(before, tiny), quarter), shortest), longest)
         longer = longer if before > zero else relax
         factor = unit if first else longer
@@ -324,10 +359,22 @@ def sides_beyond(value, least, around):
     """The sides of a cell of psi = ``value`` beyond which a ridge may lie, a bit each; ``around`` = psi at them."""
     a, b, c, d, e, f = around
     sign = np.float32(-1.0) if value < np.float32(0.0) else np.float32(1.0)
-    value, a, b, c, d, e, f = sign * value, sign * a, sign * b, sign * c, sign * d, sign * e, sign * f
+    value, a, b, c, d, e, f = (
+        sign * value,
+        sign * a,
+        sign * b,
+        sign * c,
+        sign * d,
+        sign * e,
+        sign * f,
+    )
     sides = towards_ridge(value, a, b, least) | (towards_ridge(value, b, a, least) << np.int32(1))
-    sides |= (towards_ridge(value, c, d, least) << np.int32(2)) | (towards_ridge(value, d, c, least) << np.int32(3))
-    sides |= (towards_ridge(value, e, f, least) << np.int32(4)) | (towards_ridge(value, f, e, least) << np.int32(5))
+    sides |= (towards_ridge(value, c, d, least) << np.int32(2)) | (
+        towards_ridge(value, d, c, least) << np.int32(3)
+    )
+    sides |= (towards_ridge(value, e, f, least) << np.int32(4)) | (
+        towards_ridge(value, f, e, least) << np.int32(5)
+    )
     return sides
 
 
@@ -369,7 +416,12 @@ def beyond_ridges(slots, slot, grid, band, residue, memory, out):
             if other < 0:
                 continue
             # Nearly always this ends it.
-            if foot[other, 0] * to_closest[0] + foot[other, 1] * to_closest[1] + foot[other, 2] * to_closest[2] >= 0.0:
+            if (
+                foot[other, 0] * to_closest[0]
+                + foot[other, 1] * to_closest[1]
+                + foot[other, 2] * to_closest[2]
+                >= 0.0
+            ):
                 continue
             if (old[other] < 0.0) != inside or abs(old[other]) < MIN_LENGTH * h:
                 continue
@@ -377,7 +429,9 @@ def beyond_ridges(slots, slot, grid, band, residue, memory, out):
             while bit >> side != 1:
                 side += 1
             oz, oy, ox = step_of(side, grid)
-            along = (oz * foot[other, 0] + oy * foot[other, 1] + ox * foot[other, 2]) / abs(old[other])
+            along = (oz * foot[other, 0] + oy * foot[other, 1] + ox * foot[other, 2]) / abs(
+                old[other]
+            )
             d = sign * rows[(1 + side) * BATCH + i] + along
             if 0.0 < d < least:
                 least, found, scale = d, other, d / abs(old[other])
@@ -400,7 +454,11 @@ GUESS_ROWS = 15
 @kernel
 def guess_memory():
     """Memory for `guess_feet`: rows, and per cell whether it needs `first_guess`, and the sides of `sides_beyond`."""
-    return np.zeros(GUESS_ROWS * BATCH, np.float32), np.empty(BATCH, np.bool_), np.empty(BATCH, np.int32)
+    return (
+        np.zeros(GUESS_ROWS * BATCH, np.float32),
+        np.empty(BATCH, np.bool_),
+        np.empty(BATCH, np.int32),
+    )
 
 
 @kernel
@@ -525,7 +583,11 @@ def guess_alike(grid, inner, memory, out):
         offset[i] = residue
         is_scaled = abs(old) > (inner if residue == zero else shortest)
         ratio = value / (old if is_scaled else unit)
-        z, y, x = ratio * rows[OLD_FOOT + i], ratio * rows[OLD_FOOT + NEXT + i], ratio * rows[OLD_FOOT + two + i]
+        z, y, x = (
+            ratio * rows[OLD_FOOT + i],
+            ratio * rows[OLD_FOOT + NEXT + i],
+            ratio * rows[OLD_FOOT + two + i],
+        )
         is_scaled = is_scaled & (abs(z) + abs(y) + abs(x) > zero)
         dz, dy, dx = pz * (b - a), py * (d - c), px * (f - e)
         slope = dz * dz + dy * dy + dx * dx
@@ -536,9 +598,21 @@ def guess_alike(grid, inner, memory, out):
         # Beyond the border psi is only continued, at the band's edge from where it is no distance.
         near = (-iz * hz <= z) & (z <= (mz - iz) * hz) & (-iy * hy <= y) & (y <= (my - iy) * hy)
         near = near & (-ix * hx <= x) & (x <= (mx - ix) * hx)
-        well = (iz > zero) & (iz < mz) & (iy > zero) & (iy < my) & (ix > zero) & (ix < mx) & (slope >= half)
+        well = (
+            (iz > zero)
+            & (iz < mz)
+            & (iy > zero)
+            & (iy < my)
+            & (ix > zero)
+            & (ix < mx)
+            & (slope >= half)
+        )
         alone[i] = not (near if is_scaled else well)
-        wall = np.int32(iz <= zero) | (np.int32(iz >= mz) << np.int32(1)) | (np.int32(iy <= zero) << np.int32(2))
+        wall = (
+            np.int32(iz <= zero)
+            | (np.int32(iz >= mz) << np.int32(1))
+            | (np.int32(iy <= zero) << np.int32(2))
+        )
         wall |= (np.int32(iy >= my) << np.int32(3)) | (np.int32(ix <= zero) << np.int32(4))
         wall |= np.int32(ix >= mx) << np.int32(5)
         around = sides_beyond(value, least, (a, b, c, d, e, f)) & ~wall

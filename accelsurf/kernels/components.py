@@ -166,10 +166,16 @@ def touching(points, dense, grid, corner, reach, width):
     count = 0
     for i in range(n):
         z, y, x = points[i, 0] - corner[0], points[i, 1] - corner[1], points[i, 2] - corner[2]
-        if not (-reach <= z <= last_z + reach and -reach <= y <= last_y + reach and -reach <= x <= last_x + reach):
+        if not (
+            -reach <= z <= last_z + reach
+            and -reach <= y <= last_y + reach
+            and -reach <= x <= last_x + reach
+        ):
             continue
         z, y, x = min(max(z, 0.0), last_z), min(max(y, 0.0), last_y), min(max(x, 0.0), last_x)
-        slot = dense.slot[(np.int64(np.rint(z)) * grid.ny + np.int64(np.rint(y))) * grid.nx + np.int64(np.rint(x))]
+        slot = dense.slot[
+            (np.int64(np.rint(z)) * grid.ny + np.int64(np.rint(y))) * grid.nx + np.int64(np.rint(x))
+        ]
         if slot < 0:
             continue
         gap = np.float32(linear_at(dense.psi, grid, z, y, x))

@@ -67,7 +67,11 @@ def axis_derivatives(psi, cell, i, n, stride, h):
 def is_at_border(iz, iy, ix, grid):
     """Test if a cell has a face on the volume's border; an axis with one slice has none."""
     z, y, x = grid.nz - 1, grid.ny - 1, grid.nx - 1
-    return (z > 0 and (iz == 0 or iz == z)) or (y > 0 and (iy == 0 or iy == y)) or (x > 0 and (ix == 0 or ix == x))
+    return (
+        (z > 0 and (iz == 0 or iz == z))
+        or (y > 0 and (iy == 0 or iy == y))
+        or (x > 0 and (ix == 0 or ix == x))
+    )
 
 
 @kernel
@@ -95,7 +99,9 @@ def curvatures(psi, cell, iz, iy, ix, grid):
     pz, pzz = axis_derivatives(psi, cell, iz, grid.nz, plane, grid.hz)
     py, pyy = axis_derivatives(psi, cell, iy, grid.ny, grid.nx, grid.hy)
     px, pxx = axis_derivatives(psi, cell, ix, grid.nx, 1, grid.hx)
-    pzy = mixed_difference(psi, cell, (iz, grid.nz, iy, grid.ny), (plane, grid.nx), (grid.hz, grid.hy))
+    pzy = mixed_difference(
+        psi, cell, (iz, grid.nz, iy, grid.ny), (plane, grid.nx), (grid.hz, grid.hy)
+    )
     pzx = mixed_difference(psi, cell, (iz, grid.nz, ix, grid.nx), (plane, 1), (grid.hz, grid.hx))
     pyx = mixed_difference(psi, cell, (iy, grid.ny, ix, grid.nx), (grid.nx, 1), (grid.hy, grid.hx))
     return level_curvatures((pz, py, px), (pzz, pyy, pxx), (pzy, pzx, pyx))
@@ -136,8 +142,16 @@ def level_curvatures(slope, second, mixed):
         return 0.0, 0.0
     mean = pxx * (py * py + pz * pz) + pyy * (px * px + pz * pz) + pzz * (px * px + py * py)
     mean -= 2.0 * (px * py * pyx + px * pz * pzx + py * pz * pzy)
-    gauss = px * px * (pyy * pzz - pzy * pzy) + py * py * (pxx * pzz - pzx * pzx) + pz * pz * (pxx * pyy - pyx * pyx)
-    mixed = px * py * (pzx * pzy - pyx * pzz) + py * pz * (pyx * pzx - pzy * pxx) + px * pz * (pyx * pzy - pzx * pyy)
+    gauss = (
+        px * px * (pyy * pzz - pzy * pzy)
+        + py * py * (pxx * pzz - pzx * pzx)
+        + pz * pz * (pxx * pyy - pyx * pyx)
+    )
+    mixed = (
+        px * py * (pzx * pzy - pyx * pzz)
+        + py * pz * (pyx * pzx - pzy * pxx)
+        + px * pz * (pyx * pzy - pzx * pyy)
+    )
     gauss += 2.0 * mixed
     return mean / (g2 * np.sqrt(g2)), gauss / (g2 * g2)
 
@@ -255,12 +269,23 @@ def gather_cross(first, count, psi, grid, cells, wanted, rows, well_inside):
             continue
         cell = cells[first + i]
         iz, iy, ix = unravel(cell, grid)
-        if iz < 2 or iy < 2 or ix < 2 or iz >= grid.nz - 2 or iy >= grid.ny - 2 or ix >= grid.nx - 2:
+        if (
+            iz < 2
+            or iy < 2
+            or ix < 2
+            or iz >= grid.nz - 2
+            or iy >= grid.ny - 2
+            or ix >= grid.nx - 2
+        ):
             continue
         well_inside[i] = True
         z, y, x = np.uint64(cell) - plane - plane, np.uint64(cell) - row - row, np.uint64(cell - 2)
         for k in range(np.uint64(5)):
-            rows[k, i], rows[np.uint64(5) + k, i], rows[np.uint64(10) + k, i] = psi[z], psi[y], psi[x]
+            rows[k, i], rows[np.uint64(5) + k, i], rows[np.uint64(10) + k, i] = (
+                psi[z],
+                psi[y],
+                psi[x],
+            )
             z, y, x = z + plane, y + row, x + np.uint64(1)
 
 
@@ -341,27 +366,45 @@ def block_curvatures(grid, memory):
     part, huge = np.float32(1.0 / 24.0), np.float32(1e30)
     for i in range(np.uint64(BATCH)):
         c, zm, zp = memory[i], memory[ROW[1] + i], memory[ROW[2] + i]
-        ym, yp, xm, xp = memory[ROW[3] + i], memory[ROW[4] + i], memory[ROW[5] + i], memory[ROW[6] + i]
+        ym, yp, xm, xp = (
+            memory[ROW[3] + i],
+            memory[ROW[4] + i],
+            memory[ROW[5] + i],
+            memory[ROW[6] + i],
+        )
         z, y, x = half * hz * (zp - zm), half * hy * (yp - ym), half * hx * (xp - xm)
         zz = (zp - c) - (c - zm)
         yy = (yp - c) - (c - ym)
         xx = (xp - c) - (c - xm)
         memory[CURVATURES + ROW[2] + i] = part * (zz + yy + xx)
         zz, yy, xx = hz * hz * zz, hy * hy * yy, hx * hx * xx
-        zy, zx, yx = mixed(memory, ROW[7] + i), mixed(memory, ROW[11] + i), mixed(memory, ROW[15] + i)
+        zy, zx, yx = (
+            mixed(memory, ROW[7] + i),
+            mixed(memory, ROW[11] + i),
+            mixed(memory, ROW[15] + i),
+        )
         zy, zx, yx = quarter * hz * hy * zy, quarter * hz * hx * zx, quarter * hy * hx * yx
         z2, y2, x2 = z * z, y * y, x * x
         g2 = z2 + y2 + x2
         # A bound that nothing exceeds: so the compiler cannot choose which of two products it rounds before their sum.
         apart = max(x * z * zx, -huge)
-        mean = xx * (y2 + z2) + yy * (x2 + z2) + zz * (x2 + y2) - two * (x * y * yx + apart + y * z * zy)
+        mean = (
+            xx * (y2 + z2)
+            + yy * (x2 + z2)
+            + zz * (x2 + y2)
+            - two * (x * y * yx + apart + y * z * zy)
+        )
         gauss = x2 * (yy * zz - zy * zy) + y2 * (xx * zz - zx * zx) + z2 * (xx * yy - yx * yx)
-        products = x * y * (zx * zy - yx * zz) + y * z * (yx * zx - zy * xx) + x * z * (yx * zy - zx * yy)
+        products = (
+            x * y * (zx * zy - yx * zz) + y * z * (yx * zx - zy * xx) + x * z * (yx * zy - zx * yy)
+        )
         has_slope = g2 >= np.float32(1e-8)
         inverse = np.float32(1.0) / (g2 if has_slope else np.float32(1.0))
         memory[SLOPE + i], memory[SLOPE + ROW[1] + i], memory[SLOPE + ROW[2] + i] = z, y, x
         memory[CURVATURES + i] = mean * inverse * np.sqrt(inverse) if has_slope else np.float32(0.0)
-        memory[CURVATURES + ROW[1] + i] = (gauss + two * products) * inverse * inverse if has_slope else np.float32(0.0)
+        memory[CURVATURES + ROW[1] + i] = (
+            (gauss + two * products) * inverse * inverse if has_slope else np.float32(0.0)
+        )
 
 
 @kernel

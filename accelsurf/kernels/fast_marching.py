@@ -115,7 +115,9 @@ def pop(keys, slots, size, cells):
     key, s = keys[last], slots[last]
     i, child = 0, 1
     while child < last:
-        if child + 1 < last and is_before(keys[child + 1], slots[child + 1], keys[child], slots[child], cells):
+        if child + 1 < last and is_before(
+            keys[child + 1], slots[child + 1], keys[child], slots[child], cells
+        ):
             child += 1
         if not is_before(keys[child], slots[child], key, s, cells):
             break
@@ -141,7 +143,11 @@ def carried_foot(s, d, grid, foot, up, weights):
         axis = k % 3
         sign = sides[axis] * (1 if k < 3 else 2)
         oz, oy, ox = step_of(2 * axis + 1, grid)
-        z, y, x = foot[slots[k], 0] + sign * oz, foot[slots[k], 1] + sign * oy, foot[slots[k], 2] + sign * ox
+        z, y, x = (
+            foot[slots[k], 0] + sign * oz,
+            foot[slots[k], 1] + sign * oy,
+            foot[slots[k], 2] + sign * ox,
+        )
         w = weights[k]
         mean = mean[0] + w * z, mean[1] + w * y, mean[2] + w * x
         length2 = z * z + y * y + x * x
@@ -351,12 +357,24 @@ def upwind_neighbours(cell, slot, grid, known, furthest, up):
         other = slot[cell + 2 * sign * stride] if 0 <= at + 2 * sign < n else -1
         if other >= 0 and state[other] == ACCEPTED:
             # Beyond the surface the distance goes on with the other sign.
-            d = abs(distance[other]) * (1.0 if (distance[s] < 0.0) == (distance[other] < 0.0) else -1.0)
+            d = abs(distance[other]) * (
+                1.0 if (distance[s] < 0.0) == (distance[other] < 0.0) else -1.0
+            )
             rise = terms[0, axis] - d
-            if rise >= 0.0 and offset_of(foot, s, other, grid, axis, sign) + rise * rise <= SAME_SHEET * h * h:
+            if (
+                rise >= 0.0
+                and offset_of(foot, s, other, grid, axis, sign) + rise * rise <= SAME_SHEET * h * h
+            ):
                 slots[3 + axis] = other
                 terms[1, axis], terms[2, axis] = (4.0 * terms[0, axis] - d) / 3.0, 2.0 * h / 3.0
-    wall = (iz == 0) | (iz == grid.nz - 1) | (iy == 0) | (iy == grid.ny - 1) | (ix == 0) | (ix == grid.nx - 1)
+    wall = (
+        (iz == 0)
+        | (iz == grid.nz - 1)
+        | (iy == 0)
+        | (iy == grid.ny - 1)
+        | (ix == 0)
+        | (ix == grid.nx - 1)
+    )
     if wall and nearest >= 0:
         slope_across((iz, iy, ix), grid, known, nearest, up)
 
@@ -375,7 +393,11 @@ def slope_across(index, grid, known, nearest, up):
     if d <= 0.0:
         return
     for axis in range(3):
-        n, at = (grid.nz, index[0]) if axis == 0 else ((grid.ny, index[1]) if axis == 1 else (grid.nx, index[2]))
+        n, at = (
+            (grid.nz, index[0])
+            if axis == 0
+            else ((grid.ny, index[1]) if axis == 1 else (grid.nx, index[2]))
+        )
         out = -1.0 if at == 0 else 1.0
         if n > 1 and (at == 0 or at == n - 1) and axis != nearest and out * foot[s, axis] > 0.0:
             # A neighbour further in is not what the distance comes from.
@@ -431,7 +453,11 @@ def upwind_weights(d, up, weights):
             continue
         if slots[nearest] < 0 or terms[0, axis] < terms[0, nearest]:
             nearest = axis
-        w = max(d - terms[1, axis], 0.0) / (terms[2, axis] * terms[2, axis]) if terms[0, axis] < d else 0.0
+        w = (
+            max(d - terms[1, axis], 0.0) / (terms[2, axis] * terms[2, axis])
+            if terms[0, axis] < d
+            else 0.0
+        )
         total += w
         if slots[3 + axis] >= 0:
             weights[axis], weights[3 + axis] = 4.0 * w / 3.0, -w / 3.0

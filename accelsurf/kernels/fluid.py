@@ -180,7 +180,9 @@ def sweep_planes(start, stop, fluid, axis, ratio, limits, rows):
                 cell = base + i * stride
                 for q in range(4):
                     to = 0 if q == 0 else 1 + (axis + q - 1) % 3
-                    flat[to, cell] = np.float32(flat[to, cell] + ratio * (flux[q, i] - flux[q, i + 1]))
+                    flat[to, cell] = np.float32(
+                        flat[to, cell] + ratio * (flux[q, i] - flux[q, i + 1])
+                    )
                 # Rounding alone.
                 flat[0, cell] = max(flat[0, cell], np.float32(0.0))
 
@@ -219,14 +221,24 @@ def fastest_waves(first, last, fluid, limits, out):
             if rho > dry:
                 sound = np.sqrt(stiffness * rho)
                 for axis in range(3):
-                    out[plane, axis] = max(out[plane, axis], abs(flat[1 + axis, cell]) / rho + sound)
+                    out[plane, axis] = max(
+                        out[plane, axis], abs(flat[1 + axis, cell]) / rho + sound
+                    )
 
 
 @kernel
 def corners_around(grid, pz, py, px, cells, shares):
     """Cells (8,) around a point, in voxels, and their ``shares`` (8,) in linear interpolation."""
-    pz, py, px = min(max(pz, 0.0), grid.nz - 1.0), min(max(py, 0.0), grid.ny - 1.0), min(max(px, 0.0), grid.nx - 1.0)
-    z, y, x = min(int(pz), max(grid.nz - 2, 0)), min(int(py), max(grid.ny - 2, 0)), min(int(px), max(grid.nx - 2, 0))
+    pz, py, px = (
+        min(max(pz, 0.0), grid.nz - 1.0),
+        min(max(py, 0.0), grid.ny - 1.0),
+        min(max(px, 0.0), grid.nx - 1.0),
+    )
+    z, y, x = (
+        min(int(pz), max(grid.nz - 2, 0)),
+        min(int(py), max(grid.ny - 2, 0)),
+        min(int(px), max(grid.nx - 2, 0)),
+    )
     for corner in range(8):
         i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
         share = (pz - z if i == 1 else 1.0 - (pz - z)) * (py - y if j == 1 else 1.0 - (py - y))

@@ -166,10 +166,16 @@ def linear_cell(array, at, dy, dz, tz, ty, tx):
     """Linear interpolation among node ``at`` and the next along z, y (strides ``dz``, ``dy``) and x."""
     # Unsigned: a signed index is tested for being negative at every read.
     at, dy, dz, dx = np.uint64(at), np.uint64(dy), np.uint64(dz), np.uint64(1)
-    a, b = array[at] + tx * (array[at + dx] - array[at]), array[at + dy] + tx * (array[at + dy + dx] - array[at + dy])
+    a, b = (
+        array[at] + tx * (array[at + dx] - array[at]),
+        array[at + dy] + tx * (array[at + dy + dx] - array[at + dy]),
+    )
     near = a + ty * (b - a)
     at += dz
-    a, b = array[at] + tx * (array[at + dx] - array[at]), array[at + dy] + tx * (array[at + dy + dx] - array[at + dy])
+    a, b = (
+        array[at] + tx * (array[at + dx] - array[at]),
+        array[at + dy] + tx * (array[at + dy + dx] - array[at + dy]),
+    )
     return near + tz * (a + ty * (b - a) - near)
 
 
@@ -206,11 +212,21 @@ def band_rows(slot, n_slots, at, sy, sz, rows):
     for i in range(np.uint64(4)):
         b, c, d = a + sy, a + sy + sy, a + three * sy
         first_a, first_b, first_c, first_d = slot[a], slot[b], slot[c], slot[d]
-        last_a, last_b, last_c, last_d = slot[a + three], slot[b + three], slot[c + three], slot[d + three]
+        last_a, last_b, last_c, last_d = (
+            slot[a + three],
+            slot[b + three],
+            slot[c + three],
+            slot[d + three],
+        )
         a += sz
         # -1 is no slot: a negative first or a last that is not three further leaves bits.
         odd |= (first_a | first_b | first_c | first_d) & np.int32(-0x80000000)
-        odd |= ((last_a - first_a) ^ 3) | ((last_b - first_b) ^ 3) | ((last_c - first_c) ^ 3) | ((last_d - first_d) ^ 3)
+        odd |= (
+            ((last_a - first_a) ^ 3)
+            | ((last_b - first_b) ^ 3)
+            | ((last_c - first_c) ^ 3)
+            | ((last_d - first_d) ^ 3)
+        )
         odd |= np.int32(max(max(last_a, last_b), max(last_c, last_d)) >= n_slots)
         row = i << np.uint64(2)
         rows[row], rows[row | np.uint64(1)] = first_a, first_b
@@ -350,9 +366,19 @@ def weights_in_vectors(count, n, at, to, memory):
         return
     for i in range(np.uint64(count)):
         w0, w1, w2, w3, s0, s1, s2, s3 = four_weights(memory[at + i])
-        memory[to + i], memory[to + ON[1] + i], memory[to + ON[2] + i], memory[to + ON[3] + i] = w0, w1, w2, w3
+        memory[to + i], memory[to + ON[1] + i], memory[to + ON[2] + i], memory[to + ON[3] + i] = (
+            w0,
+            w1,
+            w2,
+            w3,
+        )
         slopes = to + ON[4] + i
-        memory[slopes], memory[slopes + ON[1]], memory[slopes + ON[2]], memory[slopes + ON[3]] = s0, s1, s2, s3
+        memory[slopes], memory[slopes + ON[1]], memory[slopes + ON[2]], memory[slopes + ON[3]] = (
+            s0,
+            s1,
+            s2,
+            s3,
+        )
 
 
 @kernel
@@ -405,7 +431,10 @@ def weighted(memory, weights, nodes):
     """Sum of four nodes by the weights in entry ``weights`` of ``memory`` and in those of the next three rows."""
     a, b, c, d = nodes
     return (
-        memory[weights] * a + memory[weights + ON[1]] * b + memory[weights + ON[2]] * c + memory[weights + ON[3]] * d
+        memory[weights] * a
+        + memory[weights + ON[1]] * b
+        + memory[weights + ON[2]] * c
+        + memory[weights + ON[3]] * d
     )
 
 
@@ -414,8 +443,17 @@ def limited_line(memory, at, weights, most):
     """Value and slope of the line at ``at``, see `four_nodes` and `weighted`, and how it is limited, see `bends`."""
     a, b, c, d = four_nodes(memory, at)
     new_a, new_d, parabola, more_a, more_d = bends(a, b, c, d, most)
-    nodes = bent(new_a, parabola, more_a, a, b, c, d), b, c, bent(new_d, parabola, more_d, d, c, b, a)
-    return weighted(memory, weights, nodes), weighted(memory, weights + ON[4], nodes), (new_a, new_d, parabola)
+    nodes = (
+        bent(new_a, parabola, more_a, a, b, c, d),
+        b,
+        c,
+        bent(new_d, parabola, more_d, d, c, b, a),
+    )
+    return (
+        weighted(memory, weights, nodes),
+        weighted(memory, weights + ON[4], nodes),
+        (new_a, new_d, parabola),
+    )
 
 
 @kernel(inlined=True)

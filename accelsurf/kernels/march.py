@@ -63,7 +63,9 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
     within, around = np.empty(BATCH, np.bool_), np.empty(BATCH, np.bool_)
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
-        guess_feet(slots[:count], dense, grid, band, (inner, residue), scratch, (feet, beside, offset))
+        guess_feet(
+            slots[:count], dense, grid, band, (inner, residue), scratch, (feet, beside, offset)
+        )
         slots += BATCH
         closest_points(count, psi, grid, band.cells[first:stop], memory, w)
         check_volume(grid, place, memory, within, around)
@@ -71,7 +73,11 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
             s = first + i
             cell = band.cells[s]
             n = np.uint64(i)
-            iz, iy, ix = np.int64(place[n]), np.int64(place[n + NEXT]), np.int64(place[n + NEXT + NEXT])
+            iz, iy, ix = (
+                np.int64(place[n]),
+                np.int64(place[n + NEXT]),
+                np.int64(place[n + NEXT + NEXT]),
+            )
             guess[0], guess[1], guess[2] = feet[0, i], feet[1, i], feet[2, i]
             found = status[i] == FOUND and around[i]
             bound = -1.0
@@ -79,7 +85,9 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
                 neighbours(cell, iz, iy, ix, grid, near)
                 bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
             # Beyond the border psi is only continued, and so is its jump to +-gamma.
-            state[s] = accept_foot(psi[cell], grid, plane, bound, guess, found, 0.5 if within[i] else 0.9)
+            state[s] = accept_foot(
+                psi[cell], grid, plane, bound, guess, found, 0.5 if within[i] else 0.9
+            )
             if within[i] and not beside[i] and state[s] == FROZEN:
                 if not is_between_signs(psi, grid, iz, iy, ix, guess):
                     state[s] = OPEN
@@ -246,7 +254,9 @@ def wake_neighbours(start, stop, dense, grid, known, sources, half_width, enteri
             oz, oy, ox = step_of(side, grid)
             cz, cy, cx = foot[source, 0] - oz, foot[source, 1] - oy, foot[source, 2] - ox
             voxels = tangent_foot(foot, source, grid, cz, cy, cx, guess)
-            if voxels <= half_width + SLACK and is_within_reach(dense.psi, grid, near[side], voxels):
+            if voxels <= half_width + SLACK and is_within_reach(
+                dense.psi, grid, near[side], voxels
+            ):
                 sides |= 1 << side
         entering[row] = sides
 
@@ -370,7 +380,9 @@ def propagate_feet(start, stop, dense, grid, known, on, out):
     near = np.empty(6, np.int64)
     guess = np.empty(3)
     for row in range(np.uint64(start), np.uint64(stop)):
-        donor = nearer_neighbour_foot(np.uint64(on[row]), dense, grid, cells, foot, state, near, guess)
+        donor = nearer_neighbour_foot(
+            np.uint64(on[row]), dense, grid, cells, foot, state, near, guess
+        )
         changed[row] = donor >= 0
         offset[row] = residue[np.uint64(donor)] if donor >= 0 else 0.0
         better[row, 0], better[row, 1], better[row, 2] = guess[0], guess[1], guess[2]

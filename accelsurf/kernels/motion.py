@@ -53,7 +53,11 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
             continue
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
-        nz, ny, nx = band.to_closest[s, 0] * hz, band.to_closest[s, 1] * hy, band.to_closest[s, 2] * hx
+        nz, ny, nx = (
+            band.to_closest[s, 0] * hz,
+            band.to_closest[s, 1] * hy,
+            band.to_closest[s, 2] * hx,
+        )
         # Counted from the cell: so the same rounding on every box that contains it.
         fz, fy, fx = nz, ny, nx
         pz, py, px = iz + nz, iy + ny, ix + nx
@@ -127,7 +131,9 @@ def neighbour_slots(start, stop, slot, grid, cells, on, out):
             near[np.uint64(other)] = True
         walls[row] = 0
         for axis in range(3):
-            walls[row] |= np.int8((sides[2 * axis] < 0) != (sides[2 * axis + 1] < 0)) << np.int8(axis)
+            walls[row] |= np.int8((sides[2 * axis] < 0) != (sides[2 * axis + 1] < 0)) << np.int8(
+                axis
+            )
 
 
 @kernel(stage=Stage.DIFFUSION)
@@ -148,7 +154,11 @@ def diffusion_stage(start, stop, on, table, grid, stages, weights, out):
     """
     mu, rate, nu = weights
     old, older = stages
-    pz, py, px = np.float32(1.0 / grid.hz**2), np.float32(1.0 / grid.hy**2), np.float32(1.0 / grid.hx**2)
+    pz, py, px = (
+        np.float32(1.0 / grid.hz**2),
+        np.float32(1.0 / grid.hy**2),
+        np.float32(1.0 / grid.hx**2),
+    )
     for row in range(np.uint64(start), np.uint64(stop)):
         s = on[row]
         here = old[s]
@@ -170,7 +180,9 @@ def voxel_rates(start, stop, grid, band, front, beta, out):
         out[s] = 0.0
         if front[s]:
             d = abs(band.psi[s])
-            v = voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid)
+            v = voxels_along(
+                band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid
+            )
             out[s] = abs(beta[s]) * v / d
 
 

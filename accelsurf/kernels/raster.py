@@ -15,8 +15,16 @@ def area_vectors(points, triangles, out):
     """
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        uz, uy, ux = points[b, 2] - points[a, 2], points[b, 1] - points[a, 1], points[b, 0] - points[a, 0]
-        vz, vy, vx = points[c, 2] - points[a, 2], points[c, 1] - points[a, 1], points[c, 0] - points[a, 0]
+        uz, uy, ux = (
+            points[b, 2] - points[a, 2],
+            points[b, 1] - points[a, 1],
+            points[b, 0] - points[a, 0],
+        )
+        vz, vy, vx = (
+            points[c, 2] - points[a, 2],
+            points[c, 1] - points[a, 1],
+            points[c, 0] - points[a, 0],
+        )
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         for i in range(3):
             vertex = triangles[t, i]
@@ -38,7 +46,9 @@ def sample_levels(projected, triangles, levels):
         cx, cy = projected[c, 0] - ax, projected[c, 1] - ay
         levels[t] = 0
         if bx * cy - by * cx > 0.0:
-            longest = max(max(max(abs(bx), abs(by)), max(abs(cx), abs(cy))), max(abs(cx - bx), abs(cy - by)))
+            longest = max(
+                max(max(abs(bx), abs(by)), max(abs(cx), abs(cy))), max(abs(cx - bx), abs(cy - by))
+            )
             levels[t] = max(np.int64(np.ceil(1.1 * longest)), 1)
 
 

@@ -77,7 +77,11 @@ def smeared_area(d, voxels, gz, gy, gx, gauss, grid, width):
     else:
         along = voxels_along(gz, gy, gx, grid)
         # On a sheet through the voxel's centre the centred differences are 0: no direction is known.
-        mm = np.sqrt(gz * gz + gy * gy + gx * gx) / along if along > 1e-6 else min(grid.hz, min(grid.hy, grid.hx))
+        mm = (
+            np.sqrt(gz * gz + gy * gy + gx * gx) / along
+            if along > 1e-6
+            else min(grid.hz, min(grid.hy, grid.hx))
+        )
     delta = bump(voxels / width) / (2.0 * width * mm)
     return delta * (1.0 - min(max(d * d * gauss, -0.25), 0.25)) * grid.hz * grid.hy * grid.hx
 
@@ -101,7 +105,10 @@ def measure_band(start, stop, psi, grid, band, within, out):
     diagonal = 0.51 * np.sqrt(grid.hz**2 + grid.hy**2 + grid.hx**2)
     most = 2.0 / min(grid.hz, min(grid.hy, grid.hx))
     memory = block_memory()
-    slope, shape = memory[19 * BATCH : 22 * BATCH].reshape(3, BATCH), memory[22 * BATCH :].reshape(3, BATCH)
+    slope, shape = (
+        memory[19 * BATCH : 22 * BATCH].reshape(3, BATCH),
+        memory[22 * BATCH :].reshape(3, BATCH),
+    )
     which, distance = np.empty(BATCH, np.int64), np.zeros(BATCH, np.float32)
     # Rows: distance in voxels, width of the layer; area, curvature.
     measured = np.full(4 * BATCH, AREA_WIDTH)
@@ -112,9 +119,16 @@ def measure_band(start, stop, psi, grid, band, within, out):
             s = at
             at += 1
             d = band.psi[s]
-            voxels = voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid)
+            voxels = voxels_along(
+                band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid
+            )
             if abs(d) > diagonal and voxels > max(within, AREA_WIDTH):
-                fraction[s], area[s], curvature[s], variation[s] = 1.0 if d < 0.0 else 0.0, 0.0, 0.0, 0.0
+                fraction[s], area[s], curvature[s], variation[s] = (
+                    1.0 if d < 0.0 else 0.0,
+                    0.0,
+                    0.0,
+                    0.0,
+                )
                 continue
             iz, iy, ix = unravel(band.cells[s], grid)
             if gather_block(band.cells[s], iz, iy, ix, psi, grid, memory, count):
@@ -123,8 +137,17 @@ def measure_band(start, stop, psi, grid, band, within, out):
             else:
                 gz, gy, gx = gradient(psi, band.cells[s], iz, iy, ix, grid)
                 mean, gauss = curvatures(psi, band.cells[s], iz, iy, ix, grid)
-                level = (gz, gy, gx, mean, gauss, mean_above_centre(psi, band.cells[s], iz, iy, ix, grid))
-                fraction[s], area[s], curvature[s] = measures(grid, d, voxels, level, within, diagonal, most)
+                level = (
+                    gz,
+                    gy,
+                    gx,
+                    mean,
+                    gauss,
+                    mean_above_centre(psi, band.cells[s], iz, iy, ix, grid),
+                )
+                fraction[s], area[s], curvature[s] = measures(
+                    grid, d, voxels, level, within, diagonal, most
+                )
                 variation[s] = curvature[s]
                 if is_at_border(iz, iy, ix, grid) and voxels <= within:
                     mirrored, _ = mirrored_curvatures(psi, band.cells[s], iz, iy, ix, grid)
@@ -212,9 +235,21 @@ def wide_areas(start, stop, psi, grid, band, width, out):
             _, gauss = curvatures(psi, band.cells[s], iz, iy, ix, grid)
             along = max(voxels_along(gz, gy, gx, grid), 1e-6)
             fz, fy, fx = foot[0] / grid.hz, foot[1] / grid.hy, foot[2] / grid.hx
-            room = room_to_border(iz + fz, grid.nz, fz / voxels if voxels > 0.01 else gz / (grid.hz * along))
-            room = min(room, room_to_border(iy + fy, grid.ny, fy / voxels if voxels > 0.01 else gy / (grid.hy * along)))
-            room = min(room, room_to_border(ix + fx, grid.nx, fx / voxels if voxels > 0.01 else gx / (grid.hx * along)))
+            room = room_to_border(
+                iz + fz, grid.nz, fz / voxels if voxels > 0.01 else gz / (grid.hz * along)
+            )
+            room = min(
+                room,
+                room_to_border(
+                    iy + fy, grid.ny, fy / voxels if voxels > 0.01 else gy / (grid.hy * along)
+                ),
+            )
+            room = min(
+                room,
+                room_to_border(
+                    ix + fx, grid.nx, fx / voxels if voxels > 0.01 else gx / (grid.hx * along)
+                ),
+            )
             here = min(width, max(room, AREA_WIDTH))
             out[s] = smeared_area(band.psi[s], voxels, gz, gy, gx, gauss, grid, here)
 
@@ -227,7 +262,10 @@ def smear_band(start, stop, grid, band, epsilon, fraction):
     function that `motion.mean_across` averages the image with.
     """
     for s in range(start, stop):
-        x = voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid) / epsilon
+        x = (
+            voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid)
+            / epsilon
+        )
         if band.psi[s] < 0.0:
             x = -x
         if x <= -1.0:

@@ -55,7 +55,11 @@ def known_point(s, grid, band, motion):
 @kernel
 def has_own_residue(s, grid, band):
     """Test if slot ``s`` is within `OWN_RESIDUE` of the surface."""
-    fz, fy, fx = band.to_closest[s, 0] / grid.hz, band.to_closest[s, 1] / grid.hy, band.to_closest[s, 2] / grid.hx
+    fz, fy, fx = (
+        band.to_closest[s, 0] / grid.hz,
+        band.to_closest[s, 1] / grid.hy,
+        band.to_closest[s, 2] / grid.hx,
+    )
     return fz * fz + fy * fy + fx * fx <= OWN_RESIDUE * OWN_RESIDUE
 
 
@@ -105,7 +109,9 @@ def largest_residue(psi, grid, point, memory):
     level, gz, gy, gx = four_nodes(lines, LEVELS)
     z, y, x = grid.hz * gz, grid.hy * gy, grid.hx * gx
     voxel = np.sqrt((z * z + y * y + x * x) / max(gz * gz + gy * gy + gx * gx, 1e-30))
-    return MAX_RESIDUE * (voxel if abs(level) <= MAX_LIMITED * voxel else min(grid.hz, min(grid.hy, grid.hx)))
+    return MAX_RESIDUE * (
+        voxel if abs(level) <= MAX_LIMITED * voxel else min(grid.hz, min(grid.hy, grid.hx))
+    )
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
@@ -121,7 +127,10 @@ def own_residues(start, stop, psi, grid, band, motion, out):
     h = min(grid.hz, min(grid.hy, grid.hx))
     least, most = MIN_RESIDUE * h, MAX_RESIDUE * h
     limit = 2.0 * MAX_RESIDUE * max(grid.hz, max(grid.hy, grid.hx))
-    equal, thick = grid.hz == grid.hy == grid.hx, max(grid.hz, max(grid.hy, grid.hx)) >= VERY_THICK * h
+    equal, thick = (
+        grid.hz == grid.hy == grid.hx,
+        max(grid.hz, max(grid.hy, grid.hx)) >= VERY_THICK * h,
+    )
     lines, first = limited_memory(grid), np.zeros(BATCH, np.int64)
     furthest = 1.01 * OWN_RESIDUE * max(grid.hz, max(grid.hy, grid.hx))
     sy, sz = grid.nx, grid.ny * grid.nx
@@ -136,7 +145,9 @@ def own_residues(start, stop, psi, grid, band, motion, out):
         # Well inside the volume, without the cases and the slopes of value_and_gradient.
         if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
             at = (bz * grid.ny + by) * grid.nx + bx
-            value = cubic_value(psi, at, sy, sz, np.float32(pz - bz), np.float32(py - by), np.float32(px - bx))
+            value = cubic_value(
+                psi, at, sy, sz, np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
+            )
         elif near[s]:
             value, _, _, _ = value_and_gradient(psi, grid, pz, py, px, w)
         else:
@@ -196,7 +207,11 @@ def drop_residues(start, stop, slot, grid, band, flipped, out):
         if out[s] == 0.0:
             continue
         pz, py, px = known_point(s, grid, band, (band.to_closest, 0.0))
-        first = slot[np.uint64(corner(0, grid, pz, py, px))] if pz >= 0.0 and py >= 0.0 and px >= 0.0 else -1
+        first = (
+            slot[np.uint64(corner(0, grid, pz, py, px))]
+            if pz >= 0.0 and py >= 0.0 and px >= 0.0
+            else -1
+        )
         if first >= 0:
             if marked[np.uint64(first)]:
                 out[s] = 0.0

@@ -82,7 +82,11 @@ def displacement_sums(first_block, last_block, grid, band, area, before, limits,
             if at < cells.shape[0] and cells[at] == band.cells[s]:
                 z, y, x = band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2]
                 length2 = max(np.float64(z) * z + np.float64(y) * y + np.float64(x) * x, 1e-300)
-                way = abs(np.float64(band.psi[s]) - old[at]) * voxels_along(z, y, x, grid) / np.sqrt(length2)
+                way = (
+                    abs(np.float64(band.psi[s]) - old[at])
+                    * voxels_along(z, y, x, grid)
+                    / np.sqrt(length2)
+                )
             whole += area[s]
             moved += area[s] * way
             apart += area[s] if way > far else 0.0

@@ -21,7 +21,9 @@ def _storage() -> Path | None:
     that it calls and that were compiled into it: after a change in one of those it would run the old code.
     """
     here = Path(__file__).parent
-    source = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(here.rglob("*.py")))).hexdigest()[:12]
+    source = hashlib.sha256(
+        b"".join(path.read_bytes() for path in sorted(here.rglob("*.py")))
+    ).hexdigest()[:12]
     given = os.environ.get("NUMBA_CACHE_DIR")
     home = os.path.expanduser("~")  # as it is for a user who has none
     others = () if home == "~" else (Path(home) / ".cache" / "accelsurf",)

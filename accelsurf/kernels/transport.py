@@ -338,7 +338,9 @@ def advect_fields(start, stop, slot, grid, band, motion, values, out):
             if known:
                 out[s, c] = found[c]
             else:
-                out[s, c] = values[previous, c] if previous >= 0 and previous < values.shape[0] else 0.0
+                out[s, c] = (
+                    values[previous, c] if previous >= 0 and previous < values.shape[0] else 0.0
+                )
 
 
 @kernel(stage=Stage.EXTENSION)

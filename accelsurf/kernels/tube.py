@@ -12,7 +12,10 @@ from accelsurf.kernels.grid import neighbours, unravel, voxels_along
 def tube_weight(start, stop, grid, band, width, eta):
     """Weight (1 + cos(pi s/width))/2 of every cell, s its distance in voxels along the normal; 0 from ``width`` on."""
     for s in range(start, stop):
-        x = voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid) / width
+        x = (
+            voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid)
+            / width
+        )
         eta[s] = 0.5 * (1.0 + np.cos(np.pi * x)) if x < 1.0 else 0.0
 
 

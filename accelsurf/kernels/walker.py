@@ -84,11 +84,17 @@ def link_weights(values, spacing, sharpness):
         for y in range(ny):
             for x in range(nx):
                 if z + 1 < nz:
-                    links[0, z, y, x] = link(values[:, z, y, x], values[:, z + 1, y, x], spacing[0], sharpness)
+                    links[0, z, y, x] = link(
+                        values[:, z, y, x], values[:, z + 1, y, x], spacing[0], sharpness
+                    )
                 if y + 1 < ny:
-                    links[1, z, y, x] = link(values[:, z, y, x], values[:, z, y + 1, x], spacing[1], sharpness)
+                    links[1, z, y, x] = link(
+                        values[:, z, y, x], values[:, z, y + 1, x], spacing[1], sharpness
+                    )
                 if x + 1 < nx:
-                    links[2, z, y, x] = link(values[:, z, y, x], values[:, z, y, x + 1], spacing[2], sharpness)
+                    links[2, z, y, x] = link(
+                        values[:, z, y, x], values[:, z, y, x + 1], spacing[2], sharpness
+                    )
     return links
 
 

@@ -173,9 +173,15 @@ def deposit(grid, band, mass, motion, stride, lattice):
             continue
         foot = band.to_closest[s]
         iz, iy, ix = unravel(band.cells[s], grid)
-        az = lattice_weights(iz, (foot[0] + dt * velocity[s, 0]) / grid.hz, grid.nz, stride[0], mz, wz)
-        ay = lattice_weights(iy, (foot[1] + dt * velocity[s, 1]) / grid.hy, grid.ny, stride[1], my, wy)
-        ax = lattice_weights(ix, (foot[2] + dt * velocity[s, 2]) / grid.hx, grid.nx, stride[2], mx, wx)
+        az = lattice_weights(
+            iz, (foot[0] + dt * velocity[s, 0]) / grid.hz, grid.nz, stride[0], mz, wz
+        )
+        ay = lattice_weights(
+            iy, (foot[1] + dt * velocity[s, 1]) / grid.hy, grid.ny, stride[1], my, wy
+        )
+        ax = lattice_weights(
+            ix, (foot[2] + dt * velocity[s, 2]) / grid.hx, grid.nx, stride[2], mx, wx
+        )
         for i in range(3):
             for j in range(3):
                 share = mass[s] * wz[i] * wy[j]

@@ -53,7 +53,9 @@ def first_box(config: RunConfig, geometry: Geometry) -> Box:
             boxes += [click.box for click in found] or [_extent_of(text, geometry)]
             clicks += found
     if not boxes:
-        raise UsageError("start: there is no click inside", "give --inside point:X,Y,Z, or another start")
+        raise UsageError(
+            "start: there is no click inside", "give --inside point:X,Y,Z, or another start"
+        )
     box = functools.reduce(enclosing, boxes)
     margin = [max(MIN_MARGIN, max(s.stop - s.start for s in box)) for _ in range(3)]
     if (config.inside or config.outside) and uses_model(config):
@@ -63,8 +65,16 @@ def first_box(config: RunConfig, geometry: Geometry) -> Box:
 
 def _model_margin(geometry: Geometry, clicks: Sequence[Click]) -> list[int]:
     """Return the voxels beyond the clicks that their model looks at first, as far as known before it is made."""
-    nothing = Scene((np.zeros((1, 1, 1), np.float32),), geometry.spacing, None, Window(geometry, whole_box((1, 1, 1))))
-    widest = max((inscribed_radius(seed_of(click, nothing), nothing) for click in clicks), default=min(geometry.steps))
+    nothing = Scene(
+        (np.zeros((1, 1, 1), np.float32),),
+        geometry.spacing,
+        None,
+        Window(geometry, whole_box((1, 1, 1))),
+    )
+    widest = max(
+        (inscribed_radius(seed_of(click, nothing), nothing) for click in clicks),
+        default=min(geometry.steps),
+    )
     return [math.ceil(SCALES[FIRST].reach * widest / h) + 2 * GUARD for h in geometry.spacing]
 
 
@@ -102,15 +112,22 @@ def _extent_of(text: str, geometry: Geometry) -> Box:
     if start.kind == "label":
         return _of_label(start, geometry)
     if start.kind == "center":
-        half = 0.25 * min(n * h for n, h in zip(geometry.shape, geometry.spacing, strict=True) if n > 1)
+        half = 0.25 * min(
+            n * h for n, h in zip(geometry.shape, geometry.spacing, strict=True) if n > 1
+        )
         middle = [0.5 * (n - 1) for n in geometry.shape]
-        points = [[m + sign * half / h for m, h in zip(middle, geometry.spacing, strict=True)] for sign in (-1, 1)]
+        points = [
+            [m + sign * half / h for m, h in zip(middle, geometry.spacing, strict=True)]
+            for sign in (-1, 1)
+        ]
         return _around(np.array(points), text, geometry)
     if start.kind == "mesh":
         corners = meshes.read_mesh(start.file, start.word)[0]
     else:
         low, high = start.numbers[:3], start.numbers[3:]
-        corners = np.array([[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)])
+        corners = np.array(
+            [[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)]
+        )
         if start.vox:
             return _around(corners[:, ::-1], text, geometry)
     return _around(geometry.world_to_index(corners), text, geometry)
@@ -120,14 +137,17 @@ def _around(index: NDArray[np.float64], text: str, geometry: Geometry) -> Box:
     """The voxels around places (n, 3), as far as the grid goes."""
     low, high = np.floor(index.min(axis=0)).astype(int), np.ceil(index.max(axis=0)).astype(int) + 1
     z, y, x = (
-        slice(max(int(a), 0), min(int(b), n)) for a, b, n in zip(low, high, geometry.shape, strict=True)
+        slice(max(int(a), 0), min(int(b), n))
+        for a, b, n in zip(low, high, geometry.shape, strict=True)
     )
     return _at_faces((z, y, x), text, geometry)
 
 
 def _at_faces(box: Box, text: str, geometry: Geometry) -> Box:
     if any(s.start >= s.stop for s in box):
-        raise InputError(f"start {shown(text)!r}: no voxel centre is inside it", starts.extent_hint(geometry))
+        raise InputError(
+            f"start {shown(text)!r}: no voxel centre is inside it", starts.extent_hint(geometry)
+        )
     return box
 
 

@@ -61,7 +61,8 @@ def fitting_level(source: Path, config: RunConfig, allowed_bytes: int) -> Fittin
     grids, channels = finest[0].layout.levels, len(finest) + len(config.channel)
     uses_model = energy_expression.uses_model(config.energy)
     within = (
-        n for n, grid in enumerate(grids)
+        n
+        for n, grid in enumerate(grids)
         if run_bytes(channels * math.prod(grid.shape), uses_model, config.flow) <= allowed_bytes
     )
     level = next(within, len(grids) - 1)

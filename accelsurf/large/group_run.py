@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 
 from accelsurf.correct.finished import result_of
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, enclosing, meeting, placed_at, widened
+from accelsurf.grid.boxes import (
+    Box,
+    Corner,
+    bounding_box,
+    box_at,
+    corner_of,
+    enclosing,
+    meeting,
+    placed_at,
+    widened,
+)
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
 from accelsurf.large.first_window import MIN_MARGIN
@@ -92,20 +102,40 @@ def check_settings(config: RunConfig) -> None:
     UsageError
         Naming the setting.
     """
-    given = [name for name in ("edit", "refine", "checkpoint", "roi", "box", "mask", "inside", "outside", "foreground",
-                               "background") if getattr(config, name)]
+    given = [
+        name
+        for name in (
+            "edit",
+            "refine",
+            "checkpoint",
+            "roi",
+            "box",
+            "mask",
+            "inside",
+            "outside",
+            "foreground",
+            "background",
+        )
+        if getattr(config, name)
+    ]
     if config.levels not in ("auto", 1):
         given.append("levels")  # the first one on which all starts are resolved
     if config.noise > 0:
         given.append("noise")  # the seed of each goes by its place among all
     if given:
-        raise UsageError(f"{given[0]}: it was given for objects of an image that is read in parts", _ALONE)
+        raise UsageError(
+            f"{given[0]}: it was given for objects of an image that is read in parts", _ALONE
+        )
     for term in energy_expression.parse(config.energy):
         if TERMS[term.name].uses_model:
-            raise UsageError(f"energy: {term.name} is of clicks, and the image of the objects is read in parts", _ALONE)
+            raise UsageError(
+                f"energy: {term.name} is of clicks, and the image of the objects is read in parts",
+                _ALONE,
+            )
         if term.settings.get("update") == "no":
             raise UsageError(
-                f"energy: {term.name}:update=no learns outside of all objects, and the image is read in parts", _ALONE
+                f"energy: {term.name}:update=no learns outside of all objects, and the image is read in parts",
+                _ALONE,
             )
 
 
@@ -144,7 +174,9 @@ def _first_box(starts: list[ObjectStart], geometry: Geometry, reach: float) -> B
     """The starts, and around them as much as the largest is wide, and as their energies see (``reach``, mm)."""
     boxes = [box_at(start.corner, start.psi.shape) for start in starts]
     widest = max(n for start in starts for n in start.psi.shape)
-    margin = [max(MIN_MARGIN, widest, math.ceil(reach / h) + MIN_MARGIN // 2) for h in geometry.spacing]
+    margin = [
+        max(MIN_MARGIN, widest, math.ceil(reach / h) + MIN_MARGIN // 2) for h in geometry.spacing
+    ]
     return widened(functools.reduce(enclosing, boxes), geometry.shape, margin)
 
 
@@ -159,7 +191,11 @@ def _refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeIma
     needed = _fixed_bytes(starts) + _voxel_bytes(image) * math.prod(window.shape)
     if needed > image.max_bytes:
         size = " x ".join(str(n) for n in reversed(window.shape))
-        what = f"object {starts[0].id} needs" if len(starts) == 1 else f"{len(starts)} objects that may meet need"
+        what = (
+            f"object {starts[0].id} needs"
+            if len(starts) == 1
+            else f"{len(starts)} objects that may meet need"
+        )
         raise TooLarge(
             f"{what} a window of {size} voxels, for which a run takes about {bytes_text(needed)} of memory; "
             f"{bytes_text(image.max_bytes)} are allowed",
@@ -178,10 +214,13 @@ def _voxel_bytes(image: LargeImage) -> int:
     return sum(_WINDOW_BYTES + channel.dtype.itemsize for channel in image.channels)
 
 
-def _result_in(window: Window, large: LargeRun, starts: list[ObjectStart], others: Boxes) -> GroupResult:
+def _result_in(
+    window: Window, large: LargeRun, starts: list[ObjectStart], others: Boxes
+) -> GroupResult:
     """Return the result of the run in a window."""
     local = tuple(
-        start._replace(corner=corner_of(window.local(box_at(start.corner, start.psi.shape)))) for start in starts
+        start._replace(corner=corner_of(window.local(box_at(start.corner, start.psi.shape))))
+        for start in starts
     )
     with large.in_window(window, local) as run:
         visited = VisitedBoxes(run, window.corner)
@@ -193,7 +232,9 @@ def _result_in(window: Window, large: LargeRun, starts: list[ObjectStart], other
         visited.refuse_near(others)
         result = result_of(run)
     found = tuple(_on_whole(segmented, window) for segmented in result.objects)
-    return GroupResult(found, *visited.boxes, window, result.energy, result.resolved_settings, result.warnings)
+    return GroupResult(
+        found, *visited.boxes, window, result.energy, result.resolved_settings, result.warnings
+    )
 
 
 class VisitedBoxes:
@@ -213,7 +254,10 @@ class VisitedBoxes:
     def __init__(self, run: Run, first: Corner) -> None:
         self._run, self._first = run, np.array(first, np.int64)
         far = np.iinfo(np.int64).max // 2
-        self._low, self._high = np.full((len(run.objects), 3), far), np.full((len(run.objects), 3), -far)
+        self._low, self._high = (
+            np.full((len(run.objects), 3), far),
+            np.full((len(run.objects), 3), -far),
+        )
         self._larger: set[int] = set()
         self.look()
 
@@ -229,7 +273,9 @@ class VisitedBoxes:
         for place, evolving in enumerate(self._run.objects):
             box = bounding_box(evolving.surface.psi < evolving.surface.gamma)
             if box is not None:
-                low = np.array([side.start for side in box], np.int64) + np.array(evolving.corner, np.int64)
+                low = np.array([side.start for side in box], np.int64) + np.array(
+                    evolving.corner, np.int64
+                )
                 self._add(place, low, low + [side.stop - side.start for side in box])
 
     def _add(self, place: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
@@ -248,7 +294,9 @@ class VisitedBoxes:
         """
         near = np.zeros(len(others.low), np.bool_)
         for place in self._larger:
-            near |= ((others.low < self._high[place]) & (others.high > self._low[place])).all(axis=1)
+            near |= ((others.low < self._high[place]) & (others.high > self._low[place])).all(
+                axis=1
+            )
         self._larger.clear()
         if near.any():
             raise MeetsOthers(np.flatnonzero(near).tolist())
@@ -308,7 +356,9 @@ def united(
     there = members[(low[members] < high[members]).all(axis=1)]
     near = meeting(low[there], high[there])
     overlaps = [
-        (first_place, int(there[j])) for first_place, found in zip(there.tolist(), near, strict=True) for j in found
+        (first_place, int(there[j]))
+        for first_place, found in zip(there.tolist(), near, strict=True)
+        for j in found
     ]
     for first_place, other in (*pairs, *overlaps):
         first, second = sorted((root(group_of[first_place]), root(group_of[other])))

@@ -18,7 +18,15 @@ from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.grid.boxes import meeting
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.large import object_starts
-from accelsurf.large.group_run import Boxes, Group, GroupResult, MeetsOthers, check_settings, run_group, united
+from accelsurf.large.group_run import (
+    Boxes,
+    Group,
+    GroupResult,
+    MeetsOthers,
+    check_settings,
+    run_group,
+    united,
+)
 from accelsurf.large.object_starts import LabelMap, ManyStarts
 from accelsurf.large.whole_image import Numbers, WholeImage
 from accelsurf.large.windowed import LargeImage, LargeRun
@@ -54,7 +62,9 @@ def _first_groups(starts: ManyStarts, margin: int = MARGIN) -> list[Group]:
     margin : int, optional
         Voxels around the box of each start. What is found at the end does not depend on it.
     """
-    return united([(place,) for place in range(len(starts.ids))], starts.low - margin, starts.high + margin)
+    return united(
+        [(place,) for place in range(len(starts.ids))], starts.low - margin, starts.high + margin
+    )
 
 
 class Groups:
@@ -216,7 +226,12 @@ def numbers_needed(whole: Sequence[WholeImage], config: RunConfig) -> tuple[Numb
     inside[tuple(slice(0, max(n // 2, 1)) for n in shape)] = True
     images = [pattern] * len(whole)
     context = ImageContext(
-        images, [channel.scale for channel in whole], whole[0].geometry.spacing, inside, is_start=True, whole=whole
+        images,
+        [channel.scale for channel in whole],
+        whole[0].geometry.spacing,
+        inside,
+        is_start=True,
+        whole=whole,
     )
     context = context.of_object((0, 0, 0), inside)
     for term in energy_expression.parse(config.energy):
@@ -243,7 +258,9 @@ def failure_text(error: BaseException) -> str:
     return f"{kind} {error}".strip()
 
 
-def _outcomes(found: Iterable[tuple[Group, GroupResult | str]], starts: ManyStarts) -> Iterator[ObjectOutcome]:
+def _outcomes(
+    found: Iterable[tuple[Group, GroupResult | str]], starts: ManyStarts
+) -> Iterator[ObjectOutcome]:
     for group, result in found:
         if isinstance(result, str):
             yield from (ObjectOutcome(int(starts.ids[place]), None, result) for place in group)

@@ -76,11 +76,15 @@ class BallTable:
     def __init__(self, file: str, geometry: Geometry, margin: int) -> None:
         if has_sides(file):
             raise UsageError(
-                f"objects {file}: it has a column side, and the image is read in parts: clicks count everywhere", _HINT
+                f"objects {file}: it has a column side, and the image is read in parts: clicks count everywhere",
+                _HINT,
             )
         self._file, self._geometry, self._margin = file, geometry, margin
         self._balls = object_starts.read_balls(file, geometry)
-        boxes = [object_starts.ball_box(file, id, rows, geometry, margin) for id, rows in self._balls.items()]
+        boxes = [
+            object_starts.ball_box(file, id, rows, geometry, margin)
+            for id, rows in self._balls.items()
+        ]
         self.ids = np.array(list(self._balls), np.int64)
         self.low, self.high = _ends(boxes)
 
@@ -94,7 +98,8 @@ class BallTable:
         """See `ManyStarts`."""
         ids = [int(self.ids[place]) for place in places]
         found = [
-            object_starts.ball_start(self._file, id, self._balls[id], self._geometry, self._margin) for id in ids
+            object_starts.ball_start(self._file, id, self._balls[id], self._geometry, self._margin)
+            for id in ids
         ]
         return object_starts.separated(found, self._file, self._geometry)
 
@@ -121,7 +126,12 @@ class LabelMap:
     """
 
     def __init__(
-        self, name: str, labels: LazyVolume, geometry: Geometry, margin: int, ids: Sequence[tuple[int, int]] = ()
+        self,
+        name: str,
+        labels: LazyVolume,
+        geometry: Geometry,
+        margin: int,
+        ids: Sequence[tuple[int, int]] = (),
     ) -> None:
         if not labels.geometry.matches(geometry):
             raise GeometryError(
@@ -135,7 +145,9 @@ class LabelMap:
         """See `ManyStarts`."""
         return _at(self, places)
 
-    def _scanned(self, margin: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    def _scanned(
+        self, margin: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """The ids and their boxes, by one pass over the map."""
         boxes: dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
         shape = self._geometry.shape
@@ -155,7 +167,9 @@ class LabelMap:
         return ids, *_ends(around)
 
     def _read(self, box: Box) -> NDArray[np.integer]:
-        return object_starts.whole_numbers(self._name, self._labels.read(box), self._wanted, corner_of(box))
+        return object_starts.whole_numbers(
+            self._name, self._labels.read(box), self._wanted, corner_of(box)
+        )
 
     def made(self, places: Sequence[int]) -> list[ObjectStart]:
         """See `ManyStarts`."""

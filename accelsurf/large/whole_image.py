@@ -63,21 +63,27 @@ class ImageSlabs:
         When a filter is so wide that it takes too long.
     """
 
-    def __init__(self, source: LazyVolume, filters: ImageFilters, slab_bytes: int = _SLAB_BYTES) -> None:
+    def __init__(
+        self, source: LazyVolume, filters: ImageFilters, slab_bytes: int = _SLAB_BYTES
+    ) -> None:
         check_filters(filters, source.geometry)
         self.source, self.filters, self.geometry = source, filters, source.geometry
         self.planes = max(1, slab_bytes // (4 * math.prod(self.geometry.shape[1:])))
 
     def window(self, box: Box) -> Planes:
         """The filtered image on a box, a new array."""
-        return self.filters.on_box(self.source.read, self.geometry.shape, self.geometry.spacing, box)
+        return self.filters.on_box(
+            self.source.read, self.geometry.shape, self.geometry.spacing, box
+        )
 
     def raw(self) -> Iterator[NDArray[Any]]:
         """Slabs of the image as it is, of its own dtype."""
         for planes in self._slices(self.geometry.shape[0], self.planes):
             yield self.source.read(self._box(planes))
 
-    def filtered(self, needed: Callable[[slice], bool] = lambda planes: True) -> Iterator[tuple[slice, Planes]]:
+    def filtered(
+        self, needed: Callable[[slice], bool] = lambda planes: True
+    ) -> Iterator[tuple[slice, Planes]]:
         """The planes of a slab and its filtered values, of those slabs that are ``needed``."""
         for planes in self._slices(self.geometry.shape[0], self.planes):
             if needed(planes):
@@ -114,7 +120,9 @@ class ImageSlabs:
         fine, coarse = grids[number - 1], grids[number]
         finer = self._with_finer(grids[:-1], planes_of_blocks(planes, fine, coarse), mapped)
         source = fine.on_box((finer[-1].first, 0, 0), finer[-1].values.shape)
-        target = coarse.on_box((planes.start, 0, 0), (planes.stop - planes.start, *coarse.shape[1:]))
+        target = coarse.on_box(
+            (planes.start, 0, 0), (planes.stop - planes.start, *coarse.shape[1:])
+        )
         return [*finer, LevelSlab(number, planes.start, restrict(finer[-1].values, source, target))]
 
     def _own_stop(self, grids: Sequence[Level], planes: slice, level: int) -> int:
@@ -172,7 +180,11 @@ class WholeImage:
         self.geometry = source.geometry
         self._whole = ImageSlabs(source, filters, slab_bytes)
         self._coarse = statistics_from
-        self._slabs = self._whole if statistics_from is None else ImageSlabs(statistics_from, filters, slab_bytes)
+        self._slabs = (
+            self._whole
+            if statistics_from is None
+            else ImageSlabs(statistics_from, filters, slab_bytes)
+        )
         self._found: dict[tuple[Any, ...], Any] = dict(numbers or {})
         self._sums: dict[tuple[str, int], NDArray[np.float64]] = {}
 
@@ -196,7 +208,9 @@ class WholeImage:
         if self._coarse is not None and not np.isfinite(values).all():
             bad = Places()
             bad.add(~np.isfinite(values), corner_of(box))
-            raise InputError(f"{bad} not finite", "replace them first, e.g. by the value of the background")
+            raise InputError(
+                f"{bad} not finite", "replace them first, e.g. by the value of the background"
+            )
         return values
 
     @property
@@ -214,7 +228,9 @@ class WholeImage:
             When the image cannot be used: voxels that are not finite, all the same, or out of range.
         """
         if _SCALE not in self._found:
-            self._found[_SCALE] = scale_between(self._order.percentiles(SCALE_PERCENTILES), self._order.extremes)
+            self._found[_SCALE] = scale_between(
+                self._order.percentiles(SCALE_PERCENTILES), self._order.extremes
+            )
         return cast("Scale", self._found[_SCALE])
 
     def found(self, make: Callable[..., Any], *args: Any) -> Any:
@@ -241,7 +257,9 @@ class WholeImage:
         ]
         find = next((way for made, way in ways if made == make), None)
         if find is None:
-            raise ValueError(f"{getattr(make, '__name__', make)} of a whole image that is read in parts is not known")
+            raise ValueError(
+                f"{getattr(make, '__name__', make)} of a whole image that is read in parts is not known"
+            )
         key = (make, *args)
         if key not in self._found:
             self._found[key] = find(*args)
@@ -251,7 +269,9 @@ class WholeImage:
         """Sums over the scaled image on a level of its pyramid, of which ``grids`` are the whole levels."""
         return RegionMoments(*(float(v) for v in self.sums(grids, level, "moments", moments_of)))
 
-    def sums(self, grids: Sequence[Level], level: int, kind: str, summing: Summing) -> NDArray[np.float64]:
+    def sums(
+        self, grids: Sequence[Level], level: int, kind: str, summing: Summing
+    ) -> NDArray[np.float64]:
         """The same of any sums; ``kind`` is their name.
 
         With numbers from a coarser image, those of it, for the number of voxels that the level has.
@@ -262,7 +282,9 @@ class WholeImage:
             else:
                 slabs = (self._scaled(values) for _, values in self._slabs.filtered())
                 total = sum_in_order(summing(plane.ravel()) for values in slabs for plane in values)
-                part = np.prod(grids[level].shape, dtype=np.float64) / np.prod(self._coarse.shape, dtype=np.float64)
+                part = np.prod(grids[level].shape, dtype=np.float64) / np.prod(
+                    self._coarse.shape, dtype=np.float64
+                )
                 self._sums[kind, level] = total * part
         return self._sums[kind, level]
 
@@ -307,14 +329,20 @@ class WholeImage:
         return apply(values, self.scale)
 
     def _parzen(self) -> Parzen:
-        return Parzen.between(self._order.percentiles(END_PERCENTILES, self._scaled), self._extremes)
+        return Parzen.between(
+            self._order.percentiles(END_PERCENTILES, self._scaled), self._extremes
+        )
 
     # -- statistics with a separate pass ----------------------------------------------------------------------
 
     def _noise(self) -> float:
         places = sample_places(self._slabs.geometry.shape)
         samples = [np.empty(tuple(len(sample) for sample in at), np.float32) for at in places]
-        looked_at = np.unique(np.concatenate([z for z, _, _ in places])) if places else np.empty(0, np.int64)
+        looked_at = (
+            np.unique(np.concatenate([z for z, _, _ in places]))
+            if places
+            else np.empty(0, np.int64)
+        )
 
         def needed(planes: slice) -> bool:
             return bool(((looked_at >= planes.start) & (looked_at < planes.stop)).any())
@@ -333,7 +361,9 @@ class WholeImage:
             first = threshold_otsu(hist=(counts, (edges[:-1] + edges[1:]) / 2.0))
         return between_means(
             sum_in_order(
-                sums_beside(plane, first) for _, values in self._slabs.filtered() for plane in self._scaled(values)
+                sums_beside(plane, first)
+                for _, values in self._slabs.filtered()
+                for plane in self._scaled(values)
             )
         )
 
@@ -348,5 +378,8 @@ class WholeImage:
             np.add.at(counts, np.repeat(np.arange(_OTSU_BINS), share), self._order.counts[occurs])
             return counts, edges
         ends: Any = tuple(self._extremes)  # float32, as numpy takes them from an array
-        parts = (np.histogram(self._scaled(values), _OTSU_BINS, ends)[0] for _, values in self._slabs.filtered())
+        parts = (
+            np.histogram(self._scaled(values), _OTSU_BINS, ends)[0]
+            for _, values in self._slabs.filtered()
+        )
         return np.sum(list(parts), axis=0, dtype=np.int64), edges

@@ -74,7 +74,9 @@ class LargeImage:
         InputError
             When a coarser level cannot be read.
         """
-        return cls(tuple(channels), max_bytes, tuple(_for_statistics(channel) for channel in channels))
+        return cls(
+            tuple(channels), max_bytes, tuple(_for_statistics(channel) for channel in channels)
+        )
 
     @property
     def geometry(self) -> Geometry:
@@ -96,7 +98,10 @@ class LargeImage:
         ``numbers`` are those of each channel that are known already.
         """
         filters = filters_of(config, self.geometry)
-        levels, known = self.statistics or (None,) * len(self.channels), numbers or [{}] * len(self.channels)
+        levels, known = (
+            self.statistics or (None,) * len(self.channels),
+            numbers or [{}] * len(self.channels),
+        )
         return tuple(
             WholeImage(channel, filters, coarse, numbers=numbers_of)
             for channel, coarse, numbers_of in zip(self.channels, levels, known, strict=True)
@@ -123,7 +128,9 @@ class LargeRun(NamedTuple):
             Volume(channel.read(window.box), geometry, dict(channel.metadata), channel.source)
             for channel in image.channels
         ]
-        filtered = tuple(channel.window(window.box) for channel in self.whole or image.whole(self.config))
+        filtered = tuple(
+            channel.window(window.box) for channel in self.whole or image.whole(self.config)
+        )
         part = WindowInput(window, filtered, self.whole, starts)
         return Run(volumes[0], self.config, channels=volumes[1:], part=part)
 
@@ -218,7 +225,9 @@ def segment_in_windows(
         except LeavesWindow as face:
             if checkpoints is not None:
                 checkpoints.clear()
-            most = values_within(image.max_bytes, uses_model(config), config.flow) // len(image.channels)
+            most = values_within(image.max_bytes, uses_model(config), config.flow) // len(
+                image.channels
+            )
             window = larger(window, face, most)
         except NeedsLevels as more:
             window = _on_levels(window, more.count)
@@ -234,20 +243,27 @@ def first_window(config: RunConfig, geometry: Geometry) -> Window:
         Of the whole grid.
     """
     if has_region(config):
-        return Window(geometry, widened(region_of_run(config, geometry), geometry.shape, [_AROUND_REGION] * 3))
+        return Window(
+            geometry, widened(region_of_run(config, geometry), geometry.shape, [_AROUND_REGION] * 3)
+        )
     window = Window(geometry, first_box(config, geometry))
     return _on_levels(window, _FIRST_LEVELS if config.levels == "auto" else config.levels)
 
 
 def _on_levels(window: Window, count: int) -> Window:
     """Return the smallest window around another whose blocks are those of the whole grid on a number of levels."""
-    return Window(window.geometry, aligned(window.box, window.geometry, _blocks_of(window.geometry, count)), count)
+    return Window(
+        window.geometry,
+        aligned(window.box, window.geometry, _blocks_of(window.geometry, count)),
+        count,
+    )
 
 
 def _in_window(result: Result, window: Window, whole: Sequence[WholeImage]) -> Result:
     """Return the result of a run in a window, with places on the whole grid and notes on the statistics."""
     objects = tuple(
-        replace(segmented, plateaus=plateaus_on_whole(segmented.plateaus, window)) for segmented in result.objects
+        replace(segmented, plateaus=plateaus_on_whole(segmented.plateaus, window))
+        for segmented in result.objects
     )
     warnings = [*result.warnings, *notes_of(whole)]
     return replace(result, objects=objects, window=window, state=None, warnings=warnings)
@@ -320,13 +336,23 @@ def _check_settings(config: RunConfig) -> None:
     if has_region(config):
         return
     if config.noise > 0:
-        raise UsageError(f"noise: {config.noise:g} was given, which is laid over the whole image", hint)
+        raise UsageError(
+            f"noise: {config.noise:g} was given, which is laid over the whole image", hint
+        )
     if config.flow == "flowable-mass":
-        raise UsageError("flow: flowable-mass compares masses on a lattice over the whole image", hint)
+        raise UsageError(
+            "flow: flowable-mass compares masses on a lattice over the whole image", hint
+        )
     if config.flow == "region-mass":
-        raise UsageError("flow: region-mass has mass in the whole image, which is read in parts", hint)
+        raise UsageError(
+            "flow: region-mass has mass in the whole image, which is read in parts", hint
+        )
     for term in energy_expression.parse(config.energy):
         if TERMS[term.name].needs_whole:
-            raise UsageError(f"energy: {term.name} looks at the whole image, which is read in parts", hint)
+            raise UsageError(
+                f"energy: {term.name} looks at the whole image, which is read in parts", hint
+            )
     if config.mask is not None and uses_model(config):
-        raise UsageError("mask: it was given with clicks, whose model looks at all of it", "give --box, or --roi")
+        raise UsageError(
+            "mask: it was given with clicks, whose model looks at all of it", "give --box, or --roi"
+        )

@@ -28,7 +28,9 @@ class SurfaceState(NamedTuple):
     @property
     def nbytes(self) -> int:
         """Its memory, bytes."""
-        return int(self.cells.nbytes + self.psi.nbytes + self.closest_points.nbytes + self.inside.nbytes)
+        return int(
+            self.cells.nbytes + self.psi.nbytes + self.closest_points.nbytes + self.inside.nbytes
+        )
 
 
 def checkpoint_surface(surface: LevelSet) -> SurfaceState:
@@ -43,7 +45,12 @@ def band_state(surface: LevelSet) -> SurfaceState:
     """Return the state of the band alone, by reference and at no cost, for `complete_state`."""
     band, beyond = surface.band, surface.inside_beyond_band
     return SurfaceState(
-        band.cells, band.psi, band.to_closest, np.empty(0, np.uint8), beyond, surface.requested_half_width
+        band.cells,
+        band.psi,
+        band.to_closest,
+        np.empty(0, np.uint8),
+        beyond,
+        surface.requested_half_width,
     )
 
 
@@ -54,7 +61,9 @@ def complete_state(state: SurfaceState, surface: LevelSet) -> SurfaceState:
     """
     inside = np.packbits(surface.dense.psi[_stretches(state.cells, surface.shape)] < 0)
     small = surface.dense.psi.size < 2**32
-    return state._replace(cells=state.cells.astype(np.uint32) if small else state.cells, inside=inside)
+    return state._replace(
+        cells=state.cells.astype(np.uint32) if small else state.cells, inside=inside
+    )
 
 
 def restore_surface(surface: LevelSet, state: SurfaceState) -> None:

@@ -36,16 +36,25 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
     parallel, grid, dense, n = surface.workers.parallel, surface.grid, surface.dense, surface.size
     # Room for the cells that enter in one step.
     room = n + n // 4 + 1024
-    cells, to_closest, state = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int8)
+    cells, to_closest, state = (
+        np.empty(room, np.int64),
+        np.empty((room, 3), np.float32),
+        np.empty(room, np.int8),
+    )
     cells[:n] = surface.band.cells
     inner, found = inner_distance(surface), np.empty(n, np.int8)
     residue, known_residues = np.zeros(room, np.float32), surface.residues
     limited = known_residues is None
     if known_residues is not None:
         residue[:n] = known_residues
-    parallel(march.find_feet, n, dense, grid, surface.band, (inner, residue, limited), to_closest, found)
+    parallel(
+        march.find_feet, n, dense, grid, surface.band, (inner, residue, limited), to_closest, found
+    )
     parallel(march.classify_feet, n, dense, grid, surface.band.cells, to_closest, found, state)
-    open_slots, sources = np.flatnonzero(state[:n] == march.OPEN), np.flatnonzero(state[:n] == march.EDGE)
+    open_slots, sources = (
+        np.flatnonzero(state[:n] == march.OPEN),
+        np.flatnonzero(state[:n] == march.EDGE),
+    )
     active, refined_later = np.zeros(room, np.bool_), np.zeros(room, np.bool_)
     active[open_slots] = True
     size = n
@@ -63,15 +72,34 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
         if active_slots.size == 0:
             break
         changed, was_open = np.empty(active_slots.size, np.bool_), state[active_slots] == march.OPEN
-        nearer = np.empty((active_slots.size, 3), np.float32), changed, np.empty(active_slots.size, np.float32)
+        nearer = (
+            np.empty((active_slots.size, 3), np.float32),
+            changed,
+            np.empty(active_slots.size, np.float32),
+        )
         rows = cells, to_closest, state, residue
         parallel(march.propagate_feet, active_slots.size, dense, grid, rows, active_slots, nearer)
-        parallel(march.update_feet, active_slots.size, active_slots, nearer, (to_closest, state, residue))
+        parallel(
+            march.update_feet, active_slots.size, active_slots, nearer, (to_closest, state, residue)
+        )
         # The first closest point of a cell is refined at once, as neighbours take it over; the others at the end.
-        sources, first = surface.workers.serial(march.sort_changes, active_slots, changed, was_open, refined_later)
-        parallel(march.refine_feet, first.size, dense.psi, grid, cells, first, to_closest, (residue, limited))
+        sources, first = surface.workers.serial(
+            march.sort_changes, active_slots, changed, was_open, refined_later
+        )
+        parallel(
+            march.refine_feet,
+            first.size,
+            dense.psi,
+            grid,
+            cells,
+            first,
+            to_closest,
+            (residue, limited),
+        )
     later = np.flatnonzero(refined_later[:size])
-    parallel(march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited))
+    parallel(
+        march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited)
+    )
     return ClosestPoints(cells, to_closest, state, size)
 
 
@@ -87,19 +115,32 @@ def find_residues(surface: NarrowBand, moved: Motion) -> np.ndarray:
     parallel, psi, slot = surface.workers.parallel, surface.dense.psi, surface.dense.slot
     motion = np.ascontiguousarray(moved.velocity, np.float32), float(moved.dt)
     out, near = np.empty(surface.size, np.float32), np.empty(surface.size, np.bool_)
-    parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, (out, near))
+    parallel(
+        residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, (out, near)
+    )
     # A smooth surface has none that count.
     if out.any() and surface.extension == FAST_MARCHING:
         beside = beside_surface(surface, surface.band.psi)
         where = slot, surface.grid, surface.band, motion
         parallel(fast_marching.front_residues, surface.size, *where, beside, out)
     elif out.any():
-        parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, (out, near))
+        parallel(
+            residues.distant_residues,
+            surface.size,
+            slot,
+            surface.grid,
+            surface.band,
+            motion,
+            (out, near),
+        )
     return out
 
 
 def beside_surface(surface: NarrowBand, psi: np.ndarray) -> np.ndarray:
     """Mask (n,) of the band cells with a neighbour on the other side, by ``psi`` (n,)."""
-    beside, where = np.empty(surface.size, np.bool_), (surface.dense.slot, surface.grid, surface.band.cells)
+    beside, where = (
+        np.empty(surface.size, np.bool_),
+        (surface.dense.slot, surface.grid, surface.band.cells),
+    )
     surface.workers.parallel(fast_marching.cells_beside, surface.size, *where, psi, beside)
     return beside

@@ -31,7 +31,9 @@ class ExtensionTable(NamedTuple):
 
     def extend(self, workers: Workers, values: np.ndarray) -> None:
         """Overwrite ``values`` (n,) at the slots ``off``."""
-        workers.parallel(band_kernels.extend_outwards, self.off.size, self.off, self.slots, self.shares, values)
+        workers.parallel(
+            band_kernels.extend_outwards, self.off.size, self.off, self.slots, self.shares, values
+        )
 
 
 def extension_table(surface: NarrowBand, front: np.ndarray, off: np.ndarray) -> ExtensionTable:
@@ -39,7 +41,14 @@ def extension_table(surface: NarrowBand, front: np.ndarray, off: np.ndarray) -> 
     off = off.astype(np.uint32)
     table = np.empty((off.size, 8), np.uint32), np.empty((off.size, 8), np.float32)
     surface.workers.parallel(
-        band_kernels.outward_table, off.size, surface.dense.slot, surface.grid, surface.band, front, off, table
+        band_kernels.outward_table,
+        off.size,
+        surface.dense.slot,
+        surface.grid,
+        surface.band,
+        front,
+        off,
+        table,
     )
     return ExtensionTable(front, off, *table)
 
@@ -68,7 +77,9 @@ class FrontRows(NamedTuple):
     def extend(self, workers: Workers, values: np.ndarray) -> None:
         """Overwrite ``values`` (m + k,) in the rows beside the front."""
         beside = self.order[self.on.size :]
-        workers.parallel(band_kernels.extend_quadratically, self.off.size, beside, self.read, self.shares, values)
+        workers.parallel(
+            band_kernels.extend_quadratically, self.off.size, beside, self.read, self.shares, values
+        )
 
     def turned(self, surface: NarrowBand, component: int) -> FrontRows:
         """The rows of a vector's ``component``: beyond the borders across that axis it has the other sign."""
@@ -85,7 +96,11 @@ class FrontRows(NamedTuple):
 def front_rows(surface: NarrowBand, front: np.ndarray) -> FrontRows:
     """The rows of the ``front`` (n,) and of the cells beside it: a Laplacian on the front reads no others."""
     parallel, n, on = surface.workers.parallel, surface.size, np.flatnonzero(front)
-    slots, walls, near = np.empty((on.size, 6), np.int32), np.empty(on.size, np.int8), np.zeros(n, np.bool_)
+    slots, walls, near = (
+        np.empty((on.size, 6), np.int32),
+        np.empty(on.size, np.int8),
+        np.zeros(n, np.bool_),
+    )
     where = surface.dense.slot, surface.grid, surface.band.cells
     parallel(motion.neighbour_slots, on.size, *where, on, (slots, walls, near))
     off = np.flatnonzero(near > front)
@@ -103,9 +118,15 @@ def _quadratic_table(
     surface: NarrowBand, row_of: np.ndarray, off: np.ndarray, component: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find how the slots ``off`` (k,) read the rows ``row_of`` (n,) has: (read, shares, mirrored), see `FrontRows`."""
-    table = np.empty((off.size, 10), np.uint32), np.empty((off.size, 10), np.float32), np.empty(off.size, np.int8)
+    table = (
+        np.empty((off.size, 10), np.uint32),
+        np.empty((off.size, 10), np.float32),
+        np.empty(off.size, np.int8),
+    )
     where = surface.dense.slot, surface.grid, surface.band
-    surface.workers.parallel(band_kernels.quadratic_table, off.size, *where, row_of, off, component, table)
+    surface.workers.parallel(
+        band_kernels.quadratic_table, off.size, *where, row_of, off, component, table
+    )
     return table
 
 
@@ -118,7 +139,14 @@ def sampled(
     values = np.stack([np.asarray(field, np.float32) for field in fields])
     out = np.empty((len(fields), new.cells.size), np.float32)
     surface.workers.parallel(
-        band_kernels.sample_at_feet, new.cells.size, surface.dense.slot, surface.grid, new, front, values, out
+        band_kernels.sample_at_feet,
+        new.cells.size,
+        surface.dense.slot,
+        surface.grid,
+        new,
+        front,
+        values,
+        out,
     )
     return list(out)
 
@@ -136,7 +164,14 @@ def advected(
     out = np.empty((new.cells.size, len(fields)), np.float32)
     motion = four_columns(moved.velocity), moved.dt, 3
     surface.workers.parallel(
-        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, motion, values, out
+        transport.advect_fields,
+        new.cells.size,
+        surface.dense.slot,
+        surface.grid,
+        new,
+        motion,
+        values,
+        out,
     )
     return [np.ascontiguousarray(out[:, c]) for c in range(len(fields))]
 

@@ -9,7 +9,12 @@ import numpy as np
 from accelsurf.kernels import fast_marching, march
 from accelsurf.kernels.band import MIN_DISTANCE
 from accelsurf.kernels.fast_marching import ACCEPTED, FAR
-from accelsurf.levelset.closest_points import MAX_ROUNDS, ClosestPoints, beside_surface, inner_distance
+from accelsurf.levelset.closest_points import (
+    MAX_ROUNDS,
+    ClosestPoints,
+    beside_surface,
+    inner_distance,
+)
 from accelsurf.levelset.extension import FAST_MARCHING, ExtensionTable, extension_table
 from accelsurf.levelset.measures import NarrowBand
 from accelsurf.levelset.threads import Workers
@@ -29,7 +34,9 @@ def march_outwards(surface: NarrowBand) -> ClosestPoints:
     _find_closest_beside(surface, front, to_closest)
     distance, state = np.zeros(room), np.full(room, FAR, np.int8)
     length = np.sqrt((to_closest[front].astype(np.float64) ** 2).sum(axis=1))
-    distance[front] = np.copysign(np.maximum(length, MIN_DISTANCE * surface.smallest_spacing), psi[front])
+    distance[front] = np.copysign(
+        np.maximum(length, MIN_DISTANCE * surface.smallest_spacing), psi[front]
+    )
     state[front] = ACCEPTED
     known: tuple[np.ndarray, ...] = cells, to_closest, distance, state
     heap: tuple[np.ndarray, ...] = np.empty(room), np.empty(room, np.int64)
@@ -42,10 +49,14 @@ def march_outwards(surface: NarrowBand) -> ClosestPoints:
     return ClosestPoints(cells, to_closest, reached, int(counts[0]))
 
 
-def _with_room(known: tuple[np.ndarray, ...], heap: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], ...]:
+def _with_room(
+    known: tuple[np.ndarray, ...], heap: tuple[np.ndarray, ...]
+) -> tuple[tuple[np.ndarray, ...], ...]:
     """The arrays of a march with room for half as many entries again."""
     more = known[0].size // 2 + 1024
-    rows = tuple(np.concatenate([row, np.zeros((more, *row.shape[1:]), row.dtype)]) for row in known)
+    rows = tuple(
+        np.concatenate([row, np.zeros((more, *row.shape[1:]), row.dtype)]) for row in known
+    )
     return rows, tuple(np.concatenate([row, np.zeros(more, row.dtype)]) for row in heap)
 
 
@@ -55,19 +66,42 @@ def _find_closest_beside(surface: NarrowBand, front: np.ndarray, to_closest: np.
     known = surface.residues
     residue, limited = np.zeros(n, np.float32) if known is None else known.copy(), known is None
     start = inner_distance(surface), residue, limited
-    parallel(fast_marching.find_front_feet, front.size, dense, grid, surface.band, start, front, to_closest)
+    parallel(
+        fast_marching.find_front_feet,
+        front.size,
+        dense,
+        grid,
+        surface.band,
+        start,
+        front,
+        to_closest,
+    )
     state = np.full(n, march.OPEN, np.int8)
     state[front] = march.FROZEN
     closest, on = to_closest[:n], front
     for _ in range(MAX_ROUNDS):
-        nearer = np.empty((on.size, 3), np.float32), np.empty(on.size, np.bool_), np.empty(on.size, np.float32)
-        parallel(march.propagate_feet, on.size, dense, grid, (surface.band.cells, closest, state, residue), on, nearer)
+        nearer = (
+            np.empty((on.size, 3), np.float32),
+            np.empty(on.size, np.bool_),
+            np.empty(on.size, np.float32),
+        )
+        parallel(
+            march.propagate_feet,
+            on.size,
+            dense,
+            grid,
+            (surface.band.cells, closest, state, residue),
+            on,
+            nearer,
+        )
         parallel(march.update_feet, on.size, on, nearer, (closest, state, residue))
         changed = on[nearer[1]]
         if changed.size == 0:
             break
         psi, guide = dense.psi, (residue, limited)
-        parallel(march.refine_feet, changed.size, psi, grid, surface.band.cells, changed, closest, guide)
+        parallel(
+            march.refine_feet, changed.size, psi, grid, surface.band.cells, changed, closest, guide
+        )
 
 
 class UpwindExtension(NamedTuple):
@@ -101,7 +135,13 @@ def extension_from(surface: NarrowBand, front: np.ndarray) -> ExtensionTable | U
     slots, shares = np.empty((off.size, 6), np.int32), np.empty((off.size, 6), np.float32)
     known = band.cells, band.to_closest, band.psi, np.full(surface.size, ACCEPTED, np.int8)
     workers.parallel(
-        fast_marching.upwind_table, off.size, surface.dense.slot, surface.grid, known, off, (slots, shares)
+        fast_marching.upwind_table,
+        off.size,
+        surface.dense.slot,
+        surface.grid,
+        known,
+        off,
+        (slots, shares),
     )
     missing = extension_table(surface, front & beside, np.flatnonzero(beside & ~front))
     return UpwindExtension(front, missing, off, slots, shares)

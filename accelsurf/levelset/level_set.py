@@ -25,7 +25,14 @@ from accelsurf.levelset.extension import (
     sampled,
 )
 from accelsurf.levelset.fast_marching import UpwindExtension, extension_from, march_outwards
-from accelsurf.levelset.measures import BandChange, Displacement, Measures, Motion, Snapshot, displacement
+from accelsurf.levelset.measures import (
+    BandChange,
+    Displacement,
+    Measures,
+    Motion,
+    Snapshot,
+    displacement,
+)
 from accelsurf.levelset.threads import Workers
 
 #: Distance from the surface, in voxels, within which cells count as the front: forces, curvature and kicks
@@ -70,15 +77,22 @@ class LevelSet:
     """
 
     def __init__(
-        self, psi: np.ndarray, spacing: Sequence[float], half_width: float = 3.0, workers: Workers | None = None,
-        overwrite: bool = False, extension: str = CLOSEST_POINT,
+        self,
+        psi: np.ndarray,
+        spacing: Sequence[float],
+        half_width: float = 3.0,
+        workers: Workers | None = None,
+        overwrite: bool = False,
+        extension: str = CLOSEST_POINT,
     ) -> None:
         shape = psi.shape
         self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])
         spacings = axis_steps(self.shape, spacing)
         # Nothing happens along an axis of one voxel: for the kernels it is as fine as the others, and the thickness
         # of the slice only scales volumes and areas.
-        steps = [float(h) if n > 1 else min(spacings) for n, h in zip(self.shape, spacing, strict=True)]
+        steps = [
+            float(h) if n > 1 else min(spacings) for n, h in zip(self.shape, spacing, strict=True)
+        ]
         self.grid = Grid(*self.shape, *steps)
         self._thickness = math.prod(spacing) / math.prod(steps)
         # A stencil across a slanted surface extends further, in voxels along the normal, the less the spacings are
@@ -97,7 +111,10 @@ class LevelSet:
 
     def _set_half_width(self, half_width: float) -> None:
         """Half width of the band in voxels along the normal, as the constructor was given it."""
-        self.requested_half_width, self.half_width = float(half_width), float(half_width) * self._slant
+        self.requested_half_width, self.half_width = (
+            float(half_width),
+            float(half_width) * self._slant,
+        )
         self.gamma = np.float32(self.half_width * max(self.spacings, default=1.0))
 
     def _build_band(self) -> None:
@@ -162,7 +179,9 @@ class LevelSet:
         """Mask (n,) of the band cells within ``width`` voxels of the surface; cached, not to be changed."""
         if width not in self._fronts:
             mask = np.empty(self.size, np.bool_)
-            self.workers.parallel(band_kernels.front_mask, self.size, self.grid, self.band, width, mask)
+            self.workers.parallel(
+                band_kernels.front_mask, self.size, self.grid, self.band, width, mask
+            )
             self._fronts[width] = mask
         return self._fronts[width]
 
@@ -207,7 +226,9 @@ class LevelSet:
             # A stencil needs psi sqrt(2) voxels further off, and beyond the band psi is no distance.
             within = min(self.half_width - 1.42 * self._slant, FRONT_WIDTH)
             out = fraction, area, curvature, variation
-            self.workers.parallel(region.measure_band, self.size, self.dense.psi, self.grid, self.band, within, out)
+            self.workers.parallel(
+                region.measure_band, self.size, self.dense.psi, self.grid, self.band, within, out
+            )
             area *= self._thickness
             self._measured = Measures(*out, self.front(within))
         return self._measured
@@ -218,7 +239,10 @@ class LevelSet:
 
     def extent(self, inside_only: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """First voxel (3,) of the band, or of its voxels inside, and the one after the last; both 0 without any."""
-        cells, out = self.band.cells[self.band.psi < 0] if inside_only else self.band.cells, np.zeros((2, 3), np.int64)
+        cells, out = (
+            self.band.cells[self.band.psi < 0] if inside_only else self.band.cells,
+            np.zeros((2, 3), np.int64),
+        )
         if cells.size:
             self.workers.serial(band_kernels.extent, cells, self.grid, out)
         return out[0], out[1]
@@ -247,8 +271,19 @@ class LevelSet:
         norm = np.empty(self.size, np.float32)
         front = self.front()
         parallel = self.workers.parallel
-        parallel(differences.upwind_norms, self.size, self.dense.psi, self.grid, self.band, speed, front, norm)
-        parallel(motion.advance_psi, self.size, self.dense.psi, self.band, speed, norm, np.float32(dt))
+        parallel(
+            differences.upwind_norms,
+            self.size,
+            self.dense.psi,
+            self.grid,
+            self.band,
+            speed,
+            front,
+            norm,
+        )
+        parallel(
+            motion.advance_psi, self.size, self.dense.psi, self.band, speed, norm, np.float32(dt)
+        )
 
     def advect(self, velocity: np.ndarray, dt: float) -> None:
         """psi_t = -V . grad psi for one step with the extended velocity ``velocity`` (n, 3), mm per unit time.
@@ -257,7 +292,9 @@ class LevelSet:
         """
         out = np.empty(self.size, np.float32)
         where = self.dense, self.grid, self.band
-        self.workers.parallel(transport.advect_psi, self.size, *where, four_columns(velocity), dt, out)
+        self.workers.parallel(
+            transport.advect_psi, self.size, *where, four_columns(velocity), dt, out
+        )
         self.dense.psi[self.band.cells] = out
         # The interpolation at the departure points errs too: what it leaves at the points that V moved is known now.
         self._residues = None
@@ -266,7 +303,9 @@ class LevelSet:
     def normals(self) -> np.ndarray:
         """Inward unit normal N (n, 3), z y x, of the surface at the closest point of every cell."""
         out = np.empty((self.size, 3), np.float32)
-        self.workers.parallel(transport.normals, self.size, self.dense.psi, self.grid, self.band, out)
+        self.workers.parallel(
+            transport.normals, self.size, self.dense.psi, self.grid, self.band, out
+        )
         return out
 
     def remove_small(self, held: np.ndarray = NO_CELLS) -> int:
@@ -276,14 +315,19 @@ class LevelSet:
         """
         self._find_residues()
         depth = 2.0 * max(self.grid.hz, self.grid.hy, self.grid.hx)
-        where, (peak, flipped) = (self.dense, self.grid, self.band), np.zeros((2, self.size), np.bool_)
+        where, (peak, flipped) = (
+            (self.dense, self.grid, self.band),
+            np.zeros((2, self.size), np.bool_),
+        )
         self.workers.parallel(components.find_peaks, self.size, *where, depth, peak)
         inside, outside, _ = self.workers.serial(
             components.small_components, *where, np.flatnonzero(peak), MAX_UNRESOLVED, held, flipped
         )
         if inside + outside:
             here, marked = (self.dense.slot, self.grid), np.zeros(self.size, np.bool_)
-            self.workers.serial(residues.mark_below, 0, self.size, *here, self.band.cells, flipped, marked)
+            self.workers.serial(
+                residues.mark_below, 0, self.size, *here, self.band.cells, flipped, marked
+            )
             marks = (flipped, marked), self._residues
             self.workers.parallel(residues.drop_residues, self.size, *here, self.band, *marks)
         return int(inside + outside)
@@ -324,25 +368,37 @@ class LevelSet:
         """
         parallel, n = self.workers.parallel, self.size
         marching = self.extension == FAST_MARCHING
-        cells, to_closest, state, total = (march_outwards if marching else find_closest_points)(self)
+        cells, to_closest, state, total = (march_outwards if marching else find_closest_points)(
+            self
+        )
         keep = np.empty(total, np.bool_)
         known = cells, to_closest, state
-        parallel(band_kernels.keep_mask, total, self.dense.psi, self.grid, known, self.half_width, keep)
+        parallel(
+            band_kernels.keep_mask, total, self.dense.psi, self.grid, known, self.half_width, keep
+        )
         entered = n + np.flatnonzero(keep[n:])
         entered = entered[np.argsort(cells[entered], kind="stable")]
         order = self.workers.serial(band_kernels.merged_order, cells, n, keep, entered)
 
         size = order.size
-        new = Band(np.empty(size, np.int64), np.empty(size, np.float32), np.empty((size, 3), np.float32))
+        new = Band(
+            np.empty(size, np.int64), np.empty(size, np.float32), np.empty((size, 3), np.float32)
+        )
         old = Band(cells, self.band.psi, to_closest)
         parallel(band_kernels.gather_band, size, self.dense.psi, self.grid, order, old, new)
         front = np.empty(size, np.bool_)
         parallel(band_kernels.front_mask, size, self.grid, new, FRONT_WIDTH, front)
-        extended = sampled(self, new, front, fields) if advection is None else advected(self, new, fields, advection)
+        extended = (
+            sampled(self, new, front, fields)
+            if advection is None
+            else advected(self, new, fields, advection)
+        )
 
         entered_cells, left_cells = cells[entered], cells[:n][~keep[:n]]
         change = BandChange(
-            entered_cells[self.dense.psi[entered_cells] < 0], left_cells[self.dense.psi[left_cells] < 0], extended
+            entered_cells[self.dense.psi[entered_cells] < 0],
+            left_cells[self.dense.psi[left_cells] < 0],
+            extended,
         )
         self.inside_beyond_band += change.left_inside.size - change.entered_inside.size
         parallel(band_kernels.drop_cells, total, self.dense, cells, keep, self.gamma)
@@ -371,11 +427,19 @@ class LevelSet:
 
     def _replace_band(self, band: Band) -> None:
         """Replace the band by the one in the dense arrays, and clear what is cached for the old one."""
-        self.band, self._extension, self._rows, self._measured, self._fronts = band, None, None, None, {}
+        self.band, self._extension, self._rows, self._measured, self._fronts = (
+            band,
+            None,
+            None,
+            None,
+            {},
+        )
         # Found when psi moves, as `advect` replaces them.
         self._residues, self._was_distance = None, True
 
-    def restore(self, band: Band, inside: np.ndarray, inside_beyond_band: int, half_width: float) -> None:
+    def restore(
+        self, band: Band, inside: np.ndarray, inside_beyond_band: int, half_width: float
+    ) -> None:
         """Go back to an earlier surface on the same grid.
 
         Parameters

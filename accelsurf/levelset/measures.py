@@ -106,9 +106,19 @@ def displacement(surface: NarrowBand, before: Snapshot) -> Displacement:
     if before.cells.size == 0:
         return Displacement(surface.half_width, 1.0)
     # A run keeps cells as uint32: the kernel shall not be compiled for both.
-    earlier, limits = (before.cells.astype(np.int64, copy=False), before.psi), (FAR, surface.half_width)
+    earlier, limits = (
+        (before.cells.astype(np.int64, copy=False), before.psi),
+        (FAR, surface.half_width),
+    )
     whole, moved, far = surface.workers.block_sums(
-        statistics.displacement_sums, area.size, 3, surface.grid, surface.band, area, earlier, limits
+        statistics.displacement_sums,
+        area.size,
+        3,
+        surface.grid,
+        surface.band,
+        area,
+        earlier,
+        limits,
     )
     if whole == 0:
         return Displacement(surface.half_width, 1.0)

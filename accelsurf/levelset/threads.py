@@ -53,7 +53,9 @@ class Workers:
         if size:
             self._run(kernel, size, size, GRAIN, args)
 
-    def block_sums(self, kernel: Callable[..., Any], size: int, columns: int, *args: Any) -> np.ndarray:
+    def block_sums(
+        self, kernel: Callable[..., Any], size: int, columns: int, *args: Any
+    ) -> np.ndarray:
         """Sum the rows that ``kernel(first_block, last_block, *args, rows)`` leaves, one per block, in order."""
         blocks = -(-size // BLOCK)
         rows = np.zeros((blocks, columns))
@@ -79,7 +81,9 @@ class Workers:
         self._count(kernel, began)
         return result
 
-    def _run(self, kernel: Callable[..., Any], cells: int, size: int, grain: int, args: tuple[Any, ...]) -> None:
+    def _run(
+        self, kernel: Callable[..., Any], cells: int, size: int, grain: int, args: tuple[Any, ...]
+    ) -> None:
         """Call a kernel on the ranges of ``0 .. size``, which have so many ``cells``; both are counted."""
         self.visited += cells
         began = time.perf_counter()
@@ -90,7 +94,9 @@ class Workers:
         name = kernel.__name__
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
 
-    def _share_out(self, kernel: Callable[..., Any], size: int, grain: int, args: tuple[Any, ...]) -> None:
+    def _share_out(
+        self, kernel: Callable[..., Any], size: int, grain: int, args: tuple[Any, ...]
+    ) -> None:
         """Distribute ``0 .. size`` in ranges of whole grains over the threads, including this one.
 
         In as many ranges as are worth their cost, by what a slot took the kernel last time: the bytes are the same.
@@ -103,13 +109,19 @@ class Workers:
             # A few ranges per thread: the cost of a slot varies (front or not).
             count = int(min(4 * self.threads, max(2.0, alone / SHORTEST)))
             step = -(-size // (count * grain)) * grain
-            took = self._drained(self._pool, kernel, [(i, min(i + step, size)) for i in range(0, size, step)], args)
+            took = self._drained(
+                self._pool, kernel, [(i, min(i + step, size)) for i in range(0, size, step)], args
+            )
         # Fewer take what a call takes by itself.
         if size > grain:
             self._pace[name] = took / size
 
     def _drained(
-        self, pool: ThreadPoolExecutor, kernel: Callable[..., Any], pieces: list[tuple[int, int]], args: tuple[Any, ...]
+        self,
+        pool: ThreadPoolExecutor,
+        kernel: Callable[..., Any],
+        pieces: list[tuple[int, int]],
+        args: tuple[Any, ...],
     ) -> float:
         """Call the kernel on the ranges ``pieces`` in several threads; returns the seconds of all of them together."""
         ranges, took = iter(pieces), [0.0]
@@ -147,7 +159,10 @@ class Workers:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 

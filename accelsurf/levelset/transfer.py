@@ -44,7 +44,9 @@ def transfer_fields(
     values = np.stack([np.asarray(field, np.float32) for field in fields])
     place = fine.places_in(coarse)
     on, missing = (slot, Grid(*coarse.shape, *coarse.spacing)), np.array(fill_values, np.float32)
-    new.workers.parallel(transport.fields_between, new.size, on, new.band, new.grid, place, (values, missing), out)
+    new.workers.parallel(
+        transport.fields_between, new.size, on, new.band, new.grid, place, (values, missing), out
+    )
     return list(out)
 
 

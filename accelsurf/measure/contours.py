@@ -52,14 +52,21 @@ class Contours:
     @cached_property
     def length(self) -> float:
         """Sum of the curves' lengths, mm."""
-        return float(sum(np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1).sum() for loop in self.loops))
+        return float(
+            sum(
+                np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1).sum()
+                for loop in self.loops
+            )
+        )
 
     @cached_property
     def area(self) -> float:
         """Area of the object, mm2: what the outer curves enclose less the holes."""
         total = np.zeros(3)
         for loop in self.loops:
-            offsets = loop - loop[0]  # far from the world origin products of positions would lose digits
+            offsets = (
+                loop - loop[0]
+            )  # far from the world origin products of positions would lose digits
             total += np.cross(offsets, np.roll(offsets, -1, axis=0)).sum(axis=0) / 2
         return float(np.linalg.norm(total))
 
@@ -120,12 +127,18 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Contours:
     """
     axis = geometry.slice_axis
     if axis is None or psi.shape != geometry.shape:
-        raise InputError(f"psi of shape {psi.shape} on a grid of {geometry.shape} given, one slice expected")
+        raise InputError(
+            f"psi of shape {psi.shape} on a grid of {geometry.shape} given, one slice expected"
+        )
     if not np.isfinite(psi).all():
         raise InputError("psi has NaN or infinite values, finite distances expected")
     if not (psi < 0).any():
-        raise EmptyResultError("no pixel is inside: there is no contour", hint="the object vanished; start larger")
-    return Contours(tuple(geometry.index_to_world(zyx) for zyx in _loops(psi, geometry.spacing, axis, 0)))
+        raise EmptyResultError(
+            "no pixel is inside: there is no contour", hint="the object vanished; start larger"
+        )
+    return Contours(
+        tuple(geometry.index_to_world(zyx) for zyx in _loops(psi, geometry.spacing, axis, 0))
+    )
 
 
 def in_slices(psi: NDArray[np.float32], geometry: Geometry) -> dict[int, Contours]:
@@ -169,11 +182,15 @@ def in_slices(psi: NDArray[np.float32], geometry: Geometry) -> dict[int, Contour
     found = {}
     for k in np.flatnonzero(inside[box].any(axis=(1, 2))):
         loops = _loops(part, geometry.spacing, 0, int(k))
-        found[int(k) + int(first[0])] = Contours(tuple(geometry.index_to_world(zyx + first) for zyx in loops))
+        found[int(k) + int(first[0])] = Contours(
+            tuple(geometry.index_to_world(zyx + first) for zyx in loops)
+        )
     return found
 
 
-def _loops(psi: NDArray[np.float32], spacing: tuple[float, float, float], axis: int, k: int) -> list[Floats]:
+def _loops(
+    psi: NDArray[np.float32], spacing: tuple[float, float, float], axis: int, k: int
+) -> list[Floats]:
     """Index positions (n, 3) of the closed contours in slice ``k`` across ``axis``."""
     plane: Floats = np.take(psi, k, axis=axis).astype(np.float64)
     margin = NODE_MARGIN * min(step for a, step in enumerate(spacing) if a != axis)
@@ -191,8 +208,15 @@ def _loops(psi: NDArray[np.float32], spacing: tuple[float, float, float], axis: 
     across = axis if psi.shape[axis] > 1 else None
     loops = []
     for nodes in found:
-        rows, columns = (np.interp(nodes[:-1, a], np.arange(len(places[a])), places[a]) for a in (0, 1))
-        zyx = on_edges(np.insert(np.stack([rows, columns], axis=1), axis, float(k), axis=1), psi, spacing, margin)
+        rows, columns = (
+            np.interp(nodes[:-1, a], np.arange(len(places[a])), places[a]) for a in (0, 1)
+        )
+        zyx = on_edges(
+            np.insert(np.stack([rows, columns], axis=1), axis, float(k), axis=1),
+            psi,
+            spacing,
+            margin,
+        )
         zyx = zyx[(zyx != np.roll(zyx, -1, axis=0)).any(axis=1)]
         numbers = np.arange(len(zyx))
         sides = np.stack([numbers, np.roll(numbers, -1)], axis=1)
@@ -203,8 +227,17 @@ def _loops(psi: NDArray[np.float32], spacing: tuple[float, float, float], axis: 
 def vtp_bytes(loops: tuple[Floats, ...], space: str) -> bytes:
     """The bytes of a .vtp file; ``space`` is LPS or RAS."""
     ends = np.cumsum([len(loop) for loop in loops])
-    lines = [[*range(end - len(loop), end), end - len(loop)] for end, loop in zip(ends, loops, strict=True)]
-    return polydata(np.concatenate(loops), np.concatenate(lines), ends + np.arange(1, len(ends) + 1), "Lines", space)
+    lines = [
+        [*range(end - len(loop), end), end - len(loop)]
+        for end, loop in zip(ends, loops, strict=True)
+    ]
+    return polydata(
+        np.concatenate(loops),
+        np.concatenate(lines),
+        ends + np.arange(1, len(ends) + 1),
+        "Lines",
+        space,
+    )
 
 
 def csv_bytes(loops: tuple[Floats, ...], space: str) -> bytes:

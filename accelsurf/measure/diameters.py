@@ -59,7 +59,9 @@ def diameters(inside: NDArray[np.bool_], corner: tuple[int, ...], geometry: Geom
     order = [axial, *(axis for axis in range(3) if axis != axial)]
     ends = _row_ends(inside.transpose(order))[:, np.argsort(order)] + np.asarray(corner)
     longest, across = _longest(_corners(ends, geometry))
-    return Diameters(longest, across, *_longest(_corners(_widest_slice(ends, axial, geometry), geometry, axial)))
+    return Diameters(
+        longest, across, *_longest(_corners(_widest_slice(ends, axial, geometry), geometry, axial))
+    )
 
 
 def longest_line(points: Floats) -> Floats:
@@ -106,10 +108,20 @@ def _row_ends(inside: NDArray[np.bool_]) -> NDArray[np.int64]:
 def _corners(voxels: NDArray[np.int64], geometry: Geometry, flat_axis: int | None = None) -> Floats:
     """The corners of voxels in world mm, each once; those of an image of one slice, or along an axis, are flat."""
     thick = [n > 1 and axis != flat_axis for axis, n in enumerate(geometry.shape)]
-    signs = np.array(np.meshgrid(*[(-1, 1) if wide else (0,) for wide in thick], indexing="ij")).reshape(3, -1).T
+    signs = (
+        np.array(np.meshgrid(*[(-1, 1) if wide else (0,) for wide in thick], indexing="ij"))
+        .reshape(3, -1)
+        .T
+    )
     doubled = (2 * voxels[:, None, :] + signs).reshape(-1, 3)
     size = tuple(2 * n + 1 for n in geometry.shape)
-    once = np.stack(np.unravel_index(np.unique(np.ravel_multi_index(tuple((doubled + 1).T), size)), size), axis=1) - 1
+    once = (
+        np.stack(
+            np.unravel_index(np.unique(np.ravel_multi_index(tuple((doubled + 1).T), size)), size),
+            axis=1,
+        )
+        - 1
+    )
     return np.asarray(geometry.index_to_world(0.5 * once))
 
 
@@ -127,7 +139,9 @@ def _longest(points: Floats, with_across: bool = True) -> tuple[Floats, Floats]:
         return points[ends], points[[ends[0]] * 2]
     hull = ConvexHull(within)
     line = _farthest(within[hull.vertices])
-    across = _longest_across(within, hull.simplices, line) if with_across else line[:1].repeat(2, axis=0)
+    across = (
+        _longest_across(within, hull.simplices, line) if with_across else line[:1].repeat(2, axis=0)
+    )
     return middle + line @ axes[:rank], middle + across @ axes[:rank]
 
 
@@ -145,7 +159,10 @@ def _farthest(points: Floats) -> Floats:
         distances = cdist(points[first : first + BATCH], points[first:], "sqeuclidean")
         near_end, far_end = np.unravel_index(int(distances.argmax()), distances.shape)
         if distances[near_end, far_end] > longest:
-            best, longest = points[[first + near_end, first + far_end]], float(distances[near_end, far_end])
+            best, longest = (
+                points[[first + near_end, first + far_end]],
+                float(distances[near_end, far_end]),
+            )
     return best
 
 
@@ -161,7 +178,9 @@ def _longest_across(points: Floats, facets: NDArray[np.int32], line: Floats) -> 
     levels, middle = np.unique(heights[np.unique(edges)]), float(line.mean(axis=0) @ axis)
     low, high = heights[edges].min(axis=1) - near, heights[edges].max(axis=1) + near
     best, longest = line[:1].repeat(2, axis=0), 0.0
-    for place in np.argsort(np.abs(levels - middle), kind="stable"):  # the widest are near the middle
+    for place in np.argsort(
+        np.abs(levels - middle), kind="stable"
+    ):  # the widest are near the middle
         height = levels[place]
         met = edges[(low <= height) & (height <= high)]
         a, b = points[met[:, 0]], points[met[:, 1]]

@@ -14,7 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, counted_from, whole_box, widened
+from accelsurf.grid.boxes import (
+    Box,
+    Corner,
+    bounding_box,
+    box_at,
+    corner_of,
+    counted_from,
+    whole_box,
+    widened,
+)
 
 #: Voxels of a step; the surface is sampled at about so many places; sigma, voxels, that normals are smoothed with.
 STEP, SAMPLES, NORMAL_SIGMA = 1.5, 20_000, 1.0
@@ -110,8 +119,12 @@ def gather(
     corner = np.array(corner_of(box))
     places = index + corner
     return Evidence(
-        places, _rising(across, HALF_EDGE), _rising(gain, HALF_MODEL), _near_click(places, clicked, inside, spacing),
-        float(np.median(across)), float((unlike < LIKE).mean()),
+        places,
+        _rising(across, HALF_EDGE),
+        _rising(gain, HALF_MODEL),
+        _near_click(places, clicked, inside, spacing),
+        float(np.median(across)),
+        float((unlike < LIKE).mean()),
         _drift(part, deeper, values, spacing, deviation, floor),
     )
 
@@ -131,10 +144,14 @@ def uncertain_places(
     radius = max(PATCH * (0.75 * max(volume_mm3, 1e-30) / np.pi) ** (1.0 / 3.0), 2.0 * max(spacing))
     # Blocks of half a patch stand for the places in them.
     blocks = (places / (0.5 * radius)).astype(np.int64).T
-    _, member = np.unique(np.ravel_multi_index(tuple(blocks), blocks.max(axis=1) + 1), return_inverse=True)
+    _, member = np.unique(
+        np.ravel_multi_index(tuple(blocks), blocks.max(axis=1) + 1), return_inverse=True
+    )
     counts = np.bincount(member).astype(np.float64)
     sums = np.bincount(member, uncertainty)
-    middles = np.stack([np.bincount(member, places[:, a]) for a in range(3)], axis=1) / counts[:, None]
+    middles = (
+        np.stack([np.bincount(member, places[:, a]) for a in range(3)], axis=1) / counts[:, None]
+    )
     totals, shares = np.zeros((2, len(counts)))
     for i, middle in enumerate(middles):
         weight = np.exp(-0.5 * ((middles - middle) ** 2).sum(axis=1) / radius**2)
@@ -166,8 +183,12 @@ def eroded(mask: Mask, voxels: int = 1) -> Mask:
     deep = mask.copy()
     offsets = np.indices([2 * r + 1 for r in reach]).reshape(3, -1).T - reach
     for offset in offsets[(offsets**2).sum(axis=1) <= voxels**2]:
-        here = tuple(slice(max(0, -o), n - max(0, o)) for o, n in zip(offset, mask.shape, strict=True))
-        there = tuple(slice(max(0, o), n - max(0, -o)) for o, n in zip(offset, mask.shape, strict=True))
+        here = tuple(
+            slice(max(0, -o), n - max(0, o)) for o, n in zip(offset, mask.shape, strict=True)
+        )
+        there = tuple(
+            slice(max(0, o), n - max(0, -o)) for o, n in zip(offset, mask.shape, strict=True)
+        )
         deep[here] &= mask[there]
     return deep
 
@@ -183,9 +204,14 @@ def _places(inside: Mask, rim: Mask, spacing: Sequence[float]) -> tuple[NDArray[
     for axis, (n, h) in enumerate(zip(inside.shape, spacing, strict=True)):
         if n > 1:
             low, high = index.copy(), index.copy()
-            low[:, axis], high[:, axis] = np.maximum(index[:, axis] - 1, 0), np.minimum(index[:, axis] + 1, n - 1)
+            low[:, axis], high[:, axis] = (
+                np.maximum(index[:, axis] - 1, 0),
+                np.minimum(index[:, axis] + 1, n - 1),
+            )
             # In voxels: a gradient per mm, over the spacing once more.
-            normal[:, axis] = (smooth[tuple(low.T)].astype(np.float64) - smooth[tuple(high.T)]) / h**2
+            normal[:, axis] = (
+                smooth[tuple(low.T)].astype(np.float64) - smooth[tuple(high.T)]
+            ) / h**2
     longest = np.abs(normal).max(axis=1)
     known = longest > 0
     return index[known].astype(np.int64), normal[known] / longest[known, None]
@@ -211,7 +237,9 @@ def _rising(value: Floats, half: float) -> Floats:
     return square / (1.0 + square)
 
 
-def _near_click(index: NDArray[np.int64], clicked: Mask | None, inside: Mask, spacing: Sequence[float]) -> Floats:
+def _near_click(
+    index: NDArray[np.int64], clicked: Mask | None, inside: Mask, spacing: Sequence[float]
+) -> Floats:
     """1 beside a click, falling over a part of the object's radius."""
     if clicked is None or not clicked.any():
         return np.zeros(len(index))
@@ -230,45 +258,74 @@ def _deepest(inside: Mask, spacing: Sequence[float]) -> Corner:
     if inside.all():
         return _deepest_within(inside, whole_box(inside.shape), 0.0, spacing)[1]
     # Distances between blocks of two voxels along each axis are those between their voxels but for a diagonal.
-    blocks, diagonal = np.pad(inside, [(0, n % 2) for n in inside.shape], mode="edge"), float(np.linalg.norm(spacing))
+    blocks, diagonal = (
+        np.pad(inside, [(0, n % 2) for n in inside.shape], mode="edge"),
+        float(np.linalg.norm(spacing)),
+    )
     blocks = blocks[::2] & blocks[1::2]
     blocks = blocks[:, ::2] & blocks[:, 1::2]
-    depths = ndimage.distance_transform_edt(blocks[:, :, ::2] & blocks[:, :, 1::2], [2.0 * h for h in spacing])
+    depths = ndimage.distance_transform_edt(
+        blocks[:, :, ::2] & blocks[:, :, 1::2], [2.0 * h for h in spacing]
+    )
     reach, at = float(depths.max()) + diagonal, np.unravel_index(depths.argmax(), depths.shape)
-    least, _ = _deepest_within(inside, box_at((int(at[0]), int(at[1]), int(at[2])), (1, 1, 1)), reach, spacing)
+    least, _ = _deepest_within(
+        inside, box_at((int(at[0]), int(at[1]), int(at[2])), (1, 1, 1)), reach, spacing
+    )
     may_be = bounding_box(depths >= least - 1.000001 * diagonal) or whole_box(depths.shape)
     return _deepest_within(inside, may_be, reach, spacing)[1]
 
 
-def _deepest_within(inside: Mask, blocks: Box, reach: float, spacing: Sequence[float]) -> tuple[float, Corner]:
+def _deepest_within(
+    inside: Mask, blocks: Box, reach: float, spacing: Sequence[float]
+) -> tuple[float, Corner]:
     """The depth of the deepest voxel of a box of blocks, and which that is; none there is deeper than ``reach``."""
-    z, y, x = (slice(2 * part.start, min(2 * part.stop, n)) for part, n in zip(blocks, inside.shape, strict=True))
+    z, y, x = (
+        slice(2 * part.start, min(2 * part.stop, n))
+        for part, n in zip(blocks, inside.shape, strict=True)
+    )
     around = widened((z, y, x), inside.shape, [int(reach / h) + 2 for h in spacing])
     planes, lines, rows = counted_from((z, y, x), corner_of(around))
     # The nearest voxels outside, and the distances to them plane by plane: all distances at once take four times that.
     nearest = ndimage.distance_transform_edt(
-        np.pad(inside[around], 1, mode="edge"), sampling=spacing, return_distances=False, return_indices=True
+        np.pad(inside[around], 1, mode="edge"),
+        sampling=spacing,
+        return_distances=False,
+        return_indices=True,
     )[:, 1:-1, 1:-1, 1:-1]
     most, place = -1.0, (0, 0, 0)
     across, along = (np.arange(part.start + 1, part.stop + 1) for part in (lines, rows))
     for k in range(planes.start, planes.stop):
         at = nearest[:, k, lines, rows]
-        offsets = (at[0] - (k + 1)) * spacing[0], (at[1] - across[:, None]) * spacing[1], (at[2] - along) * spacing[2]
+        offsets = (
+            (at[0] - (k + 1)) * spacing[0],
+            (at[1] - across[:, None]) * spacing[1],
+            (at[2] - along) * spacing[2],
+        )
         depth = np.sqrt(offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2)
         found = int(np.argmax(depth))
         if depth.flat[found] > most:
             line, row = divmod(found, len(along))
-            most, place = float(depth.flat[found]), (k - planes.start + z.start, line + y.start, row + x.start)
+            most, place = (
+                float(depth.flat[found]),
+                (k - planes.start + z.start, line + y.start, row + x.start),
+            )
     return most, place
 
 
 def _drift(
-    inside: Mask, deeper: Mask, values: Image, spacing: Sequence[float], deviation: float, floor: float
+    inside: Mask,
+    deeper: Mask,
+    values: Image,
+    spacing: Sequence[float],
+    deviation: float,
+    floor: float,
 ) -> float:
     """Largest difference of the medians of shells around the deepest point, in units of the object's deviation."""
     middle = _deepest(inside, spacing)
     core = deeper if np.count_nonzero(deeper) > 20 else inside
-    z, y, x = (((np.arange(n) - m) * h) ** 2 for n, m, h in zip(inside.shape, middle, spacing, strict=True))
+    z, y, x = (
+        ((np.arange(n) - m) * h) ** 2 for n, m, h in zip(inside.shape, middle, spacing, strict=True)
+    )
     away = np.concatenate([(z[k] + y[:, None] + x)[plane] for k, plane in enumerate(core)])
     ordered = values[core][np.argsort(away, kind="stable")]
     shells = [float(np.median(shell)) for shell in np.array_split(ordered, 4) if shell.size]

@@ -149,14 +149,25 @@ def _end(weights: _Weights, found: EdgeMeasures, sign: float, known: float = 0.0
 def signs(found: EdgeMeasures) -> tuple[float, ...]:
     """Return what tells the error: 1, variation, noise, their product, how far the shell was moved, thinness."""
     thinness = found.layer_mm3 / found.volume_mm3
-    return 1.0, found.variation, found.noise, found.variation * found.noise, abs(found.moved), thinness
+    return (
+        1.0,
+        found.variation,
+        found.noise,
+        found.variation * found.noise,
+        abs(found.moved),
+        thinness,
+    )
 
 
 def units(found: EdgeMeasures) -> tuple[float, float, float]:
     """Return the units of the errors of volume (mm3), logarithm of the area, and diameter (mm); see `_Weights`."""
     relative = found.layer_mm3 / found.volume_mm3
     thickness = found.layer_mm3 / found.area_mm2 / found.pixel_mm
-    return found.layer_mm3, relative / math.sqrt(thickness), math.sqrt(found.step_mm * found.pixel_mm)
+    return (
+        found.layer_mm3,
+        relative / math.sqrt(thickness),
+        math.sqrt(found.step_mm * found.pixel_mm),
+    )
 
 
 class _Levels(NamedTuple):
@@ -205,7 +216,9 @@ def edge_measures(
     beside = (psi > SHELL * thin) & (psi < BESIDE * thick)
     if not deep.any() or not beside.any():
         return None
-    levels = _Levels(float(image[deep].mean(dtype=float)), float(image[beside].mean(dtype=float)), sigmas)
+    levels = _Levels(
+        float(image[deep].mean(dtype=float)), float(image[beside].mean(dtype=float)), sigmas
+    )
     if levels.inside == levels.beside:
         return None
     shares, moved, found = np.empty_like(psi), 0.0, volume_mm3
@@ -219,15 +232,31 @@ def edge_measures(
         if abs(shift) < AT_REST:
             break
         moved += shift * sums.extents / sums.voxels
-    mean, noise, contrast = sums.contrast / sums.voxels, noise_of(image), abs(levels.inside - levels.beside)
+    mean, noise, contrast = (
+        sums.contrast / sums.voxels,
+        noise_of(image),
+        abs(levels.inside - levels.beside),
+    )
     deviation = float(np.sqrt(max(sums.squares / sums.voxels - mean**2, 0.0)))
     line = _diameter(shares, geometry, box)
-    if line is None or found <= 0 or noise > MAX_DOUBT * contrast or deviation > MAX_DOUBT * abs(mean):
+    if (
+        line is None
+        or found <= 0
+        or noise > MAX_DOUBT * contrast
+        or deviation > MAX_DOUBT * abs(mean)
+    ):
         return None
     return EdgeMeasures(
-        found, area_mm2 * (found / volume_mm3) ** (2.0 / 3.0), line[0],
-        geometry.voxel_volume * noise * float(np.sqrt(sums.weights)), layer, line[1], thin,
-        deviation / abs(mean), noise / contrast, (found - volume_mm3) / layer,
+        found,
+        area_mm2 * (found / volume_mm3) ** (2.0 / 3.0),
+        line[0],
+        geometry.voxel_volume * noise * float(np.sqrt(sums.weights)),
+        layer,
+        line[1],
+        thin,
+        deviation / abs(mean),
+        noise / contrast,
+        (found - volume_mm3) / layer,
     )
 
 
@@ -241,7 +270,12 @@ def _diameter(shares: Image, geometry: Geometry, box: Box) -> tuple[float, float
     half[(half < 0) & is_hollow[parts]] = 0.1
     if not (half < 0).any():
         return None
-    part = Geometry(half.shape, geometry.spacing, tuple(geometry.index_to_world(corner_of(box))), geometry.direction)
+    part = Geometry(
+        half.shape,
+        geometry.spacing,
+        tuple(geometry.index_to_world(corner_of(box))),
+        geometry.direction,
+    )
     first, last = longest_line(part.index_to_world(crossings(half, part)[0]))
     length = float(np.linalg.norm(last - first))
     along = geometry.direction.T @ (last - first) / length
@@ -249,7 +283,12 @@ def _diameter(shares: Image, geometry: Geometry, box: Box) -> tuple[float, float
 
 
 def _measure_shell(
-    shares: Image, psi: Image, image: Image, moved: float, spacing: tuple[float, float, float], levels: _Levels
+    shares: Image,
+    psi: Image,
+    image: Image,
+    moved: float,
+    spacing: tuple[float, float, float],
+    levels: _Levels,
 ) -> _Sums:
     """Write the share of each voxel, and return sums over the shell around psi = ``moved``; some planes at a time."""
     halo, sums = 1 + int(np.ceil(3.0 * levels.sigmas[0])), np.zeros(7)
@@ -268,9 +307,14 @@ def _measure_shell(
         shares[planes] = core[within]
         shares[planes].reshape(-1)[shell] = found
         sums += [
-            found.sum(), found.size, np.square(weights).sum(), contrast.sum(), np.square(contrast).sum(),
-            extent[within].take(shell).sum(), np.count_nonzero(core[within]),
-        ]  # fmt: skip
+            found.sum(),
+            found.size,
+            np.square(weights).sum(),
+            contrast.sum(),
+            np.square(contrast).sum(),
+            extent[within].take(shell).sum(),
+            np.count_nonzero(core[within]),
+        ]
     return _Sums(*sums.tolist())
 
 
@@ -281,26 +325,40 @@ def _depth(psi: Image, spacing: tuple[float, float, float]) -> tuple[Image, Imag
     extent 0.
     """
     flat, near = psi.ravel(), np.flatnonzero(np.abs(psi) <= 1.01 * BESIDE * max(spacing))
-    slopes = [np.gradient(psi, h, axis=axis).reshape(-1).take(near) for axis, h in enumerate(spacing)]
+    slopes = [
+        np.gradient(psi, h, axis=axis).reshape(-1).take(near) for axis, h in enumerate(spacing)
+    ]
     steep = np.sqrt(sum(np.square(slope) for slope in slopes))
-    long = np.sqrt(sum(np.square(slope * np.float32(h)) for slope, h in zip(slopes, spacing, strict=True)))
+    long = np.sqrt(
+        sum(np.square(slope * np.float32(h)) for slope, h in zip(slopes, spacing, strict=True))
+    )
     depth, extent = np.where(psi < 0, np.float32(-np.inf), np.float32(np.inf)), np.zeros_like(psi)
     with np.errstate(divide="ignore", invalid="ignore"):
         long = long / steep
-        depth.reshape(-1)[near] = np.where(steep > 0.1, flat[near] / long, np.sign(flat[near]) * np.float32(np.inf))
+        depth.reshape(-1)[near] = np.where(
+            steep > 0.1, flat[near] / long, np.sign(flat[near]) * np.float32(np.inf)
+        )
     extent.reshape(-1)[near] = long
     return depth, extent
 
 
 def _nearby(
-    image: Image, mask: Mask, level: float, sigmas: tuple[float, ...], within: slice, shell: NDArray[np.int64]
+    image: Image,
+    mask: Mask,
+    level: float,
+    sigmas: tuple[float, ...],
+    within: slice,
+    shell: NDArray[np.int64],
 ) -> Image:
     """Return means of the image over the voxels of a mask nearby, at the shell; where none is near, the level.
 
     They are Gaussian filters, along the rows at the shell's voxels alone.
     """
     sums, (of_planes, of_lines, of_rows) = [], (gaussian_weights(sigma, 3.0) for sigma in sigmas)
-    for values in (mask.astype(np.float32), np.where(mask, image - np.float32(level), np.float32(0))):
+    for values in (
+        mask.astype(np.float32),
+        np.where(mask, image - np.float32(level), np.float32(0)),
+    ):
         smooth = np.empty_like(values)
         smooth_across_rows(values, of_planes, 0, smooth)
         smooth_across_rows(smooth[within], of_lines, 1, values[within])

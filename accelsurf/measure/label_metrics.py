@@ -84,17 +84,23 @@ class LabelMap:
 
     def __post_init__(self) -> None:
         found = label_boxes(self.volume.array, self.volume.source)
-        counted = {label: box for label, box in found.items() if not self.ids or holds(self.ids, label)}
+        counted = {
+            label: box for label, box in found.items() if not self.ids or holds(self.ids, label)
+        }
         object.__setattr__(self, "boxes", counted)
 
     def mask(self, label: int | None, box: Box) -> Mask:
         """Return the voxels of a box that have a label, or any that counts."""
         values = self.volume.array[box]
         if label is not None:
-            return np.asarray(values == label) if label in self.boxes else np.zeros(values.shape, bool)
+            return (
+                np.asarray(values == label) if label in self.boxes else np.zeros(values.shape, bool)
+            )
         if not self.ids:
             return np.asarray(values > 0)
-        return reduce(np.logical_or, ((values >= max(low, 1)) & (values <= high) for low, high in self.ids))
+        return reduce(
+            np.logical_or, ((values >= max(low, 1)) & (values <= high) for low, high in self.ids)
+        )
 
 
 def evaluate_labels(
@@ -138,7 +144,9 @@ def evaluate_labels(
     return [_compare(pred, ref, label, tolerances) for label in sorted(found)]
 
 
-def evaluate_object(pred: LabelMap, ref: LabelMap, tolerances: Sequence[float] = ()) -> LabelAgreement:
+def evaluate_object(
+    pred: LabelMap, ref: LabelMap, tolerances: Sequence[float] = ()
+) -> LabelAgreement:
     """Compare two label maps on the same grid; all labels that count are one object.
 
     Parameters and errors are those of `evaluate_labels`.
@@ -147,17 +155,29 @@ def evaluate_object(pred: LabelMap, ref: LabelMap, tolerances: Sequence[float] =
     return _compare(pred, ref, None, tolerances)
 
 
-def _compare(pred: LabelMap, ref: LabelMap, label: int | None, tolerances: Sequence[float]) -> LabelAgreement:
-    there = [[found for found in side.boxes if label is None or found == label] for side in (pred, ref)]
-    boxes = [side.boxes[found] for side, ids in zip((pred, ref), there, strict=True) for found in ids]
+def _compare(
+    pred: LabelMap, ref: LabelMap, label: int | None, tolerances: Sequence[float]
+) -> LabelAgreement:
+    there = [
+        [found for found in side.boxes if label is None or found == label] for side in (pred, ref)
+    ]
+    boxes = [
+        side.boxes[found] for side, ids in zip((pred, ref), there, strict=True) for found in ids
+    ]
     geometry: Geometry = pred.volume.geometry
     # One more voxel on each side: an axis of one voxel would mean an image of one slice.
-    box = widened(reduce(enclosing, boxes), geometry.shape, (1, 1, 1)) if boxes else (slice(0, 0),) * 3
+    box = (
+        widened(reduce(enclosing, boxes), geometry.shape, (1, 1, 1))
+        if boxes
+        else (slice(0, 0),) * 3
+    )
     a, b = pred.mask(label, box), ref.mask(label, box)
     return LabelAgreement(
         label,
         agreement(a, b, geometry.spacing),
-        dict(zip(tolerances, surface_dice(a, b, geometry.spacing, tolerances), strict=True)) if tolerances else {},
+        dict(zip(tolerances, surface_dice(a, b, geometry.spacing, tolerances), strict=True))
+        if tolerances
+        else {},
         *(tuple(sorted(ids)) for ids in there),
     )
 
@@ -185,7 +205,10 @@ def label_boxes(labels: NDArray[Any], source: object = None) -> dict[int, Box]:
         labels = labels.view(np.uint8)
     if labels.dtype.kind not in "iu":
         name = f"{source}: " if source else ""
-        raise InputError(f"{name}labels of type {labels.dtype} given, whole numbers expected", "read_labels reads them")
+        raise InputError(
+            f"{name}labels of type {labels.dtype} given, whole numbers expected",
+            "read_labels reads them",
+        )
     if not labels.size:
         return {}
     if int(labels.max()) <= _MAX_LISTED:
@@ -195,7 +218,9 @@ def label_boxes(labels: NDArray[Any], source: object = None) -> dict[int, Box]:
     for first in range(0, len(labels), step):
         slab = labels[first : first + step]
         ids, places = np.unique(slab, return_inverse=True)
-        for label, box in zip(ids.tolist(), find_objects(places.reshape(slab.shape) + 1), strict=True):
+        for label, box in zip(
+            ids.tolist(), find_objects(places.reshape(slab.shape) + 1), strict=True
+        ):
             here = (slice(box[0].start + first, box[0].stop + first), box[1], box[2])
             if label > 0:
                 found[label] = enclosing(found[label], here) if label in found else here
@@ -211,7 +236,9 @@ def over_cases(values: Sequence[dict[str, float | None]]) -> dict[str, dict[str,
     {'mean': {'dice': 0.75}, 'median': {'dice': 0.75}, 'count': {'dice': 2}}
     """
     names = dict.fromkeys(name for case in values for name in case)
-    defined = {name: [value for case in values if (value := case.get(name)) is not None] for name in names}
+    defined = {
+        name: [value for case in values if (value := case.get(name)) is not None] for name in names
+    }
     return {
         "mean": {name: fmean(some) if some else None for name, some in defined.items()},
         "median": {name: median(some) if some else None for name, some in defined.items()},

@@ -179,8 +179,12 @@ def why(found: Quality) -> str:
         "no_edge": f"{found.no_edge_fraction:.0%} of its surface lies where the image has no edge",
     }
     if found.correction is not None and found.unchanged is not None:
-        words["correction"] = f"the last click was large: {found.correction:.2g} radii of the object"
-        words["unchanged"] = f"the last click changed it much: Dice {found.unchanged:.2f} with the object before"
+        words["correction"] = (
+            f"the last click was large: {found.correction:.2g} radii of the object"
+        )
+        words["unchanged"] = (
+            f"the last click changed it much: Dice {found.unchanged:.2f} with the object before"
+        )
         words["surprise"] = "you clicked where the model had been sure of the opposite"
     return words[lowest_term(model_kind(found), features(found), words)]
 

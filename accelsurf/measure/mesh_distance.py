@@ -58,7 +58,9 @@ def largest_distance(first: Surface, second: Surface, limit: float = np.inf) -> 
 
 def sides(surface: Surface) -> NDArray[np.int64]:
     """The vertex numbers of each edge once, smaller first, (n, 2)."""
-    pairs = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64), axis=1)
+    pairs = np.sort(
+        surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64), axis=1
+    )
     keys = np.unique(pairs[:, 0] * len(surface.vertices) + pairs[:, 1])
     return np.stack(np.divmod(keys, len(surface.vertices)), axis=1)
 

@@ -98,11 +98,15 @@ def shape(exact: Surface, options: MeshOptions) -> ShapedMesh:
     if options.faces is not None and options.faces < len(surface.faces):
         surface = _sound_or_old(decimated(surface, options.faces), surface, "mesh-faces", warnings)
     elif options.faces is not None and options.faces > len(surface.faces):
-        warnings.append(f"mesh-faces: the mesh has {len(surface.faces)} triangles, fewer than {options.faces}")
+        warnings.append(
+            f"mesh-faces: the mesh has {len(surface.faces)} triangles, fewer than {options.faces}"
+        )
     elif options.error is not None and options.faces is None:
         surface = coarsest(exact, surface, options.error)
     if options.error is not None and options.faces is not None:
-        _refuse_beyond(exact, surface, options.error, "mesh-faces", f"{len(surface.faces)} triangles")
+        _refuse_beyond(
+            exact, surface, options.error, "mesh-faces", f"{len(surface.faces)} triangles"
+        )
     distance = 0.0 if surface is exact else largest_distance(exact, surface)
     return ShapedMesh(surface, distance, tuple(warnings))
 
@@ -138,7 +142,10 @@ def is_sound(surface: Surface) -> bool:
     """
     if len(surface.faces) < 4 or not surface.is_closed or surface.volume <= 0:
         return False
-    start, end = surface.faces.astype(np.int64).ravel(), np.roll(surface.faces, -1, axis=1).astype(np.int64).ravel()
+    start, end = (
+        surface.faces.astype(np.int64).ravel(),
+        np.roll(surface.faces, -1, axis=1).astype(np.int64).ravel(),
+    )
     return len(np.unique(start * len(surface.vertices) + end)) == len(start)
 
 
@@ -186,7 +193,9 @@ def smoothed(surface: Surface, length: float) -> Surface:
     for _ in range(rounds):
         for factor in (forward, backward):
             points = points + factor * (weights * (beside @ points) - points)
-    return _with_volume(Surface(points + surface.vertices.mean(axis=0), surface.faces), surface.volume)
+    return _with_volume(
+        Surface(points + surface.vertices.mean(axis=0), surface.faces), surface.volume
+    )
 
 
 def _with_volume(surface: Surface, volume: float) -> Surface:
@@ -210,10 +219,14 @@ def decimated(surface: Surface, faces: int) -> Surface:
     """
     middle = surface.vertices.mean(axis=0)
     simplify, first = library("fast_simplification").simplify, None
-    for count, eagerness in itertools.product((faces, faces + 2, faces - 2, faces + 6, faces - 6), EAGERNESS):
+    for count, eagerness in itertools.product(
+        (faces, faces + 2, faces - 2, faces + 6, faces - 6), EAGERNESS
+    ):
         options = {"target_count": max(count, 4), "agg": eagerness}
         points, triangles = simplify(surface.vertices - middle, surface.faces, **options)
-        coarse = Surface(np.asarray(points, np.float64) + middle, np.ascontiguousarray(triangles, np.int32))
+        coarse = Surface(
+            np.asarray(points, np.float64) + middle, np.ascontiguousarray(triangles, np.int32)
+        )
         if is_sound(coarse) and len(coarse.faces) <= faces + 6:
             return coarse
         first = coarse if first is None else first
@@ -257,5 +270,6 @@ def library(name: str) -> Any:
     except ImportError:
         package = name.replace("_", "-")
         raise InputError(
-            f"coarser meshes need the package {package}", 'install it: pip install "accelsurf[mesh]"'
+            f"coarser meshes need the package {package}",
+            'install it: pip install "accelsurf[mesh]"',
         ) from None

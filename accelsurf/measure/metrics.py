@@ -76,7 +76,9 @@ class Metrics:
         return {name: None if math.isnan(value) else value for name, value in asdict(self).items()}
 
 
-def evaluate(pred: ImageLike, ref: ImageLike, *, spacing: float | tuple[float, float, float] | None = None) -> Metrics:
+def evaluate(
+    pred: ImageLike, ref: ImageLike, *, spacing: float | tuple[float, float, float] | None = None
+) -> Metrics:
     """Compare two label maps on the same grid.
 
     Parameters
@@ -110,9 +112,15 @@ def evaluate(pred: ImageLike, ref: ImageLike, *, spacing: float | tuple[float, f
     >>> m.hausdorff_mm, round(m.dice, 3), m.volume_pred_mm3
     (3.0, 0.667, 324.0)
     """
-    pair = [read_labels(v) if isinstance(v, (str, os.PathLike)) else from_library(v, "labels") for v in (pred, ref)]
+    pair = [
+        read_labels(v) if isinstance(v, (str, os.PathLike)) else from_library(v, "labels")
+        for v in (pred, ref)
+    ]
     grid = next((image.geometry for image in pair if isinstance(image, Volume)), None)
-    first, second = as_volume(pair[0], spacing, "pred", grid), as_volume(pair[1], spacing, "ref", grid)
+    first, second = (
+        as_volume(pair[0], spacing, "pred", grid),
+        as_volume(pair[1], spacing, "ref", grid),
+    )
     check_same_grid(first, second)
     return agreement(_object(first), _object(second), first.geometry.spacing)
 
@@ -179,12 +187,16 @@ def dice(a: ArrayLike, b: ArrayLike) -> float:
     """
     first, second = np.asarray(a) > 0, np.asarray(b) > 0
     if first.shape != second.shape:
-        raise InputError(f"label arrays of shapes {first.shape} and {second.shape} given, equal shapes expected")
+        raise InputError(
+            f"label arrays of shapes {first.shape} and {second.shape} given, equal shapes expected"
+        )
     both = int(np.count_nonzero(first & second))
     return _ratio(2 * both, int(np.count_nonzero(first)) + int(np.count_nonzero(second)))
 
 
-def surface_distances(a: Mask, b: Mask, spacing: tuple[float, float, float]) -> tuple[Floats, Floats]:
+def surface_distances(
+    a: Mask, b: Mask, spacing: tuple[float, float, float]
+) -> tuple[Floats, Floats]:
     """Distance of each border voxel of one object to the nearest border voxel of the other.
 
     Parameters
@@ -235,7 +247,9 @@ def border_points(mask: Mask, spacing: tuple[float, float, float]) -> Floats:
     box, along = mask[bounds], [n > 1 for n in mask.shape]
     faces = ndimage.generate_binary_structure(sum(along), 1).reshape([3 if n else 1 for n in along])
     inner = ndimage.binary_erosion(box, faces)
-    return (np.argwhere(box & ~inner) + np.array(corner_of(bounds))) * np.asarray(spacing, dtype=np.float64)
+    return (np.argwhere(box & ~inner) + np.array(corner_of(bounds))) * np.asarray(
+        spacing, dtype=np.float64
+    )
 
 
 def _nearest(points: Floats, targets: Floats) -> Floats:
@@ -257,7 +271,10 @@ def _object(volume: Volume) -> Mask:
     array = volume.array
     if array.dtype.kind == "f" and np.isnan(array).any():
         name = f"{volume.source}: " if volume.source else ""
-        raise InputError(f"{name}{int(np.isnan(array).sum())} labels are NaN, whole numbers expected", "make them 0")
+        raise InputError(
+            f"{name}{int(np.isnan(array).sum())} labels are NaN, whole numbers expected",
+            "make them 0",
+        )
     return np.ascontiguousarray(array > 0)
 
 
@@ -289,7 +306,10 @@ def surface_dice(a: Mask, b: Mask, spacing: Spacing, tolerances: Sequence[float]
     >>> surface_dice(a, b, (1.5, 1.0, 1.0), [1.5, 2.0])
     [1.0, 1.0]
     """
-    (points_a, areas_a), (points_b, areas_b) = surface_elements(a, spacing), surface_elements(b, spacing)
+    (points_a, areas_a), (points_b, areas_b) = (
+        surface_elements(a, spacing),
+        surface_elements(b, spacing),
+    )
     total = float(areas_a.sum() + areas_b.sum())
     if not total:
         return [math.nan] * len(tolerances)
@@ -298,7 +318,10 @@ def surface_dice(a: Mask, b: Mask, spacing: Spacing, tolerances: Sequence[float]
     from_a, from_b = _nearest(points_a, points_b), _nearest(points_b, points_a)
     # A distance equal to the tolerance counts, also where its rounding differs by the place in the volume.
     near = [tolerance * (1 + 1e-9) + 1e-9 for tolerance in tolerances]
-    return [float(areas_a[from_a <= most].sum() + areas_b[from_b <= most].sum()) / total for most in near]
+    return [
+        float(areas_a[from_a <= most].sum() + areas_b[from_b <= most].sum()) / total
+        for most in near
+    ]
 
 
 def surface_elements(mask: Mask, spacing: Spacing) -> tuple[Floats, Floats]:
@@ -328,7 +351,9 @@ def surface_elements(mask: Mask, spacing: Spacing) -> tuple[Floats, Floats]:
     along = tuple(axis for axis in range(3) if mask.shape[axis] > 1)
     if bounds is None or not along:
         return np.empty((0, 3)), np.empty(0)
-    box = np.pad(mask[bounds], [(1, 1) if axis in along else (0, 0) for axis in range(3)]).view(np.uint8)
+    box = np.pad(mask[bounds], [(1, 1) if axis in along else (0, 0) for axis in range(3)]).view(
+        np.uint8
+    )
     code: NDArray[Any] = box
     for bit, axis in enumerate(along):
         n = code.shape[axis]
@@ -337,7 +362,9 @@ def surface_elements(mask: Mask, spacing: Spacing) -> tuple[Floats, Floats]:
     sizes = _sizes(tuple(spacing[axis] for axis in along))
     cut = np.argwhere((code > 0) & (code < len(sizes) - 1))
     shift = [corner_of(bounds)[axis] - (0.5 if axis in along else 0.0) for axis in range(3)]
-    return (cut + np.array(shift)) * np.asarray(spacing, dtype=np.float64), sizes[code[tuple(cut.T)]]
+    return (cut + np.array(shift)) * np.asarray(spacing, dtype=np.float64), sizes[
+        code[tuple(cut.T)]
+    ]
 
 
 @lru_cache(maxsize=16)
@@ -367,7 +394,9 @@ def _area(values: NDArray[np.float32], spacing: tuple[float, ...]) -> float:
 
 def _length(values: NDArray[np.float32], spacing: tuple[float, ...]) -> float:
     """Return the length of the lines in a neighbourhood of 2 x 2, which join the middles of the edges that are cut."""
-    if values[0, 0] == values[1, 1] and values[0, 1] == values[1, 0]:  # two corners across are cut off
+    if (
+        values[0, 0] == values[1, 1] and values[0, 1] == values[1, 0]
+    ):  # two corners across are cut off
         return math.hypot(*spacing)
     if values[0, 0] == values[0, 1] and values[1, 0] == values[1, 1]:
         return spacing[1]

@@ -36,7 +36,14 @@ Mask = NDArray[np.bool_]
 #: A note is made beyond these: fraction of the surface on the border, and without an edge; contrast across the surface
 #: in units of the noise; relative growth over the last steps; share of the object unlike what was learned. A Gaussian
 #: has 1.2 % beyond the bounds.
-MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = 0.2, 0.4, 2.0, 0.02, 20, 0.1
+MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = (
+    0.2,
+    0.4,
+    2.0,
+    0.02,
+    20,
+    0.1,
+)
 #: An outside click is said to take away much from this share of the object on.
 MAX_TAKEN = 0.5
 #: A plateau is noted where the object has grown to so many times its size since.
@@ -61,8 +68,14 @@ class ValueRange(NamedTuple):
 
 
 def assess(
-    labels: NDArray[np.uint8], image: Image, geometry: Geometry, history: Sequence[StepRecord], stop: Stop,
-    learned: ValueRange | None = None, plateaus: Sequence[PlateauNote] = (), clicked: Mask | None = None,
+    labels: NDArray[np.uint8],
+    image: Image,
+    geometry: Geometry,
+    history: Sequence[StepRecord],
+    stop: Stop,
+    learned: ValueRange | None = None,
+    plateaus: Sequence[PlateauNote] = (),
+    clicked: Mask | None = None,
     confidence: Confidence | None = None,
 ) -> Quality:
     """Measure the quality of a result.
@@ -92,13 +105,21 @@ def assess(
     notes = _notes(found, last, geometry)
     parts = 1 if clicked is None else clicked_parts(labels > 0, clicked)
     if parts > 1:
-        notes.append(f"parts: {parts} separate parts were clicked; if they are objects of their own, try --objects")
+        notes.append(
+            f"parts: {parts} separate parts were clicked; if they are objects of their own, try --objects"
+        )
     return found._replace(warnings=tuple(warnings), notes=tuple(notes))
 
 
 def measured(
-    labels: NDArray[np.uint8], image: Image, geometry: Geometry, history: Sequence[StepRecord], stop: Stop,
-    learned: ValueRange | None = None, plateaus: Sequence[PlateauNote] = (), clicked: Mask | None = None,
+    labels: NDArray[np.uint8],
+    image: Image,
+    geometry: Geometry,
+    history: Sequence[StepRecord],
+    stop: Stop,
+    learned: ValueRange | None = None,
+    plateaus: Sequence[PlateauNote] = (),
+    clicked: Mask | None = None,
     confidence: Confidence | None = None,
 ) -> Quality:
     """Measure the quality of a result, without its probability, warnings and notes.
@@ -109,8 +130,13 @@ def measured(
     finest = [row for row in history if row.level == 0]
     first, last = (history[0].volume_mm3, history[-1].volume_mm3) if history else (0.0, 0.0)
     before = finest[max(-LAST_STEPS - 1, -len(finest))].volume_mm3 if finest else 0.0
-    found, volume = places.gather(inside, image, spacing, clicked), np.count_nonzero(inside) * geometry.voxel_volume
-    place, uncertainty = (None, 0.0) if found is None else places.uncertain_places(found, spacing, volume)[0]
+    found, volume = (
+        places.gather(inside, image, spacing, clicked),
+        np.count_nonzero(inside) * geometry.voxel_volume,
+    )
+    place, uncertainty = (
+        (None, 0.0) if found is None else places.uncertain_places(found, spacing, volume)[0]
+    )
     return Quality(
         probability=0.0,
         next_click=None if place is None else _world(geometry, place),
@@ -138,15 +164,28 @@ def _along_surface(found: Evidence | None) -> dict[str, Any]:
     if found is None:
         return {"contrast": 0.0, "evidence": 0.0, "clicked": 0.0, "inside_like": 1.0, "drift": 0.0}
     means = {"evidence": float(found.of_image.mean()), "clicked": float(found.click.mean())}
-    return {"contrast": found.contrast, **means, "inside_like": found.inside_like, "drift": found.drift}
+    return {
+        "contrast": found.contrast,
+        **means,
+        "inside_like": found.inside_like,
+        "drift": found.drift,
+    }
 
 
 def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
     """The measures by the model of the clicks; without one they are None."""
-    overlap, spread, correction, unchanged, taken, surprise, answers = confidence or (*(None,) * 6, ())
+    overlap, spread, correction, unchanged, taken, surprise, answers = confidence or (
+        *(None,) * 6,
+        (),
+    )
     return {
-        "level_overlap": overlap, "size_spread": spread, "correction": correction, "unchanged": unchanged,
-        "taken": taken, "surprise": surprise, "answers": answers,
+        "level_overlap": overlap,
+        "size_spread": spread,
+        "correction": correction,
+        "unchanged": unchanged,
+        "taken": taken,
+        "surprise": surprise,
+        "answers": answers,
     }
 
 
@@ -180,11 +219,19 @@ def _compactness(last: StepRecord | None, geometry: Geometry) -> float:
     if last is None or not last.area_mm2 > 0:
         return 0.0
     if geometry.slice_axis is not None:
-        return 4.0 * math.pi * last.volume_mm3 * geometry.spacing[geometry.slice_axis] / last.area_mm2**2
+        return (
+            4.0
+            * math.pi
+            * last.volume_mm3
+            * geometry.spacing[geometry.slice_axis]
+            / last.area_mm2**2
+        )
     return 36.0 * math.pi * last.volume_mm3**2 / last.area_mm2**3
 
 
-def _warnings(found: Quality, stop: Stop, last: float, inside: Mask, geometry: Geometry) -> list[str]:
+def _warnings(
+    found: Quality, stop: Stop, last: float, inside: Mask, geometry: Geometry
+) -> list[str]:
     """Return the warnings, each with one command to try where one is known to help."""
     warnings, at_rest = [], "; try --stop-at-rest" if found.rests else ""
     if found.leaked:
@@ -229,13 +276,17 @@ def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
             "have leaked, or these are not typical"
         )
     if found.border_fraction > MAX_ON_BORDER:
-        notes.append(f"border: {found.border_fraction:.0%} of the surface lies on the volume's border")
+        notes.append(
+            f"border: {found.border_fraction:.0%} of the surface lies on the volume's border"
+        )
     if found.contrast < MIN_CONTRAST:
         notes.append(
             f"contrast: grey values change at the surface by {found.contrast:.2f} times their spread in the object"
         )
     if found.no_edge_fraction > MAX_WITHOUT_EDGE:
-        notes.append(f"edge: {found.no_edge_fraction:.0%} of the surface lies where the image has no edge")
+        notes.append(
+            f"edge: {found.no_edge_fraction:.0%} of the surface lies where the image has no edge"
+        )
     if found.taken is not None and found.taken > MAX_TAKEN:
         notes.append(
             f"outside: the last click outside took away {found.taken:.0%} of the object; click inside what was taken "
@@ -309,7 +360,9 @@ def no_edge_fraction(inside: Mask, image: Image, spacing: tuple[float, float, fl
             deep = places.eroded(deep)
         for mask, found, each in ((part & ~within_rim, on_surface, 1), (deep, within, every)):
             slab = mask[before:after]
-            found.append(gradients(smooth, spacing, np.flatnonzero(slab)[::each] + before * slab[0].size))
+            found.append(
+                gradients(smooth, spacing, np.flatnonzero(slab)[::each] + before * slab[0].size)
+            )
     surface, interior = np.concatenate(on_surface), np.concatenate(within)
     if surface.size == 0:
         return 0.0
@@ -318,7 +371,9 @@ def no_edge_fraction(inside: Mask, image: Image, spacing: tuple[float, float, fl
     return float((surface <= max(usual, MIN_EDGE / scale)).mean())
 
 
-def gradients(smooth: Image, spacing: tuple[float, float, float], cells: NDArray[np.int64]) -> Image:
+def gradients(
+    smooth: Image, spacing: tuple[float, float, float], cells: NDArray[np.int64]
+) -> Image:
     """|grad I| at raveled voxels (n,) of a smoothed image: centred differences, one-sided on the border."""
     flat, total, step = smooth.reshape(-1), np.zeros(cells.size, np.float32), smooth.size
     for n, h in zip(smooth.shape, spacing, strict=True):
@@ -326,7 +381,10 @@ def gradients(smooth: Image, spacing: tuple[float, float, float], cells: NDArray
         if n > 1:
             index = cells // step % n
             low, high = (index > 0).astype(np.int64), (index < n - 1).astype(np.int64)
-            total += ((flat[cells + high * step] - flat[cells - low * step]) / (np.float32(h) * (low + high))) ** 2
+            total += (
+                (flat[cells + high * step] - flat[cells - low * step])
+                / (np.float32(h) * (low + high))
+            ) ** 2
     return np.sqrt(total)
 
 
@@ -347,7 +405,10 @@ def parts_beyond_necks(inside: Mask) -> int:
     cores, count = ndimage.label(places.eroded(padded, NECK))
     large = LARGE_PART * np.count_nonzero(padded)
     # A core grows by at most so many voxels to either side.
-    rooms = (math.prod(s.stop - s.start + 2 * (NECK + 1) for s in core) for core in ndimage.find_objects(cores))
+    rooms = (
+        math.prod(s.stop - s.start + 2 * (NECK + 1) for s in core)
+        for core in ndimage.find_objects(cores)
+    )
     if sum(room >= large for room in rooms) < 2:
         return 1
     # Only so many parts can be large; numbered as bytes they need a quarter of the memory.

@@ -113,9 +113,14 @@ def _moments(inside: NDArray[np.bool_]) -> tuple[int, Floats, Floats]:
     places = [np.arange(n, dtype=np.float64) for n in inside.shape]
     along = [planes[0, 1].sum(axis=1), planes[0, 1].sum(axis=0), planes[0, 2].sum(axis=0)]
     count = int(along[0].sum())
-    middle = np.array([float(weights @ place) for weights, place in zip(along, places, strict=True)]) / count
+    middle = (
+        np.array([float(weights @ place) for weights, place in zip(along, places, strict=True)])
+        / count
+    )
     offsets = [place - mean for place, mean in zip(places, middle, strict=True)]
-    moments = np.diag([float(weights @ off**2) for weights, off in zip(along, offsets, strict=True)])
+    moments = np.diag(
+        [float(weights @ off**2) for weights, off in zip(along, offsets, strict=True)]
+    )
     for (a, b), plane in planes.items():
         moments[a, b] = moments[b, a] = offsets[a] @ plane @ offsets[b]
     return count, middle, moments / count
@@ -141,7 +146,9 @@ def _axes(moments: Floats, geometry: Geometry) -> dict[str, Any]:
     sizes, directions = np.linalg.eigh(in_world)
     longest_first = directions[:, ::-1].T
     # A direction and its opposite are the same axis: its largest part is positive.
-    signs = np.sign(np.take_along_axis(longest_first, np.abs(longest_first).argmax(axis=1)[:, None], axis=1))
+    signs = np.sign(
+        np.take_along_axis(longest_first, np.abs(longest_first).argmax(axis=1)[:, None], axis=1)
+    )
     return {
         "axes_mm": [float(2 * math.sqrt(5 * max(size, 0.0))) for size in sizes[::-1]],
         "axes_directions": (longest_first * signs).tolist(),

@@ -99,7 +99,9 @@ class Surface:
 
     def _sides(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """First and last vertex of every triangle side, in the triangle's sense."""
-        return self.faces.astype(np.int64).ravel(), np.roll(self.faces, -1, axis=1).astype(np.int64).ravel()
+        return self.faces.astype(np.int64).ravel(), np.roll(self.faces, -1, axis=1).astype(
+            np.int64
+        ).ravel()
 
     def write(self, path: str | Path, space: str = "lps", label: LabelEntry | None = None) -> None:
         """Write a mesh file, in one of the formats for surfaces of `accelsurf.settings.file_formats`, by suffix.
@@ -185,19 +187,28 @@ def crossings(psi: NDArray[np.float32], geometry: Geometry) -> tuple[Floats, NDA
     """
     box = bounding_box(psi < 0)
     if box is None:
-        raise EmptyResultError("no voxel is inside: there is no surface", hint="the object vanished; start larger")
+        raise EmptyResultError(
+            "no voxel is inside: there is no surface", hint="the object vanished; start larger"
+        )
     block, positions = _closed_block(psi, box, NODE_MARGIN * min(geometry.spacing))
     nodes, faces, _, _ = marching_cubes(block, level=0.0)
-    zyx = np.stack([np.interp(nodes[:, a], np.arange(len(positions[a])), positions[a]) for a in range(3)], axis=1)
+    zyx = np.stack(
+        [np.interp(nodes[:, a], np.arange(len(positions[a])), positions[a]) for a in range(3)],
+        axis=1,
+    )
     return zyx, faces
 
 
-def _closed_block(psi: NDArray[np.float32], inside: Box, margin: float) -> tuple[NDArray[np.float32], list[Floats]]:
+def _closed_block(
+    psi: NDArray[np.float32], inside: Box, margin: float
+) -> tuple[NDArray[np.float32], list[Floats]]:
     """Psi around the box of the inside voxels, closed by caps, and the index position of its layers along each axis."""
     box = widened(inside, psi.shape, (1, 1, 1))
     block = psi[box].astype(np.float32, order="C")
     if not np.isfinite(block).all():
-        raise InputError("psi has NaN or infinite values around the object, finite distances expected")
+        raise InputError(
+            "psi has NaN or infinite values around the object, finite distances expected"
+        )
     near = np.abs(block) < margin
     block[near] = np.where(block[near] < 0, -margin, margin)
     positions = []
@@ -213,7 +224,9 @@ def _closed_block(psi: NDArray[np.float32], inside: Box, margin: float) -> tuple
     return block, positions
 
 
-def _cap(block: NDArray[np.float32], axis: int, end: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _cap(
+    block: NDArray[np.float32], axis: int, end: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Two layers, outer first, that both lie on the outer face of the border voxels.
 
     The inner one continues psi, so that the surface reaches the face at a right angle. The outer one is all outside, so
@@ -257,11 +270,15 @@ def writer_for(path: str | Path, space: str, shape: Shape) -> tuple[Callable[...
     """
     target = Path(path)
     kind = "mesh" if shape == "surface" else "contour"
-    writers = {MESH_FORMATS[name].suffix: MESH_FORMATS[name].writer(shape) for name in mesh_formats(shape)}
+    writers = {
+        MESH_FORMATS[name].suffix: MESH_FORMATS[name].writer(shape) for name in mesh_formats(shape)
+    }
     writer = writers.get(target.suffix.lower())
     if writer is None:
         known = ", ".join(writers)
-        raise UsageError(f"{target.name}: {kind} format {target.suffix!r} given, one of {known} expected")
+        raise UsageError(
+            f"{target.name}: {kind} format {target.suffix!r} given, one of {known} expected"
+        )
     if space not in SPACES:
         raise UsageError(f"{kind} space {space!r} given, one of {', '.join(SPACES)} expected")
     return load(writer), np.array([-1.0, -1.0, 1.0]) if space == "ras" else np.ones(3)

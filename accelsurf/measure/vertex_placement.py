@@ -89,7 +89,9 @@ def on_edges(zyx: Floats, psi: Psi, spacing: tuple[float, float, float], margin:
     for axis in range(3):
         which = np.flatnonzero(on_edge & between[:, axis])
         for some in _chunks(which.size):
-            placed[which[some], axis] = _zeros_along(zyx[which[some]], axis, psi, spacing[axis], margin)
+            placed[which[some], axis] = _zeros_along(
+                zyx[which[some]], axis, psi, spacing[axis], margin
+            )
     return placed
 
 
@@ -136,7 +138,11 @@ def _on_cap(zyx: Floats, shape: tuple[int, ...]) -> Mask:
 
 
 def balanced(
-    zyx: Floats, faces: NDArray[np.integer], psi: Psi, spacing: tuple[float, float, float], across: int | None = None
+    zyx: Floats,
+    faces: NDArray[np.integer],
+    psi: Psi,
+    spacing: tuple[float, float, float],
+    across: int | None = None,
 ) -> Floats:
     """Move vertices along the normals so that they enclose the volume (area) of the surface (curve) that they lie on.
 
@@ -168,7 +174,11 @@ def balanced(
     size, gap, cosine = _gaps(zyx * h, normals, corners)
     is_known = known[corners].all(axis=0)
     # The thickness of a slice does not count.
-    moving = (step for a, (step, n) in enumerate(zip(spacing, psi.shape, strict=True)) if n > 1 and a != across)
+    moving = (
+        step
+        for a, (step, n) in enumerate(zip(spacing, psi.shape, strict=True))
+        if n > 1 and a != across
+    )
     most = MAX_GAP * min(moving, default=h.min())
     # Around an edge or a corner of the object no curvature says where the surface is.
     gap = np.clip(np.where(is_known & (cosine > MIN_COSINE), gap, 0.0), -most, most)
@@ -183,7 +193,11 @@ def balanced(
     placed = np.asarray(zyx + distance[:, None] * normals / h)
     # In the slice of a volume psi is no distance from the contour.
     rough = ~is_known | (cosine < TURNED)
-    return placed if across is not None else with_zero_means(placed, corners[:, free], rough[free], psi, h, normals)
+    return (
+        placed
+        if across is not None
+        else with_zero_means(placed, corners[:, free], rough[free], psi, h, normals)
+    )
 
 
 def _chunks(count: int) -> Iterator[slice]:
@@ -196,8 +210,13 @@ def _gaps(at: Floats, normals: Floats, corners: Numbers) -> tuple[Floats, Floats
     found, at, normals = np.empty((3, corners.shape[1])), _by_axis(at), _by_axis(normals)
     for some in _chunks(corners.shape[1]):
         places, directions = (vectors.take(corners[:, some], axis=1) for vectors in (at, normals))
-        edges, turns = np.roll(places, -1, axis=1) - places, np.roll(directions, -1, axis=1) - directions
-        found[0, some] = _lengths(_cross(edges[:, 0], edges[:, 1]) if len(corners) == 3 else edges[:, 0])
+        edges, turns = (
+            np.roll(places, -1, axis=1) - places,
+            np.roll(directions, -1, axis=1) - directions,
+        )
+        found[0, some] = _lengths(
+            _cross(edges[:, 0], edges[:, 1]) if len(corners) == 3 else edges[:, 0]
+        )
         # The one edge of a segment counts twice here.
         found[1, some] = np.einsum("mij,mij->m", edges.T.copy(), turns.T.copy()) / 24
         found[2, some] = _least_cosine(directions)
@@ -219,13 +238,19 @@ def _per_vertex(corners: Numbers, values: Floats, n: int) -> Floats:
 
 def _normals(zyx: Floats, on_cap: Mask, psi: Psi, h: Floats) -> tuple[Floats, Mask]:
     """Outward unit normals (n, 3) by centred differences, linear between the two nodes of an edge; where known (n,)."""
-    flat, last, gradient = np.ascontiguousarray(psi).ravel(), np.array(psi.shape) - 1, np.empty(zyx.shape)
+    flat, last, gradient = (
+        np.ascontiguousarray(psi).ravel(),
+        np.array(psi.shape) - 1,
+        np.empty(zyx.shape),
+    )
     for some in _chunks(len(zyx)):
         at, is_capped = zyx[some], on_cap[some]
         low = np.clip(np.floor(np.where(is_capped, np.rint(at), at)).astype(np.int64), 0, last)
         part = np.where(is_capped, 0.0, at - low).max(axis=1)
         high = np.clip(np.ceil(np.where(is_capped, low, at)).astype(np.int64), 0, last)
-        for axis, ends in enumerate(zip(*(_slopes(flat, node.T, psi.shape, h) for node in (low, high)), strict=True)):
+        for axis, ends in enumerate(
+            zip(*(_slopes(flat, node.T, psi.shape, h) for node in (low, high)), strict=True)
+        ):
             gradient[some, axis] = (1 - part) * ends[0] + part * ends[1]
     norm = np.linalg.norm(gradient, axis=1)
     known = norm >= MIN_SLOPE
@@ -242,7 +267,9 @@ def _slopes(flat: Psi, nodes: Numbers, shape: tuple[int, ...], h: Floats) -> Ite
         yield difference / (np.maximum(before + after, 1) * step)
 
 
-def with_zero_means(zyx: Floats, corners: Numbers, rough: Mask, psi: Psi, h: Floats, outward: Floats) -> Floats:
+def with_zero_means(
+    zyx: Floats, corners: Numbers, rough: Mask, psi: Psi, h: Floats, outward: Floats
+) -> Floats:
     """Move vertices of the ``rough`` faces of small parts along the mesh's normals until psi is 0 on average there.
 
     Parameters
@@ -310,7 +337,9 @@ def _sides(corners: Numbers) -> tuple[Numbers, Numbers]:
     if len(corners) == 2:
         return corners, np.arange(corners.shape[1])[None]
     others, count = np.roll(corners, -1, axis=0), corners.max() + 1
-    keys, which = np.unique(np.minimum(corners, others) * count + np.maximum(corners, others), return_inverse=True)
+    keys, which = np.unique(
+        np.minimum(corners, others) * count + np.maximum(corners, others), return_inverse=True
+    )
     return np.stack(np.divmod(keys, count)), which.reshape(corners.shape)
 
 
@@ -332,11 +361,18 @@ def cubic_at(psi: Psi, at: Floats) -> Floats:
             psi = psi.take(_mirrored(np.arange(begin[axis], end[axis]), n), axis)
     else:
         begin[:] = 0
-    flat, strides = np.ascontiguousarray(psi).ravel(), (psi.shape[1] * psi.shape[2], psi.shape[2], 1)
+    flat, strides = (
+        np.ascontiguousarray(psi).ravel(),
+        (psi.shape[1] * psi.shape[2], psi.shape[2], 1),
+    )
     for some in _chunks(len(value)):
         nodes = sum((first[a, some] - begin[a]) * strides[a] for a in range(3))
-        of_planes, of_lines, of_places = (_weights(at[a, some] - (first[a, some] + 1), n) for a, n in enumerate(shape))
-        for (plane, of_plane), (line, of_line) in itertools.product(enumerate(of_planes), enumerate(of_lines)):
+        of_planes, of_lines, of_places = (
+            _weights(at[a, some] - (first[a, some] + 1), n) for a, n in enumerate(shape)
+        )
+        for (plane, of_plane), (line, of_line) in itertools.product(
+            enumerate(of_planes), enumerate(of_lines)
+        ):
             row = flat[plane * strides[0] + line * strides[1] :]
             along = sum(w * row[k:].take(nodes, mode="clip") for k, w in enumerate(of_places))
             value[some] += of_plane * of_line * along
@@ -379,14 +415,18 @@ def _is_small(zyx: Floats, psi: Psi, h: Floats) -> Mask:
     return (small & ~steep)[of_vertex]
 
 
-def _deepest_around(cells: Numbers, side: int, flat: Psi, shape: tuple[int, ...], h: Floats) -> tuple[Numbers, Mask]:
+def _deepest_around(
+    cells: Numbers, side: int, flat: Psi, shape: tuple[int, ...], h: Floats
+) -> tuple[Numbers, Mask]:
     """Return which of a cell and those around it is deepest on a side, and if psi changes by too much between them."""
     deepest, steep = cells.copy(), np.zeros(cells.shape, np.bool_)
     for some in _chunks(cells.size):
         here, stride, steps = cells[some], flat.size, []
         for place, n in zip(np.unravel_index(here, shape), shape, strict=True):
             stride //= n
-            steps.append([(np.clip(place + shift, 0, n - 1) - place) * stride for shift in (-1, 0, 1)])
+            steps.append(
+                [(np.clip(place + shift, 0, n - 1) - place) * stride for shift in (-1, 0, 1)]
+            )
         level = depth = side * flat[here]
         for shift in itertools.product((-1, 0, 1), repeat=3):
             other = here + sum(steps[axis][k + 1] for axis, k in enumerate(shift))
@@ -409,7 +449,9 @@ def _is_distance(zyx: Floats, normals: Floats, psi: Psi, h: Floats) -> Mask:
 
 def _mesh_normals(at: Floats, corners: Numbers, outward: Floats) -> Floats:
     """Outward unit normals of the mesh at its vertices (n, 3), by the sizes of the faces around each."""
-    normals = np.stack([_per_vertex(corners, across, len(at)) for across in _area_vectors(at, corners)], axis=1)
+    normals = np.stack(
+        [_per_vertex(corners, across, len(at)) for across in _area_vectors(at, corners)], axis=1
+    )
     normals[outward == 0.0] = 0.0
     normals *= np.sign((normals * outward).sum()) or 1.0
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None])
@@ -422,7 +464,9 @@ def _by_axis(vectors: Floats) -> Floats:
 
 def _cross(a: Floats, b: Floats) -> Floats:
     """Cross products of vectors (3, m)."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
 
 
 def _lengths(vectors: Floats) -> Floats:

@@ -45,7 +45,11 @@ def open_results(path: str) -> list[LayerData]:
     layers: list[LayerData] = []
     for file, report in _reports(Path(path)):
         name = file.name.removesuffix("_report.json")
-        written = [Path(str(output["path"])).name for output in report["outputs"] if output["kind"] == "labels"]
+        written = [
+            Path(str(output["path"])).name
+            for output in report["outputs"]
+            if output["kind"] == "labels"
+        ]
         for labels in written[:1]:
             volume = accelsurf.read_labels(Path(path) / labels)
             try:
@@ -82,7 +86,11 @@ def _phantom(name: str) -> list[LayerData]:
 
 
 def _layer(volume: accelsurf.Volume, name: str, kind: str) -> LayerData:
-    return volume.array, {"name": name, "scale": volume.geometry.spacing, "units": ("mm",) * 3}, kind
+    return (
+        volume.array,
+        {"name": name, "scale": volume.geometry.spacing, "units": ("mm",) * 3},
+        kind,
+    )
 
 
 def _reports(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
@@ -98,11 +106,20 @@ def _reports(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 def _doubtful(report: dict[str, Any], labels: accelsurf.Volume, name: str) -> list[LayerData]:
     """Return a layer with the most doubtful place of each object."""
-    found = [report.get("quality"), *(of_object.get("quality") for of_object in report.get("objects") or ())]
+    found = [
+        report.get("quality"),
+        *(of_object.get("quality") for of_object in report.get("objects") or ()),
+    ]
     seen = [quality for quality in found if isinstance(quality, dict) and quality.get("next_click")]
     if not seen:
         return []
     places = labels.geometry.world_to_index([quality["next_click"] for quality in seen])
     probability = [quality["probability"] for quality in seen]
     settings = _layer(labels, f"{name} doubtful", "points")[1]
-    return [(places, settings | {"symbol": "diamond", "size": 5, "features": {"probability": probability}}, "points")]
+    return [
+        (
+            places,
+            settings | {"symbol": "diamond", "size": 5, "features": {"probability": probability}},
+            "points",
+        )
+    ]

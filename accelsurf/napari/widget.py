@@ -18,7 +18,12 @@ if TYPE_CHECKING:
     from napari import Viewer
 
 #: What a press in the image does.
-MOVE, INSIDE, OUTSIDE, SIZE = "moves the image", "clicks inside", "clicks outside", "and a drag say the size"
+MOVE, INSIDE, OUTSIDE, SIZE = (
+    "moves the image",
+    "clicks inside",
+    "clicks outside",
+    "and a drag say the size",
+)
 #: Steps that can be undone.
 MAX_STEPS = 10
 DOUBTFUL = "most doubtful place"
@@ -65,7 +70,9 @@ def answered(
     x, y, z = volume.geometry.index_to_world(press.place)
     clicks: dict[str, Any] = {press.side: f"ball:{x:.6g},{y:.6g},{z:.6g},{press.radius:.6g}"}
     if target.is_mended and press.size_mm3 is not None:
-        raise accelsurf.UsageError("a size is that of a new object; this one is mended", "click inside or outside")
+        raise accelsurf.UsageError(
+            "a size is that of a new object; this one is mended", "click inside or outside"
+        )
     if before is None and target.is_mended:
         return accelsurf.refine(volume, labels=target.labels, object=target.id, **clicks)
     if before is None and press.side == "outside":
@@ -105,11 +112,20 @@ class ClickWidget(QWidget):
         self._radius.setRange(0.5, 100.0)
         self._radius.setValue(3.0)
         self._answers = [QPushButton() for _ in range(3)]
-        self._undo, self._new, self._go = QPushButton("Undo"), QPushButton("Next object"), QPushButton("Show doubtful")
+        self._undo, self._new, self._go = (
+            QPushButton("Undo"),
+            QPushButton("Next object"),
+            QPushButton("Show doubtful"),
+        )
         self._said = QLabel("Choose what a press does, and press in the object.")
         self._said.setWordWrap(True)
         layout = QFormLayout(self)
-        rows = {"Image": self._image, "Labels": self._labels, "A press": self._press, "Ball (voxels)": self._radius}
+        rows = {
+            "Image": self._image,
+            "Labels": self._labels,
+            "A press": self._press,
+            "Ball (voxels)": self._radius,
+        }
         for title, row in rows.items():
             layout.addRow(title, row)
         for button in (*self._answers, self._undo, self._new, self._go, self._said):
@@ -152,12 +168,19 @@ class ClickWidget(QWidget):
             return self._target
         name = self._image.currentText()
         if name not in self._viewer.layers:
-            raise accelsurf.UsageError("there is no image", "open one, or File > Open Sample > accelsurf")
+            raise accelsurf.UsageError(
+                "there is no image", "open one, or File > Open Sample > accelsurf"
+            )
         image = self._viewer.layers[name]
         data = image.data[0] if image.multiscale else image.data
         if image.rgb or data.ndim not in (2, 3):
-            raise accelsurf.UsageError(f"{name}: an image of grey values in two or three dimensions is needed")
-        scale = [abs(float(step)) * _mm(unit) for step, unit in zip(image.scale, image.units, strict=True)]
+            raise accelsurf.UsageError(
+                f"{name}: an image of grey values in two or three dimensions is needed"
+            )
+        scale = [
+            abs(float(step)) * _mm(unit)
+            for step, unit in zip(image.scale, image.units, strict=True)
+        ]
         spacing = tuple(([min(scale)] if data.ndim == 2 else []) + scale)
         volume = accelsurf.Volume.from_array(np.asarray(data), (spacing[0], spacing[1], spacing[2]))
         if self._labels.currentText() not in self._viewer.layers:
@@ -166,10 +189,14 @@ class ClickWidget(QWidget):
             self._labels.setCurrentText(layer.name)  # napari has called reset_choices
         layer = self._viewer.layers[self._labels.currentText()]
         if not isinstance(layer.data, np.ndarray) or layer.data.shape != data.shape:
-            raise accelsurf.UsageError(f"{layer.name}: labels in memory on the grid of the image are needed")
+            raise accelsurf.UsageError(
+                f"{layer.name}: labels in memory on the grid of the image are needed"
+            )
         labels, id = layer.data.reshape(volume.geometry.shape).copy(), int(layer.selected_label)
         if id < 1 or not np.can_cast(np.min_scalar_type(id), labels.dtype):
-            raise accelsurf.UsageError(f"{layer.name}: {id} cannot be the label of an object", "select another label")
+            raise accelsurf.UsageError(
+                f"{layer.name}: {id} cannot be the label of an object", "select another label"
+            )
         self._volume, self._target = volume, Target(labels, id, bool((labels == id).any()))
         return self._target
 
@@ -179,7 +206,9 @@ class ClickWidget(QWidget):
         self._describe()
         if self._target is not None:
             layer = self._viewer.layers[self._labels.currentText()]
-            old, new = (painted(self._target, some[-1] if some else None) for some in (before, steps))
+            old, new = (
+                painted(self._target, some[-1] if some else None) for some in (before, steps)
+            )
             changed = (old != new).reshape(layer.data.shape)
             layer.data[changed] = new.reshape(layer.data.shape)[changed]
             layer.refresh()
@@ -203,7 +232,9 @@ class ClickWidget(QWidget):
         layer = self._viewer.layers[self._image.currentText()]
         place = _zyx(layer, event.position)
         radius = self._radius.value() * min(self._volume.geometry.spacing)
-        press = Press("outside" if mode == OUTSIDE else "inside", place, radius, is_first=mode == SIZE)
+        press = Press(
+            "outside" if mode == OUTSIDE else "inside", place, radius, is_first=mode == SIZE
+        )
         yield
         while event.type == "mouse_move":
             if mode == SIZE:
@@ -233,9 +264,16 @@ class ClickWidget(QWidget):
             return
         press, *self._waiting = self._waiting
         target, before = self._begun(), self._steps[-1] if self._steps else None
-        self._said.setText("..." if press.size_mm3 is None else f"about {press.size_mm3 / 1000.0:.4g} ml ...")
-        connect = {"returned": lambda result: self._show(target, press, result), "finished": self._answer_next}
-        self._worker = create_worker(answer_or_error, self._volume, target, before, press, _connect=connect)
+        self._said.setText(
+            "..." if press.size_mm3 is None else f"about {press.size_mm3 / 1000.0:.4g} ml ..."
+        )
+        connect = {
+            "returned": lambda result: self._show(target, press, result),
+            "finished": self._answer_next,
+        }
+        self._worker = create_worker(
+            answer_or_error, self._volume, target, before, press, _connect=connect
+        )
 
     def _show(self, target: Target, press: Press, result: accelsurf.Result | str) -> None:
         if target is not self._target:
@@ -257,7 +295,10 @@ class ClickWidget(QWidget):
 
     def undo(self) -> None:
         """Take the last press back."""
-        self._waiting, self._target = [], self._target and self._target._replace()  # what is under way is late
+        self._waiting, self._target = (
+            [],
+            self._target and self._target._replace(),
+        )  # what is under way is late
         self._set_steps(self._steps[:-1])
 
     def begin_object(self) -> None:
@@ -283,7 +324,9 @@ class ClickWidget(QWidget):
             self._viewer.layers.remove(DOUBTFUL)
         shape = {"symbol": "diamond", "size": 4, "face_color": "yellow"}
         self._viewer.add_points([place], name=DOUBTFUL, **shape, **_grid_of(layer))
-        self._viewer.dims.set_point(range(self._viewer.dims.ndim)[-layer.ndim :], layer.data_to_world(place))
+        self._viewer.dims.set_point(
+            range(self._viewer.dims.ndim)[-layer.ndim :], layer.data_to_world(place)
+        )
         self._viewer.layers.selection.select_only(self._viewer.layers[self._labels.currentText()])
 
     def _object(self) -> Any:
@@ -300,11 +343,15 @@ class ClickWidget(QWidget):
             match = [answer for answer in answers if answer.number == number]
             button.setVisible(len(answers) > 1 and bool(match))
             volumes = [answer.volume_mm3 for answer in match]
-            button.setText("".join(f"{mm3 / 1000.0:.4g} ml" if mm3 else "all that is alike" for mm3 in volumes))
+            button.setText(
+                "".join(f"{mm3 / 1000.0:.4g} ml" if mm3 else "all that is alike" for mm3 in volumes)
+            )
         text = ""
         if found is not None:
             text = f"{found.volume_mm3 / 1000.0:.4g} ml, {found.quality.probability:.0%} likely to be good"
-            text += "".join(f"\n{warning.partition('; try')[0]}" for warning in found.quality.warnings)
+            text += "".join(
+                f"\n{warning.partition('; try')[0]}" for warning in found.quality.warnings
+            )
         self._said.setText(text)
 
 

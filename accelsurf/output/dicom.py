@@ -63,8 +63,13 @@ def _write(result: Result, table: LabelTable, path: Path, as_labelmap: bool) -> 
     parameters = {"energy": result.config.energy, "flow": result.resolved_settings["flow"]}
     seed = seed_of("labelmap" if as_labelmap else "segmentation", result, table, source)
     content = segmentation_bytes(
-        _labels_of(result), result.geometry, source, [table[segmented.id] for segmented in objects_of(result)],
-        Algorithm(__version__, parameters), seed, as_labelmap,
+        _labels_of(result),
+        result.geometry,
+        source,
+        [table[segmented.id] for segmented in objects_of(result)],
+        Algorithm(__version__, parameters),
+        seed,
+        as_labelmap,
     )
     write_bytes(path, content)
 
@@ -91,20 +96,24 @@ def source_of(result: Result) -> SourceImages:
     path = result.volume.source
     if path is None or DICOM_KEY not in result.volume.metadata:
         raise UsageError(
-            "the image was not read from DICOM, whose slices DICOM outputs refer to", "give a DICOM series as the image"
+            "the image was not read from DICOM, whose slices DICOM outputs refer to",
+            "give a DICOM series as the image",
         )
     with naming(path):
         header = dicom.parse_dicom(path, result.config.reading)
         if not isinstance(header, dicom.DicomHeader):
             raise UsageError(
-                "the image is a DICOM segmentation, and DICOM outputs refer to the slices of a scan", "give the scan"
+                "the image is a DICOM segmentation, and DICOM outputs refer to the slices of a scan",
+                "give the scan",
             )
         return read_source_images(header.slices.frames)
 
 
 def objects_of(result: Result) -> list[SegmentedObject]:
     """The objects that have voxels, in the order of their ids."""
-    return sorted((found for found in result.objects if found.labels.any()), key=lambda found: found.id)
+    return sorted(
+        (found for found in result.objects if found.labels.any()), key=lambda found: found.id
+    )
 
 
 def seed_of(kind: str, result: Result, table: LabelTable, source: SourceImages) -> str:
@@ -114,7 +123,15 @@ def seed_of(kind: str, result: Result, table: LabelTable, source: SourceImages) 
     files = [key for key in RunConfig.model_fields if entry(key).group is SettingGroup.FILES]
     settings = result.config.model_dump_json(exclude={*files, *_FREE})
     return "\n".join(
-        [kind, __version__, source.study_uid, *map(repr, source.instances), settings, repr(names), digest_of(arrays)]
+        [
+            kind,
+            __version__,
+            source.study_uid,
+            *map(repr, source.instances),
+            settings,
+            repr(names),
+            digest_of(arrays),
+        ]
     )
 
 
@@ -148,4 +165,6 @@ def write_structure_set(result: Result, table: LabelTable, path: Path) -> None:
 def loops_of(segmented: SegmentedObject) -> dict[int, tuple[NDArray[np.float64], ...]]:
     """Closed contours of an object in world mm, LPS, by the index of the slice in the whole grid."""
     first = segmented.box[0].start or 0
-    return {first + k: found.loops for k, found in in_slices(segmented.psi, segmented.geometry).items()}
+    return {
+        first + k: found.loops for k, found in in_slices(segmented.psi, segmented.geometry).items()
+    }

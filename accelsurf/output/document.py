@@ -40,7 +40,16 @@ _MEASURES = ("volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components"
 TIMED = ("load", "start", "evolve", "refine", "mesh", "write", "total")
 #: Packages that a result can depend on.
 PACKAGES = (
-    "accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "nibabel", "trimesh", "Pillow", "pydantic",
+    "accelsurf",
+    "numpy",
+    "scipy",
+    "numba",
+    "scikit-image",
+    "SimpleITK",
+    "nibabel",
+    "trimesh",
+    "Pillow",
+    "pydantic",
     "matplotlib",
 )
 
@@ -117,9 +126,7 @@ def report_of(result: Result) -> dict[str, Any]:
     )
 
 
-def describe_config(
-    config: RunConfig | None, result: Result | None
-) -> dict[str, Any] | None:
+def describe_config(config: RunConfig | None, result: Result | None) -> dict[str, Any] | None:
     """Return the settings of a run; ``energy`` is what the run had: ``custom: ClassName`` for one of the user's own."""
     if config is None:
         return None
@@ -166,7 +173,10 @@ def describe_result(result: Result | None) -> dict[str, Any]:
             "last": last.potential if last else None,
             "kinetic_last": getattr(last, "kinetic", None),
             "mass_potential_last": getattr(last, "mass_potential", None),
-            **{key: getattr(last, key, None) for key in ("friction_work", "smoothing_work", "noise_work")},
+            **{
+                key: getattr(last, key, None)
+                for key in ("friction_work", "smoothing_work", "noise_work")
+            },
             "steps_of_corrections": len(result.history) - len(ran),
         },
         "mass": describe_mass(result),
@@ -186,7 +196,11 @@ def describe_window(window: Window | None) -> dict[str, Any] | None:
 
 def describe_intervals(intervals: Intervals | None) -> dict[str, list[float]] | None:
     """Return the part of the report about the intervals of an object's measures."""
-    return None if intervals is None else {key: list(interval) for key, interval in intervals._asdict().items()}
+    return (
+        None
+        if intervals is None
+        else {key: list(interval) for key, interval in intervals._asdict().items()}
+    )
 
 
 def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
@@ -236,7 +250,9 @@ def describe_levels(result: Result) -> list[dict[str, Any]]:
             "spacing": list(reversed(grid.spacing)),
             "steps": steps,
             "reason": reason,
-            "cells_visited": sum(row.cells_visited for row in result.history if row.level == grid.number),
+            "cells_visited": sum(
+                row.cells_visited for row in result.history if row.level == grid.number
+            ),
         }
         for grid, steps, reason in result.levels
     ]
@@ -320,7 +336,10 @@ def versions() -> dict[str, str | None]:
     >>> sorted(versions())[:3]
     ['Pillow', 'SimpleITK', 'accelsurf']
     """
-    found: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
+    found: dict[str, str | None] = {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+    }
     for name in PACKAGES:
         try:
             found[name] = metadata.version(name)
@@ -399,5 +418,11 @@ def describe_staged(files: FileSet, kinds: Mapping[str, str]) -> list[dict[str, 
     kinds : mapping of str to str
         Kind by name; a file that belongs to another one, such as the voxels of an .mhd header, has none: it is "data".
     """
-    names = [*kinds, *sorted(path.name for path in files.staging.iterdir() if path.name not in kinds)]
-    return [describe_output(files.folder / name, kinds.get(name, "data"), files.staging / name) for name in names]
+    names = [
+        *kinds,
+        *sorted(path.name for path in files.staging.iterdir() if path.name not in kinds),
+    ]
+    return [
+        describe_output(files.folder / name, kinds.get(name, "data"), files.staging / name)
+        for name in names
+    ]

@@ -62,7 +62,11 @@ def summaries(results: Sequence[CaseResult], names: LabelTable) -> list[dict[str
     for agreement in (agreement for result in results for agreement in result.agreements):
         by_label.setdefault(agreement.label, []).append(agreement)
     return [
-        {"label": label, "name": label_name(some[0], names), **over_cases([agreement.values() for agreement in some])}
+        {
+            "label": label,
+            "name": label_name(some[0], names),
+            **over_cases([agreement.values() for agreement in some]),
+        }
         for label, some in sorted(by_label.items(), key=lambda item: item[0] or 0)
     ]
 
@@ -72,7 +76,9 @@ def notes(agreement: LabelAgreement) -> list[str]:
     if agreement.label is None:
         sides = (agreement.in_pred, "PRED"), (agreement.in_ref, "REF")
         counts = [f"{len(ids)} of {side}" for ids, side in sides if len(ids) > 1]
-        said = f"several labels count as one object: {', '.join(counts)}; --labels all compares each"
+        said = (
+            f"several labels count as one object: {', '.join(counts)}; --labels all compares each"
+        )
         return [said] if counts else []
     if agreement.in_pred and agreement.in_ref:
         return []
@@ -108,7 +114,9 @@ def table_csv(results: Sequence[CaseResult], names: LabelTable) -> str:
 
     The column ``row`` says which: case, mean, median or count. What is not defined is empty.
     """
-    numbers = dict.fromkeys(name for result in results for found in result.agreements for name in found.values())
+    numbers = dict.fromkeys(
+        name for result in results for found in result.agreements for name in found.values()
+    )
     stream = io.StringIO()
     writer = csv.DictWriter(
         stream,
@@ -126,7 +134,9 @@ def table_csv(results: Sequence[CaseResult], names: LabelTable) -> str:
     if len(results) > 1:
         for summary in summaries(results, names):
             for row in ("mean", "median", "count"):
-                writer.writerow({"row": row, "label": summary["label"], "name": summary["name"], **summary[row]})
+                writer.writerow(
+                    {"row": row, "label": summary["label"], "name": summary["name"], **summary[row]}
+                )
     return stream.getvalue()
 
 
@@ -142,7 +152,9 @@ def printed_rows(
     first : tuple of str
         Headings of the first cells.
     """
-    dice_at = dict.fromkeys(name for _, values in entries for name in values if name.startswith(_DICE_AT))
+    dice_at = dict.fromkeys(
+        name for _, values in entries for name in values if name.startswith(_DICE_AT)
+    )
     shown = [*_PRINTED, *((f"sd {name.removeprefix(_DICE_AT)}", name) for name in dice_at)]
     rows = [(*cells, *(_text(values.get(name)) for _, name in shown)) for cells, values in entries]
     return (*first, *(heading for heading, _ in shown)), rows

@@ -29,7 +29,10 @@ from accelsurf.settings.track_config import TrackConfig
 #: Of a file's name, on the usual file systems.
 MAX_NAME_BYTES = 255
 #: Settings that are places, and kinds of places that name a file: ``label:FILE``.
-PLACES, FILE_KINDS = ("start", "foreground", "background", "inside", "outside"), ("label", "mesh", "stroke")
+PLACES, FILE_KINDS = (
+    ("start", "foreground", "background", "inside", "outside"),
+    ("label", "mesh", "stroke"),
+)
 #: Settings that name a file.
 _FILES = ("mask", "objects", "labels", "label_table")
 #: Endings of headers whose voxels may lie in another file.
@@ -54,7 +57,9 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool, inputs: Sequence[Pa
     OutputError
         When an output exists and may not be replaced, or is an input; or nothing can be written there.
     """
-    longest = max((path.name for path in paths.values()), key=lambda name: len(os.fsencode(name)), default="")
+    longest = max(
+        (path.name for path in paths.values()), key=lambda name: len(os.fsencode(name)), default=""
+    )
     if len(os.fsencode(longest)) > MAX_NAME_BYTES:
         raise OutputError(
             f"{longest}: the name of an output would have {len(os.fsencode(longest))} bytes, at most {MAX_NAME_BYTES} "
@@ -66,10 +71,15 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool, inputs: Sequence[Pa
     read.refuse(existing)
     if (report := paths.get("report")) is not None:
         read.refuse(outdated_inputs(report, read))
-    results = [path for path in existing if not (path == paths.get("report") and is_failure_report(path))]
+    results = [
+        path for path in existing if not (path == paths.get("report") and is_failure_report(path))
+    ]
     if results and not overwrite:
         more = f" and {len(results) - 1} more" if len(results) > 1 else ""
-        raise OutputError(f"{results[0]}{more}: exists already", "choose another folder with -o, or add --overwrite")
+        raise OutputError(
+            f"{results[0]}{more}: exists already",
+            "choose another folder with -o, or add --overwrite",
+        )
     for path in existing:
         if not is_output(path):
             refuse_folder(path)
@@ -91,7 +101,9 @@ def refuse_folder(path: Path) -> None:
         With it.
     """
     if path.is_dir():
-        raise OutputError(f"{path}: is a folder, a file is to be written there", "choose another folder with -o")
+        raise OutputError(
+            f"{path}: is a folder, a file is to be written there", "choose another folder with -o"
+        )
 
 
 def make_writable(folder: Path) -> None:
@@ -113,11 +125,17 @@ def make_writable(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        reason = "it is a file" if isinstance(error, FileExistsError) else error.strerror or str(error)
-        raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
+        reason = (
+            "it is a file" if isinstance(error, FileExistsError) else error.strerror or str(error)
+        )
+        raise OutputError(
+            f"{folder}: cannot be written to ({reason})", "choose another folder with -o"
+        ) from None
 
 
-def commit(files: FileSet, report: str, failed: bool, overwrite: bool, gone: Sequence[str] = ()) -> None:
+def commit(
+    files: FileSet, report: str, failed: bool, overwrite: bool, gone: Sequence[str] = ()
+) -> None:
     """Put the staged files of a run in place, the report last; outdated files of an earlier run are removed.
 
     Parameters
@@ -139,9 +157,13 @@ def commit(files: FileSet, report: str, failed: bool, overwrite: bool, gone: Seq
     """
     written = [path.name for path in files.staging.iterdir()]
     if not (failed or overwrite):
-        refuse_existing({"report" if name == report else name: files.folder / name for name in written}, False)
+        refuse_existing(
+            {"report" if name == report else name: files.folder / name for name in written}, False
+        )
     name = report.removesuffix(report_name(""))
-    files.commit(last=report, remove=[*outdated(files.folder, name, written, failed, overwrite), *gone])
+    files.commit(
+        last=report, remove=[*outdated(files.folder, name, written, failed, overwrite), *gone]
+    )
 
 
 @contextmanager
@@ -159,7 +181,9 @@ def opened_set(folder: Path, name: str, inputs: Sequence[Path] = ()) -> Iterator
             files = stack.enter_context(open_set(folder, name, inputs=inputs))
         except OSError as error:
             reason = error.strerror or str(error)
-            raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
+            raise OutputError(
+                f"{folder}: cannot be written to ({reason})", "choose another folder with -o"
+            ) from None
         yield files
 
 
@@ -175,7 +199,10 @@ def naming_final(files: FileSet) -> Iterator[None]:
     try:
         yield
     except OutputError as error:
-        message, hint = (text.replace(str(files.staging), str(files.folder)) for text in (error.message, error.hint))
+        message, hint = (
+            text.replace(str(files.staging), str(files.folder))
+            for text in (error.message, error.hint)
+        )
         raise OutputError(message, hint) from error
     except OSError as error:
         name = Path(error.filename).name if isinstance(error.filename, str) else ""
@@ -187,7 +214,9 @@ def naming_final(files: FileSet) -> Iterator[None]:
 
 def named_files(given: RunConfig | TrackConfig) -> list[Path]:
     """Return the files, beside the image, that the settings of a run or a tracking name and that are there."""
-    config, corrections = (given.run, given.correct) if isinstance(given, TrackConfig) else (given, ())
+    config, corrections = (
+        (given.run, given.correct) if isinstance(given, TrackConfig) else (given, ())
+    )
     texts = [text for text in (*(getattr(config, key) for key in _FILES), *config.channel) if text]
     wheres = [text for key in PLACES for text in getattr(config, key)]
     for correction in (*config.edit, *config.refine, *corrections):
@@ -203,7 +232,9 @@ def named_files(given: RunConfig | TrackConfig) -> list[Path]:
     return list(found.values())
 
 
-def inputs_of(image: Path, config: RunConfig | TrackConfig | None, *further: Path | None) -> list[Path]:
+def inputs_of(
+    image: Path, config: RunConfig | TrackConfig | None, *further: Path | None
+) -> list[Path]:
     """Return all files that a run reads: image, what its settings name, ``further`` files, and data files of headers.
 
     Parameters
@@ -213,7 +244,11 @@ def inputs_of(image: Path, config: RunConfig | TrackConfig | None, *further: Pat
     *further : Path or None
         Files that the command reads beside: a reference, a configuration.
     """
-    named = [image, *(() if config is None else named_files(config)), *(path for path in further if path is not None)]
+    named = [
+        image,
+        *(() if config is None else named_files(config)),
+        *(path for path in further if path is not None),
+    ]
     return [*named, *(data for path in named for data in _data_of(path))]
 
 

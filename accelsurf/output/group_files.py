@@ -69,7 +69,9 @@ class GroupRecord:
         shapes = [tuple(side.stop - side.start for side in box) for box in self.boxes]
         with np.load(self.folder / _LABELS, allow_pickle=False) as packed:
             return [
-                np.unpackbits(packed[str(row["id"])], count=math.prod(shape)).reshape(shape).view(np.bool_)
+                np.unpackbits(packed[str(row["id"])], count=math.prod(shape))
+                .reshape(shape)
+                .view(np.bool_)
                 for row, shape in zip(self.rows, shapes, strict=True)
             ]
 
@@ -137,19 +139,28 @@ def write_group(
         meshes = [_write_meshes(staged, segmented, names, space) for segmented in result.objects]
         packed = {str(segmented.id): np.packbits(segmented.labels) for segmented in result.objects}
         np.savez(staged / _LABELS, **packed)  # type: ignore[arg-type]
-        _write_record(staged, {
-            "near": [],
-            "rows": [describe_object(segmented) for segmented in result.objects],
-            "boxes": [[[side.start, side.stop] for side in segmented.box] for segmented in result.objects],
-            "low": result.low.tolist(),
-            "high": result.high.tolist(),
-            "stops": [list(segmented.stop) for segmented in result.objects],
-            "meshes": meshes,
-            "facts": {
-                **{key: getattr(result, key) for key in ("energy", "resolved_settings", "warnings")},
-                "window": describe_window(result.window),
+        _write_record(
+            staged,
+            {
+                "near": [],
+                "rows": [describe_object(segmented) for segmented in result.objects],
+                "boxes": [
+                    [[side.start, side.stop] for side in segmented.box]
+                    for segmented in result.objects
+                ],
+                "low": result.low.tolist(),
+                "high": result.high.tolist(),
+                "stops": [list(segmented.stop) for segmented in result.objects],
+                "meshes": meshes,
+                "facts": {
+                    **{
+                        key: getattr(result, key)
+                        for key in ("energy", "resolved_settings", "warnings")
+                    },
+                    "window": describe_window(result.window),
+                },
             },
-        })
+        )
 
 
 def write_near(folder: Path, ids: Sequence[int]) -> None:
@@ -170,7 +181,9 @@ def read_group(folder: Path) -> GroupRecord | None:
         stops = [Stop(*stop) for stop in found["stops"]]
         if not _are_meshes(folder, found["rows"], found["meshes"]):
             return None
-        return GroupRecord(folder, (), found["rows"], boxes, low, high, stops, found["meshes"], found["facts"])
+        return GroupRecord(
+            folder, (), found["rows"], boxes, low, high, stops, found["meshes"], found["facts"]
+        )
     except (InputError, ValueError, KeyError, TypeError):
         return None
 
@@ -180,8 +193,10 @@ def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str,
     if folder.is_symlink() or any(path.is_symlink() for path in folder.iterdir()):
         return False
     return all(
-        re.fullmatch(rf"[^/\\]+_(surface|contour)_{int(row['id'])}\.[a-z0-9.]+", name) and (folder / name).is_file()
-        for row, names in zip(rows, meshes, strict=True) for name in names.values()
+        re.fullmatch(rf"[^/\\]+_(surface|contour)_{int(row['id'])}\.[a-z0-9.]+", name)
+        and (folder / name).is_file()
+        for row, names in zip(rows, meshes, strict=True)
+        for name in names.values()
     )
 
 
@@ -211,10 +226,16 @@ def _write_meshes(
 ) -> dict[str, str]:
     """Write the surface or the contours of an object; the names of its files by kind."""
     shape = "surface" if segmented.length_mm is None else "contour"
-    wanted = {kind: name for kind, name in names.items() if kind.startswith(shape) and segmented.has_surface}
+    wanted = {
+        kind: name
+        for kind, name in names.items()
+        if kind.startswith(shape) and segmented.has_surface
+    }
     files = {kind: output_names.name_of(name, segmented.id) for kind, name in wanted.items()}
     for name in files.values():
-        (segmented.surface if shape == "surface" else segmented.contours).write(staged / name, space)
+        (segmented.surface if shape == "surface" else segmented.contours).write(
+            staged / name, space
+        )
     return files
 
 

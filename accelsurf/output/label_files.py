@@ -49,7 +49,8 @@ def check_label_settings(config: RunConfig, volume: Volume, overwrite: bool = Fa
             continue
         if DICOM_KEY not in volume.metadata:
             raise UsageError(
-                f"also: {name} was given, and the image is no DICOM", "leave it out, or give the DICOM of the image"
+                f"also: {name} was given, and the image is no DICOM",
+                "leave it out, or give the DICOM of the image",
             )
         library("highdicom")
 
@@ -108,7 +109,9 @@ def table_of(config: RunConfig) -> LabelTable:
     known = LabelTable()
     if config.label_table is not None:
         known = label_tables.read_table(config.label_table)
-    elif (given := _label_map_of(config)) is not None and given.lower().endswith((".seg.nrrd", ".dcm")):
+    elif (given := _label_map_of(config)) is not None and given.lower().endswith(
+        (".seg.nrrd", ".dcm")
+    ):
         try:
             known = label_tables.read_table(Path(given))
         except InputError:
@@ -139,7 +142,9 @@ def given_labels(config: RunConfig) -> LabelTable:
     >>> given_labels(RunConfig(name=["liver"])).entries[1].name, given_labels(RunConfig()).entries
     ('liver', {})
     """
-    return table_of(config) if is_named(config) or _label_map_of(config) is not None else LabelTable()
+    return (
+        table_of(config) if is_named(config) or _label_map_of(config) is not None else LabelTable()
+    )
 
 
 def is_named(config: RunConfig) -> bool:

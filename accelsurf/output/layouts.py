@@ -24,18 +24,60 @@ BIDS_VERSION = "1.9.0"
 SIDECAR, TABLE = "sidecar", "also-tsv"
 #: Entities of the names of images, in the order that BIDS asks for; ``seg`` and ``desc`` are added here.
 ENTITIES = (
-    "sub", "ses", "sample", "task", "tracksys", "acq", "nuc", "voi", "ce", "trc", "stain", "rec", "dir", "run", "mod",
-    "echo", "flip", "inv", "mt", "part", "proc", "hemi", "space", "split", "recording", "chunk", "seg", "res", "den",
-    "label", "desc",
-)  # fmt: skip
+    "sub",
+    "ses",
+    "sample",
+    "task",
+    "tracksys",
+    "acq",
+    "nuc",
+    "voi",
+    "ce",
+    "trc",
+    "stain",
+    "rec",
+    "dir",
+    "run",
+    "mod",
+    "echo",
+    "flip",
+    "inv",
+    "mt",
+    "part",
+    "proc",
+    "hemi",
+    "space",
+    "split",
+    "recording",
+    "chunk",
+    "seg",
+    "res",
+    "den",
+    "label",
+    "desc",
+)
 #: Formats of label maps in BIDS.
 _NIFTI = ("nii.gz", "nii")
 #: Files of a run that BIDS has no names for, and those of a batch.
 _IGNORED = (
-    "*_surface*.*", "*_contour*.*", "*_report.json", "*_trace.csv", "*_preview.png", "*_statistics.*", "*_objects.csv",
-    "*_seg.*", "*_sdf.*", "*_state.npz", "*_run.toml", "*_checkpoint.npz", "*_case.json", "*_labels.*",
-    "*_segmentation.*", "*.dcm", "batch*.*",
-)  # fmt: skip
+    "*_surface*.*",
+    "*_contour*.*",
+    "*_report.json",
+    "*_trace.csv",
+    "*_preview.png",
+    "*_statistics.*",
+    "*_objects.csv",
+    "*_seg.*",
+    "*_sdf.*",
+    "*_state.npz",
+    "*_run.toml",
+    "*_checkpoint.npz",
+    "*_case.json",
+    "*_labels.*",
+    "*_segmentation.*",
+    "*.dcm",
+    "batch*.*",
+)
 _PAIR, _SUFFIX = re.compile(r"([a-z]+)-([A-Za-z0-9]+)"), re.compile(r"[A-Za-z0-9]+")
 _CHANNEL = re.compile(r"(.+)_\d{4}")
 _HINT = "name the image as sub-01_T1w.nii.gz, or leave out --layout"
@@ -74,15 +116,26 @@ class BidsName:
         found = [_PAIR.fullmatch(pair) for pair in pairs]
         keys = [pair.group(1) for pair in found if pair is not None]
         ordered = [key for key in ENTITIES if key in keys]
-        if None in found or keys != ordered or keys[:1] != ["sub"] or _SUFFIX.fullmatch(suffix) is None:
+        if (
+            None in found
+            or keys != ordered
+            or keys[:1] != ["sub"]
+            or _SUFFIX.fullmatch(suffix) is None
+        ):
             raise UsageError(f"layout: bids was given, and {name[:80]} is no name of BIDS", _HINT)
         return cls({pair.group(1): pair.group(2) for pair in found if pair is not None}, suffix)
 
     @property
     def label_map(self) -> str:
         """Name of the label map, without its ending. The suffix of the image tells those of two images apart."""
-        entities = {**self.entities, "seg": "accelsurf", "desc": self.entities.get("desc", "") + self.suffix}
-        return "_".join([*(f"{key}-{entities[key]}" for key in ENTITIES if key in entities), "dseg"])
+        entities = {
+            **self.entities,
+            "seg": "accelsurf",
+            "desc": self.entities.get("desc", "") + self.suffix,
+        }
+        return "_".join(
+            [*(f"{key}-{entities[key]}" for key in ENTITIES if key in entities), "dseg"]
+        )
 
     def folder(self, source: Path) -> Path:
         """Return its folder in a data set: subject, session, and sort of data as of the image's folder, else anat."""
@@ -124,16 +177,27 @@ def check_layout(config: RunConfig, source: Path, folder: Path, name: str) -> No
             )
     if config.layout == "nnunet":
         stem = _nnunet_stem(source, name)
-        images = [source.absolute().resolve(), *(Path(image).absolute().resolve() for image in config.channel)]
-        if any(image.parent == folder.absolute().resolve() and split_name(image)[0] == stem for image in images):
+        images = [
+            source.absolute().resolve(),
+            *(Path(image).absolute().resolve() for image in config.channel),
+        ]
+        if any(
+            image.parent == folder.absolute().resolve() and split_name(image)[0] == stem
+            for image in images
+        ):
             raise UsageError(
-                f"layout: the label map {stem} would lie on the image", "choose another folder with -o"
+                f"layout: the label map {stem} would lie on the image",
+                "choose another folder with -o",
             )
 
 
 def folder_of(config: RunConfig, source: Path, folder: Path) -> Path:
     """Return the folder of an image's files within the folder that was given; nothing is made."""
-    return folder / BidsName.of(split_name(source)[0]).folder(source) if config.layout == "bids" else folder
+    return (
+        folder / BidsName.of(split_name(source)[0]).folder(source)
+        if config.layout == "bids"
+        else folder
+    )
 
 
 def renamed(config: RunConfig, source: Path, name: str, names: dict[str, str]) -> dict[str, str]:

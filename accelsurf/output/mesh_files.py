@@ -78,7 +78,9 @@ def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any]
     try:
         mesh = shape(surface, options_of(config))
     except UsageError as error:
-        mesh = ShapedMesh(surface, 0.0, (f"{error.message}; the mesh is the surface as it is; {error.hint}",))
+        mesh = ShapedMesh(
+            surface, 0.0, (f"{error.message}; the mesh is the surface as it is; {error.hint}",)
+        )
     made = mesh.surface
     statistics = {
         "faces": len(made.faces),

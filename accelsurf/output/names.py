@@ -40,7 +40,9 @@ def label_format(config: RunConfig, source_suffix: str) -> str:
     followed = image_format(source_suffix)
     if config.layout == "bids" and (followed is None or not followed.name.startswith("nii")):
         followed = None  # BIDS has label maps in NIfTI
-    return config.format or (DEFAULT_IMAGE_FORMAT if followed is None or followed.write is None else followed.name)
+    return config.format or (
+        DEFAULT_IMAGE_FORMAT if followed is None or followed.write is None else followed.name
+    )
 
 
 def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
@@ -62,10 +64,18 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
     files = {"labels": f"seg.{labels}"}
     if is_2d is not True:
         wanted = automatic_mesh_formats("surface") if config.mesh == "auto" else config.mesh
-        files |= {f"surface-{kind}": f"surface.{kind}" for kind in wanted if kind in mesh_formats("surface")}
+        files |= {
+            f"surface-{kind}": f"surface.{kind}"
+            for kind in wanted
+            if kind in mesh_formats("surface")
+        }
     if is_2d is not False:
         wanted = automatic_mesh_formats("contour") if config.mesh == "auto" else config.mesh
-        files |= {f"contour-{kind}": f"contour.{kind}" for kind in mesh_formats("contour") if kind in wanted}
+        files |= {
+            f"contour-{kind}": f"contour.{kind}"
+            for kind in mesh_formats("contour")
+            if kind in wanted
+        }
     if config.save_sdf:
         files["sdf"] = f"sdf.{IMAGE_FORMATS[labels].distances or labels}"
     if config.has_ids:
@@ -75,7 +85,9 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
     files |= {f"also-{name}": ending_of(name) for name in config.also if name != labels}
     if labels in ("nii", "nii.gz") and (config.name or config.color or config.label_table):
         files["also-itk-snap"] = ending_of("itk-snap")  # which ITK-SNAP reads beside a NIfTI
-    files |= {f"rest{number}": f"rest{number}_seg.{labels}" for number in range(1, MAX_PLATEAUS + 1)}
+    files |= {
+        f"rest{number}": f"rest{number}_seg.{labels}" for number in range(1, MAX_PLATEAUS + 1)
+    }
     files |= {"trace": "trace.csv", "preview": "preview.png"}
     return files | {"statistics": "statistics.csv", "statistics-json": "statistics.json"}
 
@@ -117,7 +129,11 @@ def check_outputs(config: RunConfig, labels: str, geometry: Geometry) -> None:
     is_2d = geometry.slice_axis is not None
     shape: Shape = "contour" if is_2d else "surface"
     possible = mesh_formats(shape)
-    image = "an image of one slice, whose contours are written" if is_2d else "a volume, whose surface is written"
+    image = (
+        "an image of one slice, whose contours are written"
+        if is_2d
+        else "a volume, whose surface is written"
+    )
     for kind in () if config.mesh == "auto" else config.mesh:
         if kind not in possible:
             raise UsageError(
@@ -126,7 +142,9 @@ def check_outputs(config: RunConfig, labels: str, geometry: Geometry) -> None:
             )
     for key in ("mesh_smooth", "mesh_faces", "mesh_error"):
         if is_2d and getattr(config, key):
-            raise UsageError(f"{key}: it was given for {image}", "leave it out: contours are written as they are")
+            raise UsageError(
+                f"{key}: it was given for {image}", "leave it out: contours are written as they are"
+            )
     if IMAGE_FORMATS[labels].only_2d and geometry.shape[0] > 1:
         raise UsageError(
             f"format: {labels} was given for {geometry.shape[0]} slices along z, expected one",
@@ -156,6 +174,8 @@ def existing(folder: Path, names: Mapping[str, str]) -> list[Path]:
         Name of the file by kind, as of a run of one object.
     """
     parts = [names[kind].rpartition(".") for kind in names if kind.startswith(EACH)]
-    known = re.compile("|".join(rf"{re.escape(stem)}_[1-9][0-9]*\.{suffix}" for stem, _, suffix in parts))
+    known = re.compile(
+        "|".join(rf"{re.escape(stem)}_[1-9][0-9]*\.{suffix}" for stem, _, suffix in parts)
+    )
     files = folder.iterdir() if folder.is_dir() else ()
     return sorted(path for path in files if known.fullmatch(path.name))

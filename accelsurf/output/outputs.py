@@ -89,8 +89,15 @@ def write_result(
         writers.append(("sdf", names["sdf"], distance))
     writers += [*_table_writers(result, names, content)]
     if result.state is not None and image is not None and has_surface:
-        contents = {"state": lambda: state_bytes(result, image), "config": lambda: result.config.to_toml().encode()}
-        writers += [(kind, names[kind], _writer(content)) for kind, content in contents.items() if kind in names]
+        contents = {
+            "state": lambda: state_bytes(result, image),
+            "config": lambda: result.config.to_toml().encode(),
+        }
+        writers += [
+            (kind, names[kind], _writer(content))
+            for kind, content in contents.items()
+            if kind in names
+        ]
     for kind, name, write in writers:
         began = time.perf_counter()
         write(folder / name)
@@ -111,7 +118,9 @@ def _write_labels(result: Result, labels: NDArray[Any], path: Path) -> None:
     """Write labels on the image's grid; of a result in a window they are 0 beyond it."""
     volume, window = result.labels_volume().with_array(labels), result.window
     if is_named(result.config):
-        volume.metadata[LABELS_KEY] = table_of(result.config).of(segmented.id for segmented in result.objects).to_json()
+        volume.metadata[LABELS_KEY] = (
+            table_of(result.config).of(segmented.id for segmented in result.objects).to_json()
+        )
     if window is None:
         io.write_labels(volume, path)
         return
@@ -131,7 +140,11 @@ def _label_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]
     for kind in (kind for kind in names if kind.startswith("also-")):
         name = kind.partition("-")[2]
         if name in LABEL_OUTPUTS:
-            yield name, names[kind], functools.partial(load(LABEL_OUTPUTS[name].write), result, table)
+            yield (
+                name,
+                names[kind],
+                functools.partial(load(LABEL_OUTPUTS[name].write), result, table),
+            )
         else:
             yield "labels", names[kind], functools.partial(_write_labels, result, result.labels)
 
@@ -147,7 +160,11 @@ def _plateau_writers(result: Result, names: Mapping[str, str]) -> Iterator[Write
 def _write_plateau(result: Result, number: int, path: Path) -> None:
     labels = np.zeros_like(result.labels)
     for segmented in result.objects:
-        inside = segmented.labels if len(segmented.plateaus) < number else segmented.plateaus[number - 1].labels
+        inside = (
+            segmented.labels
+            if len(segmented.plateaus) < number
+            else segmented.plateaus[number - 1].labels
+        )
         part = labels[segmented.box]
         part[(inside > 0) & (part == 0)] = segmented.id
     _write_labels(result, labels, path)
@@ -167,29 +184,39 @@ def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) ->
         mesh, statistics = segmented.contours if is_2d else segmented.surface, None
         if not is_2d and is_shaped(result.config):
             mesh, statistics, warnings = shaped(segmented.surface, result.config)
-            notes.warn(f"object {segmented.id}: {line}" if result.has_ids else line for line in warnings)
+            notes.warn(
+                f"object {segmented.id}: {line}" if result.has_ids else line for line in warnings
+            )
         for kind in kinds:
-            name = output_names.name_of(names[kind], segmented.id) if result.has_ids else names[kind]
+            name = (
+                output_names.name_of(names[kind], segmented.id) if result.has_ids else names[kind]
+            )
             if statistics is not None:
                 notes.statistics[name] = statistics
             yield kind.partition("-")[0], name, functools.partial(_write_mesh, mesh, space, label)
 
 
-def _write_mesh(mesh: Surface | Contours, space: Literal["lps", "ras"], label: LabelEntry | None, path: Path) -> None:
+def _write_mesh(
+    mesh: Surface | Contours, space: Literal["lps", "ras"], label: LabelEntry | None, path: Path
+) -> None:
     if isinstance(mesh, Contours):
         mesh.write(path, space)
     else:
         mesh.write(path, space, label)
 
 
-def _table_writers(result: Result, names: Mapping[str, str], content: PreviewContent) -> Iterator[Writer]:
+def _table_writers(
+    result: Result, names: Mapping[str, str], content: PreviewContent
+) -> Iterator[Writer]:
     """The writers of the tables and of the picture."""
     if "objects" in names and result.has_ids:
         rows = describe_objects(result)
         yield "objects", names["objects"], _writer(lambda: tables.objects_csv(rows).encode())
     if "trace" in names:
         if result.has_ids:
-            text = tables.objects_trace_csv({segmented.id: segmented.history for segmented in result.objects})
+            text = tables.objects_trace_csv(
+                {segmented.id: segmented.history for segmented in result.objects}
+            )
         else:
             text = tables.trace_csv(result.history)
         yield "trace", names["trace"], _writer(text.encode)
@@ -197,8 +224,16 @@ def _table_writers(result: Result, names: Mapping[str, str], content: PreviewCon
         yield "preview", names["preview"], _writer(lambda: preview.preview_png(content))
     if "statistics" in names and _has_surface(result):
         figures = tables.rows_of(result, table_of(result.config))
-        yield "statistics", names["statistics"], _writer(tables.statistics_csv(figures, result).encode)
-        yield "statistics", names["statistics-json"], _writer(tables.statistics_json(figures, result).encode)
+        yield (
+            "statistics",
+            names["statistics"],
+            _writer(tables.statistics_csv(figures, result).encode),
+        )
+        yield (
+            "statistics",
+            names["statistics-json"],
+            _writer(tables.statistics_json(figures, result).encode),
+        )
 
 
 def outcome_title(name: str, result: Result) -> str:
@@ -207,7 +242,11 @@ def outcome_title(name: str, result: Result) -> str:
     if result.enclosed_mm2 is not None:
         size = size_text(result.enclosed_mm2, unit, 2, digits=4)
     else:
-        size = volume_text(result.volume_mm3) if unit == "mm" else size_text(result.volume_mm3, unit, 3, digits=4)
+        size = (
+            volume_text(result.volume_mm3)
+            if unit == "mm"
+            else size_text(result.volume_mm3, unit, 3, digits=4)
+        )
     return f"{name}: {size}, {result.resolved_settings['flow']} flow, {result.stop.steps} steps, {result.stop.reason}"
 
 
@@ -237,7 +276,9 @@ def preview_content(result: Result, title: str) -> PreviewContent:
         window=parse_window(result.config.window),
         unit=result.volume.metadata.get(UNIT_KEY, "mm"),
         labels=given_labels(result.config),
-        clicks=marks_of(result.clicks.clicks if result.clicks is not None else (), result.geometry.spacing),
+        clicks=marks_of(
+            result.clicks.clicks if result.clicks is not None else (), result.geometry.spacing
+        ),
     )
 
 
@@ -255,7 +296,11 @@ def _next_clicks(result: Result) -> list[tuple[float, float, float]]:
 def _object_shapes(result: Result) -> tuple[ObjectShape, ...]:
     """Return the parts of each of several objects that are drawn."""
     is_2d = result.geometry.slice_axis is not None
-    counts = (0 if is_2d or not found.has_surface else len(found.surface.vertices) for found in result.objects)
+    counts = (
+        0 if is_2d or not found.has_surface else len(found.surface.vertices)
+        for found in result.objects
+    )
     return tuple(
-        ObjectShape(found.id, found.box, found.psi, count) for found, count in zip(result.objects, counts, strict=True)
+        ObjectShape(found.id, found.box, found.psi, count)
+        for found, count in zip(result.objects, counts, strict=True)
     )

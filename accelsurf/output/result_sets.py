@@ -22,7 +22,8 @@ FAILED = "_failed"
 #: What follows the name of a case in the names of its files.
 _KINDS = re.compile(
     r"(seg|labels|segmentation|labelmap|rtstruct|dseg|rest\d+_seg|sdf|surface|contour|objects|state|run|trace|preview|"
-    r"statistics|report|case|tracks|curves|surfaces|geff|res|movie|film)([._].*)?", re.IGNORECASE
+    r"statistics|report|case|tracks|curves|surfaces|geff|res|movie|film)([._].*)?",
+    re.IGNORECASE,
 )
 #: Settings that change nothing of what a run leaves, and those that it may set itself.
 _WITHOUT_EFFECT, _OPEN = ("threads", "checkpoint"), ("seed", "energy")
@@ -47,7 +48,9 @@ def is_output(path: Path) -> bool:
     >>> is_output(Path("absent_RES"))
     False
     """
-    return is_stored(path) or any((path / form.mark).is_file() for form in TRACK_FORMATS.values() if form.mark)
+    return is_stored(path) or any(
+        (path / form.mark).is_file() for form in TRACK_FORMATS.values() if form.mark
+    )
 
 
 def load_report(path: Path) -> dict[str, Any] | None:
@@ -57,7 +60,9 @@ def load_report(path: Path) -> dict[str, Any] | None:
     except InputError:
         return None
     kinds = {"status": str, "outputs": list, "exit_code": int}
-    if not isinstance(document, dict) or not all(isinstance(document.get(key), kind) for key, kind in kinds.items()):
+    if not isinstance(document, dict) or not all(
+        isinstance(document.get(key), kind) for key, kind in kinds.items()
+    ):
         return None
     return document
 
@@ -71,9 +76,17 @@ def is_failure_report(path: Path) -> bool:
 def state_of(report: Path) -> tuple[str, str, str] | None:
     """Return name and checksum of the state that a report lists, and the path of the image; None without one."""
     document = load_report(report)
-    if document is None or document["status"] == "failed" or not isinstance(document.get("input"), dict):
+    if (
+        document is None
+        or document["status"] == "failed"
+        or not isinstance(document.get("input"), dict)
+    ):
         return None
-    listed = [entry for entry in document["outputs"] if isinstance(entry, dict) and entry.get("kind") == "state"]
+    listed = [
+        entry
+        for entry in document["outputs"]
+        if isinstance(entry, dict) and entry.get("kind") == "state"
+    ]
     found, image = _entries(listed), document["input"].get("path")
     return (*found[0], image) if found and isinstance(image, str) else None
 
@@ -87,15 +100,23 @@ def is_of(document: Mapping[str, Any], config: RunConfig | TrackConfig, image: P
         When it cannot be read.
     """
     source = document.get("input")
-    known = source.get("sha256") if isinstance(source, dict) else None  # none of an image that was read in parts
-    fits = had_track_settings(document, config) if isinstance(config, TrackConfig) else had_settings(document, config)
+    known = (
+        source.get("sha256") if isinstance(source, dict) else None
+    )  # none of an image that was read in parts
+    fits = (
+        had_track_settings(document, config)
+        if isinstance(config, TrackConfig)
+        else had_settings(document, config)
+    )
     return known is not None and fits and known == sha256(image)
 
 
 def had_track_settings(document: Mapping[str, Any], config: TrackConfig) -> bool:
     """Return whether a report is of a tracking with these settings; a seed that is not given may be any."""
     written = document.get("config")
-    if not isinstance(written, dict) or not had_settings({"config": written.get("run")}, config.run):
+    if not isinstance(written, dict) or not had_settings(
+        {"config": written.get("run")}, config.run
+    ):
         return False
     defaults = {key: _plain(field.default) for key, field in TrackFields.model_fields.items()}
     wanted = config.model_dump(mode="json", exclude={"run"})
@@ -114,8 +135,14 @@ def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
     corrections = wanted.pop("refine")
     free = {*_WITHOUT_EFFECT, *(key for key in _OPEN if key not in config.model_fields_set)}
     refined = written.get("refine") or []
-    return isinstance(refined, list) and refined[: len(corrections)] == corrections and all(
-        written.get(key, _default(key)) == value for key, value in wanted.items() if key not in free
+    return (
+        isinstance(refined, list)
+        and refined[: len(corrections)] == corrections
+        and all(
+            written.get(key, _default(key)) == value
+            for key, value in wanted.items()
+            if key not in free
+        )
     )
 
 
@@ -133,7 +160,9 @@ def names_of_outputs(report: Path) -> dict[str, str]:
     """Return the names of the files that a report lists, by kind; of several of a kind the last."""
     document = load_report(report)
     listed = document["outputs"] if document is not None else ()
-    named = [(str(entry.get("kind")), _entries([entry])) for entry in listed if isinstance(entry, dict)]
+    named = [
+        (str(entry.get("kind")), _entries([entry])) for entry in listed if isinstance(entry, dict)
+    ]
     return {kind: found[0][0] for kind, found in named if found}
 
 
@@ -155,7 +184,12 @@ def unchanged_outputs(report: Path, besides: Collection[str]) -> list[str]:
     for name, checksum in _entries(document["outputs"] if document is not None else ()):
         path = report.parent / name
         try:
-            if name in besides or not is_named_as_output(name, case) or not is_output(path) or has_guests(path):
+            if (
+                name in besides
+                or not is_named_as_output(name, case)
+                or not is_output(path)
+                or has_guests(path)
+            ):
                 continue
             if sha256(path) == checksum:
                 found.append(name)
@@ -169,7 +203,11 @@ def outdated_inputs(report: Path, inputs: InputFiles) -> list[Path]:
     document = load_report(report)
     listed = [name for name, _ in _entries(document["outputs"] if document is not None else ())]
     others = {name for name in listed if inputs.at(report.parent / name) is None}
-    return [report.parent / name for name in unchanged_outputs(report, others)] if others < {*listed} else []
+    return (
+        [report.parent / name for name in unchanged_outputs(report, others)]
+        if others < {*listed}
+        else []
+    )
 
 
 def unfinished_alone(report: Path, planned: Iterable[Path]) -> bool:
@@ -196,7 +234,9 @@ def is_named_as_output(name: str, case: str) -> bool:
         if name.startswith(begin):
             return _KINDS.fullmatch(name[len(begin) :]) is not None
     stem, suffix = split_name(name)  # of the layouts, see `accelsurf.output.layouts`
-    return "_seg-accelsurf_" in name or (bool(suffix) and stem in (case, re.sub(r"_\d{4}$", "", case)))
+    return "_seg-accelsurf_" in name or (
+        bool(suffix) and stem in (case, re.sub(r"_\d{4}$", "", case))
+    )
 
 
 def has_guests(path: Path) -> bool:
@@ -217,7 +257,11 @@ def result_stands(folder: Path, name: str, planned: Iterable[Path]) -> bool:
     """
     report = folder / report_name(name)
     document = load_report(report) if is_failure_report(report) else None
-    replaced = {report.name, *(name for name, _ in _entries(document["outputs"]))} if document is not None else set()
+    replaced = (
+        {report.name, *(name for name, _ in _entries(document["outputs"]))}
+        if document is not None
+        else set()
+    )
     there = [path for path in {*planned, report} if os.path.lexists(path)]
     return any(path.name not in replaced for path in there)
 
@@ -239,10 +283,14 @@ def outdated(
     overwrite : bool
         Whether files of an earlier result may go; else only reports, and what is named as of a failed run.
     """
-    reports = [folder / report_name(name)] if load_report(folder / report_name(name)) is not None else []
+    reports = (
+        [folder / report_name(name)] if load_report(folder / report_name(name)) is not None else []
+    )
     if not failed and is_failure_report(folder / report_name(name + FAILED)):
         reports.append(folder / report_name(name + FAILED))
-    gone = [file for report in reports for file in (*unchanged_outputs(report, written), report.name)]
+    gone = [
+        file for report in reports for file in (*unchanged_outputs(report, written), report.name)
+    ]
     if not overwrite:
         failures = f"{name.removesuffix(FAILED)}{FAILED}_", report_name(name)
         gone = [file for file in gone if file.startswith(failures)]
@@ -253,7 +301,11 @@ def _entries(outputs: Any) -> list[tuple[str, str]]:
     """Name and checksum of each file; a report may have been moved with its folder, so the folder does not count."""
     found = []
     for entry in outputs if isinstance(outputs, list) else ():
-        if isinstance(entry, dict) and isinstance(entry.get("path"), str) and isinstance(entry.get("sha256"), str):
+        if (
+            isinstance(entry, dict)
+            and isinstance(entry.get("path"), str)
+            and isinstance(entry.get("sha256"), str)
+        ):
             name = entry["path"].replace("\\", "/").rpartition("/")[2]
             if name not in ("", ".", ".."):
                 found.append((name, entry["sha256"]))

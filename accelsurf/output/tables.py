@@ -31,19 +31,27 @@ def trace_csv(history: Iterable[StepRecord]) -> str:
     history : iterable of StepRecord
         One record per step. True is 1.
     """
-    return csv_text(tuple(TRACE_COLUMNS), (tuple(row_values(record).values()) for record in history))
+    return csv_text(
+        tuple(TRACE_COLUMNS), (tuple(row_values(record).values()) for record in history)
+    )
 
 
 def objects_trace_csv(histories: Mapping[int, Iterable[StepRecord]]) -> str:
     """Return the trace of several objects, one after the other: as `trace_csv`, after a column ``object``."""
-    rows = ((object_id, *row_values(record).values()) for object_id, history in histories.items() for record in history)
+    rows = (
+        (object_id, *row_values(record).values())
+        for object_id, history in histories.items()
+        for record in history
+    )
     return csv_text(("object", *TRACE_COLUMNS), rows)
 
 
 def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
     """Return a table of several objects, one row each, from `describe_objects`; missing values are empty."""
     # What a run cost is not the same after it was taken up again.
-    plain = [key for key in objects[0] if key not in ("centroid", "quality", "message", "cells_visited")]
+    plain = [
+        key for key in objects[0] if key not in ("centroid", "quality", "message", "cells_visited")
+    ]
     known: Mapping[str, Any] = next((row["quality"] for row in objects if row["quality"]), {})
     measures = [key for key in known if key != "warnings"]
     rows = []
@@ -51,7 +59,14 @@ def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
         quality = row["quality"] or {}
         place = row["centroid"] or (None, None, None)
         warnings = "; ".join(quality.get("warnings", ()))
-        rows.append([*(row[key] for key in plain), *place, *(quality.get(key) for key in measures), warnings])
+        rows.append(
+            [
+                *(row[key] for key in plain),
+                *place,
+                *(quality.get(key) for key in measures),
+                warnings,
+            ]
+        )
     return csv_text((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
 
 
@@ -66,7 +81,13 @@ def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 def _cell(value: Any) -> Any:
     value = value.item() if isinstance(value, np.generic) else value
-    return int(value) if isinstance(value, bool) else repr(value) if isinstance(value, float) else value
+    return (
+        int(value)
+        if isinstance(value, bool)
+        else repr(value)
+        if isinstance(value, float)
+        else value
+    )
 
 
 def rows_of(result: Result, table: LabelTable, with_quality: bool = True) -> list[dict[str, Any]]:
@@ -86,13 +107,22 @@ def rows_of(result: Result, table: LabelTable, with_quality: bool = True) -> lis
             continue
         values = result.volume.array[segmented.box] if result.has_ids else result.volume.array
         quality = {key: getattr(segmented.quality, key) for key in _QUALITY} if with_quality else {}
-        rows.append({"id": segmented.id, "name": table[segmented.id].name, **statistics(segmented, values), **quality})
+        rows.append(
+            {
+                "id": segmented.id,
+                "name": table[segmented.id].name,
+                **statistics(segmented, values),
+                **quality,
+            }
+        )
     return rows
 
 
 def statistics_json(rows: Sequence[Mapping[str, Any]], result: Result) -> str:
     """Return the figures as JSON, with the unit of the image's values."""
-    return to_json({"unit": result.volume.metadata.get(VALUE_UNIT_KEY), "objects": list(rows)}) + "\n"
+    return (
+        to_json({"unit": result.volume.metadata.get(VALUE_UNIT_KEY), "objects": list(rows)}) + "\n"
+    )
 
 
 def statistics_csv(rows: Sequence[Mapping[str, Any]], result: Result) -> str:
@@ -115,7 +145,9 @@ def _flat(row: Mapping[str, Any], unit: str | None) -> dict[str, Any]:
             flat["warnings"] = "; ".join(value)
         elif key == "axes_directions":
             for n, direction in enumerate(value, 1):
-                flat |= {f"axis{n}_{axis}": part for axis, part in zip("xyz", direction, strict=True)}
+                flat |= {
+                    f"axis{n}_{axis}": part for axis, part in zip("xyz", direction, strict=True)
+                }
         elif key == "axes_mm":
             flat |= {f"axis{n}_mm": part for n, part in enumerate(value, 1)}
         elif isinstance(value, list):

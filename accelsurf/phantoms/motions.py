@@ -27,7 +27,15 @@ from accelsurf.phantoms.recipes import MAX_VOXELS, Count, NotNegative, Positive,
 
 Floats = NDArray[np.float64]
 Motion = Literal[
-    "translation", "acceleration", "rotation", "deformation", "beat", "division", "passing", "bounce", "return"
+    "translation",
+    "acceleration",
+    "rotation",
+    "deformation",
+    "beat",
+    "division",
+    "passing",
+    "bounce",
+    "return",
 ]
 #: Sample points of a voxel along each axis.
 SAMPLES = 3
@@ -136,7 +144,9 @@ class MotionRecipe(SequenceRecipe):
     @model_validator(mode="after")
     def _checked(self) -> MotionRecipe:
         if self.contrast == 0.0:
-            raise ValueError("contrast 0 given, another number expected (there would be nothing to see)")
+            raise ValueError(
+                "contrast 0 given, another number expected (there would be nothing to see)"
+            )
         if not any(self.direction):
             raise ValueError("direction 0, 0, 0 given, one that points somewhere expected")
         if beyond := [frame for frame in self.empty if frame >= self.frames]:
@@ -197,7 +207,13 @@ def _deformation(recipe: MotionRecipe, time: float) -> list[Body]:
     # A stretch along x that leaves the volume (of a disc, the area) as it is.
     stretch = STRETCH ** (2.0 * time / (recipe.frames - 1) - 1.0)
     across = stretch ** (-1.0 if recipe.is_flat else -0.5)
-    return [Body(1, np.zeros(3), recipe.radius * np.diag([stretch, across, 1.0 if recipe.is_flat else across]))]
+    return [
+        Body(
+            1,
+            np.zeros(3),
+            recipe.radius * np.diag([stretch, across, 1.0 if recipe.is_flat else across]),
+        )
+    ]
 
 
 def _beat(recipe: MotionRecipe, time: float) -> list[Body]:
@@ -218,7 +234,11 @@ def _division(recipe: MotionRecipe, time: float) -> list[Body]:
 
 def _passing(recipe: MotionRecipe, time: float) -> list[Body]:
     along = recipe.way * recipe.step * _since_middle(recipe, time)
-    beside = np.cross(recipe.way, [0.0, 0.0, 1.0]) if abs(recipe.way[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    beside = (
+        np.cross(recipe.way, [0.0, 0.0, 1.0])
+        if abs(recipe.way[2]) < 0.9
+        else np.array([0.0, 1.0, 0.0])
+    )
     beside = beside / np.linalg.norm(beside) * (recipe.radius + 0.5 * GAP * max(recipe.spacing))
     return [_ball(recipe, along + beside, 1), _ball(recipe, -along - beside, 2)]
 
@@ -238,9 +258,16 @@ def _return(recipe: MotionRecipe, time: float) -> list[Body]:
 
 
 _MOTIONS: dict[str, Callable[[MotionRecipe, float], list[Body]]] = {
-    "translation": _translation, "acceleration": _acceleration, "rotation": _rotation, "deformation": _deformation,
-    "beat": _beat, "division": _division, "passing": _passing, "bounce": _bounce, "return": _return,
-}  # fmt: skip
+    "translation": _translation,
+    "acceleration": _acceleration,
+    "rotation": _rotation,
+    "deformation": _deformation,
+    "beat": _beat,
+    "division": _division,
+    "passing": _passing,
+    "bounce": _bounce,
+    "return": _return,
+}
 assert set(_MOTIONS) == set(get_args(Motion))
 
 
@@ -297,7 +324,9 @@ class MovingPhantom(ImageSequence):
                 shown = number not in self.recipe.empty and bool((labels == body.id).any())
                 x, y, z = (float(v) for v in body.center)
                 parent = 1 if body.id > 1 and self.recipe.motion == "division" else 0
-                rows.append(TruthRow(number, time, body.id, parent, (x, y, z), self._volume(body), shown))
+                rows.append(
+                    TruthRow(number, time, body.id, parent, (x, y, z), self._volume(body), shown)
+                )
         return rows
 
     def _volume(self, body: Body) -> float:
@@ -343,7 +372,9 @@ class MovingPhantom(ImageSequence):
     def _size(body: Body, axes: tuple[Floats, ...]) -> Floats:
         """Square of the size, 1 for the body itself, of the body's like that goes through points x, y, z."""
         x, y, z = axes
-        return np.asarray(sum((a * x + b * y + c * z) ** 2 for a, b, c in np.linalg.inv(body.matrix)))
+        return np.asarray(
+            sum((a * x + b * y + c * z) ** 2 for a, b, c in np.linalg.inv(body.matrix))
+        )
 
 
 def motion_from(values: Mapping[str, Any], where: str = "recipe") -> MotionRecipe:

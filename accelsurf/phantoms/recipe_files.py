@@ -62,8 +62,14 @@ def read_recipe(recipe: str | Path) -> tuple[Path, dict[str, Any]]:
     path, known = Path(recipe), [*recipe_names(), *sequence_names()]
     if path.suffix != ".toml" and path.name == str(recipe) and not path.is_file():
         if str(recipe) not in known:
-            raise UsageError(f"no recipe is called {str(recipe)!r}", hint=f"there are: {', '.join(known)}")
-        path = recipe_folder() / ("" if str(recipe) in recipe_names() else SEQUENCES) / f"{recipe}.toml"
+            raise UsageError(
+                f"no recipe is called {str(recipe)!r}", hint=f"there are: {', '.join(known)}"
+            )
+        path = (
+            recipe_folder()
+            / ("" if str(recipe) in recipe_names() else SEQUENCES)
+            / f"{recipe}.toml"
+        )
     check_readable(path, f"{path}: the recipe: ")
     try:
         with path.open("rb") as file:
@@ -85,7 +91,9 @@ def checked(kind: type[Kind], values: Mapping[str, Any], where: str) -> Kind:
     try:
         return kind(**values)
     except ValidationError as error:
-        raise UsageError(*_message_and_hint(error.errors()[0], where, list(kind.model_fields))) from None
+        raise UsageError(
+            *_message_and_hint(error.errors()[0], where, list(kind.model_fields))
+        ) from None
 
 
 def _message_and_hint(problem: Any, where: str, keys: list[str]) -> tuple[str, str]:
@@ -99,4 +107,7 @@ def _message_and_hint(problem: Any, where: str, keys: list[str]) -> tuple[str, s
         return f"{where}: {key} is missing", ""
     if not key:
         return f"{where}: {problem['msg'].removeprefix('Value error, ')}", ""
-    return f"{where}: {key} = {problem['input']!r} given; {problem['msg'][0].lower()}{problem['msg'][1:]}", ""
+    return (
+        f"{where}: {key} = {problem['input']!r} given; {problem['msg'][0].lower()}{problem['msg'][1:]}",
+        "",
+    )

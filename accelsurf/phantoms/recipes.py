@@ -116,13 +116,19 @@ class Recipe(BaseModel):
     def _checked(self) -> Recipe:
         known = inspect.signature(SOLIDS[self.kind]).parameters
         foreign = sorted(key for key in _OBJECT_KEYS - set(known) if getattr(self, key) is not None)
-        missing = [key for key, p in known.items() if p.default is p.empty and getattr(self, key) is None]
+        missing = [
+            key for key, p in known.items() if p.default is p.empty and getattr(self, key) is None
+        ]
         if foreign:
-            raise ValueError(f"{foreign[0]} does not apply to a {self.kind}, which has {', '.join(known)}")
+            raise ValueError(
+                f"{foreign[0]} does not apply to a {self.kind}, which has {', '.join(known)}"
+            )
         if missing:
             raise ValueError(f"{missing[0]} is missing; a {self.kind} has {', '.join(known)}")
         if self.contrast == 0.0:
-            raise ValueError("contrast 0 given, another number expected (there would be nothing to see)")
+            raise ValueError(
+                "contrast 0 given, another number expected (there would be nothing to see)"
+            )
         if math.prod(self.shape) > MAX_VOXELS:
             raise ValueError(f"shape {self.shape} given, at most {MAX_VOXELS} voxels expected")
         _ = self.solid  # its own checks
@@ -132,7 +138,9 @@ class Recipe(BaseModel):
     def solid(self) -> Solid:
         """The object, around its own middle."""
         keys = inspect.signature(SOLIDS[self.kind]).parameters
-        return SOLIDS[self.kind](**{key: getattr(self, key) for key in keys if getattr(self, key) is not None})
+        return SOLIDS[self.kind](
+            **{key: getattr(self, key) for key in keys if getattr(self, key) is not None}
+        )
 
     @property
     def geometry(self) -> Geometry:
@@ -201,13 +209,16 @@ def make(recipe: Recipe) -> Phantom:
             _antialias(image[planes], distance, points, recipe)
     if not truth.any():
         raise UsageError(
-            f"{recipe.name}: no voxel centre lies inside the object", hint="move it by center, or make it larger"
+            f"{recipe.name}: no voxel centre lies inside the object",
+            hint="move it by center, or make it larger",
         )
     image *= recipe.contrast
     image += recipe.background
     image = _degraded(image, recipe)
     half_volume = np.array(recipe.shape) * np.array(recipe.spacing) / 2
-    whole = bool((np.abs(recipe.center) + np.array(solid.half_extent) <= half_volume * (1 + 1e-9)).all())
+    whole = bool(
+        (np.abs(recipe.center) + np.array(solid.half_extent) <= half_volume * (1 + 1e-9)).all()
+    )
     return Phantom(
         image=Volume(image, geometry),
         truth=Volume(truth, geometry),
@@ -267,7 +278,9 @@ def _voxel_centres(recipe: Recipe) -> Iterator[tuple[slice, tuple[Floats, Floats
         yield planes, (x.reshape(1, 1, -1), y.reshape(1, -1, 1), z[planes].reshape(-1, 1, 1))
 
 
-def _antialias(image: NDArray[np.float32], distance: Floats, points: tuple[Floats, ...], recipe: Recipe) -> None:
+def _antialias(
+    image: NDArray[np.float32], distance: Floats, points: tuple[Floats, ...], recipe: Recipe
+) -> None:
     """Write the volume fraction inside of voxels that the surface may pass, from 4 x 4 x 4 sample points."""
     spacing = np.array(recipe.spacing)
     k, j, i = np.nonzero(np.abs(distance) < np.linalg.norm(spacing) / 2)
@@ -286,9 +299,12 @@ def _degraded(image: NDArray[np.float32], recipe: Recipe) -> NDArray[np.float32]
         image = gaussian_mm(image, recipe.spacing[::-1], recipe.blur)
     if recipe.bias:
         # Its own stream: the same noise with and without a bias field.
-        phases = np.random.Generator(np.random.PCG64([recipe.seed, 1])).uniform(0.0, 2.0 * math.pi, 3)
+        phases = np.random.Generator(np.random.PCG64([recipe.seed, 1])).uniform(
+            0.0, 2.0 * math.pi, 3
+        )
         x, y, z = (
-            np.sin(math.pi * (np.arange(n) + 0.5) / n + phase) for n, phase in zip(recipe.shape, phases, strict=True)
+            np.sin(math.pi * (np.arange(n) + 0.5) / n + phase)
+            for n, phase in zip(recipe.shape, phases, strict=True)
         )
         field = (x.reshape(1, 1, -1) + y.reshape(1, -1, 1) + z.reshape(-1, 1, 1)) / 3
         image *= (1.0 + recipe.bias * field).astype(np.float32)

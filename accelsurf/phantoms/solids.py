@@ -180,21 +180,35 @@ class Vessel(Solid):
 
     def __post_init__(self) -> None:
         if any(a - b >= np.linalg.norm(q - p) for p, q, a, b in self._tubes):
-            raise ValueError(f"length {self.length:g} given, more expected: a tube tapers to nothing within its start")
+            raise ValueError(
+                f"length {self.length:g} given, more expected: a tube tapers to nothing within its start"
+            )
 
     @cached_property
     def _tubes(self) -> list[tuple[Floats, Floats, float, float]]:
         """(start, end, start radius, end radius) of each, placed so that the box around all is centred."""
-        random = None if self.tree_seed is None else np.random.Generator(np.random.PCG64(self.tree_seed))
+        random = (
+            None if self.tree_seed is None else np.random.Generator(np.random.PCG64(self.tree_seed))
+        )
         grown: list[tuple[Floats, Floats, float, float]] = []
-        tips = [(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), self.radius, self.length)]
+        tips = [
+            (
+                np.zeros(3),
+                np.array([0.0, 0.0, 1.0]),
+                np.array([1.0, 0.0, 0.0]),
+                self.radius,
+                self.length,
+            )
+        ]
         for _ in range(self.levels):
             forked = []
             for start, along, aside, radius, length in tips:
                 end, thin = start + length * along, radius * self.taper
                 grown.append((start, end, radius, thin))
                 for sign in (-1.0, 1.0):
-                    turn, stretch, roll = (1.0, 1.0, 0.0) if random is None else random.uniform(*_TREE_SPREAD)
+                    turn, stretch, roll = (
+                        (1.0, 1.0, 0.0) if random is None else random.uniform(*_TREE_SPREAD)
+                    )
                     bend = sign * turn * math.radians(self.angle)
                     out = math.cos(bend) * along + math.sin(bend) * aside
                     side = np.cross(along, aside)

@@ -85,7 +85,9 @@ class TissueRecipe(SequenceRecipe):
     @model_validator(mode="after")
     def _checked(self) -> TissueRecipe:
         if self.thickness + self.amplitude >= self.radius:
-            raise ValueError("thickness and amplitude given, together less than the radius expected")
+            raise ValueError(
+                "thickness and amplitude given, together less than the radius expected"
+            )
         return self
 
     def material(self, time: float) -> Material:
@@ -111,8 +113,15 @@ def _shell(recipe: TissueRecipe, now: Floats, time: float) -> Material:
     place = scaled * (at_rest / np.maximum(radius, 1e-9))
     angle = TWIST * part * place[2] / recipe.radius
     cos, sin = np.cos(angle), np.sin(angle)
-    place = np.stack((cos * place[0] + sin * place[1], cos * place[1] - sin * place[0], place[2])) * axes
-    wall = (at_rest > inner) & (at_rest <= recipe.radius) & (place[2] < SHELL_OPEN * axes[2] * recipe.radius)
+    place = (
+        np.stack((cos * place[0] + sin * place[1], cos * place[1] - sin * place[0], place[2]))
+        * axes
+    )
+    wall = (
+        (at_rest > inner)
+        & (at_rest <= recipe.radius)
+        & (place[2] < SHELL_OPEN * axes[2] * recipe.radius)
+    )
     return Material(place, wall.astype(np.uint8), wall)
 
 
@@ -138,8 +147,10 @@ def _cell(recipe: TissueRecipe, now: Floats, time: float) -> Material:
 
 
 _TISSUES: dict[str, Callable[[TissueRecipe, Floats, float], Material]] = {
-    "shell": _shell, "wall": _wall, "cell": _cell,
-}  # fmt: skip
+    "shell": _shell,
+    "wall": _wall,
+    "cell": _cell,
+}
 assert set(_TISSUES) == set(get_args(Tissue))
 
 
@@ -158,18 +169,26 @@ class TissuePhantom(ImageSequence):
     def _channels(self, number: int) -> list[Volume]:
         recipe, material = self.recipe, self.recipe.material(number)
         strength = np.where(material.bright, recipe.inside, recipe.outside)
-        sigma = [recipe.grain / h if n > 1 else 0.0 for h, n in zip(self.geometry.spacing, strength.shape, strict=True)]
+        sigma = [
+            recipe.grain / h if n > 1 else 0.0
+            for h, n in zip(self.geometry.spacing, strength.shape, strict=True)
+        ]
         even = ndimage.gaussian_filter(strength, sigma, mode="nearest")
         values = (1.0 - recipe.speckle) * even
         if recipe.speckle:
             values = values + recipe.speckle * self._speckle(number, material, strength, sigma)
         return [Volume(values.astype(np.float32), self.geometry)]
 
-    def _speckle(self, number: int, material: Material, strength: Floats, sigma: list[float]) -> Floats:
+    def _speckle(
+        self, number: int, material: Material, strength: Floats, sigma: list[float]
+    ) -> Floats:
         """Magnitude of the blurred sum of scatterers, with the mean that it has without speckle."""
         recipe, shape = self.recipe, np.array(strength.shape)
         wide = np.where(shape > 1, shape + 2 * AROUND, 1)
-        lasting, new = (np.random.Generator(np.random.PCG64([recipe.seed, stream])) for stream in (0, 1 + number))
+        lasting, new = (
+            np.random.Generator(np.random.PCG64([recipe.seed, stream]))
+            for stream in (0, 1 + number)
+        )
         index = material.place[::-1] / np.array(self.geometry.spacing)[:, None, None, None]
         nearest = np.rint(index + ((wide - 1) / 2)[:, None, None, None]).astype(np.int64)
         nearest = np.clip(nearest, 0, (wide - 1)[:, None, None, None])
@@ -177,7 +196,9 @@ class TissuePhantom(ImageSequence):
         for _ in range(2):  # of the real and of the imaginary part
             moved = lasting.standard_normal(tuple(wide))[tuple(nearest)]
             fresh = new.standard_normal(tuple(shape))
-            field = strength * (math.sqrt(recipe.coherence) * moved + math.sqrt(1.0 - recipe.coherence) * fresh)
+            field = strength * (
+                math.sqrt(recipe.coherence) * moved + math.sqrt(1.0 - recipe.coherence) * fresh
+            )
             sums.append(ndimage.gaussian_filter(field, sigma, mode="nearest"))
         single = np.zeros(np.where(shape > 1, 2 * AROUND + 1, 1))
         single[tuple(np.array(single.shape) // 2)] = 1.0

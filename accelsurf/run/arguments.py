@@ -10,7 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.reading import click_of_mask, click_of_numbers, click_of_voxels, point_voxels, read_clicks
+from accelsurf.clicks.reading import (
+    click_of_mask,
+    click_of_numbers,
+    click_of_voxels,
+    point_voxels,
+    read_clicks,
+)
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
@@ -30,8 +36,13 @@ _EXPECTED = "a text, a mask (array or Volume), a mesh with vertices and faces, o
 
 def split_given(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Separate the options of `RunConfig` from those given as arrays, volumes, meshes or balls; a path is a text."""
-    options = {key: os.fspath(value) if isinstance(value, os.PathLike) else value for key, value in options.items()}
-    given = {key: value for key, value in options.items() if key in GIVEN_KINDS and not _is_text(value)}
+    options = {
+        key: os.fspath(value) if isinstance(value, os.PathLike) else value
+        for key, value in options.items()
+    }
+    given = {
+        key: value for key, value in options.items() if key in GIVEN_KINDS and not _is_text(value)
+    }
     return {key: value for key, value in options.items() if key not in given}, given
 
 
@@ -51,15 +62,21 @@ def given_arrays(
             given[f"object {surface.id}"] = surface.psi
             given[f"corner of object {surface.id}"] = np.array(surface.corner)
     elif objects is not None and not isinstance(objects, str):
-        given["objects"] = plain_array(objects.array if isinstance(objects, Volume) else objects, "objects")
+        given["objects"] = plain_array(
+            objects.array if isinstance(objects, Volume) else objects, "objects"
+        )
     if labels is not None and not isinstance(labels, str):
-        given["labels"] = plain_array(labels.array if isinstance(labels, Volume) else labels, "labels")
+        given["labels"] = plain_array(
+            labels.array if isinstance(labels, Volume) else labels, "labels"
+        )
     return given
 
 
 def surfaces_of(objects: Any) -> list[ObjectStart]:
     """First surfaces of several objects where they were given as such, in order of their ids; else none."""
-    if not isinstance(objects, (tuple, list)) or not all(isinstance(segmented, ObjectStart) for segmented in objects):
+    if not isinstance(objects, (tuple, list)) or not all(
+        isinstance(segmented, ObjectStart) for segmented in objects
+    ):
         return []
     return sorted(objects, key=lambda start: start.id)
 
@@ -90,7 +107,9 @@ def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
             raise InputError(f"{name}: the mesh: {error.message}", error.hint) from None
         inside = meshes.voxels_inside(geometry.world_to_index(points), triangles, geometry.shape)
         if not inside.any():
-            raise InputError(f"{name}: no voxel centre is inside the mesh", "its points are mm, LPS as ITK")
+            raise InputError(
+                f"{name}: no voxel centre is inside the mesh", "its points are mm, LPS as ITK"
+            )
         return starts.psi_of_mask(inside, geometry)
     value = from_library(value, name)
     if not isinstance(value, (Volume, np.ndarray)):
@@ -109,7 +128,10 @@ def _balls(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
         table = np.empty(0)
     table = table[np.newaxis] if table.ndim == 1 else table
     if table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
-        raise UsageError(f"{name}: a {type(value).__name__} was given, expected {_EXPECTED}", "see accelsurf.segment")
+        raise UsageError(
+            f"{name}: a {type(value).__name__} was given, expected {_EXPECTED}",
+            "see accelsurf.segment",
+        )
     texts = [f"ball:{x!r},{y!r},{z!r},{r!r}" for x, y, z, r in table.tolist()]
     return starts.build(texts, Volume(np.zeros(geometry.shape, np.uint8), geometry))
 
@@ -145,7 +167,8 @@ def given_clicks(side: Side, value: Any, volume: Volume) -> list[Click]:
     if numbers or not isinstance(value, (Sequence, np.ndarray)) or len(value) == 0:
         raise UsageError(
             f"{side}: a {type(value).__name__} was given, expected a text, a mask, a mesh, a point (x, y, z), a ball "
-            "(x, y, z, r), or a list of them", "see accelsurf.segment"
+            "(x, y, z, r), or a list of them",
+            "see accelsurf.segment",
         )
     return [click for item in value for click in given_clicks(side, item, volume)]
 
@@ -154,18 +177,27 @@ def _is_mask(value: Any, geometry: Geometry) -> bool:
     """Return True if an array is a mask, and no table of points or balls."""
     if not isinstance(value, np.ndarray) or value.ndim < 2:
         return False
-    return value.ndim != 2 or value.shape in (geometry.shape, geometry.shape[1:]) or value.shape[1] not in (3, 4)
+    return (
+        value.ndim != 2
+        or value.shape in (geometry.shape, geometry.shape[1:])
+        or value.shape[1] not in (3, 4)
+    )
 
 
 def _numbers_of(value: Any) -> tuple[float, ...]:
     """The numbers of a point or a ball; none where the value is something else."""
-    if not isinstance(value, (Sequence, np.ndarray)) or not all(isinstance(v, (Real, np.number)) for v in value):
+    if not isinstance(value, (Sequence, np.ndarray)) or not all(
+        isinstance(v, (Real, np.number)) for v in value
+    ):
         return ()
     return tuple(float(number) for number in value)
 
 
 def with_options(
-    config: RunConfig | None, energy: EnergyLike | None, options: dict[str, Any], clicked: bool = False
+    config: RunConfig | None,
+    energy: EnergyLike | None,
+    options: dict[str, Any],
+    clicked: bool = False,
 ) -> tuple[RunConfig, EnergyLike | None]:
     """The configuration, and the energy if it is not given by name; ``clicked``: voxels inside are given as arrays."""
     if isinstance(energy, str):

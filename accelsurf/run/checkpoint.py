@@ -39,9 +39,19 @@ from accelsurf.settings.wording import shown
 from accelsurf.version import __version__
 
 #: Settings that do not change the steps of a run so far, or change the outputs only.
-FREE = frozenset({
-    "threads", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "reproducible", "keep_state", "checkpoint",
-})
+FREE = frozenset(
+    {
+        "threads",
+        "max_steps",
+        "mesh",
+        "mesh_space",
+        "save_sdf",
+        "format",
+        "reproducible",
+        "keep_state",
+        "checkpoint",
+    }
+)
 _BEGIN = "begin anew without --resume, with --overwrite"
 
 
@@ -106,8 +116,24 @@ class CheckpointHeader(NamedTuple):
 TYPES: dict[str, type] = {
     kind.__name__: kind
     for kind in (
-        Checkpoint, CheckpointHeader, EnergyBudget, EnergyRates, FoundRest, GrowthState, Level, LevelSummary, LoopState,
-        LowestState, ObjectCheckpoint, RestWatch, RunCheckpoint, Slowest, Snapshot, StepFields, StepRecord, Stop,
+        Checkpoint,
+        CheckpointHeader,
+        EnergyBudget,
+        EnergyRates,
+        FoundRest,
+        GrowthState,
+        Level,
+        LevelSummary,
+        LoopState,
+        LowestState,
+        ObjectCheckpoint,
+        RestWatch,
+        RunCheckpoint,
+        Slowest,
+        Snapshot,
+        StepFields,
+        StepRecord,
+        Stop,
         SurfaceState,
     )
 }
@@ -140,8 +166,12 @@ def versions() -> dict[str, str]:
 
 def checkpoint_header(run: Source) -> CheckpointHeader:
     """The header of a run's checkpoints, the same at every step."""
-    window = None if run.window is None else (*run.window.corner, *run.window.shape, run.window.levels)
-    return CheckpointHeader(versions(), _run_digest(run), run.config.model_dump(mode="json"), window)
+    window = (
+        None if run.window is None else (*run.window.corner, *run.window.shape, run.window.levels)
+    )
+    return CheckpointHeader(
+        versions(), _run_digest(run), run.config.model_dump(mode="json"), window
+    )
 
 
 def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: CheckpointHeader) -> None:
@@ -161,7 +191,10 @@ def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: Checkpo
     TypeError
         When the state of an energy of one's own is not made of numbers and arrays.
     """
-    objects = tuple(segmented._replace(evolution=segmented.evolution.without_costs) for segmented in checkpoint.objects)
+    objects = tuple(
+        segmented._replace(evolution=segmented.evolution.without_costs)
+        for segmented in checkpoint.objects
+    )
     settings: Any = checkpoint.settings.model_dump(mode="json")
     state = checkpoint._replace(objects=objects, settings=settings)
     write_bytes(Path(path), to_bytes((header, state), TYPES))
@@ -195,7 +228,9 @@ def _check_header(header: CheckpointHeader) -> None:
     if not isinstance(header.settings, dict):
         raise ValueError("it has no settings")
     window = header.window
-    if window is not None and not (len(window) == 7 and all(isinstance(n, int) and n >= 0 for n in window)):
+    if window is not None and not (
+        len(window) == 7 and all(isinstance(n, int) and n >= 0 for n in window)
+    ):
         raise ValueError("its window is not valid")
 
 
@@ -222,13 +257,17 @@ def refuse_another_run(path: str | Path, header: CheckpointHeader, here: Checkpo
     if header.run == here.run:
         return
     there = header.settings
-    other = [key for key in here.settings if key not in FREE and there.get(key) != here.settings[key]]
+    other = [
+        key for key in here.settings if key not in FREE and there.get(key) != here.settings[key]
+    ]
     what = "another image or start"
     if other:
         key = other[0]
         more = f" and {len(other) - 1} more" if len(other) > 1 else ""
         what = f"other settings: {key} was {shown(there.get(key))}, is {shown(here.settings[key])}{more}"
-    raise InputError(f"{path}: a checkpoint of {what}", "give those of the run that wrote it, or begin anew")
+    raise InputError(
+        f"{path}: a checkpoint of {what}", "give those of the run that wrote it, or begin anew"
+    )
 
 
 def _run_digest(run: Source) -> str:
@@ -242,7 +281,9 @@ def _run_digest(run: Source) -> str:
         sha.update(f"{geometry.spacing}{geometry.origin}".encode())
         sha.update(np.ascontiguousarray(geometry.direction).tobytes())
         sha.update(digest_of({"image": volume.array}).encode())
-    sha.update(f"{run.energy_name}{run.given_digest}{run.config.model_dump_json(exclude=set(FREE))}".encode())
+    sha.update(
+        f"{run.energy_name}{run.given_digest}{run.config.model_dump_json(exclude=set(FREE))}".encode()
+    )
     return sha.hexdigest()
 
 

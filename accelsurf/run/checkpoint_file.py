@@ -116,16 +116,25 @@ class CheckpointFile:
         """
         assert self._header is not None  # restore() was called
         since = run.step_number - self._written_at, time.monotonic() - self._seconds
-        if run.stop is None and (at_once or (self._at_intervals and self._interval.is_over(*since))):
-            save_checkpoint(self.path, run.checkpoint()._replace(growth=growth.state()), self._header)
+        if run.stop is None and (
+            at_once or (self._at_intervals and self._interval.is_over(*since))
+        ):
+            save_checkpoint(
+                self.path, run.checkpoint()._replace(growth=growth.state()), self._header
+            )
             self._written_at, self._seconds = run.step_number, time.monotonic()
 
 
 def _differences(header: CheckpointHeader) -> list[str]:
     """A line where a checkpoint was written by other versions, or on another kind of processor."""
     here = versions()
-    other = [f"{name} {header.versions.get(name)}, here {version}" for name, version in here.items()
-             if header.versions.get(name) != version]
+    other = [
+        f"{name} {header.versions.get(name)}, here {version}"
+        for name, version in here.items()
+        if header.versions.get(name) != version
+    ]
     if not other:
         return []
-    return [f"the checkpoint was written with {'; '.join(other)}: the last bits of the result may differ"]
+    return [
+        f"the checkpoint was written with {'; '.join(other)}: the last bits of the result may differ"
+    ]

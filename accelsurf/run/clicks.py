@@ -45,7 +45,9 @@ class BallEdit(NamedTuple):
         return low, high
 
 
-def apply_balls(psi: NDArray[np.float32], balls: Sequence[BallEdit], grid: Level, corner: Corner, gamma: float) -> None:
+def apply_balls(
+    psi: NDArray[np.float32], balls: Sequence[BallEdit], grid: Level, corner: Corner, gamma: float
+) -> None:
     """Add balls to an object or remove them from it: changes psi near them, in place.
 
     Parameters
@@ -76,7 +78,11 @@ def apply_balls(psi: NDArray[np.float32], balls: Sequence[BallEdit], grid: Level
 
 
 def placed(
-    clicks: Sequence[Click], volume: Volume, box: Box, mask_distance: NDArray[np.float32] | None, before: Clicks | None
+    clicks: Sequence[Click],
+    volume: Volume,
+    box: Box,
+    mask_distance: NDArray[np.float32] | None,
+    before: Clicks | None,
 ) -> Clicks:
     """Return clicks after those of ``before``, on the grid of the region of interest.
 
@@ -116,7 +122,10 @@ def placed(
             lost, where = mask_distance[tuple(here.T)] > 0, "the mask or the box"
         if lost.any():
             voxel = voxel_named(at[int(np.flatnonzero(lost)[0])], geometry)
-            raise InputError(f"clicks: {voxel} is clicked inside, and lies outside of {where}", "make one of them fit")
+            raise InputError(
+                f"clicks: {voxel} is clicked inside, and lies outside of {where}",
+                "make one of them fit",
+            )
     here_clicks = Clicks(tuple(clicks), geometry.shape).on_box(box)
     check_contradictions(here_clicks, geometry, (box[0].start, box[1].start, box[2].start))
     if before is None:
@@ -172,12 +181,16 @@ class RunClicks:
             edits = [edit for edit in edits if edit.has_clicks]
             before, edit = self.after(edits[:-1]), edits[-1]
             try:
-                read = clicks_of(edit, self._volume, id=edit.object if self._ids else 1, has_ids=bool(self._ids))
+                read = clicks_of(
+                    edit, self._volume, id=edit.object if self._ids else 1, has_ids=bool(self._ids)
+                )
                 self._after[key] = placed(
                     read, self._volume, self._box, self._mask_distance, before
                 )
             except AccelsurfError as error:
-                raise type(error)(f"edit at step {edit.step}: {error.message}", error.hint) from None
+                raise type(error)(
+                    f"edit at step {edit.step}: {error.message}", error.hint
+                ) from None
         return self._after[key]
 
     def contexts(self, edits: Sequence[Correction]) -> tuple[ImageContext, ...]:
@@ -190,7 +203,8 @@ class RunClicks:
             before = self.contexts(edits[:-1])
             ids = self._ids or (1,)
             self._contexts[key] = tuple(
-                context.with_clicks(clicks.of(id), context) for context, id in zip(before, ids, strict=True)
+                context.with_clicks(clicks.of(id), context)
+                for context, id in zip(before, ids, strict=True)
             )
         return self._contexts[key]
 
@@ -248,7 +262,11 @@ class LevelClicks:
         if clicks is None:
             return low, high
         extent = click_bounds(clicks.on_side("inside"), self._grids[level], self._known).extent()
-        return (low, high) if extent is None else (np.minimum(low, extent[0]), np.maximum(high, extent[1]))
+        return (
+            (low, high)
+            if extent is None
+            else (np.minimum(low, extent[0]), np.maximum(high, extent[1]))
+        )
 
     def field(self, level: int, box: Box) -> NDArray[np.float32]:
         """Return the field of the object's model on a box of a level."""
@@ -260,7 +278,12 @@ class LevelClicks:
 
 
 def check_edit(
-    edit: Correction, config: RunConfig, context: ImageContext, geometry: Geometry, ids: Sequence[int], energy: Any
+    edit: Correction,
+    config: RunConfig,
+    context: ImageContext,
+    geometry: Geometry,
+    ids: Sequence[int],
+    energy: Any,
 ) -> None:
     """Refuse an edit that a run cannot apply: a ball outside the grid, an unknown object, a setting without effect.
 
@@ -307,21 +330,31 @@ def check_edit(
 
 def _check_object(edit: Correction, ids: Sequence[int], where: str) -> None:
     """Refuse an object that does not exist, and balls or clicks without an object where there are several."""
-    allowed = {*ids, NO_OBJECT} if ids and edit.inside and not (edit.balls or edit.outside) else set(ids or (1,))
+    allowed = (
+        {*ids, NO_OBJECT}
+        if ids and edit.inside and not (edit.balls or edit.outside)
+        else set(ids or (1,))
+    )
     if edit.object is not None and edit.object not in allowed:
         known = ", ".join(str(id) for id in ids[:8]) + (", ..." if len(ids) > 8 else "")
-        raise UsageError(f"{where}: object {edit.object} was given, expected one of {known or '1'}", "as in object=3")
+        raise UsageError(
+            f"{where}: object {edit.object} was given, expected one of {known or '1'}",
+            "as in object=3",
+        )
     if edit.object is not None and not (edit.balls or edit.has_clicks):
         raise UsageError(
-            f"{where}: object {edit.object} was given without a ball or a click", "settings change for all objects"
+            f"{where}: object {edit.object} was given without a ball or a click",
+            "settings change for all objects",
         )
     if edit.object is None and edit.balls and len(ids) > 1:
         raise UsageError(
-            f"{where}: a ball was given without its object", "write which one it is added to, as in object=3"
+            f"{where}: a ball was given without its object",
+            "write which one it is added to, as in object=3",
         )
     if edit.object is None and edit.inside and ids:
         raise UsageError(
-            f"{where}: a click inside was given without its object", "write which one it is in, as in object=3"
+            f"{where}: a click inside was given without its object",
+            "write which one it is in, as in object=3",
         )
 
 

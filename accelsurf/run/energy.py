@@ -59,11 +59,20 @@ def make_energy(
     terms = energy_expression.parse(config.energy)
     channels = [image, *context.others]
     # One term of weight 1 on one channel includes the area itself.
-    alone = len(terms) == 1 and terms[0].weight == 1.0 and len(_channels_seen(terms[0], channels)) == 1
+    alone = (
+        len(terms) == 1 and terms[0].weight == 1.0 and len(_channels_seen(terms[0], channels)) == 1
+    )
     made: list[tuple[float, Energy]] = []
     resolved = []
     for term in terms:
-        inputs = TermInputs(term.settings, config, image, spacing, context, alpha=config.smoothness if alone else 0.0)
+        inputs = TermInputs(
+            term.settings,
+            config,
+            image,
+            spacing,
+            context,
+            alpha=config.smoothness if alone else 0.0,
+        )
         parts, settings = make_term(term, inputs, channels)
         made += parts
         resolved.append(settings)

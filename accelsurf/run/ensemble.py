@@ -36,7 +36,14 @@ NEAR = 2
 #: going for ever.
 REACTIVATION_DEPTH = 0.5
 #: Reasons that hold for the whole run if they hold for any object, the worst first.
-_WORST: tuple[StopReason, ...] = ("interrupted", "diverged", "leaked", "stalled", "max-steps", "filled")
+_WORST: tuple[StopReason, ...] = (
+    "interrupted",
+    "diverged",
+    "leaked",
+    "stalled",
+    "max-steps",
+    "filled",
+)
 T = TypeVar("T")
 
 
@@ -58,10 +65,19 @@ class Ensemble:
     """
 
     def __init__(
-        self, objects: Sequence[EvolvingObject], workers: Workers, steps: Sequence[float], meet: bool,
+        self,
+        objects: Sequence[EvolvingObject],
+        workers: Workers,
+        steps: Sequence[float],
+        meet: bool,
         window: Window | None = None,
     ) -> None:
-        self._objects, self._workers, self._meets, self._window = tuple(objects), workers, meet, window
+        self._objects, self._workers, self._meets, self._window = (
+            tuple(objects),
+            workers,
+            meet,
+            window,
+        )
         self._smallest = min(steps)
         several = meet and workers.threads > 1
         self._pool = ThreadPoolExecutor(workers.threads) if several else None
@@ -103,10 +119,15 @@ class Ensemble:
         for evolving in moving:
             evolving.set_max_steps(steps_left + len(evolving.evolution.history))
         meets = self._meet()
-        steps = [step for batch in self._batches(meets) for step in self._each(EvolvingObject.step, batch)]
+        steps = [
+            step
+            for batch in self._batches(meets)
+            for step in self._each(EvolvingObject.step, batch)
+        ]
         # What has vanished needs no room.
         self._each(
-            EvolvingObject.grow_grid, [evolving for evolving in moving if evolving.moves and evolving.surface.size]
+            EvolvingObject.grow_grid,
+            [evolving for evolving in moving if evolving.moves and evolving.surface.size],
         )
         if reactivate and steps_left > 1:
             self._reactivate(meets)
@@ -123,7 +144,10 @@ class Ensemble:
 
     def _meet(self) -> list[list[int]]:
         """Set the neighbours of each object; return their positions in the list of objects."""
-        ends = [np.array(moving.corner) + moving.surface.extent(inside_only=True) for moving in self._objects]
+        ends = [
+            np.array(moving.corner) + moving.surface.extent(inside_only=True)
+            for moving in self._objects
+        ]
         low, high = np.array([end[0] for end in ends]), np.array([end[1] for end in ends])
         there = np.all(low < high, axis=1).tolist()
         boxes = meeting(low - NEAR, high + NEAR)
@@ -149,7 +173,11 @@ class Ensemble:
         """Continue converged objects that a neighbour has moved into."""
         for i, evolving in enumerate(self._objects):
             stop = evolving.evolution.stop
-            if stop is None or stop.reason != "converged" or stop.steps >= evolving.evolution.max_steps:
+            if (
+                stop is None
+                or stop.reason != "converged"
+                or stop.steps >= evolving.evolution.max_steps
+            ):
                 continue
             moving = [self._objects[j] for j in meets[i] if self._objects[j].moves]
             evolving.contact.set_neighbours([other.as_neighbour for other in moving])
@@ -162,14 +190,21 @@ class Ensemble:
         stops = [evolving.evolution.stop for evolving in self._objects]
         ended = [stop for stop in stops if stop is not None]
         reason = overall_stop(ended).reason if len(ended) == len(stops) else None
-        return LevelSummary(grid, max(evolving.steps_on_level() for evolving in self._objects), reason)
+        return LevelSummary(
+            grid, max(evolving.steps_on_level() for evolving in self._objects), reason
+        )
 
-    def separated(self, mask_distance: NDArray[np.float32] | None) -> list[tuple[Corner, NDArray[np.float32]]]:
+    def separated(
+        self, mask_distance: NDArray[np.float32] | None
+    ) -> list[tuple[Corner, NDArray[np.float32]]]:
         """First voxel and psi of each object on the finest grid, cut where it meets another: none overlap."""
         parts = [evolving.psi_on_finest() for evolving in self._objects]
         # One cuts another only where it is deeper inside than the other is outside.
         deepest = max(-float(psi.min()) for _, psi in parts)
-        low, high = (np.array(ends) for ends in zip(*(_ends(at, psi < deepest) for at, psi in parts), strict=True))
+        low, high = (
+            np.array(ends)
+            for ends in zip(*(_ends(at, psi < deepest) for at, psi in parts), strict=True)
+        )
         out = []
         for i, near in enumerate(meeting(low, high)):
             corner, uncut = parts[i]
@@ -181,7 +216,9 @@ class Ensemble:
                 a, b = uncut[mine], theirs_psi[theirs]
                 cut = np.float32(0.5) * (a - b)
                 # Where both are equally deep the lower id has the voxel, unless a third is deeper.
-                cut[(a == b) & (a < 0)] = np.float32(-1e-6 if i < j else 1e-6) * np.float32(self._smallest)
+                cut[(a == b) & (a < 0)] = np.float32(-1e-6 if i < j else 1e-6) * np.float32(
+                    self._smallest
+                )
                 np.maximum(psi[mine], cut, out=psi[mine])
             if mask_distance is not None:
                 psi = np.maximum(psi, mask_distance[box_at(corner, psi.shape)])
@@ -213,18 +250,27 @@ def within(start: ObjectStart, prepared: PreprocessedInput) -> ObjectStart:
         When nothing of it lies there.
     """
     box, roi = box_at(start.corner, start.psi.shape), prepared.box
-    a, b, c = (slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(box, roi, strict=True))
+    a, b, c = (
+        slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(box, roi, strict=True)
+    )
     if all(s.start < s.stop for s in (a, b, c)):
-        psi = start.psi[tuple(slice(s.start - k, s.stop - k) for s, k in zip((a, b, c), start.corner, strict=True))]
+        psi = start.psi[
+            tuple(
+                slice(s.start - k, s.stop - k) for s, k in zip((a, b, c), start.corner, strict=True)
+            )
+        ]
         at = (a.start - roi[0].start, b.start - roi[1].start, c.start - roi[2].start)
         distance = prepared.mask_distance
         inside = psi
         if distance is not None:
-            inside = np.maximum(psi, distance[tuple(slice(k, k + n) for k, n in zip(at, psi.shape, strict=True))])
+            inside = np.maximum(
+                psi, distance[tuple(slice(k, k + n) for k, n in zip(at, psi.shape, strict=True))]
+            )
         if (inside < 0).any():
             return ObjectStart(start.id, at, psi)
     raise InputError(
-        f"object {start.id}: its start lies outside of the mask and the region of interest", "start within them"
+        f"object {start.id}: its start lies outside of the mask and the region of interest",
+        "start within them",
     )
 
 

@@ -64,7 +64,12 @@ class EvolvingObject:
     """
 
     def __init__(
-        self, start: ObjectStart, inputs: LevelInputs, solver: ObjectSolver, workers: Workers, max_steps: int,
+        self,
+        start: ObjectStart,
+        inputs: LevelInputs,
+        solver: ObjectSolver,
+        workers: Workers,
+        max_steps: int,
         among_others: bool,
     ) -> None:
         self.id, self.workers = start.id, workers
@@ -146,7 +151,9 @@ class EvolvingObject:
         if self._among_others:
             return box_at(self.corner, self.surface.shape)
         reach = [math.ceil(self._setup.reach / h) for h in self.grid.spacing]
-        z, y, x = (slice(int(a) - r, int(b) + r) for a, b, r in zip(*self.extent(), reach, strict=True))
+        z, y, x = (
+            slice(int(a) - r, int(b) + r) for a, b, r in zip(*self.extent(), reach, strict=True)
+        )
         return z, y, x
 
     # -- starts and levels ---------------------------------------------------------------------------------
@@ -206,7 +213,9 @@ class EvolvingObject:
 
     def steps_on_level(self) -> int:
         """Steps made on the present level."""
-        return sum(record.level == self.level and record.dt > 0 for record in self.evolution.history)
+        return sum(
+            record.level == self.level and record.dt > 0 for record in self.evolution.history
+        )
 
     # -- on a grid -----------------------------------------------------------------------------------------
 
@@ -218,10 +227,17 @@ class EvolvingObject:
     def _surface_of(self, psi: NDArray[np.float32]) -> LevelSet:
         """The surface where ``psi``, on a box of the grid, is 0; the memory of ``psi`` is used."""
         setup = self._setup
-        return LevelSet(psi, self.grid.spacing, setup.half_width, self.workers, True, setup.extension)
+        return LevelSet(
+            psi, self.grid.spacing, setup.half_width, self.workers, True, setup.extension
+        )
 
     def _lay_out(
-        self, box: Box, known: NDArray[np.float32], at: Corner, before: Evolution | None, state: LoopState | None
+        self,
+        box: Box,
+        known: NDArray[np.float32],
+        at: Corner,
+        before: Evolution | None,
+        state: LoopState | None,
     ) -> None:
         """Transfer the surface, known from voxel ``at`` on, to a box of the grid, and continue ``before`` there."""
         self.corner = corner_of(box)
@@ -235,14 +251,24 @@ class EvolvingObject:
         self._evolve(surface, state, fields)
 
     def _evolve(
-        self, surface: LevelSet, state: LoopState | None, fields: list[NDArray[np.float32]] | None = None,
+        self,
+        surface: LevelSet,
+        state: LoopState | None,
+        fields: list[NDArray[np.float32]] | None = None,
         energy: Energy | None = None,
     ) -> None:
         """Begin an evolution on a surface, with a new energy for its grid unless one is given."""
         if energy is None:
             energy = self._energy_on(box_at(self.corner, surface.shape))
         self.evolution = Evolution.of(
-            surface, energy, self._setup_here, self._max_steps, self.level, state, fields, self.corner
+            surface,
+            energy,
+            self._setup_here,
+            self._max_steps,
+            self.level,
+            state,
+            fields,
+            self.corner,
         )
         if self._among_others:
             # Neighbours need its speed and band before its first step.
@@ -257,7 +283,9 @@ class EvolvingObject:
         level, clicks = self.level, self._clicks
         context = self.context.with_channels(images[1:], lambda: clicks.field(level, box))
         self.made = self._solver.make_energy(images[0], self.grid.spacing, context)
-        energy = constrained(self.made.energy, inputs.mask_distance(level, box), clicks.bounds(level, box))
+        energy = constrained(
+            self.made.energy, inputs.mask_distance(level, box), clicks.bounds(level, box)
+        )
         return NonOverlap(energy, self.corner) if self._among_others else energy
 
     def _bound(self, psi: NDArray[np.float32]) -> None:
@@ -291,15 +319,21 @@ class EvolvingObject:
             self.request_stop()
         return step._replace(object_id=self.id)
 
-    def grow_grid(self, low: NDArray[np.int64] | None = None, high: NDArray[np.int64] | None = None) -> None:
+    def grow_grid(
+        self, low: NDArray[np.int64] | None = None, high: NDArray[np.int64] | None = None
+    ) -> None:
         """Change to a larger box when the band, or the part from ``low`` to ``high``, comes near its edge."""
         if low is None or high is None:
             low, high = self.extent()
-        box = _larger_box(low, high, box_at(self.corner, self.surface.shape), self._setup.reach, self.grid)
+        box = _larger_box(
+            low, high, box_at(self.corner, self.surface.shape), self._setup.reach, self.grid
+        )
         if box is not None:
             before, at = self.evolution, self.corner
             before.measure()
-            self._lay_out(box, before.surface.psi, at, before, before.state.on_next_grid(with_fields=True))
+            self._lay_out(
+                box, before.surface.psi, at, before, before.state.on_next_grid(with_fields=True)
+            )
 
     def reactivate(self) -> None:
         """Continue after convergence, because a neighbour moved into the object."""
@@ -347,7 +381,11 @@ class EvolvingObject:
             if self.evolution.stop is not None and self.level == 0:
                 self.evolution.history.pop()
         clicked = self.set_up(solver)
-        energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy or clicked else None
+        energy = (
+            self._energy_on(box_at(self.corner, self.surface.shape))
+            if new_energy or clicked
+            else None
+        )
         change = (lambda surface: self._change_psi(surface, balls)) if balls or clicked else None
         self.evolution = self.evolution.edited(energy, self._setup_here, change)
 
@@ -369,12 +407,18 @@ class EvolvingObject:
     def checkpoint(self) -> ObjectCheckpoint:
         """The state between two steps, as a value."""
         made = self.evolution.checkpoint()
-        return ObjectCheckpoint(self.corner, self.surface.shape, self.leaked, made, self.reactivations)
+        return ObjectCheckpoint(
+            self.corner, self.surface.shape, self.leaked, made, self.reactivations
+        )
 
     def restore(self, checkpoint: ObjectCheckpoint, solver: ObjectSolver, new_energy: bool) -> None:
         """Go back to a state of this level, with the settings that were in force then."""
         new_energy |= self.set_up(solver)
-        self.leaked, self.reactivations, self._stop_requested = checkpoint.leaked, checkpoint.reactivations, False
+        self.leaked, self.reactivations, self._stop_requested = (
+            checkpoint.leaked,
+            checkpoint.reactivations,
+            False,
+        )
         energy = None
         if (self.corner, self.surface.shape) != (checkpoint.corner, checkpoint.shape):
             self.corner = checkpoint.corner
@@ -413,11 +457,15 @@ def roomy_box(low: NDArray[np.int64], high: NDArray[np.int64], reach: float, gri
     """
     a, b, c = (slice(int(i), int(j)) for i, j in zip(low, high, strict=True))
     needed = [max(ROOM, math.ceil(reach / h) + GUARD) for h in grid.spacing]
-    room = [max(m, math.ceil(_ROOM_PART * (j - i))) for m, i, j in zip(needed, low, high, strict=True)]
+    room = [
+        max(m, math.ceil(_ROOM_PART * (j - i))) for m, i, j in zip(needed, low, high, strict=True)
+    ]
     return widened((a, b, c), grid.shape, (room[0], room[1], room[2]))
 
 
-def _larger_box(low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach: float, grid: Level) -> Box | None:
+def _larger_box(
+    low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach: float, grid: Level
+) -> Box | None:
     """Return a larger box for an object between two voxels that come near the edge of its box; None where they do not.
 
     Parameters
@@ -428,7 +476,9 @@ def _larger_box(low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach
         The box now.
     """
     first, end = np.array([s.start for s in box]), np.array([s.stop for s in box])
-    near = ((low - first < GUARD) & (first > 0)) | ((end - high < GUARD) & (end < np.array(grid.shape)))
+    near = ((low - first < GUARD) & (first > 0)) | (
+        (end - high < GUARD) & (end < np.array(grid.shape))
+    )
     if not near.any():
         return None
     return roomy_box(np.minimum(low, first + GUARD), np.maximum(high, end - GUARD), reach, grid)
@@ -442,7 +492,9 @@ def _psi_on_box(known: NDArray[np.float32], at: Corner, box: Box) -> NDArray[np.
     return psi
 
 
-def constrained(energy: Energy, mask_distance: NDArray[np.float32] | None, bounds: ClickBounds | None) -> Energy:
+def constrained(
+    energy: Energy, mask_distance: NDArray[np.float32] | None, bounds: ClickBounds | None
+) -> Energy:
     """Return an energy within a mask and the bounds of clicks, where there are any."""
     if mask_distance is not None:
         energy = MaskConstraint(energy, mask_distance)

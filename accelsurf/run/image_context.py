@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from accelsurf.energies import Parzen
 from accelsurf.energies.likelihood import MIN_DEVIATION, robust_gaussian_of
-from accelsurf.energies.region_sums import Elsewhere, RegionMoments, Summing, moments_of, sums_by_plane
+from accelsurf.energies.region_sums import (
+    Elsewhere,
+    RegionMoments,
+    Summing,
+    moments_of,
+    sums_by_plane,
+)
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box, box_at, whole_box
 from accelsurf.grid.clicks import Clicks
@@ -25,7 +31,10 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.region_growing import otsu_level
 
 if TYPE_CHECKING:
-    from accelsurf.clicks.model import ClickModel, Scene  # a viewer without a run imports no compiler
+    from accelsurf.clicks.model import (
+        ClickModel,
+        Scene,
+    )  # a viewer without a run imports no compiler
     from accelsurf.clicks.model.confidence import Confidence
     from accelsurf.clicks.model.given import GivenMask
     from accelsurf.clicks.model.partition import BasinsOnce
@@ -40,7 +49,10 @@ _FILLS = 0.75
 #: Weight of the area of objects that fill a space, of the smallest spacing.
 _PARTITION_AREA = 0.3
 #: The problem and the hint where likelihood has no sample.
-_NO_SAMPLE = "likelihood with update=no was given nothing to learn from", "give --foreground, or use update=yes"
+_NO_SAMPLE = (
+    "likelihood with update=no was given nothing to learn from",
+    "give --foreground, or use update=yes",
+)
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -70,7 +82,9 @@ class WholeChannel(Protocol):
         """Return ``make(image, *args)`` of the scaled channel."""
         ...
 
-    def sums(self, grids: Sequence[Level], level: int, kind: str, summing: Summing) -> NDArray[np.float64]:
+    def sums(
+        self, grids: Sequence[Level], level: int, kind: str, summing: Summing
+    ) -> NDArray[np.float64]:
         """Return sums over the scaled channel on a level, of which ``kind`` is the name."""
         ...
 
@@ -166,7 +180,9 @@ class ImageContext:
         self.foreground, self.background = foreground, background
         self._is_start, self._whole = is_start, tuple(whole)
         self._training = (
-            None if foreground is None else TrainingVoxels(_EVERYWHERE, foreground, foreground, background)
+            None
+            if foreground is None
+            else TrainingVoxels(_EVERYWHERE, foreground, foreground, background)
         )
         self.others = tuple(self.images[1:] if others is None else others)
         self._background: dict[tuple[int, str], NDArray[np.float64]] = {}
@@ -267,20 +283,31 @@ class ImageContext:
 
         size, mask, partition, _, answer, given, _ = self._model_inputs
         if given is None and (self.clicks is None or not self.clicks.mask("inside").any()):
-            raise UsageError("energy: seeded was given without a click inside", "give --inside point:X,Y,Z")
+            raise UsageError(
+                "energy: seeded was given without a click inside", "give --inside point:X,Y,Z"
+            )
         clicks = self.clicks or Clicks((), self._shape)
         if not self._model:
             if given is not None:
                 made = corrected_model(self.scene(), given, clicks, previous=previous)
             elif partition is not None:
-                made = partition_model(self.images, self.spacing, clicks, mask=mask, basins=partition)
+                made = partition_model(
+                    self.images, self.spacing, clicks, mask=mask, basins=partition
+                )
             else:
                 before = self._before
-                if previous is None and before is not None and before.clicks is not None and before.clicks.ids():
+                if (
+                    previous is None
+                    and before is not None
+                    and before.clicks is not None
+                    and before.clicks.ids()
+                ):
                     previous = before.click_model()
                 scene = self.scene()
                 if size is not None:  # what fills the image has no surface
-                    size = min(size, _FILLS * float(np.prod(scene.whole_shape) * np.prod(self.spacing)))
+                    size = min(
+                        size, _FILLS * float(np.prod(scene.whole_shape) * np.prod(self.spacing))
+                    )
                 made = click_model(scene, clicks, size_mm3=size, answer=answer, previous=previous)
             self._model.append(made)
         return self._model[0]
@@ -294,7 +321,11 @@ class ImageContext:
         """Measure how sure a model of the clicks is, by default the present one; None of a mask that was given."""
         from accelsurf.clicks.model.confidence import confidence_of
 
-        return None if self._model_inputs.given is not None else confidence_of(model or self.click_model())
+        return (
+            None
+            if self._model_inputs.given is not None
+            else confidence_of(model or self.click_model())
+        )
 
     def model_start(self, box: Box | None = None) -> Image:
         """Psi, mm, of the first surface that the model gives, on a box of the grid; by default on all of it."""
@@ -307,7 +338,11 @@ class ImageContext:
 
     def model_field(self) -> Image:
         """The field of the model on the grid at hand."""
-        return self.click_model().field_on(whole_box(self.images[0].shape)) if self._field is None else self._field()
+        return (
+            self.click_model().field_on(whole_box(self.images[0].shape))
+            if self._field is None
+            else self._field()
+        )
 
     def model_curvature(self) -> float:
         """Mean curvature of the model's object, 1/mm; 0 of one among several that fill a space."""
@@ -329,7 +364,11 @@ class ImageContext:
         """``make(image, *args)`` of a whole channel, computed once for all objects."""
         key = (make, channel, args)
         if key not in self._found:
-            found = self._whole[channel].found(make, *args) if self._whole else make(self.images[channel], *args)
+            found = (
+                self._whole[channel].found(make, *args)
+                if self._whole
+                else make(self.images[channel], *args)
+            )
             self._found[key] = found
         return cast("Found", self._found[key])
 
@@ -377,7 +416,9 @@ class ImageContext:
         Of the image as it is evolved, with the deviation by the median absolute deviation: a stone or an organelle in
         the start changes neither.
         """
-        training = self._trained_on("a learned bound was given nothing to learn from", "give --foreground")
+        training = self._trained_on(
+            "a learned bound was given nothing to learn from", "give --foreground"
+        )
         values = self.images[channel][training.box][training.inside]
         # A part of the range between percentiles: that between the extremes is of metal or a stone.
         middle, variance = robust_gaussian_of(values, MIN_DEVIATION**2)

@@ -63,7 +63,9 @@ class LateLeakage:
         self._shape, self._corner = window.geometry.shape, window.corner
         # Cubes before the window's first are not counted; its first begins these numbers of voxels before the window.
         self._before = tuple(c % BLOCK for c in window.corner)
-        self._cubes = tuple(-(-(n + b) // BLOCK) for n, b in zip(window.shape, self._before, strict=True))
+        self._cubes = tuple(
+            -(-(n + b) // BLOCK) for n, b in zip(window.shape, self._before, strict=True)
+        )
         self._growth: defaultdict[int, list[_Growth]] = defaultdict(list)
 
     def watch(self, step: Step, level: Level, corner: Corner, first: Corner) -> None:
@@ -86,9 +88,18 @@ class LateLeakage:
         area = float(np.prod(level.factors)) ** (2 / 3)
         # The cube of each index along an axis, by a table.
         along = [
-            np.clip(((np.arange(size) + a) * factor + b + c + d).astype(np.int64) // BLOCK, 0, n - 1)
+            np.clip(
+                ((np.arange(size) + a) * factor + b + c + d).astype(np.int64) // BLOCK, 0, n - 1
+            )
             for size, a, factor, b, c, d, n in zip(
-                step.surface.shape, corner, level.factors, level.first, first, self._before, self._cubes, strict=True
+                step.surface.shape,
+                corner,
+                level.factors,
+                level.first,
+                first,
+                self._before,
+                self._cubes,
+                strict=True,
             )
         ]
         _, ny, nx = self._cubes
@@ -99,7 +110,15 @@ class LateLeakage:
         reached = np.zeros(last + ny * nx - lowest, np.bool_)
         sums = np.zeros(reached.size)
         row_cubes = np.add.outer(planes - lowest, rows).ravel()
-        sums_by_cube(fields.cells, fields.speed, np.float32(-step.record.dt * area), row_cubes, along[2], reached, sums)
+        sums_by_cube(
+            fields.cells,
+            fields.speed,
+            np.float32(-step.record.dt * area),
+            row_cubes,
+            along[2],
+            reached,
+            sums,
+        )
         names = np.flatnonzero(reached)
         grown = _Growth(step.record.volume_mm3, names + lowest, sums[names].astype(np.float32))
         self._growth[step.object_id].append(grown)
@@ -121,7 +140,11 @@ class LateLeakage:
         self._growth.clear()
         ends = np.cumsum(state.counts)
         for id, volume, begin, end in zip(
-            state.ids.tolist(), state.volumes.tolist(), (ends - state.counts).tolist(), ends.tolist(), strict=True
+            state.ids.tolist(),
+            state.volumes.tolist(),
+            (ends - state.counts).tolist(),
+            ends.tolist(),
+            strict=True,
         ):
             self._growth[id].append(_Growth(volume, state.cubes[begin:end], state.sums[begin:end]))
 
@@ -139,7 +162,9 @@ class LateLeakage:
                 late += growth[int(below[-1]) :]
         if not late:
             return None
-        cubes, which = np.unique(np.concatenate([growth_step.cubes for growth_step in late]), return_inverse=True)
+        cubes, which = np.unique(
+            np.concatenate([growth_step.cubes for growth_step in late]), return_inverse=True
+        )
         totals = np.bincount(which, np.concatenate([growth_step.sums for growth_step in late]))
         if totals.max() <= 0.0:
             return None
@@ -147,14 +172,21 @@ class LateLeakage:
         z, y, x = (
             min(int(at) * BLOCK - b + 0.5 * (BLOCK - 1), n - 1.0 - c)
             for at, b, n, c in zip(
-                np.unravel_index(largest, self._cubes), self._before, self._shape, self._corner, strict=True
+                np.unravel_index(largest, self._cubes),
+                self._before,
+                self._shape,
+                self._corner,
+                strict=True,
             )
         )
         return z, y, x
 
 
 def nearest_inside(
-    place: Place | None, inside: Callable[[Box], NDArray[np.bool_]], shape: Sequence[int], spacing: Sequence[float]
+    place: Place | None,
+    inside: Callable[[Box], NDArray[np.bool_]],
+    shape: Sequence[int],
+    spacing: Sequence[float],
 ) -> Place | None:
     """Return the voxel of an object nearest to where it grew: the middle of a cube may lie beside its surface.
 
@@ -177,7 +209,14 @@ def nearest_inside(
     if place is None:
         return None
     voxel = tuple(min(max(round(at), 0), n - 1) for at, n in zip(place, shape, strict=True))
-    at, reach = (slice(voxel[0], voxel[0] + 1), slice(voxel[1], voxel[1] + 1), slice(voxel[2], voxel[2] + 1)), 0.0
+    at, reach = (
+        (
+            slice(voxel[0], voxel[0] + 1),
+            slice(voxel[1], voxel[1] + 1),
+            slice(voxel[2], voxel[2] + 1),
+        ),
+        0.0,
+    )
     while True:
         reach = 2.0 * reach or BLOCK * max(spacing)
         box = widened(at, shape, [math.ceil(reach / h) for h in spacing])

@@ -116,7 +116,9 @@ def _noise(config: RunConfig) -> Noise | None:
         return None
     if config.seed is None:
         raise ValueError("noise needs a seed: accelsurf.run.setup.seeded draws one")
-    return Noise(config.noise, _number(config.noise_length), config.seed, _number(config.noise_time))
+    return Noise(
+        config.noise, _number(config.noise_length), config.seed, _number(config.noise_time)
+    )
 
 
 def _number(value: float | str) -> float | None:
@@ -130,10 +132,18 @@ def chan_vese(inputs: TermInputs) -> Made:
     epsilon = inputs.number("epsilon", inputs.config.epsilon)
     context, channel = inputs.context, inputs.channel
     elsewhere = context.moments_elsewhere(channel)
-    by_noise = area_against_noise(context.once(noise_of, channel), context.images[channel].shape, context.spacing)
+    by_noise = area_against_noise(
+        context.once(noise_of, channel), context.images[channel].shape, context.spacing
+    )
     area = inputs.number("area", by_noise)
     energy = ChanVese(
-        inputs.image, inputs.alpha + area, None, epsilon, balance, elsewhere, _moments_of_whole(inputs)
+        inputs.image,
+        inputs.alpha + area,
+        None,
+        epsilon,
+        balance,
+        elsewhere,
+        _moments_of_whole(inputs),
     )
     return energy, {"balance": balance, "epsilon": epsilon, "area": area}
 
@@ -148,9 +158,14 @@ def local_region(inputs: TermInputs) -> Made:
     """Two regions, each with its mean in a window."""
     context = inputs.context
     # Of the image's own grid, on every level.
-    radius = inputs.number("R", _WINDOW_VOXELS * max(axis_steps(context.images[0].shape, context.spacing)))
+    radius = inputs.number(
+        "R", _WINDOW_VOXELS * max(axis_steps(context.images[0].shape, context.spacing))
+    )
     epsilon = inputs.number("epsilon", inputs.config.epsilon)
-    return LocalRegion(inputs.image, radius, inputs.alpha, epsilon), {"R": radius, "epsilon": epsilon}
+    return LocalRegion(inputs.image, radius, inputs.alpha, epsilon), {
+        "R": radius,
+        "epsilon": epsilon,
+    }
 
 
 def local_region_reach(settings: Values, largest_spacing: float) -> float:
@@ -186,31 +201,47 @@ def likelihood(inputs: TermInputs) -> Made:
         learned = None
         if update == "no":
             counts = parzen.histogram(context.sample(channel))
-            learned = TwoHistograms(counts, context.sums_of_background(channel, "histogram", parzen.histogram))
+            learned = TwoHistograms(
+                counts, context.sums_of_background(channel, "histogram", parzen.histogram)
+            )
         elsewhere = context.histograms_elsewhere(channel, parzen)
         whole = context.whole_sums(channel, inputs.spacing, "histogram", parzen.histogram)
-        return HistogramLikelihood(image, inputs.alpha, learned, epsilon, parzen, elsewhere, whole), used
+        return HistogramLikelihood(
+            image, inputs.alpha, learned, epsilon, parzen, elsewhere, whole
+        ), used
     least = context.once(least_variance, channel)
     everything = _moments_of_whole(inputs)
     if update == "yes":
         moments = context.moments_elsewhere(channel)
-        return GaussianLikelihood(image, inputs.alpha, None, epsilon, moments, everything, least), used
+        return GaussianLikelihood(
+            image, inputs.alpha, None, epsilon, moments, everything, least
+        ), used
     # Outliers of a sample of the object are no part of it; the background is of many kinds, which all count.
     inside = robust_gaussian_of(context.sample(channel), least)
-    other = gaussian_of_sums(RegionMoments(*context.sums_of_background(channel, "moments", moments_of)), least)
+    other = gaussian_of_sums(
+        RegionMoments(*context.sums_of_background(channel, "moments", moments_of)), least
+    )
     low, width = context.scales[channel]
     for name, (mean, variance) in (("inside", inside), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
-    return GaussianLikelihood(image, inputs.alpha, TwoGaussians(inside, other), epsilon, whole=everything), used
+    return GaussianLikelihood(
+        image, inputs.alpha, TwoGaussians(inside, other), epsilon, whole=everything
+    ), used
 
 
 def threshold(inputs: TermInputs) -> Made:
     """A window of values."""
     context, channel = inputs.context, inputs.channel
-    low, high = (context.bound(channel, inputs.settings.get(key, ""), key == "HI") for key in ("LO", "HI"))
+    low, high = (
+        context.bound(channel, inputs.settings.get(key, ""), key == "HI") for key in ("LO", "HI")
+    )
     start, width = context.scales[channel]
     given = inputs.settings.get("soft")
-    soft = soft_edge(context.once(np.ptp, channel), low, high) if given is None else float(given) / width
+    soft = (
+        soft_edge(context.once(np.ptp, channel), low, high)
+        if given is None
+        else float(given) / width
+    )
     used = {key: None if v is None else start + width * v for key, v in (("LO", low), ("HI", high))}
     return Threshold(inputs.image, low, high, soft, inputs.alpha), {**used, "soft": soft * width}
 
@@ -237,7 +268,9 @@ def seeded(inputs: TermInputs) -> Made:
     area = inputs.number("area", inputs.context.model_area())
     # The area smooths the object; its size is that of the clicks.
     lower = offset(area, inputs.context.model_curvature())
-    energy: Energy = RegionField(inputs.context.model_field() - np.float32(lower), inputs.alpha + area)
+    energy: Energy = RegionField(
+        inputs.context.model_field() - np.float32(lower), inputs.alpha + area
+    )
     used = {"area": area, "offset": lower}
     return energy, used
 

@@ -86,5 +86,7 @@ def memory_of(text: str) -> int:
     found = _MEMORY.fullmatch(text.strip())
     size = int(float(found[1]) * _UNITS[(found[2] or "").lower()]) if found is not None else 0
     if size < 1_000_000:
-        raise UsageError(f"--max-memory: {text} was given, expected at least 1MB", "as in --max-memory 4GB")
+        raise UsageError(
+            f"--max-memory: {text} was given, expected at least 1MB", "as in --max-memory 4GB"
+        )
     return size

@@ -100,7 +100,11 @@ class PreprocessedInput:
         if self.mask_distance is not None:
             return self.mask_distance[box]
         is_open = self.open_on(box)
-        return None if is_open is None or is_open.all() else mask_distance(is_open, self.geometry.spacing)
+        return (
+            None
+            if is_open is None or is_open.all()
+            else mask_distance(is_open, self.geometry.spacing)
+        )
 
     def corner_on_image(self, corner: Corner) -> Corner:
         """Index in the image of a voxel of the region of interest."""
@@ -120,9 +124,12 @@ class PreprocessedInput:
             return psi
         out = np.full(whole.shape, np.abs(psi).max(), np.float32)
         around = tuple(
-            slice(max(s.start - 1, 0), min(s.stop + 1, n)) for s, n in zip(self.box, whole.shape, strict=True)
+            slice(max(s.start - 1, 0), min(s.stop + 1, n))
+            for s, n in zip(self.box, whole.shape, strict=True)
         )
-        before = [(s.start - a.start, a.stop - s.stop) for s, a in zip(self.box, around, strict=True)]
+        before = [
+            (s.start - a.start, a.stop - s.stop) for s, a in zip(self.box, around, strict=True)
+        ]
         out[around] = np.abs(np.pad(psi, before, mode="edge"))
         out[self.box] = psi
         return out
@@ -178,7 +185,9 @@ def preprocess(
     read = clicks_of(config, first, filtered, has_ids=has_ids, window=window)
     all_clicks = placed([*read, *clicks], first, box, distance, None)
     start = given["start"] if "start" in given else _first_surface(config, seen, all_clicks, box)
-    training = {name: _crop(mask, box) for name, mask in _training_voxels(config, given, seen).items()}
+    training = {
+        name: _crop(mask, box) for name, mask in _training_voxels(config, given, seen).items()
+    }
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
     around = None if geometry.shape == whole.shape else filtered  # the result shows it
     values = _crop(filtered, box) if around is None else filtered[box].copy()
@@ -186,13 +195,27 @@ def preprocess(
     images, scales = _scaled_channels(values, volumes, filters, box, part)
     del values
     context, learns = _context(config, volumes, images, scales, psi, training, distance, part)
-    if all_clicks.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
+    if (
+        all_clicks.clicks
+        and not has_ids
+        and config.start == (starts.CLICKS,)
+        and uses_model(config)
+    ):
         context = context.with_clicks(all_clicks)
         psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
     shown = psi.copy() if whole.slice_axis is not None else None
     prepared = PreprocessedInput(
-        tuple(volumes), box, geometry, tuple(images), context, distance, all_clicks if all_clicks.clicks else None,
-        filters, around, shown, learns,
+        tuple(volumes),
+        box,
+        geometry,
+        tuple(images),
+        context,
+        distance,
+        all_clicks if all_clicks.clicks else None,
+        filters,
+        around,
+        shown,
+        learns,
     )
     return prepared, psi
 
@@ -226,10 +249,15 @@ def _context(
     foreground, background = training.get("foreground"), training.get("background")
     terms = energy_expression.parse(config.energy)
     learns = any(energy_expression.learns(term) for term in terms)
-    from_start = foreground is None and learns  # fixed models learn from the start where nothing else is given
+    from_start = (
+        foreground is None and learns
+    )  # fixed models learn from the start where nothing else is given
     learned_from = psi < 0 if from_start else foreground
     context = ImageContext(
-        images, scales, volumes[0].geometry.spacing, learned_from,
+        images,
+        scales,
+        volumes[0].geometry.spacing,
+        learned_from,
         background,
         is_start=from_start,
         whole=whole_of(part),
@@ -243,7 +271,9 @@ def _context(
         partition = BasinsOnce()
     window = None if part is None else part.open_window
     box_mm3 = None
-    if limits is not None and config.box is not None and config.objects is None:  # of several objects it holds all
+    if (
+        limits is not None and config.box is not None and config.objects is None
+    ):  # of several objects it holds all
         box_mm3 = float(np.count_nonzero(limits)) * volumes[0].geometry.voxel_volume
     inputs = ModelInputs(size, limits, partition, window, config.answer, box_mm3=box_mm3)
     context = context.with_model_inputs(inputs)
@@ -264,7 +294,11 @@ def _first_surface(config: RunConfig, seen: Seen, clicks: Clicks, box: Box) -> N
 
 
 def _scaled_channels(
-    values: NDArray[np.float32], volumes: Sequence[Volume], filters: ImageFilters, box: Box, part: WindowInput | None
+    values: NDArray[np.float32],
+    volumes: Sequence[Volume],
+    filters: ImageFilters,
+    box: Box,
+    part: WindowInput | None,
 ) -> tuple[list[NDArray[np.float32]], list[Scale]]:
     """The channels on the region, 0 and 1 at their percentiles; overwrites ``values``, the first one, filtered."""
     whole = whole_of(part)
@@ -272,7 +306,9 @@ def _scaled_channels(
     images: list[NDArray[np.float32]] = []
     for place, channel in enumerate(volumes):
         if place > 0:
-            values = _crop(filtered_volume(channel, filters) if part is None else part.filtered[place], box)
+            values = _crop(
+                filtered_volume(channel, filters) if part is None else part.filtered[place], box
+            )
         scales.append(whole[place].scale if whole else scale_of(values))
         images.append(apply(values, scales[-1]))
     return images, scales
@@ -326,7 +362,9 @@ def _start_within(
     if not inside.any():
         raise InputError(f"start {shown(what)}: lies outside of {where}", "start within it")
     if inside.all():
-        raise InputError(f"start {shown(what)}: covers all of {where}", "leave some background outside")
+        raise InputError(
+            f"start {shown(what)}: covers all of {where}", "leave some background outside"
+        )
     return np.ascontiguousarray(psi)
 
 
@@ -342,7 +380,9 @@ def _training_voxels(
             try:
                 found[name] = np.asarray(starts.build(texts, *seen) < 0)
             except AccelsurfError as error:
-                raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
+                raise type(error)(
+                    error.message.replace("start ", f"{name} ", 1), error.hint
+                ) from None
     return found
 
 
@@ -358,7 +398,9 @@ def scale_of(image: NDArray[np.float32]) -> Scale:
     InputError
         When the image is constant.
     """
-    return scale_between(np.percentile(image, SCALE_PERCENTILES), np.array([image.min(), image.max()]))
+    return scale_between(
+        np.percentile(image, SCALE_PERCENTILES), np.array([image.min(), image.max()])
+    )
 
 
 def scale_between(percentiles: NDArray[Any], extremes: NDArray[np.float32]) -> Scale:
@@ -367,7 +409,10 @@ def scale_between(percentiles: NDArray[Any], extremes: NDArray[np.float32]) -> S
     if not high > low:
         low, high = extremes
     if not high > low:
-        raise InputError(f"the image is constant here: every voxel is {low:g}", "take a larger region of interest")
+        raise InputError(
+            f"the image is constant here: every voxel is {low:g}",
+            "take a larger region of interest",
+        )
     width = float(high) - float(low)
     far = max(float(extremes[1]) - float(high), float(low) - float(extremes[0]))
     if width < MIN_RANGE or far > _MAX_RANGES * width:
@@ -407,7 +452,9 @@ def filters_of(config: RunConfig, geometry: Geometry) -> ImageFilters:
     UsageError
         When one of them would take too long.
     """
-    filters = ImageFilters(bounds_of(config.clip), in_mm(config.closing, geometry), in_mm(config.presmooth, geometry))
+    filters = ImageFilters(
+        bounds_of(config.clip), in_mm(config.closing, geometry), in_mm(config.presmooth, geometry)
+    )
     check_filters(filters, geometry)
     return filters
 
@@ -416,10 +463,14 @@ def check_filters(filters: ImageFilters, geometry: Geometry) -> None:
     """Refuse a Gaussian or a closing that takes too long."""
     smallest = min(geometry.steps)
     budgets.SMOOTHING.check(
-        math.ceil(filters.sigma / smallest), f"presmooth: a sigma of {filters.sigma:g} mm", kind=UsageError
+        math.ceil(filters.sigma / smallest),
+        f"presmooth: a sigma of {filters.sigma:g} mm",
+        kind=UsageError,
     )
     budgets.CLOSING.check(
-        math.floor(filters.closing / smallest), f"closing: a radius of {filters.closing:g} mm", kind=UsageError
+        math.floor(filters.closing / smallest),
+        f"closing: a radius of {filters.closing:g} mm",
+        kind=UsageError,
     )
 
 

@@ -46,8 +46,14 @@ def region_of_interest(text: str | None, geometry: Geometry, name: str = "roi") 
             f"{name}: {shown(text)} was given, expected X0,Y0,Z0,X1,Y1,Z1 with the first corner below the second",
             "world mm, or voxel indices with the suffix vox",
         ) from None
-    corners = np.array([[box.numbers[3 * (i >> axis & 1) + axis] for axis in range(3)] for i in range(8)])
-    index = corners[:, ::-1] if box.vox else np.array([geometry.world_to_index(corner) for corner in corners])
+    corners = np.array(
+        [[box.numbers[3 * (i >> axis & 1) + axis] for axis in range(3)] for i in range(8)]
+    )
+    index = (
+        corners[:, ::-1]
+        if box.vox
+        else np.array([geometry.world_to_index(corner) for corner in corners])
+    )
     slices = []
     for axis, n in enumerate(geometry.shape):
         low = max(int(np.ceil(index[:, axis].min() - 1e-6)), 0)
@@ -126,5 +132,8 @@ def _read_mask(file: str, window: Window) -> NDArray[np.bool_]:
     mask = np.asarray(starts.label_box(file, window, f"mask {file}") > 0)
     if not mask.any():
         there = "" if window.is_whole else " there"
-        raise InputError(f"mask {file}: it is empty{there}", "give one with voxels above 0, where the surface may be")
+        raise InputError(
+            f"mask {file}: it is empty{there}",
+            "give one with voxels above 0, where the surface may be",
+        )
     return mask

@@ -60,7 +60,9 @@ class RegionTotals:
         return total[0] - summing(image[inside]), total[1] - summing(image.ravel())
 
     def _over_everything(self, image: NDArray[np.float32], summing: Summing) -> NDArray[np.float64]:
-        return np.stack([sums_by_plane(image, summing, self._psi < 0), sums_by_plane(image, summing)])
+        return np.stack(
+            [sums_by_plane(image, summing, self._psi < 0), sums_by_plane(image, summing)]
+        )
 
     def change(self, box: Box, before: NDArray[np.bool_], after: NDArray[np.bool_]) -> None:
         """Follow a change of the object's voxels in a box.

@@ -43,12 +43,24 @@ from accelsurf.run.start_pyramid import to_finest
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.clicks.model.confidence import Confidence  # a viewer without a run imports no compiler
+    from accelsurf.clicks.model.confidence import (
+        Confidence,
+    )  # a viewer without a run imports no compiler
 
 #: Columns of the history that are summed over objects, and those of which the largest counts.
 _SUMMED = (
-    "potential", "kinetic", "mass_potential", "friction_work", "smoothing_work", "noise_work", "mass", "volume_mm3",
-    "area_mm2", "band_cells", "cells_visited", "seconds",
+    "potential",
+    "kinetic",
+    "mass_potential",
+    "friction_work",
+    "smoothing_work",
+    "noise_work",
+    "mass",
+    "volume_mm3",
+    "area_mm2",
+    "band_cells",
+    "cells_visited",
+    "seconds",
 )
 _LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_fraction")
 
@@ -173,7 +185,9 @@ class SegmentedObject:
     def touches_border(self) -> bool:
         """True if a voxel of the object lies on the border of its grid (axes with one slice do not count)."""
         axes = [axis for axis, n in enumerate(self.labels.shape) if n > 1]
-        return any(bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1))
+        return any(
+            bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1)
+        )
 
     @cached_property
     def intervals(self) -> Intervals | None:
@@ -184,7 +198,9 @@ class SegmentedObject:
         """
         found = None
         if self.has_surface:
-            found = edge_measures(self.psi, self.image, self.geometry, self.volume_mm3, self.area_mm2)
+            found = edge_measures(
+                self.psi, self.image, self.geometry, self.volume_mm3, self.area_mm2
+            )
         return None if found is None else intervals(found)
 
     @cached_property
@@ -294,7 +310,9 @@ class Result:
         kind = next(t for t in (np.uint8, np.uint16, np.uint32) if largest <= np.iinfo(t).max)
         labels = np.zeros(self.geometry.shape, kind)
         if others is not None:
-            labels = others.astype(others.dtype if largest <= np.iinfo(others.dtype).max else np.uint32)
+            labels = others.astype(
+                others.dtype if largest <= np.iinfo(others.dtype).max else np.uint32
+            )
         for segmented in self.objects:
             labels[segmented.box][segmented.labels > 0] = segmented.id
         return labels
@@ -327,26 +345,40 @@ class Result:
         """Why the run ended; of several objects ``converged`` if all that remain did, ``vanished`` if none remains,
         else the worst reason.
         """
-        return overall_stop([segmented.stop for segmented in self.objects]) if self.has_ids else self._one.stop
+        return (
+            overall_stop([segmented.stop for segmented in self.objects])
+            if self.has_ids
+            else self._one.stop
+        )
 
     @cached_property
     def history(self) -> list[StepRecord]:
         """The record of each step; of several objects, sums and largest values over them."""
         if not self.has_ids:
             return self._one.history
-        return _combined_history([segmented.history for segmented in self.objects if segmented.history])
+        return _combined_history(
+            [segmented.history for segmented in self.objects if segmented.history]
+        )
 
     @cached_property
     def run_history(self) -> list[StepRecord]:
         """`history` without corrections, whose potentials are those of their boxes and compare with no others."""
         edits = {edit.step for edit in self.config.edit[: self.edits_done]}
-        histories = [_before_corrections(segmented.history, edits) for segmented in self.objects if segmented.history]
+        histories = [
+            _before_corrections(segmented.history, edits)
+            for segmented in self.objects
+            if segmented.history
+        ]
         return _combined_history(histories) if self.has_ids else [*histories, []][0]
 
     @cached_property
     def terms(self) -> list[dict[str, Any]]:
         """The terms of the energy with their settings; "by object" where they differ between objects."""
-        return _common_terms([segmented.terms for segmented in self.objects]) if self.has_ids else self._one.terms
+        return (
+            _common_terms([segmented.terms for segmented in self.objects])
+            if self.has_ids
+            else self._one.terms
+        )
 
     @property
     def learned(self) -> tuple[float, float] | None:
@@ -366,7 +398,9 @@ class Result:
             return self._one.surface
         meshes = [segmented.surface for segmented in self.objects if segmented.has_surface]
         if not meshes:
-            raise InputError("no object is left, so there is no surface", "start closer to the objects")
+            raise InputError(
+                "no object is left, so there is no surface", "start closer to the objects"
+            )
         first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
         faces = [mesh.faces + start for mesh, start in zip(meshes, first[:-1], strict=True)]
         return Surface(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
@@ -383,7 +417,12 @@ class Result:
         if not self.has_ids:
             return self._one.contours
         return Contours(
-            tuple(loop for segmented in self.objects if segmented.has_surface for loop in segmented.contours.loops)
+            tuple(
+                loop
+                for segmented in self.objects
+                if segmented.has_surface
+                for loop in segmented.contours.loops
+            )
         )
 
     def labels_volume(self) -> Volume:
@@ -528,7 +567,9 @@ class Plateau(NamedTuple):
     labels: NDArray[np.uint8]
 
 
-def plateaus_of(found: Sequence[FoundRest], prepared: PreprocessedInput, box: Box) -> tuple[Plateau, ...]:
+def plateaus_of(
+    found: Sequence[FoundRest], prepared: PreprocessedInput, box: Box
+) -> tuple[Plateau, ...]:
     """The plateaus of an object whose part of the image's grid is ``box``."""
     return tuple(_plateau(rest, prepared, box) for rest in found)
 
@@ -541,7 +582,9 @@ def on_larger_box(plateaus: Sequence[Plateau], before: Box, box: Box) -> tuple[P
 
 def plateaus_on_whole(plateaus: Sequence[Plateau], window: Window) -> tuple[Plateau, ...]:
     """The plateaus of an object in a window, with their places on the whole grid, to the last digit."""
-    return tuple(plateau._replace(place=window.place_on_whole(plateau.place)) for plateau in plateaus)
+    return tuple(
+        plateau._replace(place=window.place_on_whole(plateau.place)) for plateau in plateaus
+    )
 
 
 def _plateau(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> Plateau:
@@ -553,7 +596,9 @@ def _plateau(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> Plateau:
     mine, theirs = shared(corner_of(box), labels.shape, prepared.corner_on_image(corner), psi.shape)
     labels[mine] = psi[theirs] < 0
     grid = grids[at.level]
-    middle = [f + i * width for f, i, width in zip(grid.first, rest.place, grid.factors, strict=True)]
+    middle = [
+        f + i * width for f, i, width in zip(grid.first, rest.place, grid.factors, strict=True)
+    ]
     x, y, z = (float(v) for v in geometry.index_to_world(middle))
     return Plateau(at.step, at.volume_mm3, rest.left_at, (x, y, z), labels)
 

@@ -98,13 +98,27 @@ class Run:
     """
 
     def __init__(
-        self, volume: Volume, config: RunConfig, energy: EnergyLike | None = None, channels: Sequence[Volume] = (),
-        objects: ObjectsLike | None = None, arrays: Mapping[str, NDArray[np.float32]] | None = None,
-        clicks: Sequence[Click] = (), part: WindowInput | None = None, labels: Volume | NDArray[Any] | None = None,
+        self,
+        volume: Volume,
+        config: RunConfig,
+        energy: EnergyLike | None = None,
+        channels: Sequence[Volume] = (),
+        objects: ObjectsLike | None = None,
+        arrays: Mapping[str, NDArray[np.float32]] | None = None,
+        clicks: Sequence[Click] = (),
+        part: WindowInput | None = None,
+        labels: Volume | NDArray[Any] | None = None,
     ) -> None:
         began = time.perf_counter()
-        begin = start_of_run(volume, seeded(config), channels, objects, arrays, clicks, part, labels)
-        self.volume, self.config, self.energy_given, config = volume, begin.config, energy, begin.config
+        begin = start_of_run(
+            volume, seeded(config), channels, objects, arrays, clicks, part, labels
+        )
+        self.volume, self.config, self.energy_given, config = (
+            volume,
+            begin.config,
+            energy,
+            begin.config,
+        )
         self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
         self.has_ids, self.given, self.given_digest = begin.has_ids, begin.given, begin.given_digest
         self.prepared, starts, contexts = begin.prepared, begin.starts, begin.contexts
@@ -117,20 +131,29 @@ class Run:
         named = energy is None or isinstance(energy, str)
         self.window = None if part is None else part.window
         beyond = None if part is None else part.open_window
-        grids = choose_levels(config, self.geometry, None if self.has_ids else starts[0].psi, named, beyond)
+        grids = choose_levels(
+            config, self.geometry, None if self.has_ids else starts[0].psi, named, beyond
+        )
         self._levels = len(grids)
         self.flow_choice = choose_flow(config, named)
         self._inputs = LevelInputs(self.prepared.images, distance, grids)
         is_given = self.prepared.other_labels is not None
-        self.level_warnings = [] if is_given else thin_start_warnings(starts, self.geometry, self.has_ids)
+        self.level_warnings = (
+            [] if is_given else thin_start_warnings(starts, self.geometry, self.has_ids)
+        )
         is_least = named and begin.at_least
         del begin
         self._max_steps = config.max_steps
-        self._all = tuple(self._object(place, *start) for place, start in enumerate(zip(starts, contexts, strict=True)))
+        self._all = tuple(
+            self._object(place, *start)
+            for place, start in enumerate(zip(starts, contexts, strict=True))
+        )
         self.objects = tuple(evolving for evolving in self._all if evolving.id != NO_OBJECT)
         self.level_summaries: list[LevelSummary] = []
         self.level = self._levels - 1
-        self._ensemble = Ensemble(self._all, self.workers, self.geometry.steps, self.has_ids, beyond)
+        self._ensemble = Ensemble(
+            self._all, self.workers, self.geometry.steps, self.has_ids, beyond
+        )
         self._stop_requested, self._steps_made = False, 0
         self._begin_first_level()
         if is_given:
@@ -138,7 +161,9 @@ class Run:
                 evolving.evolution.end_at_once("given", "its surface is that of the label map")
         else:
             for evolving in self._all if is_least else ():
-                evolving.evolution.end_at_once("converged", "it has the voxels that are nearest to its clicks")
+                evolving.evolution.end_at_once(
+                    "converged", "it has the voxels that are nearest to its clicks"
+                )
             self.level_warnings += start_checks(self._all, starts, self.prepared, self.has_ids)
         moved = self.flow_choice.applied(config)
         self.level_warnings += [
@@ -163,7 +188,9 @@ class Run:
         """Return the solver of the object at a position in the run."""
         settings = self.flow_choice.applied(settings)
         make_energy = energy_maker(self.energy_given, settings, self._levels, self.has_ids)
-        return ObjectSolver(setup_of(settings, place, self._levels, self.geometry), make_energy, context)
+        return ObjectSolver(
+            setup_of(settings, place, self._levels, self.geometry), make_energy, context
+        )
 
     @property
     def geometry(self) -> Geometry:
@@ -342,16 +369,22 @@ class Run:
             When a ball lies outside the volume.
         """
         same = 0
-        while same < min(len(edits), len(self.config.edit)) and edits[same] == self.config.edit[same]:
+        while (
+            same < min(len(edits), len(self.config.edit)) and edits[same] == self.config.edit[same]
+        ):
             same += 1
         for number, edit in enumerate(edits[same:], start=same + 1):
             self.check(edit, (), edits[:number])
         config = seeded(self.config.replace(edit=edits))
         if config.edit[: self._edits_done] != self.config.edit[: self._edits_done]:
-            raise ValueError("an edit that has been applied cannot change: restore a state before it first")
+            raise ValueError(
+                "an edit that has been applied cannot change: restore a state before it first"
+            )
         self.config = config
 
-    def check(self, edit: Correction, ids: Sequence[int] = (), edits: Sequence[Correction] | None = None) -> None:
+    def check(
+        self, edit: Correction, ids: Sequence[int] = (), edits: Sequence[Correction] | None = None
+    ) -> None:
         """Refuse an edit that this run cannot apply: see `accelsurf.run.clicks.check_edit`.
 
         ``edits`` are all up to this one; those that are in force and this one unless given.
@@ -359,7 +392,9 @@ class Run:
         ids = ids or [evolving.id for evolving in self._all]
         prepared, ids = self.prepared, ids if self.has_ids else ()
         check_edit(edit, self.config, prepared.context, prepared.geometry, ids, self.energy_given)
-        self._clicks.after((*self.config.edit[: self._edits_done], edit) if edits is None else edits)
+        self._clicks.after(
+            (*self.config.edit[: self._edits_done], edit) if edits is None else edits
+        )
 
     @property
     def clicks(self) -> Clicks | None:
@@ -389,7 +424,9 @@ class Run:
             When the state is of a coarser level than the present one, whose images have been released.
         """
         if checkpoint.level > self.level:
-            raise ValueError(f"a checkpoint of level {checkpoint.level} was given, the run is on level {self.level}")
+            raise ValueError(
+                f"a checkpoint of level {checkpoint.level} was given, the run is on level {self.level}"
+            )
         changed = energy_key(checkpoint.settings) != energy_key(self.settings)
         if checkpoint.level < self.level:
             self.level = checkpoint.level
@@ -398,7 +435,9 @@ class Run:
                 evolving.release_to(self.level)
         contexts = self._clicks.contexts(self.config.edit[: checkpoint.edits_done])
         for place, (evolving, state) in enumerate(zip(self._all, checkpoint.objects, strict=True)):
-            evolving.restore(state, self._solver(checkpoint.settings, place, contexts[place]), changed)
+            evolving.restore(
+                state, self._solver(checkpoint.settings, place, contexts[place]), changed
+            )
         self._stop_requested = False
         self.settings, self._edits_done = checkpoint.settings, checkpoint.edits_done
         self._steps_made = checkpoint.step
@@ -408,4 +447,8 @@ class Run:
     def separated(self) -> list[tuple[Corner, NDArray[np.float32]]]:
         """First voxel and psi of each object on the finest grid, cut where it meets another: none overlap."""
         parts = self._ensemble.separated(self.prepared.mask_distance)
-        return [part for evolving, part in zip(self._all, parts, strict=True) if evolving.id != NO_OBJECT]
+        return [
+            part
+            for evolving, part in zip(self._all, parts, strict=True)
+            if evolving.id != NO_OBJECT
+        ]

@@ -86,7 +86,12 @@ def choose_levels(
 
     if wanted == "auto":
         terms = energy_expression.parse(config.energy)
-        if psi is None or not has_name or begins_at_model(config) or any(TERMS[t.name].keeps_fine_edges for t in terms):
+        if (
+            psi is None
+            or not has_name
+            or begins_at_model(config)
+            or any(TERMS[t.name].keeps_fine_edges for t in terms)
+        ):
             return in_window(pyramid.levels(shape, spacing, 1))
         possible = pyramid.levels(shape, spacing, min_voxels=AUTO_MIN_VOXELS)
         grids = in_window(possible)
@@ -120,7 +125,9 @@ def setup_of(settings: RunConfig, place: int, levels: int, geometry: Geometry) -
     )
 
 
-def energy_maker(energy: EnergyLike | None, settings: RunConfig, levels: int, has_ids: bool) -> EnergyMaker:
+def energy_maker(
+    energy: EnergyLike | None, settings: RunConfig, levels: int, has_ids: bool
+) -> EnergyMaker:
     """The function that makes the energy on each grid; an energy object belongs to one grid only.
 
     Raises
@@ -131,7 +138,11 @@ def energy_maker(energy: EnergyLike | None, settings: RunConfig, levels: int, ha
     if energy is None or isinstance(energy, str):
         return functools.partial(_named_energy, settings)
     if (levels > 1 or has_ids) and not is_maker(energy):
-        what = f"levels: {levels} was given, expected 1" if levels > 1 else "objects: several were given"
+        what = (
+            f"levels: {levels} was given, expected 1"
+            if levels > 1
+            else "objects: several were given"
+        )
         raise UsageError(
             f"{what}: the energy has one image, and each {'level' if levels > 1 else 'object'} needs its own",
             "give a class or function that makes the energy of (image, spacing), or levels=1 and one object",
@@ -141,7 +152,9 @@ def energy_maker(energy: EnergyLike | None, settings: RunConfig, levels: int, ha
 
 def needs_seed(config: RunConfig) -> bool:
     """Return True if a configuration has noise at any time, and no seed."""
-    noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
+    noisy = config.noise > 0 or any(
+        config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings
+    )
     return noisy and config.seed is None
 
 
@@ -150,7 +163,9 @@ def seeded(config: RunConfig) -> RunConfig:
     return config.replace(seed=secrets.randbelow(2**31)) if needs_seed(config) else config
 
 
-def thin_start_warnings(starts: Sequence[ObjectStart], geometry: Geometry, has_ids: bool) -> list[str]:
+def thin_start_warnings(
+    starts: Sequence[ObjectStart], geometry: Geometry, has_ids: bool
+) -> list[str]:
     """A line for each start that lies in a single thick slice, where its surface is known to within a slice only.
 
     Examples
@@ -182,7 +197,10 @@ def thread_count(config: RunConfig) -> int:
 
 
 def _named_energy(
-    settings: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float], context: ImageContext
+    settings: RunConfig,
+    image: NDArray[np.float32],
+    spacing: tuple[float, float, float],
+    context: ImageContext,
 ) -> MadeEnergy:
     made = make_energy(settings, image, spacing, context)
     return MadeEnergy(made.energy, settings.energy, made.terms)
@@ -206,15 +224,23 @@ def energy_key(config: RunConfig) -> tuple[Any, ...]:
 
 def window_reach(settings: RunConfig, geometry: Geometry) -> float:
     """Return the reach of the energy's terms beyond an object, mm; 0 where none has a window."""
-    reaches = ((TERMS[term.name].reach, term.settings) for term in energy_expression.parse(settings.energy))
+    reaches = (
+        (TERMS[term.name].reach, term.settings) for term in energy_expression.parse(settings.energy)
+    )
     largest = max(geometry.steps)
-    return max((load(reach)(given, largest) for reach, given in reaches if reach is not None), default=0.0)
+    return max(
+        (load(reach)(given, largest) for reach, given in reaches if reach is not None), default=0.0
+    )
 
 
 def begins_at_model(config: RunConfig) -> bool:
     """Return True if a run begins at the object that the model of the clicks shows, and that model is its energy."""
     terms = energy_expression.parse(config.energy)
-    is_shown = config.start == (CLICKS,) or config.objects is not None or energy_expression.parts_space(config.energy)
+    is_shown = (
+        config.start == (CLICKS,)
+        or config.objects is not None
+        or energy_expression.parts_space(config.energy)
+    )
     return is_shown and all(TERMS[term.name].uses_model for term in terms)
 
 
@@ -224,8 +250,16 @@ def is_least_at_model(config: RunConfig) -> bool:
     Without a weight of the area their energy is the sum of F inside, least where F < 0.
     """
     terms = energy_expression.parse(config.energy)
-    moved = config.smoothness or config.noise or config.edit or config.max_volume or config.levels not in ("auto", 1)
-    return not moved and all(term.name == "partition" and term.settings.get("area") == 0 for term in terms)
+    moved = (
+        config.smoothness
+        or config.noise
+        or config.edit
+        or config.max_volume
+        or config.levels not in ("auto", 1)
+    )
+    return not moved and all(
+        term.name == "partition" and term.settings.get("area") == 0 for term in terms
+    )
 
 
 def stop_rule(config: RunConfig, levels: int) -> StopRule:
@@ -305,22 +339,30 @@ class FlowChoice(NamedTuple):
         """The settings with this flow, where they leave it open; with momentum, where an edit gave a setting of it."""
         if config.flow != AUTO:
             return config
-        return config.model_copy(update={"flow": MOMENTUM if _given_of_momentum(config) else self.flow})
+        return config.model_copy(
+            update={"flow": MOMENTUM if _given_of_momentum(config) else self.flow}
+        )
 
 
 def choose_flow(config: RunConfig, has_name: bool) -> FlowChoice:
     """The flow for settings that leave it open; ``has_name``: the energy is one with a name."""
     wanted = _given_of_momentum(config)
     if wanted:
-        return FlowChoice(MOMENTUM, f"momentum, as {wanted[0]} was given, which descent does not have")
+        return FlowChoice(
+            MOMENTUM, f"momentum, as {wanted[0]} was given, which descent does not have"
+        )
     if not has_name:
         return FlowChoice(MOMENTUM, "momentum, as the energy is one of your own")
     if energy_expression.uses_model(config.energy):
         return FlowChoice(MOMENTUM, "momentum, as from clicks all flows end at the same surface")
     names = {term.name for term in energy_expression.parse(config.energy)} - {"area"}
     if names == {"threshold"}:
-        return FlowChoice(DESCENT, "descent, as under bounds of brightness momentum may leak through thin walls")
-    return FlowChoice(MOMENTUM, f"momentum, as under {config.energy} descent rests too soon or finds less")
+        return FlowChoice(
+            DESCENT, "descent, as under bounds of brightness momentum may leak through thin walls"
+        )
+    return FlowChoice(
+        MOMENTUM, f"momentum, as under {config.energy} descent rests too soon or finds less"
+    )
 
 
 def _given_of_momentum(config: RunConfig) -> list[str]:

@@ -88,11 +88,13 @@ def start_of_run(
     if config.labels is not None or labels_given is not None:
         if part is not None:
             raise UsageError(
-                "labels: a label map was given, and the image is read in parts", "let it be read into memory"
+                "labels: a label map was given, and the image is read in parts",
+                "let it be read into memory",
             )
         if objects is not None or arrays or clicks:
             raise UsageError(
-                "labels: a label map was given with a start, a mask, objects or clicks", "give clicks to refine"
+                "labels: a label map was given with a start, a mask, objects or clicks",
+                "give clicks to refine",
             )
         return _start_of_labels(volume, config, channels, labels_given)
     labels = config.objects if objects is None else objects
@@ -103,9 +105,20 @@ def start_of_run(
         clicks = [*clicks, *table.clicks]
         if "energy" not in config.model_fields_set:
             config = config.replace(energy="seeded")
-    if labels is not None and any(click.id == 1 for click in clicks) and table is None and not surfaces:
-        raise UsageError("inside: clicks were given with objects", "give a table of objects with a column side")
-    volumes = [volume, *channels, *([] if part is not None else read_further(config.channel, config.reading))]
+    if (
+        labels is not None
+        and any(click.id == 1 for click in clicks)
+        and table is None
+        and not surfaces
+    ):
+        raise UsageError(
+            "inside: clicks were given with objects", "give a table of objects with a column side"
+        )
+    volumes = [
+        volume,
+        *channels,
+        *([] if part is not None else read_further(config.channel, config.reading)),
+    ]
     has_ids = labels is not None
     if surfaces:
         several = surfaces
@@ -127,15 +140,22 @@ def start_of_run(
         if table is not None and uses_model(config):
             starts = _of_models(starts, contexts, prepared.geometry, thread_count(config))
     at_least = table is not None and is_least_at_model(config)
-    return RunStart(config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts, at_least)
+    return RunStart(
+        config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts, at_least
+    )
 
 
 def _start_of_labels(
-    volume: Volume, config: RunConfig, channels: Sequence[Volume], given: Volume | NDArray[Any] | None
+    volume: Volume,
+    config: RunConfig,
+    channels: Sequence[Volume],
+    given: Volume | NDArray[Any] | None,
 ) -> RunStart:
     """The start of a run that begins and ends with the objects of a label map; the other labels are not entered."""
     geometry = volume.geometry
-    starts, others = object_starts.read_label_map(str(config.labels) if given is None else given, geometry, AROUND)
+    starts, others = object_starts.read_label_map(
+        str(config.labels) if given is None else given, geometry, AROUND
+    )
     volumes = [volume, *channels, *read_further(config.channel, config.reading)]
     prepared, _ = preprocess(volumes, config, {"start": union_of(starts, geometry)}, (), True)
     prepared = replace(prepared, other_labels=others)
@@ -143,7 +163,9 @@ def _start_of_labels(
     for start in starts:
         context = prepared.context.of_object(start.corner, start.psi < 0)
         mask = GivenMask(box_at(start.corner, start.psi.shape), start.psi < 0)
-        contexts.append(context.with_model_inputs(context.model_inputs._replace(given=mask, mask=is_open)))
+        contexts.append(
+            context.with_model_inputs(context.model_inputs._replace(given=mask, mask=is_open))
+        )
     by_array = given_arrays(None, None, given)
     return RunStart(config, True, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
 
@@ -155,7 +177,9 @@ def _context_of(start: ObjectStart, prepared: PreprocessedInput, is_surface: boo
     clicks takes its size for the object's.
     """
     spacing = prepared.geometry.spacing
-    context = prepared.context.of_object(start.corner, core_of(start.psi, spacing) if is_surface else start.psi < 0)
+    context = prepared.context.of_object(
+        start.corner, core_of(start.psi, spacing) if is_surface else start.psi < 0
+    )
     if is_surface and context.model_inputs.size_mm3 is None:
         size = float(np.count_nonzero(start.psi < 0)) * prepared.geometry.voxel_volume
         context = context.with_model_inputs(context.model_inputs._replace(size_mm3=size))
@@ -170,7 +194,11 @@ def _masks_of(clicks: Sequence[Click], geometry: Geometry) -> dict[str, NDArray[
 
 
 def _several(
-    labels: Any, table: Clicks | None, clicks: Sequence[Click], config: RunConfig, geometry: Geometry
+    labels: Any,
+    table: Clicks | None,
+    clicks: Sequence[Click],
+    config: RunConfig,
+    geometry: Geometry,
 ) -> list[ObjectStart]:
     """First surfaces of several objects on the image's grid; none for a single one."""
     if labels is None:
@@ -187,7 +215,8 @@ def _no_object(prepared: PreprocessedInput, config: RunConfig) -> list[ObjectSta
     if prepared.clicks is None or uses_model(config):
         return []
     whole = Clicks(
-        tuple(click for click in prepared.clicks.clicks if click.id == NO_OBJECT), prepared.clicks.shape
+        tuple(click for click in prepared.clicks.clicks if click.id == NO_OBJECT),
+        prepared.clicks.shape,
     )
     found = tables.starts_of(whole, prepared.geometry, AROUND)
     return [start._replace(corner=prepared.corner_on_image(start.corner)) for start in found]
@@ -226,5 +255,7 @@ def _of_models(
             continue
         box = widened(placed_at(tight, corner_of(around)), geometry.shape, (AROUND, AROUND, AROUND))
         psi = context.model_start(box)
-        out.append(ObjectStart(start.id, corner_of(box), np.where(owner[box] == number, psi, np.abs(psi))))
+        out.append(
+            ObjectStart(start.id, corner_of(box), np.where(owner[box] == number, psi, np.abs(psi)))
+        )
     return out

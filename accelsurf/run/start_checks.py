@@ -55,7 +55,10 @@ class Bounds(NamedTuple):
 
 
 def start_checks(
-    objects: Sequence[EvolvingObject], starts: Sequence[ObjectStart], prepared: PreprocessedInput, has_ids: bool
+    objects: Sequence[EvolvingObject],
+    starts: Sequence[ObjectStart],
+    prepared: PreprocessedInput,
+    has_ids: bool,
 ) -> list[str]:
     """A line for each problem of a start, with what to try; to be called before the first step.
 
@@ -74,14 +77,18 @@ def start_checks(
         # The seeded model chooses start and weight to go together.
         seeded = any(term["term"] == "seeded" for term in segmented.made.terms)
         found = [*_of_values(segmented, start, prepared, has_ids)]
-        found += [*_of_size(segmented, prepared), *_of_clicks(segmented, prepared)] if seeded else _of_area(
-            segmented, start, prepared
+        found += (
+            [*_of_size(segmented, prepared), *_of_clicks(segmented, prepared)]
+            if seeded
+            else _of_area(segmented, start, prepared)
         )
         lines += [f"object {segmented.id}: {line}" if has_ids else line for line in found]
     return lines
 
 
-def _of_values(evolving: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
+def _of_values(
+    evolving: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput, has_ids: bool
+) -> list[str]:
     """The checks of the start's values, in the file's unit."""
     inside = start.psi < 0
     tight = bounding_box(inside)
@@ -93,7 +100,9 @@ def _of_values(evolving: EvolvingObject, start: ObjectStart, prepared: Preproces
     lines = []
     if prepared.learns:
         clicked = evolving.context.clicks is not None and bool(evolving.context.clicks.ids())
-        lines = _outlier_line(values, inside, start.corner, prepared.geometry, _option(evolving, clicked, has_ids))
+        lines = _outlier_line(
+            values, inside, start.corner, prepared.geometry, _option(evolving, clicked, has_ids)
+        )
     for term in evolving.made.terms:
         if term["term"] != "threshold" or "LO" not in term:
             continue
@@ -101,7 +110,9 @@ def _of_values(evolving: EvolvingObject, start: ObjectStart, prepared: Preproces
         if line := _bounds_line(values, window):
             lines.append(line)
         elif share := _surroundings_share(low + width * image, inside, prepared.geometry, window):
-            ball = _deepest_ball(inside[tight], np.add(corner_of(tight), start.corner).tolist(), prepared.geometry)
+            ball = _deepest_ball(
+                inside[tight], np.add(corner_of(tight), start.corner).tolist(), prepared.geometry
+            )
             lines.append(
                 f"window: {share:.0%} of the surroundings of the start lie within the bounds too: it will leak; try "
                 f"{_option(evolving, True, has_ids).replace('*', ball)}, in place of "
@@ -141,7 +152,9 @@ def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[st
     return lines
 
 
-def _background_line(click: Click, evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
+def _background_line(
+    click: Click, evolving: EvolvingObject, prepared: PreprocessedInput
+) -> list[str]:
     """Check that a click inside does not look like the background of the image; of a part of one nothing is known."""
     if evolving.context.model_inputs.window is not None:
         return []
@@ -178,7 +191,12 @@ def _background_share(image: NDArray[np.float32], click: Click) -> float:
     middle = float(np.median(values))
     same = thin == np.float32(middle)
     is_extreme = middle in (float(thin.min()), float(thin.max()))
-    if is_extreme and thin.min() < thin.max() and same.mean() >= _COMMON and (values == middle).mean() > _ONE_VALUE:
+    if (
+        is_extreme
+        and thin.min() < thin.max()
+        and same.mean() >= _COMMON
+        and (values == middle).mean() > _ONE_VALUE
+    ):
         return float(same.mean())
     if _END < middle < 1.0 - _END:
         return 0.0
@@ -197,7 +215,9 @@ def _background_share(image: NDArray[np.float32], click: Click) -> float:
 
 def _thinning(shape: Sequence[int]) -> list[int]:
     """Steps along each axis that leave about `SAMPLES` voxels."""
-    every = max(1, int(np.ceil((math.prod(shape) / SAMPLES) ** (1.0 / max(sum(n > 1 for n in shape), 1)))))
+    every = max(
+        1, int(np.ceil((math.prod(shape) / SAMPLES) ** (1.0 / max(sum(n > 1 for n in shape), 1))))
+    )
     return [every if n > 1 else 1 for n in shape]
 
 
@@ -255,7 +275,10 @@ def _bounds_line(values: NDArray[np.float64], window: Bounds) -> str:
 
 def _within(values: NDArray[Any], window: Bounds) -> NDArray[np.bool_]:
     low, high = window
-    return np.asarray((values >= (-np.inf if low is None else low)) & (values <= (np.inf if high is None else high)))
+    return np.asarray(
+        (values >= (-np.inf if low is None else low))
+        & (values <= (np.inf if high is None else high))
+    )
 
 
 def _surroundings_share(
@@ -264,7 +287,11 @@ def _surroundings_share(
     """Return the share of a start's surroundings within the energy's window; 0 up to `_MAX_AROUND`."""
     tight, spacing = bounding_box(inside), geometry.spacing
     assert tight is not None
-    radius = 0.5 * max((s.stop - s.start) * h for s, h, n in zip(tight, spacing, inside.shape, strict=True) if n > 1)
+    radius = 0.5 * max(
+        (s.stop - s.start) * h
+        for s, h, n in zip(tight, spacing, inside.shape, strict=True)
+        if n > 1
+    )
     margins = [int(np.ceil(SHELL[1] * radius / h)) for h in spacing]
     box = widened(tight, inside.shape, (margins[0], margins[1], margins[2]))
     part = inside[box]
@@ -273,7 +300,9 @@ def _surroundings_share(
     part, values = part[thin], image[box][thin]
     if not part.any():
         return 0.0
-    away = ndimage.distance_transform_edt(~part, sampling=[h * step for h, step in zip(spacing, steps, strict=True)])
+    away = ndimage.distance_transform_edt(
+        ~part, sampling=[h * step for h, step in zip(spacing, steps, strict=True)]
+    )
     shell = (away > (SHELL[0] - 1.0) * radius) & (away < SHELL[1] * radius)
     if not shell.any():
         return 0.0
@@ -282,7 +311,11 @@ def _surroundings_share(
 
 
 def _outlier_line(
-    values: NDArray[np.float64], inside: NDArray[np.bool_], corner: Corner, geometry: Geometry, option: str
+    values: NDArray[np.float64],
+    inside: NDArray[np.bool_],
+    corner: Corner,
+    geometry: Geometry,
+    option: str,
 ) -> list[str]:
     """Check that no values in the start are far from the others, and find the farthest.
 
@@ -317,17 +350,23 @@ def _outlier_line(
     ]
 
 
-def _of_area(evolving: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput) -> list[str]:
+def _of_area(
+    evolving: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput
+) -> list[str]:
     """The check of the area weight; of a weight by noise alone only where the start is small, as it needs memory."""
     # The start's psi may be no distance any more: its memory is the surface's.
     of_terms, alpha = _area_of(evolving.made.terms), evolving.evolution.energy.alpha
     if 0 < alpha <= of_terms * (1.0 + 1e-9):
         inside, image = start.psi < 0, prepared.images[0]
         values = image[box_at(start.corner, start.psi.shape)][inside].astype(np.float64)
-        outside = (float(image.sum(dtype=np.float64)) - values.sum()) / max(image.size - values.size, 1)
+        outside = (float(image.sum(dtype=np.float64)) - values.sum()) / max(
+            image.size - values.size, 1
+        )
         steps = prepared.geometry.steps
         size = values.size * math.prod(steps)
-        radius = (0.75 * size / math.pi) ** (1 / 3) if len(steps) == 3 else math.sqrt(size / math.pi)
+        radius = (
+            (0.75 * size / math.pi) ** (1 / 3) if len(steps) == 3 else math.sqrt(size / math.pi)
+        )
         if 2.0 * alpha / radius < _SAFE * (values.mean() - outside) ** 2:
             return []
     return area_line(evolving.evolution, of_terms)
@@ -335,8 +374,14 @@ def _of_area(evolving: EvolvingObject, start: ObjectStart, prepared: Preprocesse
 
 def _area_of(terms: Sequence[dict[str, Any]]) -> float:
     """Weight of the area that terms of chan-vese have of their own, mm."""
-    found = [(term["weight"], term.get("channels", [term])) for term in terms if term["term"] == "chan-vese"]
-    return sum(weight * sum(channel["area"] for channel in seen) / len(seen) for weight, seen in found)
+    found = [
+        (term["weight"], term.get("channels", [term]))
+        for term in terms
+        if term["term"] == "chan-vese"
+    ]
+    return sum(
+        weight * sum(channel["area"] for channel in seen) / len(seen) for weight, seen in found
+    )
 
 
 def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
@@ -350,7 +395,11 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
     energy, front_surface = without_clicks(evolution.energy), surface
     spacing = (front_surface.grid.hz, front_surface.grid.hy, front_surface.grid.hx)
     surface = LevelSet(
-        np.array(front_surface.psi), spacing, front_surface.requested_half_width, front_surface.workers, overwrite=True
+        np.array(front_surface.psi),
+        spacing,
+        front_surface.requested_half_width,
+        front_surface.workers,
+        overwrite=True,
     )
     energy.start(surface)
     fraction, area = surface.fraction_and_area()
@@ -371,7 +420,11 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
         return []
     radius = 2.0 * alpha / (both - image)
     less = 0.5 * alpha * -image / (both - image)
-    given = f"--smoothness {less - of_terms:.2g}" if less > of_terms else f"--energy chan-vese:area={less:.2g}"
+    given = (
+        f"--smoothness {less - of_terms:.2g}"
+        if less > of_terms
+        else f"--energy chan-vese:area={less:.2g}"
+    )
     return [
         f"area: the start has a radius of about {radius:.3g} mm; with the area weight {alpha:.3g} mm, whatever is "
         f"smaller than {2.0 * alpha / -image:.3g} mm shrinks; try {given}"

@@ -32,7 +32,9 @@ class StartPyramid:
             corner, psi = self._starts[-1]
             at, shape = coarser_box(corner, psi.shape, coarse, fine)
             corner, psi = _widened(corner, psi, touched_box(at, shape, coarse, fine), far)
-            self._starts.append((at, restrict(psi, fine.on_box(corner, psi.shape), coarse.on_box(at, shape))))
+            self._starts.append(
+                (at, restrict(psi, fine.on_box(corner, psi.shape), coarse.on_box(at, shape)))
+            )
 
     @property
     def level(self) -> int:
@@ -105,7 +107,8 @@ def finer_box(
     ratio = _ratio_of(coarse, fine)
     z, y, x = (c * r for c, r in zip(corner, ratio, strict=True))
     nz, ny, nx = (
-        n * r - (1 if r > 1 and whole % 2 else 0) for n, r, whole in zip(shape, ratio, fine.shape, strict=True)
+        n * r - (1 if r > 1 and whole % 2 else 0)
+        for n, r, whole in zip(shape, ratio, fine.shape, strict=True)
     )
     return (z, y, x), (nz, ny, nx)
 
@@ -167,12 +170,17 @@ class LevelInputs:
     """
 
     def __init__(
-        self, images: Sequence[NDArray[np.float32]], mask_distance: NDArray[np.float32] | None, grids: Sequence[Level]
+        self,
+        images: Sequence[NDArray[np.float32]],
+        mask_distance: NDArray[np.float32] | None,
+        grids: Sequence[Level],
     ) -> None:
         self.grids = tuple(grids)
         self.known_distances: KnownDistances = {}
         self._images = [LevelArrays(image, self.grids) for image in images]
-        self._mask_distance = None if mask_distance is None else LevelArrays(mask_distance, self.grids)
+        self._mask_distance = (
+            None if mask_distance is None else LevelArrays(mask_distance, self.grids)
+        )
 
     def images(self, level: int, box: Box) -> list[NDArray[np.float32]]:
         """The channels on a box of a level."""
@@ -184,5 +192,8 @@ class LevelInputs:
 
     def release_coarser(self, level: int) -> None:
         """Release the arrays of levels coarser than ``level``."""
-        for image in (*self._images, *([self._mask_distance] if self._mask_distance is not None else [])):
+        for image in (
+            *self._images,
+            *([self._mask_distance] if self._mask_distance is not None else []),
+        ):
             image.release_coarser(level)

@@ -166,9 +166,13 @@ class Server:
         Names under which the server may be asked; None for any.
     """
 
-    def __init__(self, limits: Limits, key: str | None = None, hosts: tuple[str, ...] | None = LOCAL) -> None:
+    def __init__(
+        self, limits: Limits, key: str | None = None, hosts: tuple[str, ...] | None = LOCAL
+    ) -> None:
         if key is not None and not key:
-            raise UsageError("api_key: an empty key was given", "leave it out, or give a long random one")
+            raise UsageError(
+                "api_key: an empty key was given", "leave it out, or give a long random one"
+            )
         self.leases = Leases(limits.sessions, limits.idle)
         self._key, self._hosts = key, hosts
         self._worker = ThreadPoolExecutor(1, "accelsurf serve")
@@ -177,18 +181,29 @@ class Server:
     def app(self) -> Starlette:
         """Return the application."""
         routes = [
-            ("/healthz", "GET", self._healthz), ("/capabilities", "GET", self._capabilities),
-            ("/lease_status", "GET", self._lease_status), ("/claim", "POST", self._claim),
-            ("/release", "POST", self._release), ("/heartbeat", "POST", self._heartbeat),
-            ("/set_image", "POST", self._set_image), ("/set_target_buffer", "POST", self._set_target_buffer),
-            ("/set_do_autozoom", "POST", self._set_do_autozoom), ("/predict", "POST", self._predict),
-            ("/reset_interactions", "POST", self._reset), ("/undo", "POST", self._undo),
-            ("/add_point_interaction", "POST", self._point), ("/add_bbox_interaction", "POST", self._rectangle),
-            ("/add_scribble_interaction", "POST", self._scribble), ("/add_lasso_interaction", "POST", self._lasso),
+            ("/healthz", "GET", self._healthz),
+            ("/capabilities", "GET", self._capabilities),
+            ("/lease_status", "GET", self._lease_status),
+            ("/claim", "POST", self._claim),
+            ("/release", "POST", self._release),
+            ("/heartbeat", "POST", self._heartbeat),
+            ("/set_image", "POST", self._set_image),
+            ("/set_target_buffer", "POST", self._set_target_buffer),
+            ("/set_do_autozoom", "POST", self._set_do_autozoom),
+            ("/predict", "POST", self._predict),
+            ("/reset_interactions", "POST", self._reset),
+            ("/undo", "POST", self._undo),
+            ("/add_point_interaction", "POST", self._point),
+            ("/add_bbox_interaction", "POST", self._rectangle),
+            ("/add_scribble_interaction", "POST", self._scribble),
+            ("/add_lasso_interaction", "POST", self._lasso),
             ("/add_initial_seg_interaction", "POST", self._labels),
         ]
         return Starlette(
-            routes=[Route(path, self._answered(handler), methods=[method]) for path, method, handler in routes],
+            routes=[
+                Route(path, self._answered(handler), methods=[method])
+                for path, method, handler in routes
+            ],
             lifespan=self._lifespan,
         )
 
@@ -208,7 +223,9 @@ class Server:
 
     # -- who may ask ---------------------------------------------------------------------------------------
 
-    def _answered(self, handler: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
+    def _answered(
+        self, handler: Callable[[Request], Awaitable[Response]]
+    ) -> Callable[[Request], Awaitable[Response]]:
         """Return a handler that is called for those who may ask, and answers errors with one line."""
 
         async def answer(request: Request) -> Response:
@@ -222,7 +239,10 @@ class Server:
             except LateError as late:
                 # What the client shows may not be what the session has.
                 self.leases.release(request.headers.get(LEASE, ""))
-                status, detail = 503, f"the work took more than {late.seconds:g} seconds: the session has ended"
+                status, detail = (
+                    503,
+                    f"the work took more than {late.seconds:g} seconds: the session has ended",
+                )
             except FullError:
                 status, detail = 503, f"all {self.leases.most} sessions are taken: try again later"
             except AccelsurfError as error:
@@ -234,9 +254,14 @@ class Server:
                 status, detail = 400, "the request was not sent to its end"
             except Exception:
                 _log.exception("%s", request.url.path)
-                status, detail = 500, "internal error: the terminal of accelsurf serve has the traceback"
+                status, detail = (
+                    500,
+                    "internal error: the terminal of accelsurf serve has the traceback",
+                )
             is_read = await _discarded(request)
-            return JSONResponse({"detail": detail}, status, headers={} if is_read else {"Connection": "close"})
+            return JSONResponse(
+                {"detail": detail}, status, headers={} if is_read else {"Connection": "close"}
+            )
 
         return answer
 
@@ -288,7 +313,9 @@ class Server:
     def _meta(self, request: Request, kind: type[Said]) -> Said:
         text = request.headers.get(META, "{}")
         if len(text) > MAX_JSON:
-            raise Refusal(413, f"{META}: {len(text)} characters were sent, at most {MAX_JSON} expected")
+            raise Refusal(
+                413, f"{META}: {len(text)} characters were sent, at most {MAX_JSON} expected"
+            )
         return _parsed(text.encode(errors="replace"), kind)
 
     async def _with_array(
@@ -305,10 +332,13 @@ class Server:
                 header = arrays.header_of(body)
                 voxels = header.nbytes // header.dtype.itemsize
                 if voxels > max_voxels:
-                    raise arrays.TooLargeError(f"array: {voxels} voxels were sent, at most {max_voxels} expected")
+                    raise arrays.TooLargeError(
+                        f"array: {voxels} voxels were sent, at most {max_voxels} expected"
+                    )
                 if max(COST * VOXEL * voxels, header.nbytes) > free:
                     raise arrays.TooLargeError(
-                        f"array: {voxels} voxels were sent, too many for the memory here", "send a part of the image"
+                        f"array: {voxels} voxels were sent, too many for the memory here",
+                        "send a part of the image",
                     )
                 return work(arrays.unpack(body, header.nbytes))
 
@@ -336,7 +366,11 @@ class Server:
         return JSONResponse(
             {
                 "supported_interactions": {
-                    "points": True, "bbox2d": True, "bbox3d": False, "scribble": True, "lasso": True,
+                    "points": True,
+                    "bbox2d": True,
+                    "bbox3d": False,
+                    "scribble": True,
+                    "lasso": True,
                 },
                 "supports_initial_label": True,
                 "supports_zero_shot_label_refinement": False,
@@ -374,7 +408,9 @@ class Server:
 
     async def _lease_status(self, request: Request) -> Response:
         remaining = self.leases.remaining(request.headers.get(LEASE, ""))
-        return JSONResponse({"remaining_seconds": remaining, "idle_timeout_seconds": self.leases.idle})
+        return JSONResponse(
+            {"remaining_seconds": remaining, "idle_timeout_seconds": self.leases.idle}
+        )
 
     async def _set_image(self, request: Request) -> Response:
         lease, meta = self._lease(request), self._meta(request, ImageMeta)
@@ -388,7 +424,10 @@ class Server:
     async def _set_target_buffer(self, request: Request) -> Response:
         session, buffer = self._session(request), await self._json(request, TargetBuffer)
         if buffer.shape != session.shape:
-            raise Refusal(400, f"a buffer of shape {buffer.shape} was named, expected the image's {session.shape}")
+            raise Refusal(
+                400,
+                f"a buffer of shape {buffer.shape} was named, expected the image's {session.shape}",
+            )
         if buffer.dtype not in arrays.TYPES or arrays.TYPES[buffer.dtype].kind not in "bui":
             raise Refusal(400, "a buffer of another type was named, expected integers or bool")
         return JSONResponse({})
@@ -494,5 +533,7 @@ def _response(session: ImageSession, is_asked: bool) -> Response:
         meta |= {"dtype": "uint8", "shape": list(answer.labels.shape)}
         body = arrays.pack(answer.labels)
     return Response(
-        body, media_type="application/octet-stream", headers={META: json.dumps(meta, separators=(",", ":"))}
+        body,
+        media_type="application/octet-stream",
+        headers={META: json.dumps(meta, separators=(",", ":"))},
     )

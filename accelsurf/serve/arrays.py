@@ -77,15 +77,21 @@ def header_of(body: bytes | bytearray | memoryview) -> Header:
         raise InputError("array: a body without a header was sent", "send a packed array")
     magic, version, codec, axes, letters = _HEADER.unpack_from(body)
     if magic != MAGIC or version != VERSION or codec not in CODECS:
-        raise InputError("array: a body of another form was sent", f"send version {VERSION} of the packing")
+        raise InputError(
+            "array: a body of another form was sent", f"send version {VERSION} of the packing"
+        )
     name = bytes(body[_HEADER.size : _HEADER.size + letters])
     dtype = TYPES.get(name.decode("ascii", "replace"))
     end = _HEADER.size + letters + 8 * axes
     if dtype is None or not 0 < axes <= MAX_AXES or len(body) < end:
-        raise InputError(f"array: {axes} axes of {name[:20]!r} were sent, 1 to {MAX_AXES} axes of numbers expected")
+        raise InputError(
+            f"array: {axes} axes of {name[:20]!r} were sent, 1 to {MAX_AXES} axes of numbers expected"
+        )
     shape = struct.unpack_from(f"<{axes}q", body, end - 8 * axes)
     if min(shape) < 1:
-        raise InputError(f"array: the shape {shape} was sent, at least one place along each axis expected")
+        raise InputError(
+            f"array: the shape {shape} was sent, at least one place along each axis expected"
+        )
     return Header(dtype, shape, end)
 
 
@@ -106,7 +112,8 @@ def unpack(body: bytes | bytearray, max_bytes: int) -> NDArray[Any]:
     header = header_of(body)
     if header.nbytes > max_bytes:
         raise TooLargeError(
-            f"array: {header.nbytes} bytes, at most {max_bytes} expected", "send a part of the image, or fewer bits"
+            f"array: {header.nbytes} bytes, at most {max_bytes} expected",
+            "send a part of the image, or fewer bits",
         )
     view = memoryview(body)
     chunks = list(_chunks(view, header))
@@ -116,7 +123,9 @@ def unpack(body: bytes | bytearray, max_bytes: int) -> NDArray[Any]:
         try:
             blosc2.decompress2(frame, dst=flat[first : first + size])
         except (ValueError, RuntimeError, TypeError):
-            raise InputError("array: a chunk cannot be unpacked", "it is damaged: send it again") from None
+            raise InputError(
+                "array: a chunk cannot be unpacked", "it is damaged: send it again"
+            ) from None
         first += size
     return out
 
@@ -159,13 +168,19 @@ def pack(array: NDArray[Any]) -> bytes:
     flat = array.reshape(-1).view(np.uint8)
     starts = range(0, flat.size, CHUNK)
     parts = [
-        _HEADER.pack(MAGIC, VERSION, 2, array.ndim, len(name)), name,
-        struct.pack(f"<{array.ndim}q", *array.shape), struct.pack("<I", len(starts)),
+        _HEADER.pack(MAGIC, VERSION, 2, array.ndim, len(name)),
+        name,
+        struct.pack(f"<{array.ndim}q", *array.shape),
+        struct.pack("<I", len(starts)),
     ]
     for first in starts:
         piece = flat[first : first + CHUNK]
         frame = blosc2.compress2(
-            piece, typesize=array.dtype.itemsize, codec=blosc2.Codec.LZ4, clevel=3, filters=[blosc2.Filter.NOFILTER]
+            piece,
+            typesize=array.dtype.itemsize,
+            codec=blosc2.Codec.LZ4,
+            clevel=3,
+            filters=[blosc2.Filter.NOFILTER],
         )
         parts += [_SIZES.pack(piece.size, len(frame)), frame]
     return b"".join(parts)

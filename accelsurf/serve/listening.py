@@ -32,7 +32,11 @@ class _Protocol(H11Protocol):
 
 
 def serve(
-    host: str, port: int, limits: Limits, key: str | None = None, on_ready: Callable[[str], None] | None = None
+    host: str,
+    port: int,
+    limits: Limits,
+    key: str | None = None,
+    on_ready: Callable[[str], None] | None = None,
 ) -> None:
     """Serve until Ctrl-C.
 
@@ -58,7 +62,8 @@ def serve(
     is_local = host in LOCAL
     if not is_local and key is None:
         raise UsageError(
-            f"host: {host} was given without a key, but other machines can reach it", "give a long random --api-key"
+            f"host: {host} was given without a key, but other machines can reach it",
+            "give a long random --api-key",
         )
     server = Server(limits, key, LOCAL if is_local else None)
     try:
@@ -66,13 +71,24 @@ def serve(
         listening = socket.create_server((host, port), family=family)
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise OutputError(f"{host}:{port}: cannot be listened on ({reason})", "take another --port") from None
+        raise OutputError(
+            f"{host}:{port}: cannot be listened on ({reason})", "take another --port"
+        ) from None
     with listening:
         warm_up()
         config = uvicorn.Config(
-            server.app(), http=_Protocol, ws="none", lifespan="on", log_level="warning", access_log=False,
-            proxy_headers=False, server_header=False, timeout_keep_alive=IDLE, limit_concurrency=MAX_CONNECTIONS,
-            h11_max_incomplete_event_size=2 * MAX_JSON, timeout_graceful_shutdown=1,
+            server.app(),
+            http=_Protocol,
+            ws="none",
+            lifespan="on",
+            log_level="warning",
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            timeout_keep_alive=IDLE,
+            limit_concurrency=MAX_CONNECTIONS,
+            h11_max_incomplete_event_size=2 * MAX_JSON,
+            timeout_graceful_shutdown=1,
         )
         if on_ready is not None:
             name = f"[{host}]" if ":" in host else host

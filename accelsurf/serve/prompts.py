@@ -46,12 +46,18 @@ class Grid(NamedTuple):
     @property
     def step(self) -> float:
         """Smallest spacing along an axis with more than one voxel, mm."""
-        return min((h for h, n in zip(self.spacing, self.shape, strict=True) if n > 1), default=self.spacing[0])
+        return min(
+            (h for h, n in zip(self.spacing, self.shape, strict=True) if n > 1),
+            default=self.spacing[0],
+        )
 
     def box_around(self, voxel: Sequence[int], reach: float) -> Box:
         """Return the box around a voxel with all voxels within a reach, in the smallest spacings."""
         ends = [
-            (max(at - math.ceil(reach * self.step / h), 0), min(at + math.ceil(reach * self.step / h) + 1, n))
+            (
+                max(at - math.ceil(reach * self.step / h), 0),
+                min(at + math.ceil(reach * self.step / h) + 1, n),
+            )
             for at, h, n in zip(voxel, self.spacing, self.shape, strict=True)
         ]
         first, second, third = (slice(low, high) for low, high in ends)
@@ -61,7 +67,9 @@ class Grid(NamedTuple):
         """Return a click of the voxels within a radius of one, in the smallest spacings."""
         box = self.box_around(voxel, radius)
         axes = np.ogrid[box]
-        apart = sum(((axis - at) * h) ** 2 for axis, at, h in zip(axes, voxel, self.spacing, strict=True))
+        apart = sum(
+            ((axis - at) * h) ** 2 for axis, at, h in zip(axes, voxel, self.spacing, strict=True)
+        )
         return _click(side, box, np.asarray(apart <= (radius * self.step) ** 2))
 
 
@@ -76,11 +84,15 @@ def voxel_of(place: Sequence[float], shape: Sequence[int]) -> Voxel:
     first, second, third = (math.floor(value + 0.5) for value in place)
     voxel = Voxel(first, second, third)
     if not all(0 <= at < n for at, n in zip(voxel, shape, strict=True)):
-        raise InputError(f"point: {_listed(place)} lies outside of the image, whose shape is {_listed(shape)}")
+        raise InputError(
+            f"point: {_listed(place)} lies outside of the image, whose shape is {_listed(shape)}"
+        )
     return voxel
 
 
-def point(grid: Grid, voxel: Voxel, side: Side, labels: NDArray[np.uint8], around: Box) -> accelsurf.Click:
+def point(
+    grid: Grid, voxel: Voxel, side: Side, labels: NDArray[np.uint8], around: Box
+) -> accelsurf.Click:
     """Return the click of a point.
 
     A ball, which does not reach beyond the surface that the point corrects: a small mistake can be corrected too.
@@ -114,14 +126,19 @@ def rectangle(ends: Sequence[Sequence[float]], shape: Sequence[int]) -> accelsur
     low = [max(math.floor(first + 0.5), 0) for first, _ in ends]
     high = [min(math.floor(last + 0.5), n) for (_, last), n in zip(ends, shape, strict=True)]
     if not all(a < b for a, b in zip(low, high, strict=True)):
-        raise InputError("rectangle: no voxel of the image is in it", "from, and to before, along each axis")
+        raise InputError(
+            "rectangle: no voxel of the image is in it", "from, and to before, along each axis"
+        )
     first, second, third = (slice(a, b) for a, b in zip(low, high, strict=True))
     mask = np.ones([b - a for a, b in zip(low, high, strict=True)], np.bool_)
     return accelsurf.Click("inside", (first, second, third), mask)
 
 
 def voxels(
-    mask: NDArray[Any], ends: Sequence[Sequence[int]] | None, shape: Sequence[int], side: Side = "inside"
+    mask: NDArray[Any],
+    ends: Sequence[Sequence[int]] | None,
+    shape: Sequence[int],
+    side: Side = "inside",
 ) -> accelsurf.Click:
     """Return the voxels of a stroke or a lasso: not 0 in an array, which lies on a box of the image or is as large.
 
@@ -130,7 +147,9 @@ def voxels(
     InputError
         When the array does not fit, or is empty.
     """
-    given = [(0, n) for n in shape] if ends is None else [(int(low), int(high)) for low, high in ends]
+    given = (
+        [(0, n) for n in shape] if ends is None else [(int(low), int(high)) for low, high in ends]
+    )
     if mask.shape != tuple(high - low for low, high in given) or any(
         high > n for (_, high), n in zip(given, shape, strict=True)
     ):
@@ -164,23 +183,30 @@ def outline(grid: Grid, drawn: accelsurf.Click, side: Side) -> list[accelsurf.Cl
     thin = [axis for axis, n in enumerate(drawn.mask.shape) if n == 1]
     if not thin:
         raise InputError(
-            f"outline: {_listed(drawn.mask.shape)} voxels were sent, expected a single slice", "draw in one slice"
+            f"outline: {_listed(drawn.mask.shape)} voxels were sent, expected a single slice",
+            "draw in one slice",
         )
     if side == "outside":
         return [drawn._replace(side="outside")]
     axis = next((axis for axis in thin if grid.shape[axis] == 1), thin[0])
     spacing = tuple(h for place, h in enumerate(grid.spacing) if place != axis)
-    depth = ndimage.distance_transform_edt(np.pad(np.squeeze(drawn.mask, axis), 1), sampling=spacing)[1:-1, 1:-1]
+    depth = ndimage.distance_transform_edt(
+        np.pad(np.squeeze(drawn.mask, axis), 1), sampling=spacing
+    )[1:-1, 1:-1]
     deepest = np.argwhere(depth >= (1 - 1e-6) * depth.max())
     middle = deepest[np.argmin(((deepest - deepest.mean(axis=0)) ** 2).sum(axis=1))]
-    voxel = [int(at) + part.start for at, part in zip(np.insert(middle, axis, 0), drawn.box, strict=True)]
+    voxel = [
+        int(at) + part.start for at, part in zip(np.insert(middle, axis, 0), drawn.box, strict=True)
+    ]
     clicks = [grid.ball(voxel, min(HALF * float(depth.max()) / grid.step, LARGEST), "inside")]
     beyond = np.ones([1 if place == axis else n for place, n in enumerate(grid.shape)], np.bool_)
     here = tuple(slice(None) if place == axis else part for place, part in enumerate(drawn.box))
     beyond[here] &= ~drawn.mask
     wide = [1 if place == axis else 2 * RIM + 1 for place in range(3)]
     near = beyond & (ndimage.maximum_filter(~beyond, wide))
-    ends = [drawn.box[place] if place == axis else slice(0, n) for place, n in enumerate(grid.shape)]
+    ends = [
+        drawn.box[place] if place == axis else slice(0, n) for place, n in enumerate(grid.shape)
+    ]
     for mask in (near, beyond & ~near):
         if mask.any():
             clicks.append(_click("outside", (ends[0], ends[1], ends[2]), mask))
@@ -202,7 +228,8 @@ def _click(side: Side, box: Box, mask: Mask) -> accelsurf.Click:
         places = np.flatnonzero(mask.any(axis=tuple(other for other in range(3) if other != axis)))
         ends.append(slice(int(places[0]), int(places[-1]) + 1))
     first, second, third = (
-        slice(part.start + end.start, part.start + end.stop) for part, end in zip(box, ends, strict=True)
+        slice(part.start + end.start, part.start + end.stop)
+        for part, end in zip(box, ends, strict=True)
     )
     return accelsurf.Click(side, (first, second, third), np.ascontiguousarray(mask[tuple(ends)]))
 

@@ -52,15 +52,23 @@ class ImageSession:
 
     def __init__(self, image: NDArray[Any], spacing: Sequence[float] | None) -> None:
         if image.ndim != 4:
-            raise InputError(f"set_image: an array of {image.ndim} axes was sent, 4 expected", "send [channels, ...]")
+            raise InputError(
+                f"set_image: an array of {image.ndim} axes was sent, 4 expected",
+                "send [channels, ...]",
+            )
         self.channels, *axes = image.shape
         if self.channels > MAX_CHANNELS:
-            raise InputError(f"set_image: {self.channels} channels were sent, at most {MAX_CHANNELS} expected")
+            raise InputError(
+                f"set_image: {self.channels} channels were sent, at most {MAX_CHANNELS} expected"
+            )
         self.shape = axes[0], axes[1], axes[2]
         given = tuple(spacing or (1.0, 1.0, 1.0))
         given = (1.0, *given) if len(given) == 2 and self.shape[0] == 1 else given
         if len(given) != 3:
-            raise InputError(f"set_image: {len(given)} spacings were sent, 3 expected", "one for each axis, in mm")
+            raise InputError(
+                f"set_image: {len(given)} spacings were sent, 3 expected",
+                "one for each axis, in mm",
+            )
         self._grid = Grid(self.shape, (given[0], given[1], given[2]))
         # Along z, our first axis, an image may have one place.
         flat = self.shape.index(1) if 1 in self.shape else 0
@@ -104,7 +112,9 @@ class ImageSession:
     def start_from(self, labels: NDArray[Any]) -> None:
         """Set the object; the client shows these labels already."""
         if labels.shape != self.shape:
-            raise InputError(f"labels of shape {labels.shape} were sent, expected the image's {self.shape}")
+            raise InputError(
+                f"labels of shape {labels.shape} were sent, expected the image's {self.shape}"
+            )
         self._object.start_from(np.ascontiguousarray(labels.transpose(self._axes)))
         self._changed, self._waiting = None, 0
 
@@ -128,7 +138,11 @@ class ImageSession:
 
     def _add(self, clicks: Sequence[accelsurf.Click]) -> None:
         turned = [
-            accelsurf.Click(click.side, self._turned(click.box), np.ascontiguousarray(click.mask.transpose(self._axes)))
+            accelsurf.Click(
+                click.side,
+                self._turned(click.box),
+                np.ascontiguousarray(click.mask.transpose(self._axes)),
+            )
             for click in clicks
         ]
         self._note(self._object.add(turned))
@@ -140,7 +154,10 @@ class ImageSession:
             return
         back = tuple(changed[self._axes.index(axis)] for axis in range(3))
         before = self._changed or back
-        n, m, k = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(before, back, strict=True))
+        n, m, k = (
+            slice(min(a.start, b.start), max(a.stop, b.stop))
+            for a, b in zip(before, back, strict=True)
+        )
         self._changed = n, m, k
 
     def _turned(self, box: Box) -> Box:
@@ -149,7 +166,9 @@ class ImageSession:
 
     def _labels_on(self, box: Box) -> NDArray[np.uint8]:
         """Return labels on a box, both in the client's order of axes."""
-        return np.ascontiguousarray(self._object.labels_on(self._turned(box)).transpose(np.argsort(self._axes)))
+        return np.ascontiguousarray(
+            self._object.labels_on(self._turned(box)).transpose(np.argsort(self._axes))
+        )
 
 
 class LeaseLostError(Exception):

@@ -48,7 +48,13 @@ def as_typed(value: Any) -> str:
         return "none"
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return ",".join(value) if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)
+    return (
+        ",".join(value)
+        if isinstance(value, tuple)
+        else f"{value:g}"
+        if isinstance(value, float)
+        else str(value)
+    )
 
 
 def default_shown(key: str) -> str:
@@ -124,7 +130,9 @@ def enumerated(schema: Any) -> list[Any]:
 
 def energy_settings() -> tuple[str, ...]:
     """Settings of the named energies; an energy of the user's own does not use them."""
-    return tuple(key for key in SettingFields.model_fields if entry(key).scope in ("energy", "term"))
+    return tuple(
+        key for key in SettingFields.model_fields if entry(key).scope in ("energy", "term")
+    )
 
 
 def acts_on(key: str) -> tuple[str, ...]:
@@ -139,6 +147,8 @@ def acts_on(key: str) -> tuple[str, ...]:
         case "flow":
             return tuple(name for name, flow in FLOWS.items() if key in flow.uses)
         case "term":
-            return tuple(name for name, term in TERMS.items() if key in (*term.uses, *term.uses_to_learn))
+            return tuple(
+                name for name, term in TERMS.items() if key in (*term.uses, *term.uses_to_learn)
+            )
         case _:
             return ()

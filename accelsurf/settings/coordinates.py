@@ -82,7 +82,10 @@ def box_of(text: str) -> Coordinates | None:
     """Return the corners X0,Y0,Z0,X1,Y1,Z1 of a box, the lower first where they were given so; None for no numbers."""
     body, suffix = split_suffix(text)
     parts = body.split(",")
-    corners = [coordinates_of(",".join(part) + text.strip()[len(body) :]) for part in (parts[:3], parts[3:])]
+    corners = [
+        coordinates_of(",".join(part) + text.strip()[len(body) :])
+        for part in (parts[:3], parts[3:])
+    ]
     if corners[0] is None or corners[1] is None:
         return None
     first, second = corners[0].numbers, corners[1].numbers
@@ -99,4 +102,7 @@ def is_point_file(text: str) -> bool:
     >>> is_point_file("F.mrk.json"), is_point_file("stroke:a.csv"), is_point_file("1,2,3")
     (True, False, False)
     """
-    return text.strip().lower().endswith(POINT_FILES) and text.strip().partition(":")[0] not in _FILE_KINDS
+    return (
+        text.strip().lower().endswith(POINT_FILES)
+        and text.strip().partition(":")[0] not in _FILE_KINDS
+    )

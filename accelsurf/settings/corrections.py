@@ -23,12 +23,28 @@ _CLICKS = ("inside", "outside")
 #: Keys that are read only in corrections of a finished run: the key that says what is done, and what it may be given
 #: with.
 _KINDS: dict[str, tuple[str, ...]] = {
-    "merge": (), "remove": (), "split": ("new", "object"), "new": ("inside", "outside", "size"),
-    "to_edges": ("islands", "holes", "object"), "islands": ("holes", "object"), "holes": ("object",),
+    "merge": (),
+    "remove": (),
+    "split": ("new", "object"),
+    "new": ("inside", "outside", "size"),
+    "to_edges": ("islands", "holes", "object"),
+    "islands": ("holes", "object"),
+    "holes": ("object",),
     "": ("inside", "outside", "near", "object"),
 }
 _OF_WHOLE = ("to_edges", "islands", "holes")
-_AFTER_END = ("inside", "outside", "near", "object", "new", "size", "merge", "split", "remove", *_OF_WHOLE)
+_AFTER_END = (
+    "inside",
+    "outside",
+    "near",
+    "object",
+    "new",
+    "size",
+    "merge",
+    "split",
+    "remove",
+    *_OF_WHOLE,
+)
 SettingName = Literal["edit", "refine", "correct"]
 
 
@@ -43,17 +59,22 @@ class _Setting(NamedTuple):
 #: The settings of the run and of tracking that have corrections.
 _SETTINGS = {
     "edit": _Setting(
-        "step", "step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on",
+        "step",
+        "step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on",
         "step=30",
     ),
     "refine": _Setting(
-        "", "inside=point:X,Y,Z near=10; new=ID inside=ball:X,Y,Z,R size=4ml; merge=ID,ID; split=point:X,Y,Z; "
+        "",
+        "inside=point:X,Y,Z near=10; new=ID inside=ball:X,Y,Z,R size=4ml; merge=ID,ID; split=point:X,Y,Z; "
         "remove=ID; or to_edges=2 islands=50mm3 holes=50mm3; in TOML a table [[refine]] with "
-        "inside = [\"point:X,Y,Z\"] and so on", "inside=point:X,Y,Z",
+        'inside = ["point:X,Y,Z"] and so on',
+        "inside=point:X,Y,Z",
     ),
     "correct": _Setting(
-        "frame", "frame=12 inside=point:X,Y,Z object=2; frame=12 new=3 inside=ball:X,Y,Z,R; frame=12 remove=2; and all "
-        "else that accelsurf refine takes, after the frame", "frame=12",
+        "frame",
+        "frame=12 inside=point:X,Y,Z object=2; frame=12 new=3 inside=ball:X,Y,Z,R; frame=12 remove=2; and all "
+        "else that accelsurf refine takes, after the frame",
+        "frame=12",
     ),
 }
 
@@ -175,11 +196,22 @@ class Correction(BaseModel):
 
     @model_serializer
     def _table(self) -> dict[str, Any]:
-        given: dict[str, Any] = {key: number for key in ("frame", "step") if (number := getattr(self, key)) >= 0}
+        given: dict[str, Any] = {
+            key: number for key in ("frame", "step") if (number := getattr(self, key)) >= 0
+        }
         given |= {**self.settings, "add": self.add}
         given |= {"remove": self.remove} if isinstance(self.remove, str) else {}
-        given |= {"inside": list(self.inside) or None, "outside": list(self.outside) or None, "object": self.object}
-        given |= {"new": self.new, "size": self.size, "merge": self.merge or None, "split": self.split}
+        given |= {
+            "inside": list(self.inside) or None,
+            "outside": list(self.outside) or None,
+            "object": self.object,
+        }
+        given |= {
+            "new": self.new,
+            "size": self.size,
+            "merge": self.merge or None,
+            "split": self.split,
+        }
         given |= {"remove": self.remove, "near": None if self.near == "auto" else self.near}
         given |= {"to_edges": self.to_edges, "islands": self.islands, "holes": self.holes}
         return {key: value for key, value in given.items() if value is not None}
@@ -248,9 +280,15 @@ def corrections_in_order(table: Mapping[str, Any]) -> tuple[Correction, ...]:
 
 
 #: The types of the settings in which they are given.
-Edits = Annotated[tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "edit"))]
-Refinements = Annotated[tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "refine"))]
-FrameCorrections = Annotated[tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "correct"))]
+Edits = Annotated[
+    tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "edit"))
+]
+Refinements = Annotated[
+    tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "refine"))
+]
+FrameCorrections = Annotated[
+    tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "correct"))
+]
 
 
 def _correction(value: Any, name: SettingName) -> Correction:
@@ -280,7 +318,9 @@ def _before_step(table: Mapping[str, Any], where: str, form: str) -> dict[str, A
     """Return the fields of a correction before a step that need a check."""
     for key in ("frame", "near", "new", "size", "merge", "split", "to_edges", "islands", "holes"):
         if key in table:
-            raise UsageError(f"{where}: {key} cannot change while a run runs", "give it to refine, after the end")
+            raise UsageError(
+                f"{where}: {key} cannot change while a run runs", "give it to refine, after the end"
+            )
     for key in ("add", "remove"):
         ball = table.get(key)
         if ball is not None and not (isinstance(ball, str) and ball.startswith("ball:")):
@@ -295,35 +335,61 @@ def _after_end(table: Mapping[str, Any], name: SettingName, form: str) -> dict[s
         if key not in valid:
             hint = f"{did_you_mean(str(key), valid)}Valid are {', '.join(valid)}"
             raise UsageError(f"{name}: {shown(key)}: there is no such setting", hint)
-    given = {key for key, value in table.items() if key in _AFTER_END and value not in (None, (), [], "", "auto")}
+    given = {
+        key
+        for key, value in table.items()
+        if key in _AFTER_END and value not in (None, (), [], "", "auto")
+    }
     _refuse_mixed(given, name, form)
     size, split = checked_volume(table.get("size")), table.get("split")
     if size is not None and (not isinstance(size, str) or not re.fullmatch(VOLUME, size)):
-        raise UsageError(f"{name}: size {shown(size)} was given, expected a volume with its unit", form)
+        raise UsageError(
+            f"{name}: size {shown(size)} was given, expected a volume with its unit", form
+        )
     if split is not None and not (isinstance(split, str) and split.startswith("point:")):
         raise UsageError(f"{name}: split {shown(split)} was given, expected point:X,Y,Z", form)
-    near, merge = _near(table.get("near", "auto"), name, form), _ids(table.get("merge", ()), name, form)
+    near, merge = (
+        _near(table.get("near", "auto"), name, form),
+        _ids(table.get("merge", ()), name, form),
+    )
     sizes = {key: _part_size(key, table.get(key), name, form) for key in ("islands", "holes")}
     edges = table.get("to_edges")
     edges = None if edges is None else _length("to_edges", edges, name, form)
     ids = {key: _id(key, table.get(key), name, form) for key in ("object", "new", "remove")}
-    return {"near": near, "size": size, "split": split, "merge": merge, "to_edges": edges, **sizes, **ids}
+    return {
+        "near": near,
+        "size": size,
+        "split": split,
+        "merge": merge,
+        "to_edges": edges,
+        **sizes,
+        **ids,
+    }
 
 
 def _refuse_mixed(given: set[str], name: str, form: str) -> None:
     """Refuse a correction that says nothing, or two things at once."""
     kind = next(key for key in _KINDS if key in given or not key)
     if kind in ("", "new") and not given & ({"inside"} if kind else set(_CLICKS)):
-        raise UsageError(f"{name}: no click was given, expected inside{'' if kind else ' or outside'}", form)
+        raise UsageError(
+            f"{name}: no click was given, expected inside{'' if kind else ' or outside'}", form
+        )
     others = sorted(given - {kind, *_KINDS[kind]})
     if others:
-        raise UsageError(f"{name}: {others[0]} was given with {kind or 'clicks'}, expected one thing at a time", form)
+        raise UsageError(
+            f"{name}: {others[0]} was given with {kind or 'clicks'}, expected one thing at a time",
+            form,
+        )
 
 
 def _clicks(side: str, value: Any, where: str, form: str) -> tuple[str, ...]:
     texts = (value,) if isinstance(value, str) else value
-    if not isinstance(texts, (list, tuple)) or not all(isinstance(text, str) and text for text in texts):
-        raise UsageError(f"{where}: {side} {shown(value)} was given, expected clicks such as point:X,Y,Z", form)
+    if not isinstance(texts, (list, tuple)) or not all(
+        isinstance(text, str) and text for text in texts
+    ):
+        raise UsageError(
+            f"{where}: {side} {shown(value)} was given, expected clicks such as point:X,Y,Z", form
+        )
     return tuple(texts)
 
 
@@ -334,7 +400,9 @@ def _ids(value: Any, name: str, form: str) -> tuple[int, ...]:
         raise UsageError(f"{name}: merge {shown(value)} was given, expected ids of objects", form)
     ids = tuple(_id("merge", item, name, form) or 0 for item in many)
     if many and (len(set(ids)) < len(ids) or len(ids) < 2):
-        raise UsageError(f"{name}: merge {shown(value)} was given, expected at least two different ids", form)
+        raise UsageError(
+            f"{name}: merge {shown(value)} was given, expected at least two different ids", form
+        )
     return ids
 
 
@@ -350,7 +418,8 @@ def _length(key: str, value: Any, name: str, form: str, otherwise: str = "") -> 
         length = -1.0
     if not 0 < length <= 1e9:
         raise UsageError(
-            f"{name}: {key} {shown(value)} was given, expected a length above 0 in mm{otherwise}", form
+            f"{name}: {key} {shown(value)} was given, expected a length above 0 in mm{otherwise}",
+            form,
         )
     return length
 
@@ -358,7 +427,10 @@ def _length(key: str, value: Any, name: str, form: str, otherwise: str = "") -> 
 def _part_size(key: str, value: Any, name: str, form: str) -> str | None:
     """Return the volume, with its unit, below which islands or holes go."""
     if value is not None and not (isinstance(value, str) and re.fullmatch(VOLUME, value)):
-        raise UsageError(f"{name}: {key} {shown(value)} was given, expected a volume with its unit, as 50mm3", form)
+        raise UsageError(
+            f"{name}: {key} {shown(value)} was given, expected a volume with its unit, as 50mm3",
+            form,
+        )
     return value
 
 
@@ -366,7 +438,11 @@ def _whole(value: Any, least: int, most: int) -> int | None:
     """Return a whole number, also one that is written as text; None for anything else."""
     if isinstance(value, str) and _WHOLE.fullmatch(value):
         value = int(value)
-    return value if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most else None
+    return (
+        value
+        if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
+        else None
+    )
 
 
 def _id(key: str, value: Any, where: str, form: str, least: int = 1) -> int | None:
@@ -385,7 +461,9 @@ def _words(text: str, name: SettingName) -> dict[str, Any]:
     except ValueError:
         pairs = [(text, "", "")]
     if not pairs or not all(sign and key and value for key, sign, value in pairs):
-        raise UsageError(f"{name}: {shown(text)} was given, expected words like {_SETTINGS[name].example}", form)
+        raise UsageError(
+            f"{name}: {shown(text)} was given, expected words like {_SETTINGS[name].example}", form
+        )
     table: dict[str, Any] = {}
     for key, _, value in pairs:
         if key in table and key not in _CLICKS:
@@ -416,7 +494,8 @@ def refuse_unknown(edit: Correction, known: Mapping[str, FieldInfo]) -> None:
             continue
         if key in known:
             raise UsageError(
-                f"edit at step {edit.step}: {key} cannot change while a run runs", f"these can: {', '.join(possible)}"
+                f"edit at step {edit.step}: {key} cannot change while a run runs",
+                f"these can: {', '.join(possible)}",
             )
         raise UsageError(
             f"edit at step {edit.step}: {shown(key)}: there is no such setting",

@@ -87,8 +87,14 @@ def written(terms: Sequence[Term]) -> str:
     for term in terms:
         weight = abs(term.weight) if text else term.weight
         text += (" - " if term.weight < 0 else " + ") if text else ""
-        values = ",".join(f"{key}={_number(value)}" for key, value in term.settings.items() if value != "")
-        text += ("" if weight == 1 else f"{_number(weight)}*") + term.name + (f":{values}" if values else "")
+        values = ",".join(
+            f"{key}={_number(value)}" for key, value in term.settings.items() if value != ""
+        )
+        text += (
+            ("" if weight == 1 else f"{_number(weight)}*")
+            + term.name
+            + (f":{values}" if values else "")
+        )
     return text
 
 
@@ -151,7 +157,9 @@ def from_tables(tables: Sequence[Any]) -> str:
     items = []
     for table in tables:
         if not isinstance(table, Mapping) or not isinstance(table.get("term"), str):
-            raise _error(str(table), "a table with a term, such as {term = 'geodesic', weight = 0.3}")
+            raise _error(
+                str(table), "a table with a term, such as {term = 'geodesic', weight = 0.3}"
+            )
         weight = table.get("weight", 1)
         if isinstance(weight, bool) or not isinstance(weight, (int, float)):
             raise _error(str(table), "a weight that is a number")
@@ -167,7 +175,9 @@ def from_tables(tables: Sequence[Any]) -> str:
 
 def _error(text: str, expected: str, guess: str = "") -> UsageError:
     given = shown(text.strip()) if text.strip() else "nothing"
-    return UsageError(f"energy: {given} was given, expected {expected}", f"{guess}as in {EXAMPLE!r}")
+    return UsageError(
+        f"energy: {given} was given, expected {expected}", f"{guess}as in {EXAMPLE!r}"
+    )
 
 
 def _item(text: str, item: str, sign: float) -> Term:
@@ -181,7 +191,9 @@ def _item(text: str, item: str, sign: float) -> Term:
     name = name.strip()
     if name not in TERMS:
         near = " with a blank on either side of + and -" if re.search(r"[+\s]", name) else ""
-        wanted = f"{', '.join(list(TERMS)[:-1])} or {list(TERMS)[-1]}{near} in place of '{shown(name)}'"
+        wanted = (
+            f"{', '.join(list(TERMS)[:-1])} or {list(TERMS)[-1]}{near} in place of '{shown(name)}'"
+        )
         raise _error(text, wanted, did_you_mean(name, TERMS))
     if colon and not values.strip():
         raise _error(text, f"values after the colon of {name}, of {_known(name)}")
@@ -190,7 +202,10 @@ def _item(text: str, item: str, sign: float) -> Term:
         raise _error(text, wanted)
     weight *= sign
     if not math.isfinite(weight) or weight == 0 or (weight < 0 and not TERMS[name].signed):
-        raise _error(text, f"a weight {'other than 0' if TERMS[name].signed else 'greater than 0'} for {name}")
+        raise _error(
+            text,
+            f"a weight {'other than 0' if TERMS[name].signed else 'greater than 0'} for {name}",
+        )
     if not MAGNITUDES[0] <= abs(weight) <= MAGNITUDES[1]:
         raise _error(text, f"a weight of size {MAGNITUDES[0]:g} to {MAGNITUDES[1]:g} for {name}")
     return Term(name, weight, settings)
@@ -221,13 +236,19 @@ def _value(text: str, what: str, kind: Number | Word, value: str) -> Value:
     if value in kind.words:
         return value
     if isinstance(kind, Word):
-        raise _error(text, f"{kind.expected} for {what}, not '{shown(value)}'", did_you_mean(value, kind.words))
+        raise _error(
+            text,
+            f"{kind.expected} for {what}, not '{shown(value)}'",
+            did_you_mean(value, kind.words),
+        )
     percent = kind.percent and value.endswith("%")
     half = kind.percent and value.startswith(HALF)
     digits = value.removesuffix("%") if percent else value.removeprefix(HALF) if half else value
     number = float(digits) if _NUMBER.fullmatch(digits) else math.nan
     low, high = (0.0, 100.0) if percent else (kind.low, kind.high)
-    if not (low < number < high or (number == low and kind.low_too) or number == high) or not math.isfinite(number):
+    if not (
+        low < number < high or (number == low and kind.low_too) or number == high
+    ) or not math.isfinite(number):
         guess = did_you_mean(value, kind.words)
         raise _error(text, f"{kind.expected} for {what}, not '{shown(value or 'nothing')}'", guess)
     if number != 0 and not _VALUES[0] <= abs(number) <= _VALUES[1]:

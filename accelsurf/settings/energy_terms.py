@@ -159,7 +159,10 @@ TERMS: Registry[TermSpec] = Registry(
             "balance": _POSITIVE._replace(help="weight of the fit inside against the fit outside"),
             "epsilon": _EPSILON,
             "channel": _CHANNEL,
-            "area": Number(0.0, help="weight of the area beside --smoothness, mm; by the image's noise unless given"),
+            "area": Number(
+                0.0,
+                help="weight of the area beside --smoothness, mm; by the image's noise unless given",
+            ),
         },
         uses=("balance", "epsilon"),
         channels="mean",
@@ -170,7 +173,9 @@ TERMS: Registry[TermSpec] = Registry(
         "two regions, each with its mean within R mm of each place",
         f"{_MAKERS}:local_region",
         {
-            "R": _POSITIVE._replace(help="radius of the window, mm; 8 voxels of the largest spacing unless given"),
+            "R": _POSITIVE._replace(
+                help="radius of the window, mm; 8 voxels of the largest spacing unless given"
+            ),
             "epsilon": _EPSILON,
             "channel": _CHANNEL,
         },
@@ -185,9 +190,15 @@ TERMS: Registry[TermSpec] = Registry(
         "two regions by the distributions of their values",
         f"{_MAKERS}:likelihood",
         {
-            "model": Word(("gauss", "histogram"), "the distribution: Gaussians, or smoothed histograms"),
-            "update": Word(("yes", "no"), "learned from the surface in each step, or once from the start"),
-            "epsilon": _EPSILON._replace(help="half width of the smeared interface, voxels; 0 unless given"),
+            "model": Word(
+                ("gauss", "histogram"), "the distribution: Gaussians, or smoothed histograms"
+            ),
+            "update": Word(
+                ("yes", "no"), "learned from the surface in each step, or once from the start"
+            ),
+            "epsilon": _EPSILON._replace(
+                help="half width of the smeared interface, voxels; 0 unless given"
+            ),
             "channel": _CHANNEL,
         },
         uses=("foreground", "background"),
@@ -202,7 +213,9 @@ TERMS: Registry[TermSpec] = Registry(
         {
             "LO": _BOUND._replace(help="lower bound, in the image's unit"),
             "HI": _BOUND._replace(help="upper bound, in the image's unit"),
-            "soft": _POSITIVE._replace(help="width over which a bound sets in, in the image's unit"),
+            "soft": _POSITIVE._replace(
+                help="width over which a bound sets in, in the image's unit"
+            ),
             "channel": _CHANNEL,
         },
         uses_to_learn=("foreground",),
@@ -216,7 +229,9 @@ TERMS: Registry[TermSpec] = Registry(
         f"{_MAKERS}:geodesic",
         {
             "scale": _POSITIVE._replace(help="sigma of the Gaussian gradient, mm"),
-            "contrast": _POSITIVE._replace(help="gradient that counts as half an edge, parts of the range per mm"),
+            "contrast": _POSITIVE._replace(
+                help="gradient that counts as half an edge, parts of the range per mm"
+            ),
             "balloon": Number(help="pressure away from edges, per mm; above 0 the surface shrinks"),
             "channel": _CHANNEL,
         },
@@ -236,7 +251,11 @@ TERMS: Registry[TermSpec] = Registry(
         "seeded",
         "what small networks read from the image around the clicks; needs --inside",
         f"{_MAKERS}:seeded",
-        {"area": Number(0.0, help="weight of the area beside --smoothness, mm; of the model unless given")},
+        {
+            "area": Number(
+                0.0, help="weight of the area beside --smoothness, mm; of the model unless given"
+            )
+        },
         uses=("size", "answer"),
         example="seeded",
         uses_model=True,
@@ -246,11 +265,20 @@ TERMS: Registry[TermSpec] = Registry(
         "what is nearer to the object's own clicks than to those of the others, where what looks different is far: "
         "cells between membranes, nuclei; needs clicks in each of them",
         f"{_MAKERS}:seeded",
-        {"area": Number(0.0, help="weight of the area beside --smoothness, mm; of the model unless given")},
+        {
+            "area": Number(
+                0.0, help="weight of the area beside --smoothness, mm; of the model unless given"
+            )
+        },
         uses_model=True,
         needs_whole=True,
     ),
-    TermSpec("area", "the surface's area; its weight is in mm, as --smoothness", f"{_MAKERS}:area", sees_image=False),
+    TermSpec(
+        "area",
+        "the surface's area; its weight is in mm, as --smoothness",
+        f"{_MAKERS}:area",
+        sees_image=False,
+    ),
 )
 
 

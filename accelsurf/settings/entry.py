@@ -108,7 +108,11 @@ class SettingEntry:
             help = help.replace("{}", self.listed())
         if self.names is None:
             return help
-        return f"{help} " + "; ".join(f"{name}: {meaning}" for name, meaning in self.names().items()) + "."
+        return (
+            f"{help} "
+            + "; ".join(f"{name}: {meaning}" for name, meaning in self.names().items())
+            + "."
+        )
 
 
 def setting(default: Any, help: str, *, entry: SettingEntry, **bounds: Any) -> Any:
@@ -162,8 +166,12 @@ class OneOf:
             raise ValueError("no such name")
         return value
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
         return core_schema.no_info_after_validator_function(self._checked, handler(source))
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
         return {**handler(schema), "enum": list(self.names())}

@@ -52,7 +52,12 @@ class SettingFields(BaseModel):
         "Settings for a kind of scan: {}. Settings given beside it override it. "
         "accelsurf info lists the values of each, and why.",
         entry=SettingEntry(
-            RUN, viewer="first", choice=True, metavar="NAME", fixed=True, listed=lambda: ", ".join(PRESETS)
+            RUN,
+            viewer="first",
+            choice=True,
+            metavar="NAME",
+            fixed=True,
+            listed=lambda: ", ".join(PRESETS),
         ),
     )
     energy: Annotated[str, BeforeValidator(checked_expression)] = setting(
@@ -60,7 +65,10 @@ class SettingFields(BaseModel):
         "Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic' or 'threshold:LO,HI'. "
         "With --inside it is seeded unless given.",
         entry=SettingEntry(
-            RUN, viewer="first", metavar="EXPRESSION", choice=True,
+            RUN,
+            viewer="first",
+            metavar="EXPRESSION",
+            choice=True,
             names=lambda: {name: term.help for name, term in TERMS.items()},
         ),
     )
@@ -89,7 +97,12 @@ class SettingFields(BaseModel):
         "Weight of the surface's area, in mm: larger is smoother; 0 keeps corners. "
         "Independent of the image's intensity scale.",
         entry=SettingEntry(
-            RUN, viewer="first", unit="mm", metavar="MM", scope="energy", slider=Slider(0.0, 5.0, voxel_power=1)
+            RUN,
+            viewer="first",
+            unit="mm",
+            metavar="MM",
+            scope="energy",
+            slider=Slider(0.0, 5.0, voxel_power=1),
         ),
         ge=0,
     )
@@ -111,7 +124,9 @@ class SettingFields(BaseModel):
         "beyond become these.",
         entry=SettingEntry(RUN, metavar="LOW,HIGH", fixed=True),
     )
-    size: Annotated[Annotated[str, Field(pattern=VOLUME)] | None, BeforeValidator(checked_volume)] = setting(
+    size: Annotated[
+        Annotated[str, Field(pattern=VOLUME)] | None, BeforeValidator(checked_volume)
+    ] = setting(
         None,
         "About how large the object is, with its unit: 250ml, 3cm3, 4000um3. It helps to choose the start; it does "
         "not bound the result.",
@@ -156,7 +171,9 @@ class SettingFields(BaseModel):
         flow_specs.AUTO,
         "How the surface moves.",
         entry=SettingEntry(
-            RUN, metavar="NAME", choice=True,
+            RUN,
+            metavar="NAME",
+            choice=True,
             names=flow_specs.flow_names,
         ),
     )
@@ -208,7 +225,9 @@ class SettingFields(BaseModel):
         "auto",
         "Gradient magnitude that counts as half an edge, in fractions of the image's range per mm; "
         "auto measures it in the image.",
-        entry=SettingEntry(RUN, unit="fractions of the image's range per mm", metavar="K|auto", scope="term"),
+        entry=SettingEntry(
+            RUN, unit="fractions of the image's range per mm", metavar="K|auto", scope="term"
+        ),
     )
     balloon: float = setting(
         0.0,
@@ -220,7 +239,8 @@ class SettingFields(BaseModel):
         2.0,
         "Order of the accelerated flow (no unit); it sets the friction (k+1)/t.",
         entry=SettingEntry(metavar="K", scope="flow"),
-        ge=0.1, le=20,
+        ge=0.1,
+        le=20,
     )
     t0: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
         "auto",
@@ -284,7 +304,8 @@ class SettingFields(BaseModel):
         0.8,
         "Fraction of the last step that the momentum flow adds to the next (no unit).",
         entry=SettingEntry(metavar="OMEGA", scope="flow"),
-        ge=0, lt=1,
+        ge=0,
+        lt=1,
     )
     friction: Annotated[float, Field(gt=0)] | Literal["t"] = setting(
         "t",
@@ -310,7 +331,8 @@ class SettingFields(BaseModel):
             metavar="VOXELS",
             slider=Slider(0.05, 1.0, power=1.0, limit=1.0),
         ),
-        gt=0, le=1,
+        gt=0,
+        le=1,
     )
     max_steps: int = setting(
         1000,
@@ -324,20 +346,23 @@ class SettingFields(BaseModel):
         "before, or 6 steps before if coarser levels were run first, and if ten times as many steps more would "
         "not move it by 0.7 of this either, by its trend. Larger ends sooner and is rougher.",
         entry=SettingEntry(unit="voxels"),
-        gt=0, le=2,
+        gt=0,
+        le=2,
     )
     percentile: float = setting(
         95.0,
         "Speed limiter: the time step follows this percentile of the speeds on the surface (percent), and higher "
         "speeds are clipped to cfl voxels per step. 100 clips none.",
         entry=SettingEntry(unit="%", metavar="PERCENT"),
-        gt=0, le=100,
+        gt=0,
+        le=100,
     )
     epsilon: float = setting(
         1.5,
         "Half width of the smeared interface in the energy, in voxels along the normal; 0 is sharp.",
         entry=SettingEntry(unit="voxels", metavar="VOXELS", scope="term"),
-        ge=0, le=2.5,
+        ge=0,
+        le=2.5,
     )
     half_width: Annotated[int, Field(ge=3, le=32)] | Literal["auto"] = setting(
         "auto",
@@ -417,7 +442,9 @@ class SettingFields(BaseModel):
         "Which series of a DICOM folder: its UID, or its number as accelsurf info FOLDER lists it.",
         entry=SettingEntry(IMAGE, metavar="UID|N", fixed=True),
     )
-    spacing: Annotated[str | None, BeforeValidator(checked(spacing_of, numbers=(int, float), joined=True))] = setting(
+    spacing: Annotated[
+        str | None, BeforeValidator(checked(spacing_of, numbers=(int, float), joined=True))
+    ] = setting(
         None,
         "Size of a voxel, X,Y,Z or one number, in mm or with a unit (0.2,0.2,1um), where the file does not say it.",
         entry=SettingEntry(IMAGE, metavar="X,Y,Z", fixed=True),
@@ -429,7 +456,8 @@ class SettingFields(BaseModel):
         entry=SettingEntry(IMAGE, fixed=True),
     )
     mesh: Annotated[
-        Annotated[tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], Field(min_length=1)] | Literal["auto"],
+        Annotated[tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], Field(min_length=1)]
+        | Literal["auto"],
         BeforeValidator(split_commas),
     ] = setting(
         "auto",
@@ -477,7 +505,8 @@ class SettingFields(BaseModel):
         entry=SettingEntry(FILES, metavar="auto|yes|no", fixed=True),
     )
     checkpoint: Annotated[
-        Annotated[str, Field(pattern=INTERVAL)] | None, BeforeValidator(checked(interval_of, INTERVAL, int))
+        Annotated[str, Field(pattern=INTERVAL)] | None,
+        BeforeValidator(checked(interval_of, INTERVAL, int)),
     ] = setting(
         None,
         "How often the state of the run is written while it goes on: 50 (steps), 30s, 5min. A killed run goes on from "
@@ -500,10 +529,12 @@ class SettingFields(BaseModel):
         "(a segmentation, .dcm), or a .csv with columns id, name and color.",
         entry=SettingEntry(FILES, metavar="FILE", fixed=True),
     )
-    also: Annotated[tuple[Annotated[str, OneOf(also_names)], ...], BeforeValidator(all_split)] = setting(
-        (),
-        "Further files of the objects, separated by commas: {}.",
-        entry=SettingEntry(FILES, metavar="NAMES", repeated=True, fixed=True, listed=also_help),
+    also: Annotated[tuple[Annotated[str, OneOf(also_names)], ...], BeforeValidator(all_split)] = (
+        setting(
+            (),
+            "Further files of the objects, separated by commas: {}.",
+            entry=SettingEntry(FILES, metavar="NAMES", repeated=True, fixed=True, listed=also_help),
+        )
     )
     label_group: str | None = setting(
         None,
@@ -527,6 +558,11 @@ class SettingFields(BaseModel):
     def reading(self) -> ReadOptions:
         """Options of reading the image."""
         return ReadOptions(
-            self.level, self.channel_index, self.time_index, self.channels_from_time, self.series,
-            None if self.spacing is None else spacing_of(self.spacing), self.resample,
+            self.level,
+            self.channel_index,
+            self.time_index,
+            self.channels_from_time,
+            self.series,
+            None if self.spacing is None else spacing_of(self.spacing),
+            self.resample,
         )

@@ -174,7 +174,9 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
     ),
     ImageFormat("nhdr", "NRRD, a header that names its data file; read only", (".nhdr",), **_NRRD),
     ImageFormat("mha", "MetaImage in one file; written compressed", (".mha",), **_METAIMAGE),
-    ImageFormat("mhd", "MetaImage, a header and a data file; written compressed", (".mhd",), **_METAIMAGE),
+    ImageFormat(
+        "mhd", "MetaImage, a header and a data file; written compressed", (".mhd",), **_METAIMAGE
+    ),
     ImageFormat(
         "ome.zarr",
         "OME-Zarr 0.4 or 0.5, a folder of chunks and coarser levels; written as 0.5",
@@ -290,7 +292,12 @@ def written_suffixes() -> tuple[str, ...]:
     >>> ".dcm" in image_suffixes(), ".dcm" in written_suffixes()
     (True, False)
     """
-    return tuple(suffix for form in IMAGE_FORMATS.values() if form.write is not None for suffix in form.suffixes)
+    return tuple(
+        suffix
+        for form in IMAGE_FORMATS.values()
+        if form.write is not None
+        for suffix in form.suffixes
+    )
 
 
 def image_format(suffix: str) -> ImageFormat | None:

@@ -40,12 +40,27 @@ class FlowSpec:
 
 #: The flow is chosen when the image is known, of the next two (`accelsurf.run.setup`).
 AUTO, MOMENTUM, DESCENT = "auto", "constant-density", "gradient"
-_WITH_MOMENTUM = ("k", "t0", "lam", "rho", "friction", "noise", "noise_length", "noise_time", "diffusion")
+_WITH_MOMENTUM = (
+    "k",
+    "t0",
+    "lam",
+    "rho",
+    "friction",
+    "noise",
+    "noise_length",
+    "noise_time",
+    "diffusion",
+)
 _MAKERS = "accelsurf.run.makers"
 
 FLOWS: Registry[FlowSpec] = Registry(
     "flow",
-    FlowSpec(MOMENTUM, "momentum of a constant mass per area", f"{_MAKERS}:constant_density", _WITH_MOMENTUM),
+    FlowSpec(
+        MOMENTUM,
+        "momentum of a constant mass per area",
+        f"{_MAKERS}:constant_density",
+        _WITH_MOMENTUM,
+    ),
     FlowSpec(
         "flowable-mass",
         "momentum with mass that flows along the surface",
@@ -64,7 +79,9 @@ FLOWS: Registry[FlowSpec] = Registry(
         voxel_bytes=64,
     ),
     FlowSpec(DESCENT, "descent, the plain baseline", f"{_MAKERS}:gradient", ("diffusion",)),
-    FlowSpec("sobolev", "descent along the smoothed gradient", f"{_MAKERS}:sobolev", ("sobolev_length",)),
+    FlowSpec(
+        "sobolev", "descent along the smoothed gradient", f"{_MAKERS}:sobolev", ("sobolev_length",)
+    ),
     FlowSpec(
         "momentum",
         "descent that adds a fraction of the last step (Andersson et al. 2013)",

@@ -68,7 +68,9 @@ class LabelTable:
         ('liver', 'object 7')
         """
         known = self.entries.get(label)
-        return LabelEntry(label, f"object {label}", default_color(label)) if known is None else known
+        return (
+            LabelEntry(label, f"object {label}", default_color(label)) if known is None else known
+        )
 
     def __iter__(self) -> Iterator[LabelEntry]:
         return iter(self.entries[label] for label in sorted(self.entries))
@@ -113,7 +115,12 @@ class LabelTable:
     @classmethod
     def from_json(cls, text: str) -> LabelTable:
         """The table of such a text."""
-        return cls({row[0]: LabelEntry(row[0], row[1], (row[2], row[3], row[4])) for row in json.loads(text)})
+        return cls(
+            {
+                row[0]: LabelEntry(row[0], row[1], (row[2], row[3], row[4]))
+                for row in json.loads(text)
+            }
+        )
 
 
 def named(text: str) -> tuple[int, str]:
@@ -132,7 +139,10 @@ def named(text: str) -> tuple[int, str]:
     label, name = _parted("name", text)
     name = " ".join(name.split())
     if not name or len(name) > MAX_NAME or not name.isprintable():
-        raise UsageError(f"name: {text[:80]} was given, expected ID=NAME of at most {MAX_NAME} letters", "as 1=liver")
+        raise UsageError(
+            f"name: {text[:80]} was given, expected ID=NAME of at most {MAX_NAME} letters",
+            "as 1=liver",
+        )
     return label, name
 
 
@@ -155,7 +165,10 @@ def colored(text: str) -> tuple[int, Color]:
     elif (found := _NUMBERS.fullmatch(color)) is not None and max(map(int, found.groups())) <= 255:
         red, green, blue = map(int, found.groups())
     else:
-        raise UsageError(f"color: {text[:80]} was given, expected ID=#rrggbb or ID=R,G,B of 0 to 255", "as 1=#c83c3c")
+        raise UsageError(
+            f"color: {text[:80]} was given, expected ID=#rrggbb or ID=R,G,B of 0 to 255",
+            "as 1=#c83c3c",
+        )
     return label, (red, green, blue)
 
 
@@ -163,7 +176,10 @@ def _parted(key: str, text: str) -> tuple[int, str]:
     found = _GIVEN.fullmatch(text.strip())
     label = int(found.group(1) or 1) if found else 0
     if found is None or not 1 <= label <= 2**32 - 1:
-        raise UsageError(f"{key}: {text[:80]} was given, expected ID={key.upper()} with an id above 0", f"as 1={key}")
+        raise UsageError(
+            f"{key}: {text[:80]} was given, expected ID={key.upper()} with an id above 0",
+            f"as 1={key}",
+        )
     return label, found.group(2).strip()
 
 
@@ -194,7 +210,9 @@ def default_color(label: int) -> Color:
     >>> default_color(1) != default_color(2)
     True
     """
-    red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(label * _GOLDEN % 1.0, 0.75, 1.0))
+    red, green, blue = (
+        round(255 * part) for part in colorsys.hsv_to_rgb(label * _GOLDEN % 1.0, 0.75, 1.0)
+    )
     return red, green, blue
 
 
@@ -220,9 +238,14 @@ def parse_ids(text: str, what: str, example: str) -> IdRanges:
     ids = []
     for part in text.split(","):
         first, _, last = part.strip().partition("-")
-        if not (_LABEL.fullmatch(first) and _LABEL.fullmatch(last or first) and int(first) <= int(last or first)):
+        if not (
+            _LABEL.fullmatch(first)
+            and _LABEL.fullmatch(last or first)
+            and int(first) <= int(last or first)
+        ):
             raise UsageError(
-                f"{what}: {shown(part)!r} is no label, expected whole numbers and ranges", f"as in {example}"
+                f"{what}: {shown(part)!r} is no label, expected whole numbers and ranges",
+                f"as in {example}",
             )
         ids.append((int(first), int(last or first)))
     return tuple(ids)

@@ -60,7 +60,13 @@ class MeshFormat:
 
 MESH_FORMATS: Registry[MeshFormat] = Registry(
     "mesh format",
-    MeshFormat("ply", "PLY, binary", f"{_SURFACE}:ply_bytes", auto=("surface",), read=f"{_SURFACE}:read_ply"),
+    MeshFormat(
+        "ply",
+        "PLY, binary",
+        f"{_SURFACE}:ply_bytes",
+        auto=("surface",),
+        read=f"{_SURFACE}:read_ply",
+    ),
     MeshFormat("stl", "STL, binary", f"{_SURFACE}:stl_bytes", read=f"{_SURFACE}:read_stl"),
     MeshFormat("obj", "Wavefront OBJ", f"{_SURFACE}:obj_bytes", read=f"{_SURFACE}:read_obj"),
     MeshFormat(
@@ -129,22 +135,46 @@ class LabelOutput:
 LABEL_OUTPUTS: Registry[LabelOutput] = Registry(
     "label output",
     LabelOutput(
-        "seg.nrrd", "segmentation of 3D Slicer", "segmentation.seg.nrrd", "accelsurf.output.label_files:seg_nrrd"
-    ),
-    LabelOutput("itk-snap", "label descriptions of ITK-SNAP", "labels.txt", "accelsurf.output.label_files:itk_snap"),
-    LabelOutput("ctbl", "colour table of 3D Slicer", "labels.ctbl", "accelsurf.output.label_files:color_table"),
-    LabelOutput("tsv", "table of labels as in BIDS", "dseg.tsv", "accelsurf.output.label_files:bids_table"),
-    LabelOutput(
-        "dicom-seg", "DICOM segmentation, of an image in DICOM", "segmentation.dcm",
-        "accelsurf.output.dicom:write_segmentation", needs_dicom=True,
+        "seg.nrrd",
+        "segmentation of 3D Slicer",
+        "segmentation.seg.nrrd",
+        "accelsurf.output.label_files:seg_nrrd",
     ),
     LabelOutput(
-        "dicom-labelmap", "the same as a label map, which is smaller; few programs read it", "labelmap.dcm",
-        "accelsurf.output.dicom:write_labelmap", needs_dicom=True,
+        "itk-snap",
+        "label descriptions of ITK-SNAP",
+        "labels.txt",
+        "accelsurf.output.label_files:itk_snap",
     ),
     LabelOutput(
-        "rtstruct", "DICOM structure set, of an image in DICOM", "rtstruct.dcm",
-        "accelsurf.output.dicom:write_structure_set", needs_dicom=True,
+        "ctbl",
+        "colour table of 3D Slicer",
+        "labels.ctbl",
+        "accelsurf.output.label_files:color_table",
+    ),
+    LabelOutput(
+        "tsv", "table of labels as in BIDS", "dseg.tsv", "accelsurf.output.label_files:bids_table"
+    ),
+    LabelOutput(
+        "dicom-seg",
+        "DICOM segmentation, of an image in DICOM",
+        "segmentation.dcm",
+        "accelsurf.output.dicom:write_segmentation",
+        needs_dicom=True,
+    ),
+    LabelOutput(
+        "dicom-labelmap",
+        "the same as a label map, which is smaller; few programs read it",
+        "labelmap.dcm",
+        "accelsurf.output.dicom:write_labelmap",
+        needs_dicom=True,
+    ),
+    LabelOutput(
+        "rtstruct",
+        "DICOM structure set, of an image in DICOM",
+        "rtstruct.dcm",
+        "accelsurf.output.dicom:write_structure_set",
+        needs_dicom=True,
     ),
 )
 

@@ -44,7 +44,11 @@ def complaint(key: str, value: Any, fields: type[BaseModel] = SettingFields) -> 
     """Return message and hint for a value that ``key`` does not take."""
     given = [word.strip() for word in value.split(",")] if isinstance(value, str) else value
     names = choices(key, fields)
-    wrong = [word for word in given if word not in names] if isinstance(given, (list, tuple)) else [given]
+    wrong = (
+        [word for word in given if word not in names]
+        if isinstance(given, (list, tuple))
+        else [given]
+    )
     guess = did_you_mean(wrong[0], names) if wrong else ""
     message = f"{key}: {shown(value)} was given, expected {expected(key, fields)}"
     return message, guess + full_help(fields.model_fields[key])
@@ -85,7 +89,9 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
     if "anyOf" in schema:
         parts = [_in_words(part) for part in schema["anyOf"]]
         words = [word for part in parts for word in part]
-        return [", or ".join(words)] if len(words) == 2 and words[0].startswith("a number") else words
+        return (
+            [", or ".join(words)] if len(words) == 2 and words[0].startswith("a number") else words
+        )
     if "const" in schema:
         return [schema["const"]]
     if "enum" in schema:
@@ -98,7 +104,11 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
             return ["changes, each with the step that it comes before"]
         case "array":
             names = _in_words(schema["items"])
-            return ["one or more of " + ", ".join(names) if len(names) > 1 else "one text or a list of them"]
+            return [
+                "one or more of " + ", ".join(names)
+                if len(names) > 1
+                else "one text or a list of them"
+            ]
         case "boolean":
             return ["true", "false"]
         case "null":

@@ -40,7 +40,10 @@ class Preset(NamedTuple):
 def _built_in() -> Iterator[Preset]:
     tables = tomllib.loads(Path(__file__).with_name("presets.toml").read_text(encoding="utf-8"))
     for name, table in tables.items():
-        values = {key: tuple(value) if isinstance(value, list) else value for key, value in table["settings"].items()}
+        values = {
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in table["settings"].items()
+        }
         yield Preset(name, table["summary"], values, table["reasons"], table["tried"])
 
 

@@ -98,7 +98,9 @@ def spacing_of(text: str) -> Spacing:
     ((0.5, 0.5, 2.0), (0.00025, 0.00025, 0.00025))
     """
     found = _SPACING.fullmatch(text.strip())
-    numbers = [float(word) for word in found.groups()[:3] if word not in (None, ".", "")] if found else []
+    numbers = (
+        [float(word) for word in found.groups()[:3] if word not in (None, ".", "")] if found else []
+    )
     unit = found.group(4) or "mm" if found else ""
     if found is None or unit not in _UNITS or len(numbers) != (1 if found.group(2) is None else 3):
         raise UsageError(
@@ -114,7 +116,9 @@ def spacing_of(text: str) -> Spacing:
     return x, y, z
 
 
-def check_readable(path: str | Path, name: str = "", kind: type[AccelsurfError] = InputError) -> None:
+def check_readable(
+    path: str | Path, name: str = "", kind: type[AccelsurfError] = InputError
+) -> None:
     """Refuse a pipe, a device or a socket; what does not exist, and a folder, is left to who reads it.
 
     Parameters

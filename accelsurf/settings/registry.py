@@ -94,7 +94,10 @@ class Registration(AbstractContextManager["Registration"]):
         self._entries.pop(self._name, None)
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.remove()
 

@@ -21,7 +21,18 @@ from accelsurf.settings.flow_specs import spec_of
 from accelsurf.settings.presets import PRESETS
 
 #: Settings that a run which begins and ends with a label map does not take.
-_NOT_WITH_LABELS = ("start", "objects", "inside", "outside", "mask", "roi", "box", "edit", "levels", "size")
+_NOT_WITH_LABELS = (
+    "start",
+    "objects",
+    "inside",
+    "outside",
+    "mask",
+    "roi",
+    "box",
+    "edit",
+    "levels",
+    "size",
+)
 #: Largest whole number of TOML.
 MAX_WHOLE = 2**63 - 1
 
@@ -32,7 +43,11 @@ def _with_clicks(values: dict[str, Any]) -> dict[str, Any]:
         return {"energy": "seeded", **values}
     if not values.get("inside"):
         return values
-    defaults = {"energy": "seeded"} if values.get("objects") is not None else {"energy": "seeded", "start": ("clicks",)}
+    defaults = (
+        {"energy": "seeded"}
+        if values.get("objects") is not None
+        else {"energy": "seeded", "start": ("clicks",)}
+    )
     return {**defaults, **values}
 
 
@@ -65,7 +80,9 @@ class RunConfig(SettingFields):
     def __init__(self, **values: Any) -> None:
         # The validation refuses an unknown preset.
         preset = values.get("preset")
-        under = dict(PRESETS[preset].settings) if isinstance(preset, str) and preset in PRESETS else {}
+        under = (
+            dict(PRESETS[preset].settings) if isinstance(preset, str) and preset in PRESETS else {}
+        )
         if values.get("objects") is not None or values.get("labels") is not None:
             under.pop("start", None)  # objects are starts
         values = _with_clicks({**under, **values})
@@ -88,7 +105,9 @@ class RunConfig(SettingFields):
                     help_of(key),
                 )
             if isinstance(value, int) and value > MAX_WHOLE:
-                raise UsageError(f"{key}: expected a whole number of at most {MAX_WHOLE}", help_of(key))
+                raise UsageError(
+                    f"{key}: expected a whole number of at most {MAX_WHOLE}", help_of(key)
+                )
 
     def _check_together(self) -> None:
         """Refuse values that are valid one by one but not together."""
@@ -135,7 +154,9 @@ class RunConfig(SettingFields):
         (False, True)
         """
         given = self.objects is not None or self.labels is not None
-        return given or any(refinement.kind in ("new", "split", "remove") for refinement in self.refine)
+        return given or any(
+            refinement.kind in ("new", "split", "remove") for refinement in self.refine
+        )
 
     def matters(self, key: str) -> bool:
         """Return True if a setting acts on this flow and energy.
@@ -149,7 +170,10 @@ class RunConfig(SettingFields):
             case "flow":
                 return key in spec_of(self.flow).uses
             case "term":
-                return any(TERMS[t.name].is_used(key, t.settings) for t in energy_expression.parse(self.energy))
+                return any(
+                    TERMS[t.name].is_used(key, t.settings)
+                    for t in energy_expression.parse(self.energy)
+                )
             case _:
                 return True
 
@@ -172,7 +196,9 @@ class RunConfig(SettingFields):
         values, preset = PRESETS[self.preset].settings, type(self)(preset=self.preset)
         others = type(self)(**self.model_dump(include=self.model_fields_set - {*values, "preset"}))
         acts = any(
-            getattr(others, key) != getattr(self, key) == getattr(preset, key) for key in values if self.matters(key)
+            getattr(others, key) != getattr(self, key) == getattr(preset, key)
+            for key in values
+            if self.matters(key)
         )
         return found if acts else [*found, "preset"]
 
@@ -210,7 +236,9 @@ class RunConfig(SettingFields):
             under = PRESETS[self.preset].settings if self.preset is not None else {}
             former = type(self)(**{**under, "inside": self.inside})
             former = former.model_copy(update={"inside": default_of("inside")})
-            present = {key: value for key, value in present.items() if value != getattr(former, key)}
+            present = {
+                key: value for key, value in present.items() if value != getattr(former, key)
+            }
         return type(self)(**{**present, **changes})
 
     def at(self, step: int) -> Self:

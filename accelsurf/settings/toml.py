@@ -20,7 +20,16 @@ from accelsurf.settings.reading import check_readable
 from accelsurf.settings.wording import shown
 
 #: mm3 of each unit of volume, and seconds of each unit of time.
-_MM3 = {"l": 1e6, "ml": 1e3, "ul": 1.0, "cm3": 1e3, "cc": 1e3, "mm3": 1.0, "um3": 1e-9, "nm3": 1e-18}
+_MM3 = {
+    "l": 1e6,
+    "ml": 1e3,
+    "ul": 1.0,
+    "cm3": 1e3,
+    "cc": 1e3,
+    "mm3": 1.0,
+    "um3": 1e-9,
+    "nm3": 1e-18,
+}
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 #: Patterns of a length in voxels, a volume and an interval.
 VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
@@ -59,9 +68,12 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise UsageError(f"{path}: lists or tables nested too deeply", hint) from None
     except ValueError as error:  # not TOML, not UTF-8, a path with a zero byte
         if "integer string conversion" in str(error):
-            raise UsageError(f"{path}: a whole number of thousands of digits in it", "is it the right file?") from None
+            raise UsageError(
+                f"{path}: a whole number of thousands of digits in it", "is it the right file?"
+            ) from None
         raise UsageError(
-            f"{path}: not a TOML file: {error}", "write one setting per line, e.g.: smoothness = 0.5"
+            f"{path}: not a TOML file: {error}",
+            "write one setting per line, e.g.: smoothness = 0.5",
         ) from None
 
 
@@ -83,10 +95,18 @@ def toml_text(values: Mapping[str, Any], tables: Sequence[str]) -> str:
     [[edit]]
     step = 3
     """
-    lines = [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None and key not in tables]
+    lines = [
+        f"{key} = {_toml(value)}"
+        for key, value in values.items()
+        if value is not None and key not in tables
+    ]
     for name in tables:
         for table in values[name]:
-            lines += ["", f"[[{name}]]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
+            lines += [
+                "",
+                f"[[{name}]]",
+                *(f"{key} = {_toml(value)}" for key, value in table.items()),
+            ]
     return "\n".join(lines) + "\n"
 
 
@@ -183,17 +203,23 @@ def bounds_of(text: str | None) -> tuple[float, float]:
     found = _BOUNDS.fullmatch(text.replace(" ", ""))
     if found is None or found[0] == ",":
         raise UsageError(
-            f"clip: {shown(text)} was given, expected LOW,HIGH, one of which may be left out", "as --clip ,250"
+            f"clip: {shown(text)} was given, expected LOW,HIGH, one of which may be left out",
+            "as --clip ,250",
         )
     low = -math.inf if found[1] is None else float(found[1])
     high = math.inf if found[2] is None else float(found[2])
     if not low < high:
-        raise UsageError(f"clip: {shown(text)} was given, expected LOW below HIGH", "as --clip -100,250")
+        raise UsageError(
+            f"clip: {shown(text)} was given, expected LOW below HIGH", "as --clip -100,250"
+        )
     return low, high
 
 
 def checked(
-    parse: Callable[[str], Any], pattern: str | None = None, numbers: type | tuple[type, ...] = (), joined: bool = False
+    parse: Callable[[str], Any],
+    pattern: str | None = None,
+    numbers: type | tuple[type, ...] = (),
+    joined: bool = False,
 ) -> Callable[[Any], Any]:
     """Return a validator of a text, by a function that raises UsageError.
 

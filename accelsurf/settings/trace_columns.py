@@ -46,11 +46,21 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
         "flow time",
         "length that the CFL limit alone would allow; where dt is less, waves, diffusion, noise or density limit it",
     ),
-    TraceColumn("potential", _ENERGY, "energy U that is minimised; values of different levels do not compare"),
+    TraceColumn(
+        "potential",
+        _ENERGY,
+        "energy U that is minimised; values of different levels do not compare",
+    ),
     TraceColumn("kinetic", "", "kinetic energy T of the paper; T/w is in mm3, as the potential"),
     TraceColumn("mass_potential", _ENERGY, "mass potential U_mass; 0 without gravity"),
-    TraceColumn("weight", "", "factor w of the potentials: U + U_mass + T/w never rises; 1 for descent"),
-    TraceColumn("friction_work", _ENERGY, "energy that friction has taken so far, or in a descent its motion"),
+    TraceColumn(
+        "weight", "", "factor w of the potentials: U + U_mass + T/w never rises; 1 for descent"
+    ),
+    TraceColumn(
+        "friction_work",
+        _ENERGY,
+        "energy that friction has taken so far, or in a descent its motion",
+    ),
     TraceColumn(
         "smoothing_work",
         _ENERGY,
@@ -58,24 +68,43 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
     ),
     TraceColumn("noise_work", _ENERGY, "energy that noise has added so far"),
     TraceColumn("mass", "relative", "mass of the surface; 0 without momentum"),
-    TraceColumn("mass_correction", "relative", "fraction of the mass that was added so far to conserve it"),
+    TraceColumn(
+        "mass_correction", "relative", "fraction of the mass that was added so far to conserve it"
+    ),
     TraceColumn("volume_mm3", "mm3", "volume of the object"),
     TraceColumn("area_mm2", "mm2", "area of the surface"),
     TraceColumn(
-        "speed", "mm per unit of flow time", "the speed limiter's percentile of the absolute speed on the surface"
+        "speed",
+        "mm per unit of flow time",
+        "the speed limiter's percentile of the absolute speed on the surface",
     ),
-    TraceColumn("motion_voxels", "voxels", "mean motion of the surface in the step, along the normal"),
-    TraceColumn("limited_fraction", "", "share of front cells whose speed was clipped to the CFL limit"),
-    TraceColumn("clamped_fraction", "", "share of the surface where a negative tension of gravity was clamped"),
+    TraceColumn(
+        "motion_voxels", "voxels", "mean motion of the surface in the step, along the normal"
+    ),
+    TraceColumn(
+        "limited_fraction", "", "share of front cells whose speed was clipped to the CFL limit"
+    ),
+    TraceColumn(
+        "clamped_fraction",
+        "",
+        "share of the surface where a negative tension of gravity was clamped",
+    ),
     TraceColumn("diffusion", "mm2 per unit of flow time", "velocity diffusion used in the step"),
     TraceColumn("band_cells", "", "cells of the narrow band"),
     TraceColumn(
-        "cells_visited", "",
+        "cells_visited",
+        "",
         "cells that all passes of the step visited: its cost, the same on any machine; 0 as the seconds",
     ),
     TraceColumn("restarted", "", "1 when momentum was set to zero before the step"),
-    TraceColumn("removed_components", "", "components removed because they are smaller than the grid resolves"),
-    TraceColumn("seconds", "s", "wall time of the step; 0 of steps before a resumed run or a correction"),
+    TraceColumn(
+        "removed_components",
+        "",
+        "components removed because they are smaller than the grid resolves",
+    ),
+    TraceColumn(
+        "seconds", "s", "wall time of the step; 0 of steps before a resumed run or a correction"
+    ),
     TraceColumn("edits", "", "edits applied right before the step"),
     TraceColumn(
         "returned",

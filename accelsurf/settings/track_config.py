@@ -21,11 +21,19 @@ TABLE = "track"
 AUTO_FRICTION = 0.5
 
 #: Settings of a run that mean another thing in a tracking, or nothing: where both have one, it is that of tracking.
-_NOT_OF_FRAMES = (*TrackFields.model_fields, "time_index", "channels_from_time", "edit", "refine", "level")
+_NOT_OF_FRAMES = (
+    *TrackFields.model_fields,
+    "time_index",
+    "channels_from_time",
+    "edit",
+    "refine",
+    "level",
+)
 _GROUPS_OF_FRAMES = (SettingGroup.RUN, SettingGroup.FLOW, SettingGroup.IMAGE)
 #: Settings of the run on each frame.
 FRAME_SETTINGS = tuple(
-    key for key in SettingFields.model_fields
+    key
+    for key in SettingFields.model_fields
     if key not in _NOT_OF_FRAMES and catalogue.entry(key).group in _GROUPS_OF_FRAMES
 )
 
@@ -63,8 +71,12 @@ class TrackConfig(TrackFields):
     run: RunConfig = RunConfig()
 
     def __init__(self, **values: Any) -> None:
-        of_tracking = {key: value for key, value in values.items() if key in TrackFields.model_fields}
-        others = {key: value for key, value in values.items() if key not in of_tracking and key != "run"}
+        of_tracking = {
+            key: value for key, value in values.items() if key in TrackFields.model_fields
+        }
+        others = {
+            key: value for key, value in values.items() if key not in of_tracking and key != "run"
+        }
         run = values.get("run") or RunConfig()
         try:
             values = {**of_tracking, "run": run.replace(**others) if others else run}
@@ -79,19 +91,29 @@ class TrackConfig(TrackFields):
         for key in ("friction", "frame_time"):
             value = getattr(self, key)
             if isinstance(value, float) and value and not low <= value <= high:
-                raise UsageError(f"{key}: {value:g} was given, expected a size of {low:g} to {high:g}")
+                raise UsageError(
+                    f"{key}: {value:g} was given, expected a size of {low:g} to {high:g}"
+                )
         before, after = self.direction == "backward", self.direction == "forward"
         for correction in self.correct:
-            if (before and correction.frame > self.frame) or (after and correction.frame < self.frame):
+            if (before and correction.frame > self.frame) or (
+                after and correction.frame < self.frame
+            ):
                 raise UsageError(
                     f"correct: frame {correction.frame} was given, the tracking goes {self.direction} from frame "
                     f"{self.frame}",
                     "give --direction both, or another --frame",
                 )
-        given = [key for key in ("time_index", "label_group", "checkpoint") if getattr(self.run, key) is not None]
+        given = [
+            key
+            for key in ("time_index", "label_group", "checkpoint")
+            if getattr(self.run, key) is not None
+        ]
         given += [key for key in ("channels_from_time", "save_sdf") if getattr(self.run, key)]
         if given:
-            raise UsageError(f"{given[0]}: it was given for a sequence, it is of a single image", "leave it out")
+            raise UsageError(
+                f"{given[0]}: it was given for a sequence, it is of a single image", "leave it out"
+            )
 
     @property
     def gains(self) -> tuple[float, float]:
@@ -128,7 +150,9 @@ class TrackConfig(TrackFields):
         """Return the configuration as TOML; `from_toml` gives an equal object back."""
         of_tracking = self.model_dump(exclude={"run", "correct"})
         table = toml.toml_text(of_tracking, tables=())
-        written = (toml.toml_text(correction.model_dump(), tables=()) for correction in self.correct)
+        written = (
+            toml.toml_text(correction.model_dump(), tables=()) for correction in self.correct
+        )
         corrections = "".join(f"\n[[{TABLE}.correct]]\n{text}" for text in written)
         return f"{self.run.to_toml()}\n[{TABLE}]\n{table}{corrections}"
 
@@ -143,7 +167,10 @@ def split_table(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]
     """
     table = values.get(TABLE, {})
     if not isinstance(table, dict):
-        raise UsageError(f"{TABLE}: a table was expected", f"write [{TABLE}], and the settings of tracking below it")
+        raise UsageError(
+            f"{TABLE}: a table was expected",
+            f"write [{TABLE}], and the settings of tracking below it",
+        )
     for key in table:
         if key not in TrackFields.model_fields:
             raise UsageError(*messages.no_such_setting(key, TrackFields))
@@ -158,4 +185,8 @@ def setting_entry(key: str) -> SettingEntry:
     >>> setting_entry("max_gap").metavar, setting_entry("smoothness").group is SettingGroup.RUN
     ('FRAMES', True)
     """
-    return entry_of(TrackFields.model_fields[key]) if key in TrackFields.model_fields else catalogue.entry(key)
+    return (
+        entry_of(TrackFields.model_fields[key])
+        if key in TrackFields.model_fields
+        else catalogue.entry(key)
+    )

@@ -50,24 +50,40 @@ class TrackFormat:
 TRACK_FORMATS: Registry[TrackFormat] = Registry(
     "format of tracks",
     TrackFormat(
-        "ctc", "folder of the Cell Tracking Challenge: res_track.txt and a TIFF for each frame", "RES",
-        "accelsurf.track.output.outputs:write_challenge", mark="res_track.txt",
+        "ctc",
+        "folder of the Cell Tracking Challenge: res_track.txt and a TIFF for each frame",
+        "RES",
+        "accelsurf.track.output.outputs:write_challenge",
+        mark="res_track.txt",
     ),
     TrackFormat(
-        "geff", "folder of the Graph Exchange File Format", "tracks.geff",
-        "accelsurf.track.output.geff_file:write_geff", "accelsurf.track.output.geff_file:check_geff", mark=".zattrs",
+        "geff",
+        "folder of the Graph Exchange File Format",
+        "tracks.geff",
+        "accelsurf.track.output.geff_file:write_geff",
+        "accelsurf.track.output.geff_file:check_geff",
+        mark=".zattrs",
     ),
     TrackFormat(
-        "surfaces", "folder of surfaces, prediction beside correction, for accelsurf view --tracks", "surfaces",
-        "accelsurf.track.output.surfaces:write_surfaces", mark="surfaces.json",
+        "surfaces",
+        "folder of surfaces, prediction beside correction, for accelsurf view --tracks",
+        "surfaces",
+        "accelsurf.track.output.surfaces:write_surfaces",
+        mark="surfaces.json",
     ),
     TrackFormat(
-        "mp4", "movie of slices, prediction beside correction", "movie.mp4",
-        "accelsurf.track.output.slices:write_movie", "accelsurf.track.output.slices:check_mp4",
+        "mp4",
+        "movie of slices, prediction beside correction",
+        "movie.mp4",
+        "accelsurf.track.output.slices:write_movie",
+        "accelsurf.track.output.slices:check_mp4",
     ),
     TrackFormat("gif", "the same as GIF", "movie.gif", "accelsurf.track.output.slices:write_movie"),
     TrackFormat(
-        "webp", "the same as WebP", "movie.webp", "accelsurf.track.output.slices:write_movie",
+        "webp",
+        "the same as WebP",
+        "movie.webp",
+        "accelsurf.track.output.slices:write_movie",
         "accelsurf.track.output.slices:check_webp",
     ),
 )
@@ -80,13 +96,17 @@ def track_format_help() -> str:
 
 TRACK = SettingGroup.TRACK
 #: Two gains, each from 0 to 1, as they are written.
-GAINS = r"^(0|1|0?\.[0-9]{1,9}|1\.0{1,9}|0\.[0-9]{1,9}),(0|1|0?\.[0-9]{1,9}|1\.0{1,9}|0\.[0-9]{1,9})$"
+GAINS = (
+    r"^(0|1|0?\.[0-9]{1,9}|1\.0{1,9}|0\.[0-9]{1,9}),(0|1|0?\.[0-9]{1,9}|1\.0{1,9}|0\.[0-9]{1,9})$"
+)
 
 
 def _gains_text(value: Any) -> Any:
     """Two numbers as their text."""
     if isinstance(value, (list, tuple)):
-        return ",".join(f"{number:g}" if isinstance(number, (int, float)) else str(number) for number in value)
+        return ",".join(
+            f"{number:g}" if isinstance(number, (int, float)) else str(number) for number in value
+        )
     return value.replace(" ", "") if isinstance(value, str) else value
 
 
@@ -120,11 +140,14 @@ class TrackFields(BaseModel):
         "deform); the last displacement of its centroid; or nothing, each frame begins where the last one ended.",
         entry=SettingEntry(TRACK, metavar="NAME"),
     )
-    observer: Annotated[Annotated[str, Field(pattern=GAINS)], BeforeValidator(_gains_text)] = setting(
-        "1,1",
-        "Gains of the correction on each frame, 0 to 1: part of the way from the prediction to what the frame shows "
-        "that the surface goes, and part of the missing velocity that is added. Less is steadier in noise, and slower.",
-        entry=SettingEntry(TRACK, metavar="KPSI,KV"),
+    observer: Annotated[Annotated[str, Field(pattern=GAINS)], BeforeValidator(_gains_text)] = (
+        setting(
+            "1,1",
+            "Gains of the correction on each frame, 0 to 1: part of the way from the prediction to what the frame "
+            "shows that the surface goes, and part of the missing velocity that is added. Less is steadier in noise, "
+            "and slower.",
+            entry=SettingEntry(TRACK, metavar="KPSI,KV"),
+        )
     )
     friction: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
         "auto",
@@ -181,26 +204,39 @@ class TrackFields(BaseModel):
     format: Annotated[str, OneOf(label_formats)] = setting(
         DEFAULT_IMAGE_FORMAT,
         "Format of the label maps: {}.",
-        entry=SettingEntry(SettingGroup.FILES, metavar="NAME", listed=lambda: ", ".join(label_formats())),
+        entry=SettingEntry(
+            SettingGroup.FILES, metavar="NAME", listed=lambda: ", ".join(label_formats())
+        ),
     )
     per_frame: bool = setting(
         False,
         "Write a label map for each frame in place of one file with time.",
         entry=SettingEntry(SettingGroup.FILES),
     )
-    mesh: Annotated[tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], BeforeValidator(all_split)] = setting(
+    mesh: Annotated[
+        tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], BeforeValidator(all_split)
+    ] = setting(
         (),
         "Formats of meshes, separated by commas, of each object in each frame: {}; none by default. The vertices are "
         "the same material points from frame to frame.",
-        entry=SettingEntry(SettingGroup.FILES, metavar="NAMES", repeated=True, listed=lambda: ", ".join(MESH_FORMATS)),
+        entry=SettingEntry(
+            SettingGroup.FILES,
+            metavar="NAMES",
+            repeated=True,
+            listed=lambda: ", ".join(MESH_FORMATS),
+        ),
     )
     mesh_space: Literal["lps", "ras"] = setting(
         "lps",
         "Coordinates of meshes.",
         entry=SettingEntry(SettingGroup.FILES, metavar="lps|ras"),
     )
-    also: Annotated[tuple[Annotated[str, OneOf(lambda: TRACK_FORMATS)], ...], BeforeValidator(all_split)] = setting(
+    also: Annotated[
+        tuple[Annotated[str, OneOf(lambda: TRACK_FORMATS)], ...], BeforeValidator(all_split)
+    ] = setting(
         (),
         "Further files, separated by commas: {}.",
-        entry=SettingEntry(SettingGroup.FILES, metavar="NAMES", repeated=True, listed=track_format_help),
+        entry=SettingEntry(
+            SettingGroup.FILES, metavar="NAMES", repeated=True, listed=track_format_help
+        ),
     )

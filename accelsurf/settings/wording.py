@@ -11,24 +11,45 @@ from typing import Any
 
 #: Largest number of characters of a value that a message repeats.
 MAX_SHOWN = 60
-_MICRO = ("um", "\u00b5m", "\u03bcm", "micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres")
+_MICRO = (
+    "um",
+    "\u00b5m",
+    "\u03bcm",
+    "micron",
+    "microns",
+    "micrometer",
+    "micrometers",
+    "micrometre",
+    "micrometres",
+)
 #: Millimetres of the units of length, by every name that files give them.
 _MM_PER_UNIT = {
-    **dict.fromkeys(("pm", "picometer"), 1e-9), **dict.fromkeys(("\u00e5", "angstrom"), 1e-7),
-    **dict.fromkeys(("nm", "nanometer", "nanometers", "nanometre", "nanometres"), 1e-6), **dict.fromkeys(_MICRO, 1e-3),
+    **dict.fromkeys(("pm", "picometer"), 1e-9),
+    **dict.fromkeys(("\u00e5", "angstrom"), 1e-7),
+    **dict.fromkeys(("nm", "nanometer", "nanometers", "nanometre", "nanometres"), 1e-6),
+    **dict.fromkeys(_MICRO, 1e-3),
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), 1.0),
     **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), 10.0),
-    **dict.fromkeys(("dm", "decimeter"), 100.0), **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1e3),
-    "km": 1e6, **dict.fromkeys(("inch", "inches", "in", '"'), 25.4), **dict.fromkeys(("ft", "foot"), 304.8),
-    "yard": 914.4, "thou": 0.0254, "li": 25.4 / 12, "pt": 25.4 / 72,
-}  # fmt: skip
+    **dict.fromkeys(("dm", "decimeter"), 100.0),
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1e3),
+    "km": 1e6,
+    **dict.fromkeys(("inch", "inches", "in", '"'), 25.4),
+    **dict.fromkeys(("ft", "foot"), 304.8),
+    "yard": 914.4,
+    "thou": 0.0254,
+    "li": 25.4 / 12,
+    "pt": 25.4 / 72,
+}
 #: Seconds of the units of time.
 _SECONDS_PER_UNIT = {
-    **dict.fromkeys(("ns", "nanosecond"), 1e-9), **dict.fromkeys(("\u00b5s", "\u03bcs", "us", "microsecond"), 1e-6),
-    **dict.fromkeys(("ms", "msec", "millisecond"), 1e-3), **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
-    **dict.fromkeys(("min", "minute"), 60.0), **dict.fromkeys(("h", "hour"), 3600.0),
+    **dict.fromkeys(("ns", "nanosecond"), 1e-9),
+    **dict.fromkeys(("\u00b5s", "\u03bcs", "us", "microsecond"), 1e-6),
+    **dict.fromkeys(("ms", "msec", "millisecond"), 1e-3),
+    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("min", "minute"), 60.0),
+    **dict.fromkeys(("h", "hour"), 3600.0),
     **dict.fromkeys(("d", "day"), 86400.0),
-}  # fmt: skip
+}
 _ESCAPE = re.compile(r"\\u([0-9a-fA-F]{4})")
 #: How many of a unit in which sizes are shown are a mm.
 _IN_MM = {"nm": 1e6, "um": 1e3, "mm": 1.0}
@@ -58,7 +79,9 @@ def escaped(text: str) -> str:
     >>> escaped("a" + chr(27))
     'a\\x1b'
     """
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text
+    )
 
 
 def nearest(given: Any, names: Iterable[str]) -> str:

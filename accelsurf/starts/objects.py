@@ -27,7 +27,10 @@ from accelsurf.starts import starts
 #: Largest id that a label map can hold.
 MAX_ID = 2**32 - 1
 #: Columns of a table: world mm (LPS), or voxel indices with the radius in voxels of the smallest spacing.
-WORLD_COLUMNS, VOXEL_COLUMNS = ("id", "x", "y", "z", "r"), ("id", "x_vox", "y_vox", "z_vox", "r_vox")
+WORLD_COLUMNS, VOXEL_COLUMNS = (
+    ("id", "x", "y", "z", "r"),
+    ("id", "x_vox", "y_vox", "z_vox", "r_vox"),
+)
 #: Voxels deeper in a given surface than this part of its greatest depth are surely of the object.
 _CORE_DEPTH = 0.5
 _BYTES_PER_VOXEL = 16  # image, psi twice, and an index of the band
@@ -42,7 +45,9 @@ class ObjectStart(NamedTuple):
     psi: NDArray[np.float32]
 
 
-def read(objects: str | Volume | NDArray[Any], geometry: Geometry, margin: int) -> list[ObjectStart]:
+def read(
+    objects: str | Volume | NDArray[Any], geometry: Geometry, margin: int
+) -> list[ObjectStart]:
     """First surfaces in order of their ids; they do not overlap.
 
     Parameters
@@ -105,21 +110,36 @@ def read_label_map(
     found = np.unique(wanted[wanted > 0])
     if ids and found.size == 0:
         there = ", ".join(str(label) for label in np.unique(whole[whole > 0])[:20].tolist())
-        raise InputError(f"labels {name}: no voxel has a label that is asked for", f"there are {there or 'none'}")
+        raise InputError(
+            f"labels {name}: no voxel has a label that is asked for", f"there are {there or 'none'}"
+        )
     check_found(name, found, "labels")
-    return _of_labels(name, wanted, found, geometry, margin), np.where(wanted > 0, 0, whole).astype(whole.dtype)
+    return _of_labels(name, wanted, found, geometry, margin), np.where(wanted > 0, 0, whole).astype(
+        whole.dtype
+    )
 
 
 def _of_labels(
-    name: str, labels: NDArray[np.integer], found: NDArray[np.integer], geometry: Geometry, margin: int
+    name: str,
+    labels: NDArray[np.integer],
+    found: NDArray[np.integer],
+    geometry: Geometry,
+    margin: int,
 ) -> list[ObjectStart]:
     """Starts of the ids of a label map, after it is clear what their boxes cost."""
     places = np.where(labels > 0, np.searchsorted(found, labels) + 1, 0).astype(np.int32)
-    boxes = [widened(box, geometry.shape, (margin, margin, margin)) for box in ndimage.find_objects(places)]
+    boxes = [
+        widened(box, geometry.shape, (margin, margin, margin))
+        for box in ndimage.find_objects(places)
+    ]
     _check_boxes(name, boxes, geometry)
     out = []
     for place, (id, grown) in enumerate(zip(found, boxes, strict=True), start=1):
-        out.append(ObjectStart(int(id), corner_of(grown), starts.psi_of_mask(places[grown] == place, geometry)))
+        out.append(
+            ObjectStart(
+                int(id), corner_of(grown), starts.psi_of_mask(places[grown] == place, geometry)
+            )
+        )
     return out
 
 
@@ -137,7 +157,9 @@ def _check_boxes(name: str, boxes: list[Box], geometry: Geometry) -> None:
         )
 
 
-def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[str, NDArray[np.integer]]:
+def _labels(
+    objects: str | Volume | NDArray[Any], geometry: Geometry
+) -> tuple[str, NDArray[np.integer]]:
     """Name of the label map, and its values: 0 where an id was not asked for."""
     name, whole, ids = _read_labels(objects, geometry, "objects")
     return name, whole if not ids else np.where(starts.has_label(whole, ids), whole, 0)
@@ -152,8 +174,15 @@ def _read_labels(
     if isinstance(given, str):
         name, start = given, starts.parse(f"label:{given}")
         # Of labels that may overlap those are read that are asked for; of a map that is mended, all.
-        given, ids = io.read_labels(start.file, ids=start.ids if what == "objects" else (), grid=geometry), start.ids
-    return name, whole_numbers(name, array_on_grid(given, geometry, f"{what} {name}"), (), what=what), ids
+        given, ids = (
+            io.read_labels(start.file, ids=start.ids if what == "objects" else (), grid=geometry),
+            start.ids,
+        )
+    return (
+        name,
+        whole_numbers(name, array_on_grid(given, geometry, f"{what} {name}"), (), what=what),
+        ids,
+    )
 
 
 def whole_numbers(
@@ -199,10 +228,16 @@ def check_found(name: str, found: NDArray[np.integer], what: str = "objects") ->
     InputError
     """
     if found.size == 0:
-        hint = "give each object's first voxels its id" if what == "objects" else "is it the label map of this image?"
+        hint = (
+            "give each object's first voxels its id"
+            if what == "objects"
+            else "is it the label map of this image?"
+        )
         raise InputError(f"{what} {name}: no voxel has a label above 0", hint)
     if int(found[-1]) > MAX_ID:
-        raise InputError(f"{what} {name}: id {found[-1]} was given, expected at most {MAX_ID}", "renumber them")
+        raise InputError(
+            f"{what} {name}: id {found[-1]} was given, expected at most {MAX_ID}", "renumber them"
+        )
 
 
 def read_balls(file: str, geometry: Geometry) -> dict[int, list[tuple[float, float, float, float]]]:
@@ -215,7 +250,11 @@ def read_balls(file: str, geometry: Geometry) -> dict[int, list[tuple[float, flo
     """
     rows: dict[int, list[tuple[float, float, float, float]]] = {}
     for id, *numbers in read_table(
-        file, WORLD_COLUMNS, VOXEL_COLUMNS, _FORM, lambda line, number, vox: _read_line(line, number, vox, geometry)
+        file,
+        WORLD_COLUMNS,
+        VOXEL_COLUMNS,
+        _FORM,
+        lambda line, number, vox: _read_line(line, number, vox, geometry),
     ):
         rows.setdefault(int(id), []).append((numbers[0], numbers[1], numbers[2], numbers[3]))
     if not rows:
@@ -235,15 +274,24 @@ def _balls(file: str, geometry: Geometry, margin: int) -> list[ObjectStart]:
     return out
 
 
-def _read_line(line: dict[str, Any], number: int, vox: bool, geometry: Geometry) -> tuple[float, ...]:
+def _read_line(
+    line: dict[str, Any], number: int, vox: bool, geometry: Geometry
+) -> tuple[float, ...]:
     try:
-        id, x, y, z, r = (float(line.get(name, "")) for name in (VOXEL_COLUMNS if vox else WORLD_COLUMNS))
+        id, x, y, z, r = (
+            float(line.get(name, "")) for name in (VOXEL_COLUMNS if vox else WORLD_COLUMNS)
+        )
     except (TypeError, ValueError):
         id = x = y = z = r = math.nan
-    if not all(abs(v) <= starts.MAX_LENGTH for v in (id, x, y, z, r)) or id != int(id) or not 1 <= id <= MAX_ID:
+    if (
+        not all(abs(v) <= starts.MAX_LENGTH for v in (id, x, y, z, r))
+        or id != int(id)
+        or not 1 <= id <= MAX_ID
+    ):
         given = ",".join(str(value) for value in line.values() if isinstance(value, str))
         raise InputError(
-            f"line {number}: {given} was given, expected a whole number from 1 on and four numbers", f"{_FORM}"
+            f"line {number}: {given} was given, expected a whole number from 1 on and four numbers",
+            f"{_FORM}",
         )
     if r <= 0:
         raise InputError(f"line {number}: radius {r:g} was given, expected above 0", f"{_FORM}")
@@ -252,7 +300,11 @@ def _read_line(line: dict[str, Any], number: int, vox: bool, geometry: Geometry)
 
 
 def ball_box(
-    file: str, id: int, balls: list[tuple[float, float, float, float]], geometry: Geometry, margin: int
+    file: str,
+    id: int,
+    balls: list[tuple[float, float, float, float]],
+    geometry: Geometry,
+    margin: int,
 ) -> Box:
     """Voxels of a grid around balls, with a margin where the grid has it.
 
@@ -288,7 +340,11 @@ def ball_box(
 
 
 def ball_start(
-    file: str, id: int, balls: list[tuple[float, float, float, float]], geometry: Geometry, margin: int
+    file: str,
+    id: int,
+    balls: list[tuple[float, float, float, float]],
+    geometry: Geometry,
+    margin: int,
 ) -> ObjectStart:
     """The union of balls; the parameters are those of `ball_box`.
 
@@ -302,7 +358,10 @@ def ball_start(
     for *centre, r in balls:
         np.minimum(psi, ball_distance(box, geometry.spacing, centre, r), out=psi)
     if not (psi < 0).any():
-        raise InputError(f"{file}: no voxel centre is inside ball {id}", "a larger r, or is the unit the right one?")
+        raise InputError(
+            f"{file}: no voxel centre is inside ball {id}",
+            "a larger r, or is the unit the right one?",
+        )
     return ObjectStart(id, corner_of(box), psi)
 
 
@@ -334,7 +393,9 @@ def apart(objects: Sequence[ObjectStart]) -> list[ObjectStart]:
     """
     out = [segmented._replace(psi=segmented.psi.copy()) for segmented in objects]
     low = np.array([segmented.corner for segmented in objects])
-    for i, near in enumerate(meeting(low, low + np.array([segmented.psi.shape for segmented in objects]))):
+    for i, near in enumerate(
+        meeting(low, low + np.array([segmented.psi.shape for segmented in objects]))
+    ):
         for j in near:
             segmented, other = objects[i], objects[j]
             both = shared(segmented.corner, segmented.psi.shape, other.corner, other.psi.shape)
@@ -358,6 +419,7 @@ def separated(objects: list[ObjectStart], name: str, geometry: Geometry) -> list
     for start in out:
         if not (start.psi < 0).any():
             raise InputError(
-                f"objects {name}: all of object {start.id} lies within others", "move them apart, or give smaller ones"
+                f"objects {name}: all of object {start.id} lies within others",
+                "move them apart, or give smaller ones",
             )
     return out

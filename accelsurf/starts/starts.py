@@ -111,13 +111,17 @@ def parse(text: str) -> Start:
         raise UsageError(f"start {shown(text)!r}: unknown kind {shown(kind)!r}", hint)
     if kind in ("center", CLICKS):
         if colon:
-            raise UsageError(f"start {shown(text)!r}: {kind} takes no values", f"write --start {kind}, or a ball")
+            raise UsageError(
+                f"start {shown(text)!r}: {kind} takes no values", f"write --start {kind}, or a ball"
+            )
         return Start(kind)
     if kind in ("label", "mesh"):
         return _parse_file(text, kind, rest)
     if kind == "otsu":
         if rest not in ("", "dark") or (colon and not rest):
-            raise UsageError(f"start {shown(text)!r}: otsu or otsu:dark expected", "otsu is for bright objects")
+            raise UsageError(
+                f"start {shown(text)!r}: otsu or otsu:dark expected", "otsu is for bright objects"
+            )
         return Start(kind, word=rest)
     if kind == "largest" and rest in ("otsu", "otsu:dark"):
         return Start(kind, word=rest)
@@ -129,7 +133,10 @@ def parse(text: str) -> Start:
         what = f"start {shown(text)!r}: the first corner must lie below the second in x, y and z"
         raise UsageError(what, KINDS[kind])
     if kind in ("threshold", "largest") and numbers[0] > numbers[1]:
-        raise UsageError(f"start {shown(text)!r}: the low threshold is above the high one", f"as in {KINDS[kind]}")
+        raise UsageError(
+            f"start {shown(text)!r}: the low threshold is above the high one",
+            f"as in {KINDS[kind]}",
+        )
     return Start(kind, numbers, vox)
 
 
@@ -139,7 +146,9 @@ def _parse_file(text: str, kind: str, rest: str) -> Start:
     if not file:
         raise UsageError(f"start {shown(text)!r}: no file named", f"write {KINDS[kind]}")
     if kind == "mesh":
-        return Start(kind, file=file, word=tail) if tail in ("ras", "lps") else Start(kind, file=rest)
+        return (
+            Start(kind, file=file, word=tail) if tail in ("ras", "lps") else Start(kind, file=rest)
+        )
     if not at or split_name(rest)[1]:
         return Start(kind, file=rest)
     ids = parse_ids(tail, f"start {shown(text)!r}", "label:FILE@2,41,251-255")
@@ -160,9 +169,15 @@ def _numbers(text: str, kind: str, values: str) -> Coordinates:
         found = None
     numbers = () if found is None else found.numbers
     if len(numbers) != expected or any(math.isnan(v) for v in numbers):
-        raise UsageError(f"start {shown(text)!r}: {expected} numbers separated by commas expected", f"as in {form}")
+        raise UsageError(
+            f"start {shown(text)!r}: {expected} numbers separated by commas expected",
+            f"as in {form}",
+        )
     if not form.startswith(("threshold", "largest")) and any(abs(v) > MAX_LENGTH for v in numbers):
-        raise UsageError(f"start {shown(text)!r}: finite numbers of at most {MAX_LENGTH:g} expected", f"as in {form}")
+        raise UsageError(
+            f"start {shown(text)!r}: finite numbers of at most {MAX_LENGTH:g} expected",
+            f"as in {form}",
+        )
     return Coordinates(numbers, found is not None and found.vox)
 
 
@@ -174,7 +189,10 @@ def _thresholds(parts: Sequence[str]) -> Coordinates | None:
 
 
 def build(
-    starts: Sequence[str], volume: Volume, image: NDArray[np.float32] | None = None, window: Window | None = None
+    starts: Sequence[str],
+    volume: Volume,
+    image: NDArray[np.float32] | None = None,
+    window: Window | None = None,
 ) -> NDArray[np.float32]:
     """Return the function psi of the union of starts on the grid of a volume.
 
@@ -221,7 +239,8 @@ def build(
         raise UsageError("start: none was given, expected one at least", f"as in {KINDS['ball']}")
     if (psi < 0).all():
         raise InputError(
-            f"start {shown(' + '.join(starts))}: every voxel of the volume is inside", "leave some background outside"
+            f"start {shown(' + '.join(starts))}: every voxel of the volume is inside",
+            "leave some background outside",
         )
     return psi
 
@@ -260,14 +279,25 @@ def ball_of(text: str, geometry: Geometry) -> tuple[tuple[float, float, float], 
 def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
     kind = parse(text).kind
     if kind == "label":
-        return f"start {shown(text)!r}: the label map has no voxel of these labels", "give a map and labels that it has"
+        return (
+            f"start {shown(text)!r}: the label map has no voxel of these labels",
+            "give a map and labels that it has",
+        )
     if kind == "mesh":
-        return f"start {shown(text)!r}: no voxel centre is inside the mesh", "mm, LPS as ITK; mesh:FILE@ras for RAS"
+        return (
+            f"start {shown(text)!r}: no voxel centre is inside the mesh",
+            "mm, LPS as ITK; mesh:FILE@ras for RAS",
+        )
     if kind in ("threshold", "largest", "otsu"):
-        return f"start {shown(text)!r}: no voxel lies between these values", "thresholds are in the image's own units"
+        return (
+            f"start {shown(text)!r}: no voxel lies between these values",
+            "thresholds are in the image's own units",
+        )
     start = parse(text)
     place = start.numbers[:3] if kind in ("ball", "seed", "point") else ()
-    return f"start {shown(text)!r}: no voxel centre is inside it", extent_hint(geometry, place, start.vox)
+    return f"start {shown(text)!r}: no voxel centre is inside it", extent_hint(
+        geometry, place, start.vox
+    )
 
 
 def extent_hint(geometry: Geometry, place: Sequence[float] = (), vox: bool = False) -> str:
@@ -282,8 +312,12 @@ def extent_hint(geometry: Geometry, place: Sequence[float] = (), vox: bool = Fal
     """
     corner = geometry.index_to_world(np.array([[0, 0, 0], [n - 1 for n in geometry.shape]]))
     low, high = corner.min(axis=0), corner.max(axis=0)
-    ranges = "; ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
-    extent = f"the volume's corners span {ranges} mm (world, LPS); the suffix vox takes voxel indices"
+    ranges = "; ".join(
+        f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True)
+    )
+    extent = (
+        f"the volume's corners span {ranges} mm (world, LPS); the suffix vox takes voxel indices"
+    )
     meant = _meant(geometry, place, vox) if len(place) == 3 else None
     return extent if meant is None else f"{meant}; {extent}"
 
@@ -295,7 +329,10 @@ def _meant(geometry: Geometry, place: Sequence[float], vox: bool) -> str | None:
         readings = [("in mm it is inside: leave vox out", geometry.world_to_index((x, y, z)))]
     else:
         readings = [
-            ("with x and y negated it is inside: are these RAS? Then add ras", geometry.world_to_index((-x, -y, z))),
+            (
+                "with x and y negated it is inside: are these RAS? Then add ras",
+                geometry.world_to_index((-x, -y, z)),
+            ),
             ("as voxel indices it is inside: add vox", np.array([z, y, x])),
         ]
         if max(map(abs, place)) > FAR_BEYOND * max(geometry.extent_mm):
@@ -308,7 +345,10 @@ def _meant(geometry: Geometry, place: Sequence[float], vox: bool) -> str | None:
 def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDArray[np.float32]:
     geometry, box = window.geometry, window.box
     if start.kind == CLICKS:
-        raise UsageError(f"start {text!r}: there is no click inside", "give --inside point:X,Y,Z, or another start")
+        raise UsageError(
+            f"start {text!r}: there is no click inside",
+            "give --inside point:X,Y,Z, or another start",
+        )
     if not window.is_whole:
         refuse_values(start, text)
     if start.kind == "label":
@@ -366,7 +406,9 @@ def _read_mask(start: Start, window: Window) -> NDArray[np.bool_]:
     return start.mask_of(label_box(start.file, window, f"start label:{start.file}", start.ids))
 
 
-def label_box(file: str, window: Window, name: str, ids: Sequence[tuple[int, int]] = ()) -> NDArray[Any]:
+def label_box(
+    file: str, window: Window, name: str, ids: Sequence[tuple[int, int]] = ()
+) -> NDArray[Any]:
     """Return a label map, or the part of it in a window.
 
     Raises
@@ -375,14 +417,20 @@ def label_box(file: str, window: Window, name: str, ids: Sequence[tuple[int, int
         When it cannot be read; GeometryError when it lies on another grid.
     """
     labels: Volume | io.LazyVolume = (
-        io.read_labels(file, ids=ids, grid=window.geometry) if window.is_whole else io.open_volume(file)
+        io.read_labels(file, ids=ids, grid=window.geometry)
+        if window.is_whole
+        else io.open_volume(file)
     )
     if not labels.geometry.matches(window.geometry):
         raise GeometryError(
             f"{name}: on another grid than the image: {labels.geometry.difference(window.geometry)}",
             "resample it to the image's grid first",
         )
-    return labels.array if isinstance(labels, Volume) else as_labels(labels.read(window.box), corner_of(window.box))
+    return (
+        labels.array
+        if isinstance(labels, Volume)
+        else as_labels(labels.read(window.box), corner_of(window.box))
+    )
 
 
 def psi_of_mask(mask: NDArray[np.bool_], geometry: Geometry) -> NDArray[np.float32]:

@@ -73,11 +73,15 @@ class Appearance(NamedTuple):
     def _odds(self, features: Floats) -> Floats:
         """The odds at places whose features (k, ...) are given."""
         count = len(self.center)
-        center, spread = (np.asarray(values[:, None], np.float32) for values in (self.center, self.spread))
+        center, spread = (
+            np.asarray(values[:, None], np.float32) for values in (self.center, self.spread)
+        )
         near = (features.reshape(count, -1) - center) / spread
         squares = np.zeros((count, count), np.float32)
         squares[np.triu_indices(count)] = self.weights[count:]
-        found = ((squares @ near + self.weights[:count, None].astype(np.float32)) * near).sum(axis=0) + self.offset
+        found = ((squares @ near + self.weights[:count, None].astype(np.float32)) * near).sum(
+            axis=0
+        ) + self.offset
         return np.asarray(np.clip(found, -SURE, SURE)).reshape(features.shape[1:])
 
 
@@ -93,14 +97,18 @@ def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
     """
     geometry = image.geometry
     step = min(geometry.steps)
-    box = widened(surface.box, geometry.shape, [int(np.ceil(NEAR * step / h)) for h in geometry.spacing])
+    box = widened(
+        surface.box, geometry.shape, [int(np.ceil(NEAR * step / h)) for h in geometry.spacing]
+    )
     inside = np.zeros([side.stop - side.start for side in box], np.bool_)
     there, mine = shared(corner_of(box), inside.shape, surface.corner, surface.psi.shape)
     inside[there] = surface.psi[mine] < 0
     sampling = [h if n > 1 else 1.0 for h, n in zip(geometry.spacing, geometry.shape, strict=True)]
     if min(np.count_nonzero(inside), np.count_nonzero(~inside)) < MIN_VOXELS:
         return None
-    depth = ndimage.distance_transform_edt(inside, sampling) - ndimage.distance_transform_edt(~inside, sampling)
+    depth = ndimage.distance_transform_edt(inside, sampling) - ndimage.distance_transform_edt(
+        ~inside, sampling
+    )
     near = np.abs(depth) <= NEAR * step
     if min(np.count_nonzero(inside[near]), np.count_nonzero(~inside[near])) < MIN_VOXELS:
         return None
@@ -127,17 +135,25 @@ def _features(image: Volume, box: Box) -> Floats:
     geometry = image.geometry
     step = min(geometry.steps)
     sigmas = [
-        [scale * step / h if n > 1 else 0.0 for h, n in zip(geometry.spacing, geometry.shape, strict=True)]
+        [
+            scale * step / h if n > 1 else 0.0
+            for h, n in zip(geometry.spacing, geometry.shape, strict=True)
+        ]
         for scale in SCALES
     ]
     room = widened(box, geometry.shape, [int(np.ceil(END * sigma)) for sigma in sigmas[-1]])
-    inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, room, strict=True))
+    inner = tuple(
+        slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, room, strict=True)
+    )
     values = image.array[room]
     middle = np.float32(values.mean(dtype=np.float64))  # squares of what is left have digits enough
     values = values.astype(np.float32) - middle
     found = []
     for sigma in sigmas:
-        mean, square = (ndimage.gaussian_filter(power, sigma, truncate=END)[inner] for power in (values, values**2))
+        mean, square = (
+            ndimage.gaussian_filter(power, sigma, truncate=END)[inner]
+            for power in (values, values**2)
+        )
         found += [mean + middle, np.sqrt(np.maximum(square - mean**2, 0.0))]
     return np.stack(found)
 

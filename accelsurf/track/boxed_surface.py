@@ -49,9 +49,13 @@ class Halving(NamedTuple):
         """The means on the coarse grid of values on the frames'."""
 
         def means(corner: Corner, shape: Corner) -> NDArray[Any]:
-            (z, y, x), (nz, ny, nx) = (np.multiply(part, self.factors).tolist() for part in (corner, shape))
+            (z, y, x), (nz, ny, nx) = (
+                np.multiply(part, self.factors).tolist() for part in (corner, shape)
+            )
             blocks = np.stack([shape, self.factors], axis=1).ravel().tolist()
-            return np.asarray(values((z, y, x), (nz, ny, nx)).reshape(blocks).mean(axis=(1, 3, 5)), np.float32)
+            return np.asarray(
+                values((z, y, x), (nz, ny, nx)).reshape(blocks).mean(axis=(1, 3, 5)), np.float32
+            )
 
         return means
 
@@ -59,16 +63,22 @@ class Halving(NamedTuple):
         """A surface of the frames' grid on the coarse one."""
 
         def psi_on(first: Corner, shape: Corner) -> NDArray[np.float32]:
-            return on_larger_box(piece.psi, np.array(piece.corner), np.array(first), np.add(first, shape))
+            return on_larger_box(
+                piece.psi, np.array(piece.corner), np.array(first), np.add(first, shape)
+            )
 
         z, y, x = (np.array(piece.corner) // self.factors).tolist()
-        nz, ny, nx = (-(-np.add(piece.corner, piece.psi.shape) // self.factors) - (z, y, x)).tolist()
+        nz, ny, nx = (
+            -(-np.add(piece.corner, piece.psi.shape) // self.factors) - (z, y, x)
+        ).tolist()
         return SurfacePiece((z, y, x), self.on_coarse(psi_on)((z, y, x), (nz, ny, nx)))
 
     def finer(self, piece: SurfacePiece) -> SurfacePiece:
         """A surface of the coarse grid, within it, on the frames' one."""
         z, y, x = np.multiply(piece.corner, self.factors).tolist()
-        nz, ny, nx = np.minimum(np.multiply(piece.psi.shape, self.factors), np.subtract(self.frame.shape, (z, y, x)))
+        nz, ny, nx = np.minimum(
+            np.multiply(piece.psi.shape, self.factors), np.subtract(self.frame.shape, (z, y, x))
+        )
         fine = Level(0, (1, 1, 1), (int(nz), int(ny), int(nx)), self.frame.spacing)
         fz, fy, fx = self.factors.tolist()
         first = 0.5 * (fz - 1), 0.5 * (fy - 1), 0.5 * (fx - 1)
@@ -128,7 +138,9 @@ class BoxedSurface(NamedTuple):
 
     def closest_points(self) -> Floats:
         """Closest point (n, 3) of every cell of the band: mm along the grid's axes from its first voxel, z y x."""
-        index = np.stack(np.unravel_index(self.surface.band.cells, self.surface.shape), axis=1) + np.array(self.corner)
+        index = np.stack(
+            np.unravel_index(self.surface.band.cells, self.surface.shape), axis=1
+        ) + np.array(self.corner)
         return np.asarray(index * self.spacing + self.surface.band.to_closest)
 
     def index_on_box(self, points: Floats) -> Floats:
@@ -150,7 +162,9 @@ class BoxedSurface(NamedTuple):
     def _cut_sides(self) -> NDArray[np.bool_]:
         """At which ends (2) of which axes (3) the box cuts the object."""
         psi = self.surface.psi
-        return np.array([[bool((psi.take(end, axis) < 0).any()) for axis in range(3)] for end in (0, -1)])
+        return np.array(
+            [[bool((psi.take(end, axis) < 0).any()) for axis in range(3)] for end in (0, -1)]
+        )
 
     def with_room(self, room: Sequence[int] | NDArray[np.int64]) -> BoxedSurface:
         """The surface on a box with at least ``room`` (z, y, x) voxels and a margin around its band; itself if it is.
@@ -185,7 +199,11 @@ class BoxedSurface(NamedTuple):
 
     def on_frame(self) -> SurfacePiece:
         """The surface on the frame's grid; a box of no voxels where it has left."""
-        corner, shape, frame = np.array(self.corner), np.array(self.surface.shape), np.array(self.geometry.shape)
+        corner, shape, frame = (
+            np.array(self.corner),
+            np.array(self.surface.shape),
+            np.array(self.geometry.shape),
+        )
         cut = self._cut_sides()
         first = np.where(cut[0], 0, np.maximum(corner, 0))
         last = np.where(cut[1], frame, np.minimum(corner + shape, frame))
@@ -197,7 +215,11 @@ class BoxedSurface(NamedTuple):
 
 
 def boxed_surface(
-    psi: NDArray[np.float32], corner: Corner, geometry: Geometry, half_width: float, workers: Workers,
+    psi: NDArray[np.float32],
+    corner: Corner,
+    geometry: Geometry,
+    half_width: float,
+    workers: Workers,
     halving: Halving | None = None,
 ) -> BoxedSurface:
     """A surface on a box of a grid, with a band of its own."""
@@ -206,7 +228,11 @@ def boxed_surface(
 
 
 def boxed_piece(
-    piece: SurfacePiece, frame: Geometry, half_width: float, workers: Workers, halving: Halving | None = None
+    piece: SurfacePiece,
+    frame: Geometry,
+    half_width: float,
+    workers: Workers,
+    halving: Halving | None = None,
 ) -> BoxedSurface:
     """A surface of the frames' grid on a box of that grid or of the coarser one."""
     if halving is not None:
@@ -215,11 +241,15 @@ def boxed_piece(
 
 
 def on_larger_box(
-    psi: NDArray[np.float32], corner: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64]
+    psi: NDArray[np.float32],
+    corner: NDArray[np.int64],
+    first: NDArray[np.int64],
+    last: NDArray[np.int64],
 ) -> NDArray[np.float32]:
     """Psi of a box from ``corner`` on the box from ``first`` to ``last``: beyond its edge it is that of the edge."""
     index = [
-        np.clip(np.arange(a, b) - c, 0, n - 1) for a, b, c, n in zip(first, last, corner, psi.shape, strict=True)
+        np.clip(np.arange(a, b) - c, 0, n - 1)
+        for a, b, c, n in zip(first, last, corner, psi.shape, strict=True)
     ]
     return np.ascontiguousarray(psi[np.ix_(*index)], np.float32)
 
@@ -236,7 +266,14 @@ def sample_fields(
     out, known = np.empty((len(points), values.shape[1])), np.empty(len(points), np.bool_)
     index = boxed.index_on_box(points)
     surface.workers.parallel(
-        point_sampling.fields_at_points, len(points), surface.dense.slot, surface.grid, values, index, out, known
+        point_sampling.fields_at_points,
+        len(points),
+        surface.dense.slot,
+        surface.grid,
+        values,
+        index,
+        out,
+        known,
     )
     if not known.all() and surface.size:
         front = np.flatnonzero(surface.front())
@@ -246,7 +283,9 @@ def sample_fields(
     return out, known
 
 
-def transferred(old: BoxedSurface, fields: Sequence[np.ndarray], new: BoxedSurface) -> list[np.ndarray]:
+def transferred(
+    old: BoxedSurface, fields: Sequence[np.ndarray], new: BoxedSurface
+) -> list[np.ndarray]:
     """Fields (n,) of a band on the band of the same surface on another box: the same numbers in the same cells."""
     if new is old:
         return list(fields)
@@ -255,7 +294,9 @@ def transferred(old: BoxedSurface, fields: Sequence[np.ndarray], new: BoxedSurfa
     place = index + (np.array(new.corner) - np.array(old.corner))[:, None]
     inside = ((place >= 0) & (place < np.array(old.surface.shape)[:, None])).all(axis=0)
     slot = np.full(new.surface.size, -1, np.int64)
-    slot[inside] = old.surface.dense.slot[np.ravel_multi_index(tuple(place[:, inside]), old.surface.shape)]
+    slot[inside] = old.surface.dense.slot[
+        np.ravel_multi_index(tuple(place[:, inside]), old.surface.shape)
+    ]
     same = slot >= 0
     out = []
     for c, field in enumerate(fields):
@@ -317,7 +358,10 @@ def touching(surfaces: Sequence[SurfacePiece], image: Volume, edge: float) -> li
         differs = low != high
         a, b = low[differs], high[differs]
         faces += np.bincount(a, minlength=faces.size) + np.bincount(b, minlength=faces.size)
-        values = 0.5 * (_layers(image.array, axis, 0, n - 1)[differs] + _layers(image.array, axis, 1, n)[differs])
+        values = 0.5 * (
+            _layers(image.array, axis, 0, n - 1)[differs]
+            + _layers(image.array, axis, 1, n)[differs]
+        )
         for i, j, value in zip(a.tolist(), b.tolist(), values.tolist(), strict=True):
             if i and j:
                 between.setdefault((min(i, j), max(i, j)), []).append(value)

@@ -94,7 +94,9 @@ def profile(image: Volume, surface: SurfacePiece, others: Sequence[SurfacePiece]
     return Profile(tuple(means.tolist()))
 
 
-def _leave_out(layer: NDArray[np.int64], surface: SurfacePiece, other: SurfacePiece, near: float) -> None:
+def _leave_out(
+    layer: NDArray[np.int64], surface: SurfacePiece, other: SurfacePiece, near: float
+) -> None:
     """Put voxels near another object into no layer, in place."""
     if overlap(surface.box, other.box):
         mine, theirs = shared(surface.corner, surface.psi.shape, other.corner, other.psi.shape)
@@ -102,7 +104,11 @@ def _leave_out(layer: NDArray[np.int64], surface: SurfacePiece, other: SurfacePi
 
 
 def is_shown(
-    now: Profile, before: Profile, volumes: tuple[float, float], areas: tuple[float, float], matched: bool = False
+    now: Profile,
+    before: Profile,
+    volumes: tuple[float, float],
+    areas: tuple[float, float],
+    matched: bool = False,
 ) -> bool:
     """Decide if a frame shows an object.
 
@@ -116,7 +122,10 @@ def is_shown(
         Whether the image around the surface was found again in the frame: that is evidence too, and half of the
         structure is enough.
     """
-    if not all(found * FACTOR >= expected and found <= expected * FACTOR for found, expected in (volumes, areas)):
+    if not all(
+        found * FACTOR >= expected and found <= expected * FACTOR
+        for found, expected in (volumes, areas)
+    ):
         return False
     return now.strength(before) * FACTOR * (FACTOR if matched else 1.0) >= 1.0
 

@@ -75,7 +75,9 @@ def first_objects(
         on_record = None if on_step is None else lambda record: on_step(record, 1)
         result = segment(first, channels=more, config=config, energy=energy, on_step=on_record)
     else:
-        result = segment_objects(first, objects, channels=more, config=config, energy=energy, on_step=on_step)
+        result = segment_objects(
+            first, objects, channels=more, config=config, energy=energy, on_step=on_step
+        )
     interrupted = result.stop.reason == "interrupted"
     if refinements and not interrupted:
         refiner = Refiner(result)
@@ -126,7 +128,9 @@ def given_objects(
 
 def _as_found(result: Result) -> list[tuple[int, Measured]]:
     box = whole_box(result.geometry.shape)
-    found = [(tracked.id, measured(tracked, box)) for tracked in result.objects if tracked.has_surface]
+    found = [
+        (tracked.id, measured(tracked, box)) for tracked in result.objects if tracked.has_surface
+    ]
     return [(id, tracked) for id, tracked in found if tracked.surface.psi.size]
 
 
@@ -143,7 +147,14 @@ def _separated(result: Result) -> list[tuple[int, Measured]]:
             share = (piece.psi < 0).sum() / sum(int((other.psi < 0).sum()) for other in pieces)
             is_whole = len(pieces) == 1
             volume, area = (1.0, 1.0) if is_whole else (float(share), float(share) ** (2.0 / 3.0))
-            out.append((new_id, whole._replace(
-                surface=piece, volume_mm3=volume * whole.volume_mm3, area_mm2=area * whole.area_mm2
-            )))
+            out.append(
+                (
+                    new_id,
+                    whole._replace(
+                        surface=piece,
+                        volume_mm3=volume * whole.volume_mm3,
+                        area_mm2=area * whole.area_mm2,
+                    ),
+                )
+            )
     return sorted(out, key=lambda pair: pair[0])

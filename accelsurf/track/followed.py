@@ -47,7 +47,11 @@ class MeshCarrier:
             return None
         topology = _topology_of(piece)
         points = momentum.points
-        if topology != self._topology or not len(points) or not self._describes(points, momentum.volume()):
+        if (
+            topology != self._topology
+            or not len(points)
+            or not self._describes(points, momentum.volume())
+        ):
             made = surface_mesh.extract(piece.psi, cropped(geometry, piece.box))
             momentum.attach_points(made.vertices)
             self._faces, self._topology = made.faces.astype(np.int64), topology
@@ -171,7 +175,10 @@ class Followed:
 
     def note_unmatched(self, likeness: float) -> None:
         """Note that the image does not show how the object moves: it goes on by its momentum."""
-        self.variance, self.likeness = self.variance + (self.drift if math.isfinite(self.drift) else 0.0), likeness
+        self.variance, self.likeness = (
+            self.variance + (self.drift if math.isfinite(self.drift) else 0.0),
+            likeness,
+        )
 
     @property
     def is_run(self) -> bool:
@@ -210,8 +217,14 @@ class Followed:
     def inherit(self, parent: Followed) -> None:
         """Take over what is known of the object that this was a part of."""
         if parent.trust is not None and not parent.trust.is_run:
-            self.trust = parent.trust._replace(parts=1, depth=2.0 * self.volume_mm3 / max(self.area_mm2, 1e-300))
-            self.variance, self.drift, self.likeness = parent.variance, parent.drift, parent.likeness
+            self.trust = parent.trust._replace(
+                parts=1, depth=2.0 * self.volume_mm3 / max(self.area_mm2, 1e-300)
+            )
+            self.variance, self.drift, self.likeness = (
+                parent.variance,
+                parent.drift,
+                parent.likeness,
+            )
 
     def chance(self, now: Profile) -> float:
         """Chance that a surface that only moves is good: what is left of the structure across it, and its certainty."""
@@ -242,7 +255,9 @@ class Followed:
 
     def predicted_place(self, time: float) -> Triple:
         """Predict the centroid, world mm."""
-        x, y, z = (c + v * (time - self.time) for c, v in zip(self.centroid, self.velocity, strict=True))
+        x, y, z = (
+            c + v * (time - self.time) for c, v in zip(self.centroid, self.velocity, strict=True)
+        )
         return x, y, z
 
     def note_seen(self, found: Measured, profile: Profile, time: float, geometry: Geometry) -> None:
@@ -261,8 +276,16 @@ class Followed:
         if self.mesh is not None and seen:
             mesh = self.mesh.in_frame(self.momentum, geometry)
         return TrackedObject(
-            self.id, self.momentum.piece, predicted, self.momentum.mean_velocity(), self.momentum.volume(),
-            self.momentum.area(), self.momentum.centroid(), seen, self.quality if seen else 0.0, mesh,
+            self.id,
+            self.momentum.piece,
+            predicted,
+            self.momentum.mean_velocity(),
+            self.momentum.volume(),
+            self.momentum.area(),
+            self.momentum.centroid(),
+            seen,
+            self.quality if seen else 0.0,
+            mesh,
         )
 
     def state(self) -> dict[str, Any]:
@@ -288,6 +311,8 @@ def lies_on_border(surface: SurfacePiece, geometry: Geometry) -> bool:
         if n == 1:
             continue
         first, last = -surface.corner[axis], n - 1 - surface.corner[axis]
-        if any(0 <= end < inside.shape[axis] and inside.take(end, axis).any() for end in (first, last)):
+        if any(
+            0 <= end < inside.shape[axis] and inside.take(end, axis).any() for end in (first, last)
+        ):
             return True
     return False

@@ -25,7 +25,14 @@ from accelsurf.track.appearance import appearance_of
 from accelsurf.track.boxed_surface import groups_of, on_larger_box, separate_parts, touching
 from accelsurf.track.evidence import FACTOR, Profile, profile, volume_in_grid
 from accelsurf.track.followed import Followed, MeshCarrier, Trust, Whole, lies_on_border, restored
-from accelsurf.track.frame_run import NOTHING, Measured, following_settings, measure, measured_piece, settled
+from accelsurf.track.frame_run import (
+    NOTHING,
+    Measured,
+    following_settings,
+    measure,
+    measured_piece,
+    settled,
+)
 from accelsurf.track.image_motion import LIKE, image_motion
 from accelsurf.track.momentum import Gains, SurfaceMomentum, Triple
 from accelsurf.track.momentum_models import FlowableMomentum, make_momentum
@@ -94,7 +101,12 @@ class Follower:
         energy: EnergyLike | None = None,
         meshes: bool = False,
     ) -> None:
-        self._config, self._geometry, self._identities, self._workers = config, sequence.geometry, identities, workers
+        self._config, self._geometry, self._identities, self._workers = (
+            config,
+            sequence.geometry,
+            identities,
+            workers,
+        )
         self._sequence = sequence
         self._friction = config.friction_for(sequence.times)
         self._energy, self._meshes = energy, meshes
@@ -105,7 +117,10 @@ class Follower:
     # -- the first frame -----------------------------------------------------------------------------------
 
     def start(
-        self, objects: Sequence[tuple[int, Measured]], arrival: Arrival, velocity: dict[int, Triple],
+        self,
+        objects: Sequence[tuple[int, Measured]],
+        arrival: Arrival,
+        velocity: dict[int, Triple],
         trust: dict[int, Trust],
     ) -> None:
         """Begin with the objects of a frame; ``velocity`` and ``trust`` of those of which they are known."""
@@ -115,24 +130,35 @@ class Follower:
 
     def learn_trust(self, arrival: Arrival) -> dict[int, Trust]:
         """Learn from a frame whose surfaces are given, and lie in it now, how far a run on a frame can be trusted."""
-        given = {followed.id: followed.momentum.piece for followed in self.objects if followed.is_in_grid}
+        given = {
+            followed.id: followed.momentum.piece for followed in self.objects if followed.is_in_grid
+        }
         starts = [ObjectStart(id, *piece) for id, piece in given.items()]
         step, trust, holding = min(self._geometry.steps), {}, set(given)
         for steps in TRIED_STEPS:
             if holding:
                 run = self._run.replace(max_steps=min(steps, self._run.max_steps))
                 found = measure(arrival.channels, starts, run, self._energy)
-                left = {id: mean_square(piece, found[id].surface, step) for id, piece in given.items()}
+                left = {
+                    id: mean_square(piece, found[id].surface, step) for id, piece in given.items()
+                }
                 holding &= {id for id, square in left.items() if square <= ROUNDING * step**2}
         for followed in [followed for followed in self.objects if followed.id in given]:
             piece, holds = given[followed.id], followed.id in holding
             depth = 2.0 * followed.volume_mm3 / max(followed.area_mm2, 1e-300)
             appearance = None if holds else appearance_of(arrival.channels[0], piece)
             if appearance is not None:
-                again = settled(self._at_rest(piece, depth).moved_surface(0.0), appearance, arrival.channels[0], 0.0)
+                again = settled(
+                    self._at_rest(piece, depth).moved_surface(0.0),
+                    appearance,
+                    arrival.channels[0],
+                    0.0,
+                )
                 off = mean_square(piece, again.surface, step)
                 lost = not math.isfinite(off)
-                appearance = None if lost else appearance._replace(variance=max(off, MIN_VARIANCE * step**2))
+                appearance = (
+                    None if lost else appearance._replace(variance=max(off, MIN_VARIANCE * step**2))
+                )
             parts = max(1, len(separate_parts(piece)))
             trust[followed.id] = Trust(followed.profile, parts, depth, holds, appearance)
             followed.note_given(trust[followed.id])
@@ -156,11 +182,22 @@ class Follower:
         momentum.start(found.surface.psi, found.surface.corner, self._geometry, velocity)
         return self._put(id, momentum, found, arrival)
 
-    def _put(self, id: int, momentum: SurfaceMomentum, found: Measured, arrival: Arrival) -> Followed:
+    def _put(
+        self, id: int, momentum: SurfaceMomentum, found: Measured, arrival: Arrival
+    ) -> Followed:
         seen = profile(arrival.channels[0], found.surface)
         followed = Followed(
-            id, momentum, seen, found.volume_mm3, found.area_mm2, momentum.centroid(), momentum.mean_velocity(),
-            arrival.time, lies_on_border(found.surface, self._geometry), found.quality, 0,
+            id,
+            momentum,
+            seen,
+            found.volume_mm3,
+            found.area_mm2,
+            momentum.centroid(),
+            momentum.mean_velocity(),
+            arrival.time,
+            lies_on_border(found.surface, self._geometry),
+            found.quality,
+            0,
             MeshCarrier() if self._meshes else None,
         )
         self.objects.append(followed)
@@ -183,7 +220,9 @@ class Follower:
         for followed in self.objects:
             self._choose_grid(followed.momentum, followed.depth)
         self._steer(arrival)
-        predicted = {followed.id: followed.momentum.predict(arrival.duration) for followed in self.objects}
+        predicted = {
+            followed.id: followed.momentum.predict(arrival.duration) for followed in self.objects
+        }
         found = self._measure(predicted, arrival)
         self._decide(found, predicted, arrival)
         self._begin_clicked(found, arrival)
@@ -218,20 +257,32 @@ class Follower:
     @property
     def is_doubtful(self) -> bool:
         """True if the tracks cannot be trusted in the frame: the objects that no runs correct are mostly not found."""
-        found = [0.0 if followed.missing else followed.quality for followed in self.objects if not followed.is_run]
+        found = [
+            0.0 if followed.missing else followed.quality
+            for followed in self.objects
+            if not followed.is_run
+        ]
         return bool(found) and sum(found) < TRUSTED * len(found)
 
     def in_frame(self, predicted: dict[int, SurfacePiece]) -> tuple[TrackedObject, ...]:
         """Return the records of the objects in the frame."""
-        return tuple(followed.in_frame(predicted.get(followed.id), self._geometry) for followed in self.objects)
+        return tuple(
+            followed.in_frame(predicted.get(followed.id), self._geometry)
+            for followed in self.objects
+        )
 
     def _measure(self, predicted: dict[int, SurfacePiece], arrival: Arrival) -> dict[int, Measured]:
         """Segment the frame: the objects that were seen last, then the others in the voxels that these leave free."""
         predictable = [followed for followed in self.objects if predicted[followed.id].has_inside]
-        unrun = [] if arrival.refinements else [followed.id for followed in predictable if not followed.is_run]
+        unrun = (
+            []
+            if arrival.refinements
+            else [followed.id for followed in predictable if not followed.is_run]
+        )
         starts = [
             (followed.missing, ObjectStart(followed.id, *predicted[followed.id]))
-            for followed in predictable if followed.id not in unrun
+            for followed in predictable
+            if followed.id not in unrun
         ]
         first = [start for missing, start in starts if missing == 0]
         then = [start for missing, start in starts if missing > 0]
@@ -239,7 +290,11 @@ class Follower:
             first, then = [*first, *then], []
         run, energy = self._run, self._energy
         taken = [predicted[id] for id in unrun]
-        found = measure(arrival.channels, first, run, energy, arrival.refinements, taken) if first or not unrun else {}
+        found = (
+            measure(arrival.channels, first, run, energy, arrival.refinements, taken)
+            if first or not unrun
+            else {}
+        )
         for followed in [followed for followed in predictable if followed.id in unrun]:
             if followed.appearance is None:
                 found[followed.id] = measured_piece(predicted[followed.id], self._geometry)
@@ -248,7 +303,9 @@ class Follower:
             carried = followed.momentum.moved_surface(arrival.duration)
             found[followed.id] = settled(carried, followed.appearance, arrival.channels[0], prior)
         if then:
-            occupied = [measured.surface for measured in found.values() if measured.surface.psi.size]
+            occupied = [
+                measured.surface for measured in found.values() if measured.surface.psi.size
+            ]
             found |= measure(arrival.channels, then, run, energy, occupied=occupied)
         return found
 
@@ -271,7 +328,9 @@ class Follower:
                 if not shown.surface.psi.size:
                     continue
                 now = profile(image, shown.surface, others)
-                if not sure and not self._is_shown(followed, shown, now, predicted[followed.id], not is_run):
+                if not sure and not self._is_shown(
+                    followed, shown, now, predicted[followed.id], not is_run
+                ):
                     continue
                 if is_run:
                     followed.momentum.correct(self._largest(shown).surface, duration, self._gains)
@@ -285,16 +344,27 @@ class Follower:
                 followed.note_missing()
 
     def _is_shown(
-        self, followed: Followed, measured: Measured, now: Profile, predicted: SurfacePiece, moved: bool
+        self,
+        followed: Followed,
+        measured: Measured,
+        now: Profile,
+        predicted: SurfacePiece,
+        moved: bool,
     ) -> bool:
         """Test if a surface is the object: one that a run has found, or that has ``moved`` with the image."""
-        expected, seen = (volume_in_grid(piece.psi, self._geometry) for piece in (predicted, measured.surface))
-        if followed.at_border:  # the prediction knows only what the border has left; more of it may come in
+        expected, seen = (
+            volume_in_grid(piece.psi, self._geometry) for piece in (predicted, measured.surface)
+        )
+        if (
+            followed.at_border
+        ):  # the prediction knows only what the border has left; more of it may come in
             expected = max(expected, min(seen, followed.whole_mm3))
         ratio = expected / followed.volume_mm3 if followed.volume_mm3 > 0 else 1.0
         volumes = seen, expected
         areas = measured.area_mm2, followed.area_mm2 * ratio ** (2.0 / 3.0)
-        return evidence.is_shown(now, followed.profile, volumes, areas, moved and followed.goes_with_image)
+        return evidence.is_shown(
+            now, followed.profile, volumes, areas, moved and followed.goes_with_image
+        )
 
     def _largest(self, measured: Measured) -> Measured:
         """Remove crumbs from a surface where parts are objects; the parts of a division stay together here."""
@@ -313,14 +383,20 @@ class Follower:
         for id in sorted(found.keys() - ids):
             if found[id].surface.psi.size:
                 self._add(id, found[id], arrival, None)
-        for followed in [followed for followed in self.objects if followed.id not in found and followed.is_in_grid]:
+        for followed in [
+            followed
+            for followed in self.objects
+            if followed.id not in found and followed.is_in_grid
+        ]:
             self.objects.remove(followed)
 
     def _divide(self, found: dict[int, Measured], arrival: Arrival) -> None:
         """Let the parts of an object that has come apart be objects of their own."""
         if self._config.divide == "no":
             return
-        for followed in [followed for followed in self.objects if followed.missing == 0 and followed.id in found]:
+        for followed in [
+            followed for followed in self.objects if followed.missing == 0 and followed.id in found
+        ]:
             pieces = separate_parts(found[followed.id].surface)
             if len(pieces) <= (followed.trust.parts if followed.trust else 1):
                 continue
@@ -350,7 +426,9 @@ class Follower:
             id = self._identities.new_id()
             quality = min(followed.quality for followed in old)
             self._put(id, momentum, measured_part(momentum.piece, momentum, quality), arrival)
-            self._identities.merge([followed.id for followed in old], id, arrival.number, arrival.before)
+            self._identities.merge(
+                [followed.id for followed in old], id, arrival.number, arrival.before
+            )
 
     def _look_for_more(self, arrival: Arrival) -> None:
         """Find objects that come back, and where asked for such as enter."""
@@ -373,7 +451,9 @@ class Follower:
         for place in sorted(found):
             self._take_in(found[place], Whole(like, usual), absent, arrival)
 
-    def _take_in(self, found: Measured, whole: Whole, absent: list[Followed], arrival: Arrival) -> None:
+    def _take_in(
+        self, found: Measured, whole: Whole, absent: list[Followed], arrival: Arrival
+    ) -> None:
         """Link a part that has appeared to an object that was missing, or let it enter; ``whole`` is a usual object."""
         if not found.surface.psi.size:
             return
@@ -390,14 +470,18 @@ class Follower:
                 float(np.linalg.norm(place - np.array(there)))
                 for there in (followed.centroid, followed.predicted_place(arrival.time))
             )
-            fits = size <= FACTOR * followed.whole_mm3 and (cut or followed.whole_mm3 <= FACTOR * size)
+            fits = size <= FACTOR * followed.whole_mm3 and (
+                cut or followed.whole_mm3 <= FACTOR * size
+            )
             if fits and away < nearest and away <= self._search_range(followed, arrival.time):
                 nearest, old = away, followed
         if old is not None:
             absent.remove(old)
             self.objects.remove(old)
             way = (place - np.array(old.centroid)) / (arrival.time - old.time)
-            followed = self._add(old.id, found, arrival, (float(way[0]), float(way[1]), float(way[2])))
+            followed = self._add(
+                old.id, found, arrival, (float(way[0]), float(way[1]), float(way[2]))
+            )
             followed.note_given(old.trust)
             whole = old.whole
         elif self._config.enter == "yes":
@@ -413,7 +497,9 @@ class Follower:
         if geometry.slice_axis is None:
             diameter = 2.0 * (3.0 * followed.whole_mm3 / (4.0 * np.pi)) ** (1.0 / 3.0)
         else:
-            diameter = 2.0 * (followed.whole_mm3 / geometry.spacing[geometry.slice_axis] / np.pi) ** 0.5
+            diameter = (
+                2.0 * (followed.whole_mm3 / geometry.spacing[geometry.slice_axis] / np.pi) ** 0.5
+            )
         return float(diameter + np.linalg.norm(followed.velocity) * abs(time - followed.time))
 
     def _end(self, followed: Followed, arrival: Arrival) -> None:
@@ -493,9 +579,15 @@ def appearing(
     low, high = volumes[0] / FACTOR, volumes[1] * FACTOR
     cut_low = min(MIN_CUT * geometry.voxel_volume, low)
     near = set(np.unique(labels[taken]).tolist()) | {0}
-    found = [number for number in np.argsort(-sizes, kind="stable").tolist()
-             if number not in near and cut_low <= sizes[number] <= high]
-    half, boxes = np.float32(0.5 * min(geometry.steps)), ndimage.find_objects(labels) if found else []
+    found = [
+        number
+        for number in np.argsort(-sizes, kind="stable").tolist()
+        if number not in near and cut_low <= sizes[number] <= high
+    ]
+    half, boxes = (
+        np.float32(0.5 * min(geometry.steps)),
+        ndimage.find_objects(labels) if found else [],
+    )
     out = []
     for number in found:
         box = widened(boxes[number - 1], labels.shape, (BAND, BAND, BAND))

@@ -16,7 +16,17 @@ from accelsurf.energies import RegionField
 from accelsurf.evolution.convergence import StopRule
 from accelsurf.evolution.loop import Evolution
 from accelsurf.flows import ConstantDensity, StepLimits
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, overlap, placed_at, shared, widened
+from accelsurf.grid.boxes import (
+    Box,
+    bounding_box,
+    box_at,
+    corner_of,
+    enclosing,
+    overlap,
+    placed_at,
+    shared,
+    widened,
+)
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
@@ -45,8 +55,20 @@ FRICTION, DRIVE, AREA, STEPS = 3.0, 20.0, 1.0, 60
 #: Least distance of a given voxel's centre from the surface, voxels.
 SIDE = 0.05
 #: Settings of a first frame that mean places or steps there, and how following frames have them instead.
-_FIRST_ONLY = ("start", "inside", "outside", "objects", "foreground", "background", "channel", "edit", "refine",
-             "checkpoint", "time_index", "size")
+_FIRST_ONLY = (
+    "start",
+    "inside",
+    "outside",
+    "objects",
+    "foreground",
+    "background",
+    "channel",
+    "edit",
+    "refine",
+    "checkpoint",
+    "time_index",
+    "size",
+)
 
 
 class Measured(NamedTuple):
@@ -81,7 +103,11 @@ def following_settings(config: RunConfig, energy: str) -> RunConfig:
         Of the following ones; auto is that of the first.
     """
     given = config.model_fields_set
-    changes = {key: default_of(key) for key in _FIRST_ONLY if key in given or getattr(config, key) != default_of(key)}
+    changes = {
+        key: default_of(key)
+        for key in _FIRST_ONLY
+        if key in given or getattr(config, key) != default_of(key)
+    }
     changes["energy"] = config.energy if energy == "auto" else energy
     changes |= {"start": default_of("start"), "levels": 1, "keep_state": "no"}
     return config.replace(**changes)
@@ -117,12 +143,18 @@ def measure(
     dict of int to Measured
         By id; with corrections also what these began, and without what these removed.
     """
-    alone = [start for start in apart(sorted(starts, key=lambda start: start.id)) if _has_room(start, occupied)]
+    alone = [
+        start
+        for start in apart(sorted(starts, key=lambda start: start.id))
+        if _has_room(start, occupied)
+    ]
     found = {start.id: NOTHING for start in starts}
     if not alone:
         return found
     geometry = channels[0].geometry
-    whole = any(getattr(config, key) is not None for key in ("roi", "mask", "box")) or bool(refinements)
+    whole = any(getattr(config, key) is not None for key in ("roi", "mask", "box")) or bool(
+        refinements
+    )
     margin = _margin(alone, geometry, config)
     while True:
         inside = functools.reduce(enclosing, (_tight(start) for start in alone))
@@ -134,7 +166,10 @@ def measure(
     for start in result.objects:
         found[start.id] = measured(start, box)
     for refinement in refinements:
-        for id in (*refinement.merge[1:], *([refinement.removed_id] if refinement.removed_id is not None else [])):
+        for id in (
+            *refinement.merge[1:],
+            *([refinement.removed_id] if refinement.removed_id is not None else []),
+        ):
             found.pop(id, None)
     return found
 
@@ -152,7 +187,10 @@ def _has_room(start: ObjectStart, occupied: Sequence[SurfacePiece]) -> bool:
 def _margin(starts: Sequence[ObjectStart], geometry: Geometry, config: RunConfig) -> list[int]:
     extent = np.max([[s.stop - s.start for s in _tight(start)] for start in starts], axis=0)
     reach = [math.ceil(window_reach(config, geometry) / h) for h in geometry.spacing]
-    return [max(MIN_AROUND, math.ceil(AROUND_PART * n)) + r for n, r in zip(extent.tolist(), reach, strict=True)]
+    return [
+        max(MIN_AROUND, math.ceil(AROUND_PART * n)) + r
+        for n, r in zip(extent.tolist(), reach, strict=True)
+    ]
 
 
 def _tight(start: ObjectStart) -> Box:
@@ -174,7 +212,11 @@ def _result(
     """The run on a box of the frame."""
     seen = [Volume(channel.array[box], cropped(channel.geometry, box)) for channel in channels]
     on_box = tuple(_on_box(start, box) for start in starts)
-    clicks = [_core(start, seen[0].geometry) for start in on_box] if uses_model(config) and energy is None else []
+    clicks = (
+        [_core(start, seen[0].geometry) for start in on_box]
+        if uses_model(config) and energy is None
+        else []
+    )
     arrays = {"mask": _free(occupied, box, seen[0].geometry)} if occupied else None
     if refinements:
         config = config.replace(keep_state="yes")
@@ -199,7 +241,12 @@ def _on_box(start: ObjectStart, box: Box) -> ObjectStart:
 
 def _core(start: ObjectStart, geometry: Geometry) -> Click:
     """The deeper part of a prediction as a click: there the model of clicks learns what the object is like."""
-    return Click("inside", box_at(start.corner, start.psi.shape), core_of(start.psi, geometry.spacing), start.id)
+    return Click(
+        "inside",
+        box_at(start.corner, start.psi.shape),
+        core_of(start.psi, geometry.spacing),
+        start.id,
+    )
 
 
 def _free(occupied: Sequence[SurfacePiece], box: Box, geometry: Geometry) -> NDArray[np.float32]:
@@ -220,7 +267,9 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
             continue
         for side, place, part, n in zip(inner, found.box, box, geometry.shape, strict=True):
             low, high = side.start + place.start, side.stop + place.start
-            if (low < NEAR_EDGE and part.start > 0) or (part.stop - part.start - high < NEAR_EDGE and part.stop < n):
+            if (low < NEAR_EDGE and part.start > 0) or (
+                part.stop - part.start - high < NEAR_EDGE and part.stop < n
+            ):
                 return True
     return False
 
@@ -244,12 +293,16 @@ def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior:
     boxed, speed = carried
     surface, h = boxed.surface, min(image.geometry.steps)
     evidence = functools.partial(appearance.evidence, image)
-    odds = (evidence if boxed.halving is None else boxed.halving.on_coarse(evidence))(boxed.corner, surface.shape)
+    odds = (evidence if boxed.halving is None else boxed.halving.on_coarse(evidence))(
+        boxed.corner, surface.shape
+    )
     field = np.ascontiguousarray(prior * surface.psi - odds, np.float32)
     flow = ConstantDensity(friction=FRICTION, lambda_=DRIVE * h)
     flow.start_moving(surface, [speed])
     rule = StopRule(window=4, motion=0.05, further=0.1, kinetic=1.0)
-    for _ in Evolution(surface, RegionField(field, AREA * h), flow, StepLimits(), STEPS, None, rule, fields=[speed]):
+    for _ in Evolution(
+        surface, RegionField(field, AREA * h), flow, StepLimits(), STEPS, None, rule, fields=[speed]
+    ):
         pass
     piece = boxed.on_frame()
     return _measures(piece.tight(), surface, 0.5) if piece.has_inside else NOTHING

@@ -61,11 +61,18 @@ class ImageMotion(NamedTuple):
     def at(self, points: Floats) -> tuple[Floats, Floats]:
         """Displacement (m, 3) and variance (m,) at points (m, 3), mm along the grid's axes z, y, x."""
         index = ((points - self.first) / self.step).T
-        moved = [ndimage.map_coordinates(part, index, order=1, mode="nearest") for part in self.displacement]
-        return np.stack(moved, axis=1), ndimage.map_coordinates(self.variance, index, order=0, mode="nearest")
+        moved = [
+            ndimage.map_coordinates(part, index, order=1, mode="nearest")
+            for part in self.displacement
+        ]
+        return np.stack(moved, axis=1), ndimage.map_coordinates(
+            self.variance, index, order=0, mode="nearest"
+        )
 
 
-def image_motion(before: Volume, now: Volume, surface: SurfacePiece, expected: Floats) -> ImageMotion | None:
+def image_motion(
+    before: Volume, now: Volume, surface: SurfacePiece, expected: Floats
+) -> ImageMotion | None:
     """Match the neighbourhood of a surface to the next frame.
 
     Parameters
@@ -91,16 +98,27 @@ def image_motion(before: Volume, now: Volume, surface: SurfacePiece, expected: F
     h = np.array(before.geometry.spacing)
     shift = np.where(wide, np.rint(expected / h), 0.0)
     finest = min(before.geometry.steps)
-    fine = (h < STRIDE * finest) & (np.array([side.stop - side.start for side in box]) >= MIN_STRIDDEN)
+    fine = (h < STRIDE * finest) & (
+        np.array([side.stop - side.start for side in box]) >= MIN_STRIDDEN
+    )
     stride = np.where(wide.all() & fine, STRIDE, 1)
     every = tuple(slice(None, None, n) for n in stride.tolist())
-    matched = [_blurred(volume, box, offset)[every] for volume, offset in ((before, np.zeros(3)), (now, shift))]
+    matched = [
+        _blurred(volume, box, offset)[every]
+        for volume, offset in ((before, np.zeros(3)), (now, shift))
+    ]
     scale, counts = float(matched[0].std()), matched[0].shape
     if scale == 0.0 or not np.isfinite(scale) or np.array(counts)[wide].min() < 4:
         return None
-    reference, moving = (np.squeeze(image, tuple(np.flatnonzero(~wide))) / scale for image in matched)
-    flow = optical_flow_ilk(reference, moving, radius=RADIUS, num_warp=ROUNDS, gaussian=True, dtype=np.float64)
-    warped = ndimage.map_coordinates(moving, np.indices(flow.shape[1:]) + flow, order=1, mode="nearest")
+    reference, moving = (
+        np.squeeze(image, tuple(np.flatnonzero(~wide))) / scale for image in matched
+    )
+    flow = optical_flow_ilk(
+        reference, moving, radius=RADIUS, num_warp=ROUNDS, gaussian=True, dtype=np.float64
+    )
+    warped = ndimage.map_coordinates(
+        moving, np.indices(flow.shape[1:]) + flow, order=1, mode="nearest"
+    )
     steps = h * stride
     blur = np.maximum(BLUR * finest / steps, MIN_BLUR)[wide]
     variance = _variance(reference, warped, blur).reshape(counts) * float(steps[wide].min()) ** 2
@@ -120,7 +138,10 @@ def _blurred(volume: Volume, box: Box, offset: Floats) -> Floats:
     ]
     values = volume.array[np.ix_(*index)].astype(np.float64)
     finest = min(volume.geometry.steps)
-    sigma = [BLUR * finest / h if n > 1 else 0.0 for h, n in zip(volume.geometry.spacing, values.shape, strict=True)]
+    sigma = [
+        BLUR * finest / h if n > 1 else 0.0
+        for h, n in zip(volume.geometry.spacing, values.shape, strict=True)
+    ]
     return np.asarray(ndimage.gaussian_filter(values, sigma, mode="nearest"))
 
 
@@ -131,16 +152,22 @@ def _variance(reference: Floats, warped: Floats, blur: Floats) -> Floats:
     """
     dim = reference.ndim
     sigma = 0.25 * (2 * RADIUS + 1)
-    independent = max(1.0, float(np.prod(sigma / blur)))  # values of a window, which the blur has made alike
+    independent = max(
+        1.0, float(np.prod(sigma / blur))
+    )  # values of a window, which the blur has made alike
     gradient = np.gradient(warped)
     normal = np.empty((*reference.shape, dim, dim))
     for a in range(dim):
         for b in range(a, dim):
-            normal[..., a, b] = normal[..., b, a] = ndimage.gaussian_filter(gradient[a] * gradient[b], sigma)
+            normal[..., a, b] = normal[..., b, a] = ndimage.gaussian_filter(
+                gradient[a] * gradient[b], sigma
+            )
     error = ndimage.gaussian_filter((reference - warped) ** 2, sigma)
     least = 1e-6 * max(float(np.trace(normal, axis1=-2, axis2=-1).mean()), 1e-12)
     inverse = np.linalg.inv(normal + least * np.eye(dim))
-    return np.asarray(error * np.trace(inverse, axis1=-2, axis2=-1) / dim / independent / WINDOWS ** (dim - 1))
+    return np.asarray(
+        error * np.trace(inverse, axis1=-2, axis2=-1) / dim / independent / WINDOWS ** (dim - 1)
+    )
 
 
 def _near(surface: SurfacePiece, box: Box, width: float) -> NDArray[np.bool_]:

@@ -88,21 +88,29 @@ class SurfaceMomentum(ABC):
         """Move surface, fields and points."""
 
     @abstractmethod
-    def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
+    def _corrected_fields(
+        self, found: Displacement, duration: float, gain: float
+    ) -> list[np.ndarray]:
         """The fields (n,) on the predicted band with the velocity that was missing."""
 
     @abstractmethod
     def _mean_velocity(self) -> Floats:
         """Mean velocity (3,), z y x mm per unit of time."""
 
-    def _fields_on(self, new: BoxedSurface, values: Floats, known: NDArray[np.bool_]) -> list[np.ndarray]:
+    def _fields_on(
+        self, new: BoxedSurface, values: Floats, known: NDArray[np.bool_]
+    ) -> list[np.ndarray]:
         """Fields on a corrected surface from sampled ``values`` (n, k); ``known`` (n,): False on new surface."""
         return [np.ascontiguousarray(values[:, c], np.float32) for c in range(values.shape[1])]
 
     # -- the life of a surface -----------------------------------------------------------------------------
 
     def start(
-        self, psi: NDArray[np.float32], corner: Corner, geometry: Geometry, velocity: Triple | None = None
+        self,
+        psi: NDArray[np.float32],
+        corner: Corner,
+        geometry: Geometry,
+        velocity: Triple | None = None,
     ) -> SurfacePiece:
         """Begin on a surface.
 
@@ -125,7 +133,9 @@ class SurfaceMomentum(ABC):
 
     def halve(self) -> None:
         """Go on with voxels twice as large, if the frames' grid has a coarser one."""
-        self._put_on_grid(halving_of(self._boxed.geometry) if self._boxed.halving is None else self._boxed.halving)
+        self._put_on_grid(
+            halving_of(self._boxed.geometry) if self._boxed.halving is None else self._boxed.halving
+        )
 
     def _put_on_grid(self, halving: Halving | None) -> None:
         """Go on on the frames' grid, or on a coarser one."""
@@ -134,7 +144,10 @@ class SurfaceMomentum(ABC):
             return
         frame = old.geometry if old.halving is None else old.halving.frame
         self._boxed = boxed_piece(piece, frame, self.half_width, self.workers, halving)
-        shift = sum((sign * at.offset for sign, at in ((1.0, halving), (-1.0, old.halving)) if at), np.zeros(3))
+        shift = sum(
+            (sign * at.offset for sign, at in ((1.0, halving), (-1.0, old.halving)) if at),
+            np.zeros(3),
+        )
         values, known = sample_fields(old, self._fields, self._boxed.closest_points() + shift)
         self._fields = self._fields_on(self._boxed, values, known)
         self._points = self._points - shift
@@ -192,7 +205,9 @@ class SurfaceMomentum(ABC):
         if not self._boxed.surface.size:
             return 0.0, 0.0, 0.0
         index = self._mean_velocity() / self._boxed.spacing
-        x, y, z = self._boxed.geometry.index_to_world(index) - self._boxed.geometry.index_to_world(np.zeros(3))
+        x, y, z = self._boxed.geometry.index_to_world(index) - self._boxed.geometry.index_to_world(
+            np.zeros(3)
+        )
         return float(x), float(y), float(z)
 
     def way(self, duration: float) -> Floats:
@@ -236,7 +251,9 @@ class SurfaceMomentum(ABC):
     def _to_grid(self, vectors: Floats) -> Floats:
         """World vectors (n, 3), x y z, along the grid's axes, z y x."""
         geometry = self._boxed.geometry
-        return np.asarray(geometry.world_to_index(vectors + np.asarray(geometry.origin)) * self._boxed.spacing)
+        return np.asarray(
+            geometry.world_to_index(vectors + np.asarray(geometry.origin)) * self._boxed.spacing
+        )
 
     # -- several -------------------------------------------------------------------------------------------
 
@@ -267,7 +284,9 @@ class SurfaceMomentum(ABC):
             nearer = distance < nearest
             values[nearer], nearest[nearer] = found[nearer], distance[nearer]
         momentum = type(self)(self.friction, self.workers)
-        return momentum._put_on(new, momentum._fields_on(new, values, np.ones(len(values), np.bool_)))
+        return momentum._put_on(
+            new, momentum._fields_on(new, values, np.ones(len(values), np.bool_))
+        )
 
     def _put_on(self, boxed: BoxedSurface, fields: list[np.ndarray]) -> SurfaceMomentum:
         """Put this momentum on a surface with its fields."""
@@ -281,7 +300,9 @@ class SurfaceMomentum(ABC):
         surface = checkpoint_surface(self._boxed.surface)
         return {
             "halved": self._boxed.halving is not None,
-            "corner": self._boxed.corner, "shape": self._boxed.surface.shape, "points": self._points,
+            "corner": self._boxed.corner,
+            "shape": self._boxed.surface.shape,
+            "points": self._points,
             "fields": np.array(self._fields, np.float32).reshape(len(self._fields), -1),
             **{f"surface_{name}": value for name, value in surface._asdict().items()},
         }
@@ -293,7 +314,9 @@ class SurfaceMomentum(ABC):
         halving = halving_of(geometry) if state["halved"] else None
         geometry = geometry if halving is None else halving.geometry
         shape = tuple(int(n) for n in state["shape"])
-        surface = LevelSet(np.ones(shape, np.float32), geometry.spacing, self.half_width, self.workers)
+        surface = LevelSet(
+            np.ones(shape, np.float32), geometry.spacing, self.half_width, self.workers
+        )
         restore_surface(surface, saved._replace(inside_beyond=int(saved.inside_beyond)))
         z, y, x = (int(c) for c in state["corner"])
         self._boxed = BoxedSurface(surface, (z, y, x), geometry, halving)
@@ -311,10 +334,14 @@ def _onto(boxed: BoxedSurface, points: Floats) -> Floats:
 def _union(surfaces: Sequence[BoxedSurface]) -> BoxedSurface:
     """The surface around all that is inside of one of several."""
     first = np.min([surface.corner for surface in surfaces], axis=0)
-    last = np.max([np.array(surface.corner) + surface.surface.shape for surface in surfaces], axis=0)
+    last = np.max(
+        [np.array(surface.corner) + surface.surface.shape for surface in surfaces], axis=0
+    )
     psi = np.full(tuple(int(n) for n in last - first), np.inf, np.float32)
     for surface in surfaces:
-        psi = np.minimum(psi, on_larger_box(surface.surface.psi, np.array(surface.corner), first, last))
+        psi = np.minimum(
+            psi, on_larger_box(surface.surface.psi, np.array(surface.corner), first, last)
+        )
     like = surfaces[0]
     corner = int(first[0]), int(first[1]), int(first[2])
     width, workers = like.surface.requested_half_width, like.surface.workers

@@ -89,7 +89,10 @@ def _now(boxed: BoxedSurface, flow: FlowableMass) -> StepInput:
 def _fastest(now: StepInput, flow: FlowableMass) -> float:
     """The largest speed of the front, voxels per unit of time."""
     grid = now.surface.grid
-    squares = ((field / h) ** 2 for field, h in zip(flow.fields[:3], (grid.hz, grid.hy, grid.hx), strict=True))
+    squares = (
+        (field / h) ** 2
+        for field, h in zip(flow.fields[:3], (grid.hz, grid.hy, grid.hx), strict=True)
+    )
     rates = np.sqrt(sum(squares))
     return float(rates[now.front].max(initial=0.0))
 
@@ -157,11 +160,16 @@ class FlowableMomentum(SurfaceMomentum):
         known = 0.0 if math.isinf(variance) else 1.0 / max(variance, least)
         total = np.maximum(certainty + known, 1e-30)
         moved = by_momentum + (certainty / total)[:, None] * (found - by_momentum)
-        self._fields = [*(np.asarray(moved[:, c] / duration, np.float32) for c in range(3)), self._fields[3]]
+        self._fields = [
+            *(np.asarray(moved[:, c] / duration, np.float32) for c in range(3)),
+            self._fields[3],
+        ]
         self._steered = True
         area = boxed.surface.fraction_and_area()[1]
         share = area * (certainty > 0) / max(float((area * (certainty > 0)).sum()), 1e-300)
-        off = ((found - by_momentum) ** 2)[:, wide].mean(axis=1) - 1.0 / np.maximum(certainty, 1e-30)
+        off = ((found - by_momentum) ** 2)[:, wide].mean(axis=1) - 1.0 / np.maximum(
+            certainty, 1e-30
+        )
         return Steered(max(float((share * off).sum()), least), float((share / total).sum()))
 
     def _free(self, duration: float) -> float:
@@ -174,10 +182,14 @@ class FlowableMomentum(SurfaceMomentum):
         mean, h, sign = self._mean_velocity(), self._boxed.spacing, math.copysign(1.0, duration)
         voxels = np.rint(mean * duration / h)
         free = self._free(duration)
-        slowed, cfl = (1.0, STEERED_CFL) if self._steered else (math.exp(-self.friction * abs(duration)), CFL)
+        slowed, cfl = (
+            (1.0, STEERED_CFL) if self._steered else (math.exp(-self.friction * abs(duration)), CFL)
+        )
         self._steered = False
         left = (mean * duration - voxels * h) / free
-        relative = [sign * (field - m) + v for field, m, v in zip(self._fields[:3], mean, left, strict=True)]
+        relative = [
+            sign * (field - m) + v for field, m, v in zip(self._fields[:3], mean, left, strict=True)
+        ]
         voxel = min(self._boxed.surface.spacings)
         relative = list(_clipped(np.stack(relative, axis=1), MAX_RELATIVE * voxel / free).T)
         fields = [np.asarray(field, np.float32) for field in (*relative, self._fields[3])]
@@ -186,7 +198,10 @@ class FlowableMomentum(SurfaceMomentum):
         boxed, fields, points = coast(boxed, fields, free, self._points, cfl)
         shift = [int(n) for n in voxels]
         self._boxed, self._points = boxed.shifted(shift), points + voxels * h
-        moving = [sign * slowed * (field - v) + m for field, m, v in zip(fields[:3], mean, left, strict=True)]
+        moving = [
+            sign * slowed * (field - v) + m
+            for field, m, v in zip(fields[:3], mean, left, strict=True)
+        ]
         self._fields = [np.asarray(field, np.float32) for field in (*moving, fields[3])]
 
     def _with_room(self, velocity: list[np.ndarray], duration: float) -> BoxedSurface:
@@ -196,12 +211,16 @@ class FlowableMomentum(SurfaceMomentum):
         room = np.minimum(np.ceil(fastest * duration / h), frame).astype(np.int64)
         return self._boxed.with_room(np.where(self._boxed.wide, room, 0).astype(np.int64))
 
-    def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
+    def _corrected_fields(
+        self, found: Displacement, duration: float, gain: float
+    ) -> list[np.ndarray]:
         missing = gain * missing_velocity(self._boxed, found, duration)
         moving = [field + missing[:, c] for c, field in enumerate(self._fields[:3])]
         return [*(np.asarray(field, np.float32) for field in moving), self._fields[3]]
 
-    def _fields_on(self, new: BoxedSurface, values: Floats, known: NDArray[np.bool_]) -> list[np.ndarray]:
+    def _fields_on(
+        self, new: BoxedSurface, values: Floats, known: NDArray[np.bool_]
+    ) -> list[np.ndarray]:
         fields = super()._fields_on(new, values, known)
         fields[3] = np.where(known, np.maximum(fields[3], 0.0), np.float32(RHO)).astype(np.float32)
         return fields
@@ -232,20 +251,28 @@ class LastDisplacement(SurfaceMomentum):
         size = boxed.surface.size
         fields = [np.full(size, value, np.float32) for value in (*left, RHO)]
         boxed, _, points = coast(boxed, fields, 1.0, self._points)
-        self._boxed, self._points = boxed.shifted([int(n) for n in voxels]), points + voxels * self._boxed.spacing
+        self._boxed, self._points = (
+            boxed.shifted([int(n) for n in voxels]),
+            points + voxels * self._boxed.spacing,
+        )
         self._fields = self._fields_at_start(mean)
 
     def correct(self, piece: SurfacePiece, duration: float, gains: Gains) -> SurfacePiece:
         """Correct the surface; the velocity is the displacement of the centroid since the last correction."""
         seen_before = self._boxed.surface.size > 0
-        before, mean = self._boxed.centroid(), self._mean_velocity() if seen_before and self.moves else np.zeros(3)
+        before, mean = (
+            self._boxed.centroid(),
+            self._mean_velocity() if seen_before and self.moves else np.zeros(3),
+        )
         super().correct(piece, duration, gains)
         if seen_before:
             velocity = mean + gains.velocity / duration * (self._boxed.centroid() - before)
             self._fields = self._fields_at_start(np.where(self._boxed.wide, velocity, 0.0))
         return self.piece
 
-    def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
+    def _corrected_fields(
+        self, found: Displacement, duration: float, gain: float
+    ) -> list[np.ndarray]:
         return self._fields
 
 
@@ -268,7 +295,9 @@ MODELS: dict[str, type[SurfaceMomentum]] = {
 }
 
 
-def make_momentum(model: str, friction: float = 0.0, workers: Workers | None = None) -> SurfaceMomentum:
+def make_momentum(
+    model: str, friction: float = 0.0, workers: Workers | None = None
+) -> SurfaceMomentum:
     """A momentum without a surface yet.
 
     Parameters

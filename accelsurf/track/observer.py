@@ -91,7 +91,9 @@ def _round(points: Floats, area: Floats, measured: BoxedSurface) -> Floats:
         return np.zeros(3)
     weighted = slope * (weight / total)[:, None]
     # Sums in order, not by a library's threads: the same bytes on any machine.
-    normal = np.array([[float((weighted[:, a] * slope[:, b]).sum()) for b in range(3)] for a in range(3)])
+    normal = np.array(
+        [[float((weighted[:, a] * slope[:, b]).sum()) for b in range(3)] for a in range(3)]
+    )
     pull = np.array([float((weighted[:, a] * left).sum()) for a in range(3)])
     return np.asarray(-np.linalg.solve(normal + DAMPING * np.eye(3), pull))
 
@@ -100,13 +102,19 @@ def _psi_at(boxed: BoxedSurface, points: Floats) -> Floats:
     """Distance (mm) and its slopes at points (m, 3), mm along the grid's axes: (m, 4)."""
     surface, out = boxed.surface, np.empty((len(points), 4))
     surface.workers.parallel(
-        point_sampling.value_and_gradient_at_points, len(points), surface.dense.psi, surface.grid,
-        boxed.index_on_box(points), out,
+        point_sampling.value_and_gradient_at_points,
+        len(points),
+        surface.dense.psi,
+        surface.grid,
+        boxed.index_on_box(points),
+        out,
     )
     return out
 
 
-def between(predicted: BoxedSurface, measured: BoxedSurface, found: Displacement, gain: float) -> BoxedSurface:
+def between(
+    predicted: BoxedSurface, measured: BoxedSurface, found: Displacement, gain: float
+) -> BoxedSurface:
     """The surface that is ``gain`` K of the way from the predicted to the measured one.
 
     psi(y) = (1 - K) psi_predicted(y - K b) + K psi_measured(y + (1 - K) b).
@@ -121,27 +129,41 @@ def between(predicted: BoxedSurface, measured: BoxedSurface, found: Displacement
     places = np.concatenate([ahead, measured.closest_points() - (1.0 - gain) * found.shift]) / h
     room = np.where(first.wide, int(np.ceil(width)) + 2, 0)
     low = np.maximum(np.floor(places.min(axis=0)) - room, 0).astype(np.int64)
-    high = np.minimum(np.ceil(places.max(axis=0)) + room + 1, predicted.geometry.shape).astype(np.int64)
+    high = np.minimum(np.ceil(places.max(axis=0)) + room + 1, predicted.geometry.shape).astype(
+        np.int64
+    )
     shape = tuple(int(n) for n in np.maximum(high - low, 1))
     psi = (1.0 - gain) * _resampled(first, -gain * found.shift, low, shape)
     psi += gain * _resampled(second, (1.0 - gain) * found.shift, low, shape)
     corner = int(low[0]), int(low[1]), int(low[2])
     like = predicted
-    return boxed_surface(psi.astype(np.float32), corner, like.geometry, width, like.surface.workers, like.halving)
+    return boxed_surface(
+        psi.astype(np.float32), corner, like.geometry, width, like.surface.workers, like.halving
+    )
 
 
-def _resampled(boxed: BoxedSurface, shift: Floats, low: NDArray[np.int64], shape: tuple[int, ...]) -> Floats:
+def _resampled(
+    boxed: BoxedSurface, shift: Floats, low: NDArray[np.int64], shape: tuple[int, ...]
+) -> Floats:
     """Psi at the voxels of the box at ``low``, each shifted by ``shift`` mm."""
     surface, out = boxed.surface, np.empty(int(np.prod(shape)))
     target = surface.grid._replace(nz=shape[0], ny=shape[1], nx=shape[2])
     first = shift / boxed.spacing + low - np.array(boxed.corner)
     surface.workers.parallel(
-        point_sampling.resample_shifted, out.size, surface.dense.psi, surface.grid, first, target, out
+        point_sampling.resample_shifted,
+        out.size,
+        surface.dense.psi,
+        surface.grid,
+        first,
+        target,
+        out,
     )
     return out.reshape(shape)
 
 
-def missing_velocity(predicted: BoxedSurface, found: Displacement, duration: float) -> NDArray[np.float64]:
+def missing_velocity(
+    predicted: BoxedSurface, found: Displacement, duration: float
+) -> NDArray[np.float64]:
     """Velocity (n, 3) that the predicted band lacked: (b + K_delta delta n)/duration, delta as far as it is smooth."""
     far = 0.95 * FIT_WIDTH * predicted.surface.largest_spacing
     outward = certain_part(predicted, np.where(np.abs(found.remainder) < far, found.remainder, 0.0))
@@ -164,7 +186,9 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
         = 1 - `SMOOTH_NOISE` <(1 - E)^2>/<E^2>, at least 0, <> the mean over the surface of outward's squared parts.
     """
     surface, points = predicted.surface, predicted.closest_points()
-    area = np.where(in_frame(predicted, points), surface.fraction_and_area()[1], 0.0)  # beyond nothing is measured
+    area = np.where(
+        in_frame(predicted, points), surface.fraction_and_area()[1], 0.0
+    )  # beyond nothing is measured
     total = float(area.sum())
     if total <= 0.0:
         return np.zeros_like(outward)
@@ -172,7 +196,9 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
     weight = np.maximum(smoothed_at(area), 1e-6 * float(area.max()))
     smooth = smoothed_at(area * outward) / weight
     smooth += smoothed_at(area * (outward - smooth)) / weight
-    clear, rough = (float((area * values**2).sum()) / total for values in (smooth, outward - smooth))
+    clear, rough = (
+        float((area * values**2).sum()) / total for values in (smooth, outward - smooth)
+    )
     return smooth * max(0.0, 1.0 - SMOOTH_NOISE * rough / clear) if clear > 0.0 else smooth
 
 
@@ -182,7 +208,9 @@ def smoothed_by(boxed: BoxedSurface, values: Floats, weight: Floats) -> tuple[Fl
     there = np.maximum(smoothed_at(area), 1e-6 * float(area.max(initial=1e-30)))
     total = smoothed_at(area * weight)
     least = 1e-9 * max(float(total.max(initial=0.0)), 1e-30)
-    columns = [smoothed_at(area * weight * column) / np.maximum(total, least) for column in values.T]
+    columns = [
+        smoothed_at(area * weight * column) / np.maximum(total, least) for column in values.T
+    ]
     return np.stack(columns, axis=1), total / there
 
 
@@ -195,7 +223,9 @@ def _smoother(boxed: BoxedSurface) -> Callable[[Floats], Floats]:
     def smoothed_at(values: Floats) -> Floats:
         dense = np.zeros(surface.shape, np.float32)
         dense.ravel()[surface.band.cells] = values
-        return gaussian_mm(dense, tuple(spacing), SMOOTH * surface.smallest_spacing)[at].astype(np.float64)
+        return gaussian_mm(dense, tuple(spacing), SMOOTH * surface.smallest_spacing)[at].astype(
+            np.float64
+        )
 
     return smoothed_at
 

@@ -140,7 +140,9 @@ class FrameResult:
             Leave out the objects that the frame does not show.
         """
         shown = [tracked for tracked in self.objects if tracked.seen or not seen_only]
-        labels = np.zeros(self.geometry.shape, label_type(max((tracked.id for tracked in shown), default=0)))
+        labels = np.zeros(
+            self.geometry.shape, label_type(max((tracked.id for tracked in shown), default=0))
+        )
         deepest = np.zeros(self.geometry.shape, np.float32)
         for tracked in shown:
             box = tracked.surface.box
@@ -268,7 +270,9 @@ class Identities:
                 first, last = min(life.seen), max(life.seen)
                 gaps = tuple(n for n in range(first, last) if n not in life.seen)
                 tracks.append(Track(id, first, last, gaps, life.end))
-        return Lineage(tuple(tracks), tuple(sorted(self._links, key=attrgetter("frame", "parent", "child"))))
+        return Lineage(
+            tuple(tracks), tuple(sorted(self._links, key=attrgetter("frame", "parent", "child")))
+        )
 
     def state(self) -> dict[str, Any]:
         """State as a value, for `restore`."""

@@ -65,7 +65,9 @@ def open_tracks(path: Path) -> TrackedFile:
     table = table_beside(path)
     frames, parents = _read_table(table) if table is not None else (_frames_shown(sequence), {})
     tracks = stretches(frames, parents)
-    return TrackedFile(path, TrackedLabels(len(sequence), lambda n: _as_labels(sequence, n), tracks), (), table)
+    return TrackedFile(
+        path, TrackedLabels(len(sequence), lambda n: _as_labels(sequence, n), tracks), (), table
+    )
 
 
 def compare(result: TrackedFile, reference: TrackedFile) -> TrackingScores:
@@ -88,7 +90,9 @@ def compare(result: TrackedFile, reference: TrackedFile) -> TrackingScores:
             f"{result.path} has frames of {shape} voxels (z, y, x), {reference.path} of {wanted}",
             "give the result and the reference of the same sequence",
         )
-    return score(result.labels, reference.labels, _outlines(reference) if reference.outlines else None)
+    return score(
+        result.labels, reference.labels, _outlines(reference) if reference.outlines else None
+    )
 
 
 def table_beside(path: Path) -> Path | None:
@@ -103,7 +107,10 @@ def table_beside(path: Path) -> Path | None:
     True
     """
     stem = split_name(path)[0]
-    names = [stem + _TABLE, *(stem.removesuffix(mark) + _TABLE for mark in _MARKS if stem.endswith(mark))]
+    names = [
+        stem + _TABLE,
+        *(stem.removesuffix(mark) + _TABLE for mark in _MARKS if stem.endswith(mark)),
+    ]
     if stem.endswith(_TRUTH):
         names.append(f"{stem}.csv")
     return next((path.with_name(name) for name in names if path.with_name(name).is_file()), None)
@@ -111,10 +118,18 @@ def table_beside(path: Path) -> Path | None:
 
 def _of_challenge(path: Path, found: ChallengeFolder) -> TrackedFile:
     tracks = [
-        Stretch(track.label, track.label, track.first, track.last, (track.parent,) if track.parent else ())
+        Stretch(
+            track.label,
+            track.label,
+            track.first,
+            track.last,
+            (track.parent,) if track.parent else (),
+        )
         for track in found.tracks
     ]
-    return TrackedFile(path, TrackedLabels(len(found.frames), found.labels, tracks), found.outlines, found.folder)
+    return TrackedFile(
+        path, TrackedLabels(len(found.frames), found.labels, tracks), found.outlines, found.folder
+    )
 
 
 def _outlines(reference: TrackedFile) -> Iterator[tuple[int, NDArray[Any]]]:
@@ -130,7 +145,9 @@ def _as_labels(sequence: ImageSequence, number: int) -> NDArray[Any]:
     try:
         return as_labels(sequence.frame(number).array)
     except InputError as error:
-        raise InputError(f"{sequence.source}: frame {number}: {error.message}", error.hint) from None
+        raise InputError(
+            f"{sequence.source}: frame {number}: {error.message}", error.hint
+        ) from None
 
 
 def _frames_shown(sequence: ImageSequence) -> dict[int, list[int]]:
@@ -153,7 +170,10 @@ def _tracks_in(
 ) -> tuple[dict[int, list[int]], dict[int, tuple[int, ...]]]:
     for name in ("frame", "id"):
         if name not in columns:
-            raise InputError(f"no column {name}", "frame, id and parent are expected, as accelsurf track writes them")
+            raise InputError(
+                f"no column {name}",
+                "frame, id and parent are expected, as accelsurf track writes them",
+            )
     frames: dict[int, set[int]] = {}
     parents: dict[int, tuple[int, ...]] = {}
     for line in lines:

@@ -81,7 +81,11 @@ class Operations(NamedTuple):
     @property
     def weight(self) -> float:
         """AOGM: the weights of all."""
-        edges = DELETE_EDGE * self.false_edges + ADD_EDGE * self.missing_edges + CHANGE_EDGE * self.changed_edges
+        edges = (
+            DELETE_EDGE * self.false_edges
+            + ADD_EDGE * self.missing_edges
+            + CHANGE_EDGE * self.changed_edges
+        )
         return self.of_objects + edges
 
 
@@ -118,8 +122,13 @@ class TrackingScores:
     def values(self) -> dict[str, float | int | None]:
         """The numbers by name."""
         return {
-            "SEG": self.seg, "DET": self.det, "TRA": self.tra, "dice_by_identity": self.dice,
-            "identity_switches": self.switches, "AOGM": self.operations.weight, **self.operations._asdict(),
+            "SEG": self.seg,
+            "DET": self.det,
+            "TRA": self.tra,
+            "dice_by_identity": self.dice,
+            "identity_switches": self.switches,
+            "AOGM": self.operations.weight,
+            **self.operations._asdict(),
         }
 
 
@@ -133,11 +142,15 @@ class _Frame(NamedTuple):
     @property
     def matches(self) -> dict[int, int]:
         """The object that each object of the reference matches, where it matches one."""
-        return {ref: res for (ref, res), count in self.common.items() if 2 * count > self.reference[ref]}
+        return {
+            ref: res for (ref, res), count in self.common.items() if 2 * count > self.reference[ref]
+        }
 
 
 def score(
-    result: TrackedLabels, reference: TrackedLabels, exact: Iterable[tuple[int, NDArray[Any]]] | None = None
+    result: TrackedLabels,
+    reference: TrackedLabels,
+    exact: Iterable[tuple[int, NDArray[Any]]] | None = None,
 ) -> TrackingScores:
     """Compare tracks with a reference, frame by frame.
 
@@ -149,12 +162,19 @@ def score(
         Frames and label maps that SEG is measured on, where the reference has outlines of its own for it (the ``SEG``
         folder of the challenge); by default the reference's label maps.
     """
-    frames = [_counted(result.labels(number), reference.labels(number)) for number in range(reference.frames)]
+    frames = [
+        _counted(result.labels(number), reference.labels(number))
+        for number in range(reference.frames)
+    ]
     matches = [frame.matches for frame in frames]
     operations = _operations(frames, matches, result, reference)
     vertices = sum(len(frame.reference) for frame in frames)
     edges = len(_edges(reference, frames, "reference"))
-    outlines = frames if exact is None else [_counted(result.labels(number), labels) for number, labels in exact]
+    outlines = (
+        frames
+        if exact is None
+        else [_counted(result.labels(number), labels) for number, labels in exact]
+    )
     identities = _identities(frames)
     dice = [_dice_by_identity(frame, identities) for frame in frames]
     together = [value for values in dice for value in values]
@@ -168,19 +188,24 @@ def score(
         identities,
         tuple(
             FrameScore(
-                number, len(frame.reference), len(frame.result), len(matches[number]),
+                number,
+                len(frame.reference),
+                len(frame.result),
+                len(matches[number]),
                 float(np.mean(dice[number])) if dice[number] else None,
             )
             for number, frame in enumerate(frames)
         ),
-    )  # fmt: skip
+    )
 
 
 def _counted(result: NDArray[Any], reference: NDArray[Any]) -> _Frame:
     """Count voxels of a frame."""
     ref, res = reference.ravel(), result.ravel()
     either = (ref != 0) | (res != 0)
-    pairs, counts = np.unique(np.stack([ref[either], res[either]]).astype(np.int64), axis=1, return_counts=True)
+    pairs, counts = np.unique(
+        np.stack([ref[either], res[either]]).astype(np.int64), axis=1, return_counts=True
+    )
     of_reference: Counter[int] = Counter()
     of_result: Counter[int] = Counter()
     common = {}
@@ -195,32 +220,49 @@ def _counted(result: NDArray[Any], reference: NDArray[Any]) -> _Frame:
 
 
 def _operations(
-    frames: Sequence[_Frame], matches: Sequence[dict[int, int]], result: TrackedLabels, reference: TrackedLabels
+    frames: Sequence[_Frame],
+    matches: Sequence[dict[int, int]],
+    result: TrackedLabels,
+    reference: TrackedLabels,
 ) -> Operations:
     """Count the operations that turn the result's graph into the reference's."""
     splits = missing = false = 0
-    match: dict[Vertex, Vertex] = {}  # of the reference's vertices, where no other one matches the same
+    match: dict[
+        Vertex, Vertex
+    ] = {}  # of the reference's vertices, where no other one matches the same
     for number, frame in enumerate(frames):
         found = Counter(matches[number].values())
         splits += sum(count - 1 for count in found.values())
         missing += len(frame.reference) - len(matches[number])
         false += len(frame.result) - len(found)
-        match |= {(number, ref): (number, res) for ref, res in matches[number].items() if found[res] == 1}
+        match |= {
+            (number, ref): (number, res) for ref, res in matches[number].items() if found[res] == 1
+        }
     wanted, given = _edges(reference, frames, "reference"), _edges(result, frames, "result")
     unique = set(match.values())
     inner = {ends: meaning for ends, meaning in given.items() if unique.issuperset(ends)}
-    placed = {(match[a], match[b]): meaning for (a, b), meaning in wanted.items() if a in match and b in match}
+    placed = {
+        (match[a], match[b]): meaning
+        for (a, b), meaning in wanted.items()
+        if a in match and b in match
+    }
     same = inner.keys() & placed.keys()
     changed = sum(inner[ends] != placed[ends] for ends in same)
-    return Operations(splits, missing, false, len(inner) - len(same), len(wanted) - len(same), changed)
+    return Operations(
+        splits, missing, false, len(inner) - len(same), len(wanted) - len(same), changed
+    )
 
 
-def _edges(labels: TrackedLabels, frames: Sequence[_Frame], side: str) -> dict[tuple[Vertex, Vertex], bool]:
+def _edges(
+    labels: TrackedLabels, frames: Sequence[_Frame], side: str
+) -> dict[tuple[Vertex, Vertex], bool]:
     """Edges of a graph, with whether each leads from a parent to a child."""
     shown = [getattr(frame, side) for frame in frames]
     vertices = {
         track.label: [
-            (n, track.id) for n in range(track.first, min(track.last + 1, labels.frames)) if track.id in shown[n]
+            (n, track.id)
+            for n in range(track.first, min(track.last + 1, labels.frames))
+            if track.id in shown[n]
         ]
         for track in labels.tracks
     }
@@ -256,9 +298,15 @@ def _identities(frames: Sequence[_Frame]) -> dict[int, int]:
     for frame in frames:
         common.update(frame.common)
     refs, results = sorted({a for a, _ in common}), sorted({b for _, b in common})
-    table = np.array([[common[a, b] for b in results] for a in refs], np.float64).reshape(len(refs), len(results))
+    table = np.array([[common[a, b] for b in results] for a in refs], np.float64).reshape(
+        len(refs), len(results)
+    )
     rows, columns = linear_sum_assignment(table, maximize=True)
-    return {refs[i]: results[j] for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if table[i, j] > 0}
+    return {
+        refs[i]: results[j]
+        for i, j in zip(rows.tolist(), columns.tolist(), strict=True)
+        if table[i, j] > 0
+    }
 
 
 def _dice_by_identity(frame: _Frame, identities: dict[int, int]) -> list[float]:
@@ -266,7 +314,9 @@ def _dice_by_identity(frame: _Frame, identities: dict[int, int]) -> list[float]:
     values = []
     for ref, size in sorted(frame.reference.items()):
         identity = identities.get(ref, 0)
-        values.append(2 * frame.common.get((ref, identity), 0) / (size + frame.result.get(identity, 0)))
+        values.append(
+            2 * frame.common.get((ref, identity), 0) / (size + frame.result.get(identity, 0))
+        )
     return values
 
 
@@ -294,7 +344,9 @@ class Stretch(NamedTuple):
     parents: tuple[int, ...] = ()
 
 
-def stretches(frames: Mapping[int, Sequence[int]], parents: Mapping[int, Iterable[int]]) -> list[Stretch]:
+def stretches(
+    frames: Mapping[int, Sequence[int]], parents: Mapping[int, Iterable[int]]
+) -> list[Stretch]:
     """Return the stretches of objects, by label.
 
     The first of an object has the object's id as its label, further ones have labels above all ids.
@@ -319,7 +371,10 @@ def stretches(frames: Mapping[int, Sequence[int]], parents: Mapping[int, Iterabl
     runs_of: dict[int, list[Stretch]] = {}
     fresh = max(seen, default=0)
     for object_id in sorted(seen, key=lambda n: (seen[n][0], n)):
-        before = (_before(runs_of.get(parent, ()), seen[object_id][0]) for parent in sorted(parents.get(object_id, ())))
+        before = (
+            _before(runs_of.get(parent, ()), seen[object_id][0])
+            for parent in sorted(parents.get(object_id, ()))
+        )
         came_from = tuple(stretch.label for stretch in before if stretch is not None)
         for number, (first, last) in enumerate(runs(seen[object_id])):
             label = object_id
@@ -334,7 +389,11 @@ def stretches(frames: Mapping[int, Sequence[int]], parents: Mapping[int, Iterabl
 
 def _before(of_parent: Iterable[Stretch], frame: int) -> Stretch | None:
     """The last stretch that ends before a frame."""
-    return max((stretch for stretch in of_parent if stretch.last < frame), key=attrgetter("last"), default=None)
+    return max(
+        (stretch for stretch in of_parent if stretch.last < frame),
+        key=attrgetter("last"),
+        default=None,
+    )
 
 
 def runs(numbers: Sequence[int]) -> list[tuple[int, int]]:

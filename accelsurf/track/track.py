@@ -66,14 +66,23 @@ class JoinedSequence(ImageSequence):
     def __init__(self, first: ImageSequence, others: Sequence[ImageSequence]) -> None:
         self._sequences = (first, *others)
         self.times, self.time_unit, self.geometry, self.source = (
-            first.times, first.time_unit, first.geometry, first.source,
+            first.times,
+            first.time_unit,
+            first.geometry,
+            first.source,
         )
-        self.notes = tuple(dict.fromkeys(note for sequence in self._sequences for note in sequence.notes))
+        self.notes = tuple(
+            dict.fromkeys(note for sequence in self._sequences for note in sequence.notes)
+        )
         for sequence in others:
             if len(sequence) != len(first):
-                raise InputError(f"channel {sequence.source}: it has {len(sequence)} frames, {len(first)} expected")
+                raise InputError(
+                    f"channel {sequence.source}: it has {len(sequence)} frames, {len(first)} expected"
+                )
             if difference := first.geometry.difference(sequence.geometry):
-                raise GeometryError(f"channel {sequence.source}: on another grid than the first: {difference}")
+                raise GeometryError(
+                    f"channel {sequence.source}: on another grid than the first: {difference}"
+                )
 
     @property
     def frame_values(self) -> int:
@@ -100,7 +109,9 @@ def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
     """
     first, *others = (
         read_sequence(
-            path, frame_time=config.frame_time, frames_from_slices=config.frames_from_slices,
+            path,
+            frame_time=config.frame_time,
+            frames_from_slices=config.frames_from_slices,
             options=config.run.reading,
         )
         for path in (source, *(Path(file) for file in config.run.channel))
@@ -187,7 +198,12 @@ class Tracking:
         checkpoint_to: str | Path | None = None,
     ) -> None:
         self._check(sequence, config)
-        self.sequence, self._energy, self._objects, self._on_step = sequence, energy, objects, on_step
+        self.sequence, self._energy, self._objects, self._on_step = (
+            sequence,
+            energy,
+            objects,
+            on_step,
+        )
         self.config = config.replace(run=seeded(config.run))
         self._meshes, self._path = meshes, None if checkpoint_to is None else Path(checkpoint_to)
         self.visits, self.done = visits(config, len(sequence)), 0
@@ -206,7 +222,10 @@ class Tracking:
     @staticmethod
     def _check(sequence: ImageSequence, config: TrackConfig) -> None:
         count = len(sequence)
-        for key, number in (("frame", config.frame), *(("correct", correction.frame) for correction in config.correct)):
+        for key, number in (
+            ("frame", config.frame),
+            *(("correct", correction.frame) for correction in config.correct),
+        ):
             if number >= count:
                 raise UsageError(f"{key}: frame {number} was given, expected 0 to {count - 1}")
 
@@ -232,7 +251,14 @@ class Tracking:
             for correction in self.config.correct
             if correction.frame == number
         )
-        arrival = Arrival(number, before, times[number], times[number] - times[before], self._frame(number), wanted)
+        arrival = Arrival(
+            number,
+            before,
+            times[number],
+            times[number] - times[before],
+            self._frame(number),
+            wanted,
+        )
         if number == before:
             objects = self._begin_at(arrival)
         else:
@@ -243,10 +269,15 @@ class Tracking:
             if before == self.config.frame and number > before:
                 self._note_velocities()
         self.done += 1
-        if self.done == len(self.visits) or self.visits[self.done].number < self.visits[self.done - 1].number:
+        if (
+            self.done == len(self.visits)
+            or self.visits[self.done].number < self.visits[self.done - 1].number
+        ):
             if number >= before:
                 self._follower.note_missing()
-        return FrameResult(number, arrival.time, arrival.channels[0], objects, time.perf_counter() - began)
+        return FrameResult(
+            number, arrival.time, arrival.channels[0], objects, time.perf_counter() - began
+        )
 
     def _frame(self, number: int) -> list[Volume]:
         channels = self.sequence.channels(number)
@@ -256,15 +287,22 @@ class Tracking:
 
     def _begin_at(self, arrival: Arrival) -> Any:
         """Begin with the labels that are given, or segment the first frame."""
-        given = None if arrival.refinements else given_objects(
-            self.config.run, self._objects, self.sequence.geometry
+        given = (
+            None
+            if arrival.refinements
+            else given_objects(self.config.run, self._objects, self.sequence.geometry)
         )
         if given is not None:
             self._first = given
         else:
             first = first_objects(
-                arrival.channels, self.config.run, arrival.refinements, self.config.divide == "yes", self._energy,
-                self._objects, self._on_step,
+                arrival.channels,
+                self.config.run,
+                arrival.refinements,
+                self.config.divide == "yes",
+                self._energy,
+                self._objects,
+                self._on_step,
             )
             self._first, self.interrupted = first.found, first.interrupted
             self.warnings += first.warnings
@@ -313,8 +351,15 @@ class Tracking:
 
     def _state(self) -> TrackState:
         return TrackState(
-            self.done, self.config.run.seed, self._first, dict(self._velocities), self._trust, self._identities.state(),
-            tuple(self._follower.state()), tuple(self.warnings), tuple(self.doubtful),
+            self.done,
+            self.config.run.seed,
+            self._first,
+            dict(self._velocities),
+            self._trust,
+            self._identities.state(),
+            tuple(self._follower.state()),
+            tuple(self.warnings),
+            tuple(self.doubtful),
         )
 
     def _restore(self, path: Path) -> None:
@@ -325,7 +370,11 @@ class Tracking:
         self._identities.restore(state.identities)
         self._follower = self._new_follower()
         self._follower.restore(state.objects)
-        self.done, self.warnings, self.doubtful = state.done, list(state.warnings), list(state.doubtful)
+        self.done, self.warnings, self.doubtful = (
+            state.done,
+            list(state.warnings),
+            list(state.doubtful),
+        )
         self._first, self._velocities, self._trust = state.first, state.velocities, state.trust
 
 
@@ -382,12 +431,18 @@ def track(
         changes["energy"], energy = energy, None
     settings = config or TrackConfig()
     settings = settings.replace(**changes) if changes else settings
-    starts = os.fspath(objects) if isinstance(objects, os.PathLike) else from_library(objects, "objects")
+    starts = (
+        os.fspath(objects) if isinstance(objects, os.PathLike) else from_library(objects, "objects")
+    )
     if not isinstance(sequence, (ImageSequence, str, os.PathLike)):
         sequence = VolumeSequence(sequence, settings.frame_time, spacing)
     elif spacing is not None:
-        raise InputError("spacing given together with a sequence, which has its own", "leave spacing out")
-    frames = sequence if isinstance(sequence, ImageSequence) else open_sequence(Path(sequence), settings)
+        raise InputError(
+            "spacing given together with a sequence, which has its own", "leave spacing out"
+        )
+    frames = (
+        sequence if isinstance(sequence, ImageSequence) else open_sequence(Path(sequence), settings)
+    )
     return Tracking(frames, settings, energy, starts, meshes, on_step, checkpoint_to)
 
 
@@ -407,7 +462,9 @@ def _warm_up() -> None:
 
 def _warmup_frame(shift: float) -> Volume:
     z, y, x = np.indices([WARMUP_SIDE] * 3) - WARMUP_SIDE / 2
-    return Volume.from_array((z**2 + y**2 + (x - shift) ** 2 < WARMUP_RADIUS**2).astype(np.float32), 1.0)
+    return Volume.from_array(
+        (z**2 + y**2 + (x - shift) ** 2 < WARMUP_RADIUS**2).astype(np.float32), 1.0
+    )
 
 
 class Header(NamedTuple):
@@ -454,8 +511,9 @@ class TrackState(NamedTuple):
 
 
 TYPES: dict[str, type] = {
-    kind.__name__: kind for kind in (Appearance, Header, Measured, Profile, SurfacePiece, TrackState, Trust)
-}  # fmt: skip
+    kind.__name__: kind
+    for kind in (Appearance, Header, Measured, Profile, SurfacePiece, TrackState, Trust)
+}
 
 
 def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Header:
@@ -464,8 +522,14 @@ def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Hea
     Of the sequence it has grid, times and the voxels of the first frame that is done.
     """
     sha, geometry = hashlib.sha256(), sequence.geometry
-    sha.update(f"{geometry.shape}{geometry.spacing}{geometry.origin}{sequence.times}{sequence.time_unit}".encode())
-    sha.update(digest_of({"direction": geometry.direction, "image": sequence.frame(config.frame).array}).encode())
+    sha.update(
+        f"{geometry.shape}{geometry.spacing}{geometry.origin}{sequence.times}{sequence.time_unit}".encode()
+    )
+    sha.update(
+        digest_of(
+            {"direction": geometry.direction, "image": sequence.frame(config.frame).array}
+        ).encode()
+    )
     run = config.run.model_dump(mode="json", exclude=set(FREE))
     tracking = config.model_dump(mode="json", exclude={"run"})
     return Header(VERSION, versions(), sha.hexdigest(), {**run, **tracking, "meshes": meshes})
@@ -493,7 +557,11 @@ def read_state(path: Path) -> tuple[Header, TrackState]:
     content = bytes_within(path, budgets.STATE_FILE)
     try:
         header, state = from_bytes(content, TYPES)
-        if not isinstance(header, Header) or not isinstance(state, TrackState) or header.version != VERSION:
+        if (
+            not isinstance(header, Header)
+            or not isinstance(state, TrackState)
+            or header.version != VERSION
+        ):
             raise ValueError("not the state of a tracking of this version")
         return header, state
     except InputError as error:
@@ -516,4 +584,6 @@ def refuse_another(path: Path, header: Header, expected: Header) -> None:
     if other:
         key = other[0]
         what = f"other settings: {key} was {shown(header.settings.get(key))}, is {shown(expected.settings[key])}"
-    raise InputError(f"{path}: a state of {what}", "give those of the run that wrote it, or begin anew")
+    raise InputError(
+        f"{path}: a state of {what}", "give those of the run that wrote it, or begin anew"
+    )

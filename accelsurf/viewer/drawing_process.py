@@ -75,10 +75,16 @@ class SceneRecipe:
         from accelsurf.viewer.scene.scene import Scene
 
         styles, window = given_styles(self.settings), parse_window(self.settings.window)
-        truth = None if self.reference is None else io.read_labels(self.reference, grid=self.volume.geometry)
+        truth = (
+            None
+            if self.reference is None
+            else io.read_labels(self.reference, grid=self.volume.geometry)
+        )
         layout = Scene.layout(self.volume.geometry)
         plotter = pyvista.Plotter(off_screen=True, window_size=list(self.size), **layout)
-        scene = Scene(self.volume, theme=self.theme, reference=truth, plotter=plotter, window=window)
+        scene = Scene(
+            self.volume, theme=self.theme, reference=truth, plotter=plotter, window=window
+        )
         scene.restyle(styles)
         scene.color_by(self.color)
         scene.tiles.look_from(self.view)
@@ -164,7 +170,9 @@ class DrawingProcess:
         if self._lost >= MAX_LOST:
             raise self.failure()
         instead = "it is left out" if self._picture is None else "the one before is shown again"
-        self._tell(f"picture {self._count} could not be drawn: the process that draws ended {TRIES} times; {instead}")
+        self._tell(
+            f"picture {self._count} could not be drawn: the process that draws ended {TRIES} times; {instead}"
+        )
         return self._picture
 
     def close(self) -> None:
@@ -183,7 +191,9 @@ class DrawingProcess:
             require_graphics()
         except GraphicsError as error:
             return error
-        return GraphicsError("no picture can be drawn: the process that draws ends each time it is started", HINT)
+        return GraphicsError(
+            "no picture can be drawn: the process that draws ends each time it is started", HINT
+        )
 
     def _tried(self, frame: Frame | None) -> Picture | None:
         """Draw with the process that there is, else with a new one; None where each of them ends over it.
@@ -208,16 +218,26 @@ class DrawingProcess:
         self._asked(self._recipe)
         if self._shown is None:
             return None
-        frames = (self._shown,) if self._first in (None, self._shown[0]) else ((self._first, ()), self._shown)
+        frames = (
+            (self._shown,)
+            if self._first in (None, self._shown[0])
+            else ((self._first, ()), self._shown)
+        )
         return self._asked(_Request(frames, self._count, self._degrees))
 
     def _started(self) -> subprocess.Popen[bytes]:
         # As here, and nothing from the current folder (-P): somebody's data lies there.
-        found = {**os.environ, "PYTHONPATH": os.pathsep.join(folder for folder in sys.path if folder)}
+        found = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(folder for folder in sys.path if folder),
+        }
         return subprocess.Popen(
-            [sys.executable, "-P", "-c", PROGRAM], env=found,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            [sys.executable, "-P", "-c", PROGRAM],
+            env=found,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
 
     def _asked(self, request: SceneRecipe | _Request | None) -> Picture | None:
         """The answer of the process; raises what it raised there, and `_Ended` when there is none."""

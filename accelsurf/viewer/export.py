@@ -33,7 +33,9 @@ def html_page(scene: Scene) -> str:
     """
     space = scene.space
     if space is None:
-        raise UsageError("html: an image of one slice was given, expected a volume", "save a picture instead")
+        raise UsageError(
+            "html: an image of one slice was given, expected a volume", "save a picture instead"
+        )
     middle = scene.geometry.center_world()
     theme = scene.theme
     meshes = [_lines(space.box, theme.lines, middle)]
@@ -84,7 +86,9 @@ def write_html(scene: Scene, path: str | Path) -> None:
     write_bytes(path, html_page(scene).encode())
 
 
-def _triangles(mesh: pv.PolyData, color: str, middle: NDArray[Any], opacity: float, quantity: str) -> dict[str, Any]:
+def _triangles(
+    mesh: pv.PolyData, color: str, middle: NDArray[Any], opacity: float, quantity: str
+) -> dict[str, Any]:
     normals = np.asarray(mesh.point_data.active_normals)
     made = {
         "points": _packed(np.asarray(mesh.points) - middle, np.float32),
@@ -97,7 +101,9 @@ def _triangles(mesh: pv.PolyData, color: str, middle: NDArray[Any], opacity: flo
         shade, values = SHADES[quantity], np.asarray(mesh.point_data[quantity])
         low, high = color_range(values, shade.signed)
         index = np.clip((values - low) / (high - low) * 255.999, 0, 255).astype(int)
-        made["colors"] = _packed(np.asarray(pv.LookupTable(cmap=shade.cmap, n_values=256).values)[index, :3], np.uint8)
+        made["colors"] = _packed(
+            np.asarray(pv.LookupTable(cmap=shade.cmap, n_values=256).values)[index, :3], np.uint8
+        )
     return made
 
 

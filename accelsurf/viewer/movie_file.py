@@ -56,7 +56,12 @@ class MovieSettings:
     size: tuple[int, int] = SceneRecipe.size
 
     def __post_init__(self) -> None:
-        bounds = {"every": (1, 1e6), "fps": (0.1, 120.0), "orbit": (-3600.0, 3600.0), "hold": (0.0, 600.0)}
+        bounds = {
+            "every": (1, 1e6),
+            "fps": (0.1, 120.0),
+            "orbit": (-3600.0, 3600.0),
+            "hold": (0.0, 600.0),
+        }
         for name, (low, high) in bounds.items():
             value = getattr(self, name)
             if not low <= value <= high:
@@ -116,7 +121,9 @@ def last_picture(run: Run, drawing: DrawingProcess, on_step: OnStep | None = Non
 
 def picture_of_result(result: Result, drawing: DrawingProcess) -> Picture:
     """Draw a result; errors as of `pictures`."""
-    return _drawn(drawing, Frame.of_result(result), [segmented.history for segmented in result.objects])
+    return _drawn(
+        drawing, Frame.of_result(result), [segmented.history for segmented in result.objects]
+    )
 
 
 def _drawn(drawing: DrawingProcess, frame: Frame, histories: Histories) -> Picture:
@@ -126,7 +133,9 @@ def _drawn(drawing: DrawingProcess, frame: Frame, histories: Histories) -> Pictu
     return picture
 
 
-def frames(run: Run, every: int | None = 1, on_step: OnStep | None = None) -> Iterator[tuple[Frame, Histories]]:
+def frames(
+    run: Run, every: int | None = 1, on_step: OnStep | None = None
+) -> Iterator[tuple[Frame, Histories]]:
     """Run to the end, yielding what is drawn of every so many steps and of the last; None: of the last alone."""
     with run:
         for number in _steps(run, on_step):
@@ -138,7 +147,9 @@ def _steps(run: Run, on_step: OnStep | None) -> Iterator[int]:
     """Run, yielding the number of each step when all objects have made it; ends early when ``on_step`` asks for it."""
     while steps := run.step():
         for step in steps:
-            if on_step is not None and on_step(step.record, step.object_id if run.has_ids else None):
+            if on_step is not None and on_step(
+                step.record, step.object_id if run.has_ids else None
+            ):
                 run.request_stop()
         yield run.step_number - 1
 
@@ -171,11 +182,20 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
         message = f"{path}: not the report of a run that can be repeated"
         raise InputError(message, "run accelsurf segment again") from None
     if str(settings.get("energy", "")).startswith("custom: "):
-        raise InputError(f"{path}: the energy was one of your own ({settings['energy']})", "make the movie in Python")
+        raise InputError(
+            f"{path}: the energy was one of your own ({settings['energy']})",
+            "make the movie in Python",
+        )
     if not os.path.isfile(image):  # False for a name that no file can have, too
-        raise InputError(f"{path}: the image {image} is not there any more", "give the image and --config instead")
+        raise InputError(
+            f"{path}: the image {image} is not there any more",
+            "give the image and --config instead",
+        )
     if checksum is not None and io.sha256(image) != checksum:
-        raise InputError(f"{image}: has changed, it is not the image of {path.name} any more", "run segment again")
+        raise InputError(
+            f"{image}: has changed, it is not the image of {path.name} any more",
+            "run segment again",
+        )
     return image, RunConfig(**settings)
 
 
@@ -206,7 +226,9 @@ def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -
     if name is None:
         raise InputError(f"{report}: lists no result", "run segment again")
     if name not in result_sets.unchanged_outputs(report, set(names.values()) - {name}):
-        raise InputError(f"{folder / name}: is missing, or was changed since it was written", "run segment again")
+        raise InputError(
+            f"{folder / name}: is missing, or was changed since it was written", "run segment again"
+        )
     if "state" in names:
         return restored(read_state(folder / name), volume, channels)
     return segment(volume, labels=str(folder / name))
@@ -214,13 +236,19 @@ def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -
 
 def _report_in(folder: Path) -> Path:
     """The one report of a result in a folder."""
-    reports = [path for path in sorted(folder.glob("*_report.json")) if not _is_failure_beside(path)]
+    reports = [
+        path for path in sorted(folder.glob("*_report.json")) if not _is_failure_beside(path)
+    ]
     if len(reports) != 1:
         found = "no report (NAME_report.json)" if not reports else f"{len(reports)} reports"
-        raise InputError(f"{folder}: {found} there, expected one", "give the image and its settings instead")
+        raise InputError(
+            f"{folder}: {found} there, expected one", "give the image and its settings instead"
+        )
     return reports[0]
 
 
 def _is_failure_beside(path: Path) -> bool:
     """Test if a report is that of a failed run beside a result."""
-    return path.name.endswith(result_sets.report_name(result_sets.FAILED)) and result_sets.is_failure_report(path)
+    return path.name.endswith(
+        result_sets.report_name(result_sets.FAILED)
+    ) and result_sets.is_failure_report(path)

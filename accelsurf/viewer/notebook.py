@@ -96,7 +96,9 @@ def _plotter(geometry: Geometry, size: tuple[int, int], title: str) -> pv.Plotte
     if in_notebook():
         return None
     if not _has_screen():
-        raise GraphicsError("no screen was found for a window", "write a picture or a page: to='a.png', to='a.html'")
+        raise GraphicsError(
+            "no screen was found for a window", "write a picture or a page: to='a.png', to='a.html'"
+        )
     return pv.Plotter(window_size=list(size), title=title, **Scene.layout(geometry))
 
 
@@ -104,7 +106,9 @@ def _check(to: str | Path | None) -> str:
     """Return the suffix of the file to be written; refuse an unknown one."""
     suffix = "" if to is None else Path(to).suffix.lower()
     if to is not None and suffix not in (".png", ".html", ".htm"):
-        raise UsageError(f"{Path(to).name}: {suffix or 'no suffix'} was given, expected .png or .html")
+        raise UsageError(
+            f"{Path(to).name}: {suffix or 'no suffix'} was given, expected .png or .html"
+        )
     return suffix
 
 
@@ -127,7 +131,10 @@ class SceneOutput:
         if not self._page:
             return {"image/png": picture}
         style = f'width="100%" height="{self._height}" frameborder="0"'
-        return {"text/html": f'<iframe srcdoc="{html.escape(self._page)}" {style}></iframe>', "image/png": picture}
+        return {
+            "text/html": f'<iframe srcdoc="{html.escape(self._page)}" {style}></iframe>',
+            "image/png": picture,
+        }
 
 
 def _has_screen() -> bool:

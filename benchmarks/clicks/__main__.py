@@ -65,20 +65,47 @@ def main(arguments: list[str] | None = None) -> int:
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="scripts/benchmark clicks", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--folds", type=_names, default=[], help=f"only objects of these: {', '.join(NAMES)}")
-    parser.add_argument("--objects", type=_names, default=[], help="only these, chosen by the rule or not")
-    parser.add_argument("--methods", type=_names, default=[], help="only these; peers: all but ours")
-    parser.add_argument("--games", type=_names, default=["plain"], help=f"of {', '.join(KINDS)} (plain)")
+    parser = argparse.ArgumentParser(
+        prog="scripts/benchmark clicks", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument(
+        "--folds", type=_names, default=[], help=f"only objects of these: {', '.join(NAMES)}"
+    )
+    parser.add_argument(
+        "--objects", type=_names, default=[], help="only these, chosen by the rule or not"
+    )
+    parser.add_argument(
+        "--methods", type=_names, default=[], help="only these; peers: all but ours"
+    )
+    parser.add_argument(
+        "--games", type=_names, default=["plain"], help=f"of {', '.join(KINDS)} (plain)"
+    )
     parser.add_argument("--clicks", type=int, default=10, help="clicks on each object (10)")
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1))
-    parser.add_argument("--volumes", type=Path, default=scans_folder(),
-                        help="folder of the scans (default: ACCELSURF_VOLUMES)")
-    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of JSON and picture (benchmarks/results)")
-    parser.add_argument("--grid", action="store_true", help=f"all settings of the methods, {TUNED_CLICKS} exact clicks")
-    parser.add_argument("--default", action="store_true", help="default settings where none are chosen yet")
+    parser.add_argument(
+        "--volumes",
+        type=Path,
+        default=scans_folder(),
+        help="folder of the scans (default: ACCELSURF_VOLUMES)",
+    )
+    parser.add_argument(
+        "--results",
+        type=Path,
+        default=RESULTS,
+        help="folder of JSON and picture (benchmarks/results)",
+    )
+    parser.add_argument(
+        "--grid",
+        action="store_true",
+        help=f"all settings of the methods, {TUNED_CLICKS} exact clicks",
+    )
+    parser.add_argument(
+        "--default", action="store_true", help="default settings where none are chosen yet"
+    )
     parser.add_argument("--again", action="store_true", help="play games again that are kept")
-    parser.add_argument("--pictures", action="store_true", help="of the result after each click that is played")
+    parser.add_argument(
+        "--pictures", action="store_true", help="of the result after each click that is played"
+    )
     parser.add_argument("--render", action="store_true", help="play nothing")
     options = parser.parse_args(arguments)
     if options.clicks < 1 or options.threads < 1:
@@ -87,7 +114,10 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         if kind not in KINDS:
             parser.error(f"{kind}: no such game; there are {', '.join(KINDS)}")
     try:
-        options.methods, options.objects = named(options.methods), chosen(options.folds, options.objects)
+        options.methods, options.objects = (
+            named(options.methods),
+            chosen(options.folds, options.objects),
+        )
     except ValueError as wrong:
         parser.error(str(wrong))
     return options
@@ -103,17 +133,26 @@ def tasks(method: Method, store: Store, options: argparse.Namespace) -> Iterator
     chosen_by_fold: dict[str, dict[str, Any] | None] = {}
     for which in options.objects:
         if options.grid:
-            yield from (Task(which, "plain", settings, TUNED_CLICKS, False) for settings in method.grid)
+            yield from (
+                Task(which, "plain", settings, TUNED_CLICKS, False) for settings in method.grid
+            )
             continue
         if which.fold not in chosen_by_fold:
             found = method.settings(store, which.fold)
             if found is None and not options.default:
-                print(f"{method.name}: fold {which.fold} skipped, no settings chosen yet: --grid --methods "
-                      f"{method.name}, or --default", flush=True)
-            chosen_by_fold[which.fold] = method.default if found is None and options.default else found
+                print(
+                    f"{method.name}: fold {which.fold} skipped, no settings chosen yet: --grid --methods "
+                    f"{method.name}, or --default",
+                    flush=True,
+                )
+            chosen_by_fold[which.fold] = (
+                method.default if found is None and options.default else found
+            )
         settings = chosen_by_fold[which.fold]
         if settings is not None:
-            yield from (Task(which, variant, settings, options.clicks) for variant in variants(kinds))
+            yield from (
+                Task(which, variant, settings, options.clicks) for variant in variants(kinds)
+            )
 
 
 def run(method: Method, options: argparse.Namespace) -> None:
@@ -131,16 +170,27 @@ def run(method: Method, options: argparse.Namespace) -> None:
             store.put(task.key, brief(game) if options.grid else game)
 
 
-def play_task(method: Method, task: Task, folder: Path | None, album: Album | None = None) -> dict[str, Any]:
+def play_task(
+    method: Method, task: Task, folder: Path | None, album: Album | None = None
+) -> dict[str, Any]:
     """Play a game and print it."""
     scene = load(task.object, folder)
     watch = None if album is None else album.watcher(scene.image, scene.truth)
-    game = play(method.segmenter(task.settings), scene, task.clicks, task.variant, size_factor(task.object), watch,
-                task.surface)
+    game = play(
+        method.segmenter(task.settings),
+        scene,
+        task.clicks,
+        task.variant,
+        size_factor(task.object),
+        watch,
+        task.surface,
+    )
     dices = " ".join(f"{click['dice']:.3f}" for click in game["clicks"])
     seconds = sum(click["wall_s"] for click in game["clicks"]) / max(len(game["clicks"]), 1)
-    print(f"{method.name} {task.object.name} {task.variant} {task.settings or ''}: {dices}; {seconds:.2f} s/click",
-          flush=True)
+    print(
+        f"{method.name} {task.object.name} {task.variant} {task.settings or ''}: {dices}; {seconds:.2f} s/click",
+        flush=True,
+    )
     return game
 
 

@@ -112,7 +112,9 @@ def vote(features, feature, threshold, share):
         for tree in range(trees):
             node = 0
             while feature[tree, node] >= 0:
-                node = 2 * node + (1 if features[row, feature[tree, node]] <= threshold[tree, node] else 2)
+                node = 2 * node + (
+                    1 if features[row, feature[tree, node]] <= threshold[tree, node] else 2
+                )
             total += share[tree, node]
         out[row] = total / trees
     return out

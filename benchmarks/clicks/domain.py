@@ -69,7 +69,12 @@ class CroppedSession:
     """
 
     def __init__(
-        self, image: Volume, solver: Solver, settings: Mapping[str, Any], cap: int, drawn: Box | None = None,
+        self,
+        image: Volume,
+        solver: Solver,
+        settings: Mapping[str, Any],
+        cap: int,
+        drawn: Box | None = None,
         whole: bool = False,
     ) -> None:
         self.image, self.solver, self.settings, self.cap = image, solver, settings, cap
@@ -89,7 +94,9 @@ class CroppedSession:
             box = enclosing(box, click_box)
         steps = coarsening([side.stop - side.start for side in box], geometry.spacing, self.cap)
         hints = self._hints(box) if self.settings.get("implied") else []
-        domain = made(self.image.array, geometry, self.clicks, box, steps, margin, hints, self.drawn)
+        domain = made(
+            self.image.array, geometry, self.clicks, box, steps, margin, hints, self.drawn
+        )
         field = np.asarray(self.solver(domain, self.settings), np.float32)
         labels = np.zeros(geometry.shape, bool)
         labels[box] = on_voxels(field, steps, labels[box].shape) > 0
@@ -106,8 +113,15 @@ class CroppedSession:
         """What the clicks imply in a box."""
         shape = self.image.geometry.shape
         side: dict[str, Side] = {"inside": "inside", "outside": "outside"}
-        clicks = [Click(side[each.side], *ball_voxels(each, self.image.geometry)) for each in self.clicks]
-        return implied([self.image.as_float32()], self.image.geometry.spacing, Clicks(tuple(clicks), shape), box)
+        clicks = [
+            Click(side[each.side], *ball_voxels(each, self.image.geometry)) for each in self.clicks
+        ]
+        return implied(
+            [self.image.as_float32()],
+            self.image.geometry.spacing,
+            Clicks(tuple(clicks), shape),
+            box,
+        )
 
 
 def crop(clicks: Sequence[PersonClick], geometry: Geometry, reach: float) -> tuple[Box, float]:
@@ -125,18 +139,31 @@ def crop(clicks: Sequence[PersonClick], geometry: Geometry, reach: float) -> tup
 
 
 def made(
-    image: NDArray[Any], geometry: Geometry, clicks: Sequence[PersonClick], box: Box, steps: tuple[int, int, int],
-    margin: float, hints: Sequence[Click] = (), drawn: Box | None = None,
+    image: NDArray[Any],
+    geometry: Geometry,
+    clicks: Sequence[PersonClick],
+    box: Box,
+    steps: tuple[int, int, int],
+    margin: float,
+    hints: Sequence[Click] = (),
+    drawn: Box | None = None,
 ) -> Domain:
     """Cut, coarsen, scale, and mark the seeds: clicks, and where none lies what they imply, unless two disagree."""
     part = image[box].astype(np.float32)
-    sides = [np.any([each.mask_on(box) for each in hints if each.side == side] or [False], axis=0) for side in SIDES]
+    sides = [
+        np.any([each.mask_on(box) for each in hints if each.side == side] or [False], axis=0)
+        for side in SIDES
+    ]
     seeds = np.zeros(part.shape, np.uint8)
-    seeds += (sides[0] & ~sides[1]).astype(np.uint8) * INSIDE + (sides[1] & ~sides[0]).astype(np.uint8) * OUTSIDE
+    seeds += (sides[0] & ~sides[1]).astype(np.uint8) * INSIDE + (sides[1] & ~sides[0]).astype(
+        np.uint8
+    ) * OUTSIDE
     balls: list[tuple[str, NDArray[np.float32]]] = []
     for each in clicks:
         where, ball = ball_voxels(each, geometry)
-        inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(where, box, strict=True))
+        inner = tuple(
+            slice(a.start - b.start, a.stop - b.start) for a, b in zip(where, box, strict=True)
+        )
         seeds[inner][ball] = INSIDE if each.side == "inside" else OUTSIDE
         balls.append((each.side, image[where][ball].astype(np.float32)))
     inside = np.concatenate([values for side, values in balls if side == "inside"])
@@ -144,10 +171,14 @@ def made(
     # The spread of a ball of very few voxels, or of a flat one, is that of its neighbourhood's gradient.
     gradient = [np.abs(np.diff(part, axis=axis)) for axis in range(3) if part.shape[axis] > 1]
     floor = 0.5 * float(np.median(np.concatenate([each.ravel() for each in gradient])))
-    spread = max(1.4826 * float(np.median(np.abs(inside - middle))), floor, 1e-3 * float(np.ptp(part)), 1e-20)
+    spread = max(
+        1.4826 * float(np.median(np.abs(inside - middle))), floor, 1e-3 * float(np.ptp(part)), 1e-20
+    )
     values = np.clip((part - middle) / np.float32(spread), -WINDOW, WINDOW)
     coarse = coarsened_seeds(seeds, steps)
-    faces = outer_faces(clicks, geometry, box, margin) if drawn is None else faces_beyond(drawn, box)
+    faces = (
+        outer_faces(clicks, geometry, box, margin) if drawn is None else faces_beyond(drawn, box)
+    )
     for axis, end in faces:
         face = [slice(None)] * 3
         face[axis] = slice(0, 1) if end == 0 else slice(-1, None)
@@ -155,8 +186,12 @@ def made(
         layer[layer == 0] = OUTSIDE
     mm = np.array(geometry.spacing) * steps
     relative = mm / mm.min()
-    scaled = [(side, np.clip((v - middle) / np.float32(spread), -WINDOW, WINDOW)) for side, v in balls]
-    return Domain(block_means(values, steps), coarse, (relative[0], relative[1], relative[2]), scaled)
+    scaled = [
+        (side, np.clip((v - middle) / np.float32(spread), -WINDOW, WINDOW)) for side, v in balls
+    ]
+    return Domain(
+        block_means(values, steps), coarse, (relative[0], relative[1], relative[2]), scaled
+    )
 
 
 def outer_faces(
@@ -168,7 +203,9 @@ def outer_faces(
     for axis, end in itertools.product(range(3), range(2)):
         at = box[axis].start if end == 0 else box[axis].stop - 1
         far[axis, end] = min(abs(index[axis] - at) for index in inside) * geometry.spacing[axis]
-    return [face for face, mm in far.items() if mm >= 0.5 * margin] or [max(far, key=lambda face: far[face])]
+    return [face for face, mm in far.items() if mm >= 0.5 * margin] or [
+        max(far, key=lambda face: far[face])
+    ]
 
 
 def faces_beyond(drawn: Box, box: Box) -> list[tuple[int, int]]:

@@ -22,15 +22,26 @@ class Fold(NamedTuple):
 
 
 FOLDS = (
-    Fold("1", ("ct_abdomen_hires", "mri_cord_iso", "mri_cord_thick", "ct_bonsai"),
-         "one abdomen; the two cords come from one collection and may be of one person"),
+    Fold(
+        "1",
+        ("ct_abdomen_hires", "mri_cord_iso", "mri_cord_thick", "ct_bonsai"),
+        "one abdomen; the two cords come from one collection and may be of one person",
+    ),
     Fold("2", ("fluo_nuclei1135", "fluo_nuclei1136"), "two stacks of one specimen"),
-    Fold("3", ("mri_brain256", "ct_vertebra_l3", "mra_aorta"), "three bodies: brain, bones, a vessel"),
+    Fold(
+        "3", ("mri_brain256", "ct_vertebra_l3", "mra_aorta"), "three bodies: brain, bones, a vessel"
+    ),
     Fold("4", ("mri_macaque", "mri_lung_0004", "ct_tooth"), "three bodies: brain, organs, bones"),
-    Fold("5", ("fluo_vessels_bbb", "fluo_vessels_noleak", "mri_mni152"),
-         "the two stacks of vessels are from one laboratory and microscope; beside them a mean brain"),
-    Fold("6", ("synthetic_nuclei", "mri_brain_oblique", "mri_tumour_thick2", "ct_phantom_oblique"),
-         "four bodies: nuclei, brain, a lesion, a phantom of a head"),
+    Fold(
+        "5",
+        ("fluo_vessels_bbb", "fluo_vessels_noleak", "mri_mni152"),
+        "the two stacks of vessels are from one laboratory and microscope; beside them a mean brain",
+    ),
+    Fold(
+        "6",
+        ("synthetic_nuclei", "mri_brain_oblique", "mri_tumour_thick2", "ct_phantom_oblique"),
+        "four bodies: nuclei, brain, a lesion, a phantom of a head",
+    ),
 )
 PHANTOMS = "phantoms"
 #: All names, in the order of the tables.

@@ -24,12 +24,16 @@ def features(domain: Domain, position: bool) -> NDArray[np.float32]:
         bank.append(ndimage.gaussian_laplace(domain.values, widths))
     if position:
         shape = domain.values.shape
-        bank += [np.broadcast_to(axis * h, shape) for axis, h in zip(np.ogrid[tuple(map(slice, shape))], domain.spacing,
-                                                                     strict=True)]
+        bank += [
+            np.broadcast_to(axis * h, shape)
+            for axis, h in zip(np.ogrid[tuple(map(slice, shape))], domain.spacing, strict=True)
+        ]
     return np.stack([each.ravel() for each in bank], axis=1).astype(np.float32)
 
 
-def learned(rows: NDArray[np.float32], inside: NDArray[np.bool_], seed: int) -> tuple[NDArray, NDArray, NDArray]:
+def learned(
+    rows: NDArray[np.float32], inside: NDArray[np.bool_], seed: int
+) -> tuple[NDArray, NDArray, NDArray]:
     """Trees as `vote` takes them; each split is the best of a few random ones (extremely randomised trees)."""
     random = np.random.default_rng(seed)
     nodes = 2 ** (DEPTH + 1) - 1
@@ -78,6 +82,8 @@ def probability(domain: Domain, position: bool, seed: int = 0) -> NDArray[np.flo
     random = np.random.default_rng(seed)
     sides = [np.flatnonzero(seeds == side) for side in (INSIDE, OUTSIDE)]
     count = min(max(map(len, sides)), SAMPLES)
-    drawn = np.concatenate([random.choice(side, count, replace=len(side) < count) for side in sides])
+    drawn = np.concatenate(
+        [random.choice(side, count, replace=len(side) < count) for side in sides]
+    )
     trees = learned(bank[drawn], seeds[drawn] == INSIDE, seed)
     return np.asarray(vote(bank, *trees)).reshape(domain.values.shape)

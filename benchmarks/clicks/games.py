@@ -80,12 +80,21 @@ def variants(names: Sequence[str]) -> list[str]:
     >>> variants(["plain", "jitter"])
     ['plain', 'jitter0', 'jitter1', 'jitter2', 'jitter3', 'jitter4']
     """
-    return [each for name in names for each in ([f"jitter{seed}" for seed in SEEDS] if name == "jitter" else [name])]
+    return [
+        each
+        for name in names
+        for each in ([f"jitter{seed}" for seed in SEEDS] if name == "jitter" else [name])
+    ]
 
 
 def play(
-    segmenter: Segmenter, scene: Scene, clicks: int = 10, variant: str = "plain", size_factor: float = 1.0,
-    watch: Callable[[PersonClick, Mask], None] | None = None, surface: bool = True,
+    segmenter: Segmenter,
+    scene: Scene,
+    clicks: int = 10,
+    variant: str = "plain",
+    size_factor: float = 1.0,
+    watch: Callable[[PersonClick, Mask], None] | None = None,
+    surface: bool = True,
 ) -> dict[str, Any]:
     """Play until ``clicks`` are spent or nothing is wrong.
 
@@ -153,7 +162,9 @@ def play(
 def hints_of(scene: Scene, variant: str, size_factor: float = 1.0) -> Hints:
     """Hints that a variant gives."""
     if variant == "size":
-        return Hints(size_factor * float(np.count_nonzero(scene.truth)) * scene.image.geometry.voxel_volume)
+        return Hints(
+            size_factor * float(np.count_nonzero(scene.truth)) * scene.image.geometry.voxel_volume
+        )
     box = drawn_box(scene.truth) if variant in ("box", "cvpr-box") else None
     return Hints(box=box, points=variant.startswith("cvpr"))
 
@@ -167,7 +178,11 @@ def click_of(scene: Scene, labels: Mask | None, variant: str, number: int) -> Pe
         return click_in_box(truth, geometry)
     if variant.startswith("cvpr"):
         return click_of_challenge(truth, labels, geometry)
-    random = np.random.default_rng([BASE, int(variant[6:]), number]) if variant.startswith("jitter") else None
+    random = (
+        np.random.default_rng([BASE, int(variant[6:]), number])
+        if variant.startswith("jitter")
+        else None
+    )
     return next_click(truth, labels, geometry, random)
 
 
@@ -216,7 +231,9 @@ def falls(game: dict[str, Any]) -> tuple[int, int]:
     (1, 2)
     """
     values = [click["dice"] for click in game["clicks"]]
-    return sum(after < before - FALL for before, after in zip(values, values[1:], strict=False)), len(values) - 1
+    return sum(
+        after < before - FALL for before, after in zip(values, values[1:], strict=False)
+    ), len(values) - 1
 
 
 def summary(games: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -231,19 +248,32 @@ def summary(games: Sequence[dict[str, Any]]) -> dict[str, Any]:
         clicks. ``best_of_answers``: see `best_of_answers`. ``confidence``: see `confidence`. ``refused``: clicks that
         the segmenter refused. Seconds, medians: of first and later clicks.
     """
-    played = min((len(game["clicks"]) for game in games if not game["perfect"]), default=max(BUDGETS))
+    played = min(
+        (len(game["clicks"]) for game in games if not game["perfect"]), default=max(BUDGETS)
+    )
     games = [{**game, "clicks": game["clicks"][:played]} for game in games]
     counts = [falls(game) for game in games]
     needed = {level: [clicks_to(game, level) for game in games] for level in LEVELS}
     return {
         "objects": len(games),
         "played": played,
-        "dice": {n: statistics.median(_known(game, n) for game in games) for n in BUDGETS if n <= played},
-        "mean": {n: statistics.fmean(_known(game, n) for game in games) for n in BUDGETS if n <= played},
-        "surface": {n: found for n in BUDGETS if n <= played and (found := _surfaces_after(games, n))},
-        "noc": {level: statistics.median(n or played + 1 for n in found) for level, found in needed.items()},
+        "dice": {
+            n: statistics.median(_known(game, n) for game in games) for n in BUDGETS if n <= played
+        },
+        "mean": {
+            n: statistics.fmean(_known(game, n) for game in games) for n in BUDGETS if n <= played
+        },
+        "surface": {
+            n: found for n in BUDGETS if n <= played and (found := _surfaces_after(games, n))
+        },
+        "noc": {
+            level: statistics.median(n or played + 1 for n in found)
+            for level, found in needed.items()
+        },
         "never": {level: found.count(None) for level, found in needed.items()},
-        "within5": sum(n is not None and n <= 5 for n in needed[0.85]) / len(games) if played >= 5 else None,
+        "within5": sum(n is not None and n <= 5 for n in needed[0.85]) / len(games)
+        if played >= 5
+        else None,
         "fell": sum(n for n, _ in counts) / max(sum(n for _, n in counts), 1),
         "best_of_answers": best_of_answers(games),
         "confidence": confidence(games)._asdict(),
@@ -264,7 +294,11 @@ def best_of_answers(games: Sequence[dict[str, Any]]) -> tuple[float, float] | No
     """
     values = [game["clicks"][0].get("best_of_answers") for game in games]
     known = [float(value) for value in values if value is not None]
-    return (statistics.median(known), statistics.fmean(known)) if known and len(known) == len(values) else None
+    return (
+        (statistics.median(known), statistics.fmean(known))
+        if known and len(known) == len(values)
+        else None
+    )
 
 
 def _surfaces_after(games: Sequence[dict[str, Any]], budget: int) -> dict[str, float | None]:
@@ -274,8 +308,10 @@ def _surfaces_after(games: Sequence[dict[str, Any]], budget: int) -> dict[str, f
     keys = ("nsd", "mean_mm", "p95_mm", "mean_voxels", "p95_voxels")
     if not measured:
         return {}
-    middle = {key: statistics.median(math.inf if click[key] is None else click[key] for click in measured)
-              for key in keys}
+    middle = {
+        key: statistics.median(math.inf if click[key] is None else click[key] for click in measured)
+        for key in keys
+    }
     return {key: None if math.isinf(value) else value for key, value in middle.items()}
 
 
@@ -295,7 +331,9 @@ def challenge(games: Sequence[dict[str, Any]]) -> dict[str, float]:
     for name, key in (("dsc", "dice"), ("nsd", "nsd")):
         courses = [[float(click[key]) for click in game["clicks"]] for game in games]
         full = [course + [course[-1]] * (CHALLENGE - len(course)) for course in courses]
-        out[f"{name}_auc"] = statistics.fmean(sum(course) - 0.5 * (course[0] + course[-1]) for course in full)
+        out[f"{name}_auc"] = statistics.fmean(
+            sum(course) - 0.5 * (course[0] + course[-1]) for course in full
+        )
         out[f"{name}_final"] = statistics.fmean(course[-1] for course in full)
     return out
 
@@ -323,8 +361,12 @@ def confidence(games: Sequence[dict[str, Any]]) -> Confidence:
     >>> confidence([{"clicks": clicks, "perfect": False}])
     Confidence(results=3, good_of_said=0.5, said_of_failed=1.0)
     """
-    rows = [(click["dice"], click["sureness"]) for game in games for click in game["clicks"]
-            if click.get("sureness") is not None]
+    rows = [
+        (click["dice"], click["sureness"])
+        for game in games
+        for click in game["clicks"]
+        if click.get("sureness") is not None
+    ]
     said = [dice_now for dice_now, sure in rows if sure >= SAID]
     failed = [sure for dice_now, sure in rows if dice_now < FAILED]
     return Confidence(
@@ -347,11 +389,14 @@ def seconds(games: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     later = [click for game in games for click in game["clicks"][1:]]
     return {
         f"{key}_{unit}": statistics.median(click[unit] for click in clicks) if clicks else None
-        for key, clicks in (("first", first), ("later", later)) for unit in ("wall_s", "cpu_s")
+        for key, clicks in (("first", first), ("later", later))
+        for unit in ("wall_s", "cpu_s")
     }
 
 
 def score(games: Sequence[dict[str, Any]]) -> float:
     """What settings are chosen by: the mean Dice over clicks 1, 2, 3 and 5 and over the objects."""
-    values = [value for game in games for n in BUDGETS[:4] if (value := dice_after(game, n)) is not None]
+    values = [
+        value for game in games for n in BUDGETS[:4] if (value := dice_after(game, n)) is not None
+    ]
     return statistics.fmean(values) if values else 0.0

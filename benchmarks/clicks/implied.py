@@ -75,7 +75,9 @@ def half_width(mask: Mask, spacing: Spacing, shape: Sequence[int]) -> float:
         return 0.0
     steps = coarsening(around.shape, spacing, MOST)
     coarse = block_means(around.astype(np.float32), steps) == 1.0
-    found = float(ndimage.distance_transform_edt(coarse, sampling=np.multiply(spacing, steps)).max())
+    found = float(
+        ndimage.distance_transform_edt(coarse, sampling=np.multiply(spacing, steps)).max()
+    )
     # A thin stroke fills no block of a coarsened box.
     return max(found, min(h for h, n in zip(spacing, shape, strict=True) if n > 1))
 
@@ -109,7 +111,9 @@ def _implied_by(
         for click in clicked:
             mask[click.mask_on(seen)] = 1.0
         far = block_means(mask, steps) == 0.0
-        return np.asarray(ndimage.distance_transform_edt(far, sampling=np.multiply(spacing, steps)), np.float32)
+        return np.asarray(
+            ndimage.distance_transform_edt(far, sampling=np.multiply(spacing, steps)), np.float32
+        )
 
     distances = distance([click])
     alike &= distances <= more
@@ -122,7 +126,9 @@ def _implied_by(
     return [click._replace(box=seen, mask=mask[z, y, x])]
 
 
-def _looks_alike(images: Sequence[Image], click: Click, box: Box, steps: tuple[int, int, int]) -> Mask:
+def _looks_alike(
+    images: Sequence[Image], click: Click, box: Box, steps: tuple[int, int, int]
+) -> Mask:
     """Mask of the blocks of a box that look like a click: within `ALIKE` spreads of each channel's median."""
     alike = np.array(True)
     for image in images:
@@ -135,5 +141,9 @@ def _looks_alike(images: Sequence[Image], click: Click, box: Box, steps: tuple[i
 
 def _with_changes(part: Image, spread: float) -> float:
     """A spread, or `MIN_CHANGE` times the median change between neighbours where that is more."""
-    changes = [np.abs(np.diff(part, axis=axis)).ravel() for axis in range(3) if part.shape[axis] > 1]
-    return max(spread, MIN_CHANGE * float(np.median(np.concatenate(changes)))) if changes else spread
+    changes = [
+        np.abs(np.diff(part, axis=axis)).ravel() for axis in range(3) if part.shape[axis] > 1
+    ]
+    return (
+        max(spread, MIN_CHANGE * float(np.median(np.concatenate(changes)))) if changes else spread
+    )

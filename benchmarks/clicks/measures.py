@@ -23,7 +23,9 @@ def voxel_of(spacing: tuple[float, float, float]) -> float:
     return round(math.prod(spacing) ** (1 / 3), 12)
 
 
-def surfaces(labels: Mask, truth: Mask, spacing: tuple[float, float, float]) -> dict[str, float | None]:
+def surfaces(
+    labels: Mask, truth: Mask, spacing: tuple[float, float, float]
+) -> dict[str, float | None]:
     """Mean and 95 % surface distance (mm, voxels), and normalised surface Dice at one voxel.
 
     Distances are None where one of the two is empty. All is computed on the boxes of the two objects.
@@ -32,7 +34,19 @@ def surfaces(labels: Mask, truth: Mask, spacing: tuple[float, float, float]) -> 
     there, back = surface_distances(labels, truth, spacing)
     near = surface_dice(labels, truth, spacing, [voxel])[0] if labels.any() else 0.0
     if not there.size:
-        return {"mean_mm": None, "p95_mm": None, "mean_voxels": None, "p95_voxels": None, "nsd": near}
+        return {
+            "mean_mm": None,
+            "p95_mm": None,
+            "mean_voxels": None,
+            "p95_voxels": None,
+            "nsd": near,
+        }
     mean = float((there.sum() + back.sum()) / (there.size + back.size))
     far = max(float(np.percentile(there, 95)), float(np.percentile(back, 95)))
-    return {"mean_mm": mean, "p95_mm": far, "mean_voxels": mean / voxel, "p95_voxels": far / voxel, "nsd": near}
+    return {
+        "mean_mm": mean,
+        "p95_mm": far,
+        "mean_voxels": mean / voxel,
+        "p95_voxels": far / voxel,
+        "nsd": near,
+    }

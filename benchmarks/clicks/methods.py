@@ -33,7 +33,9 @@ class Method:
             peer = self.peer
 
             def made(image: Volume, hints: Hints) -> Session:
-                session = CroppedSession(image, peer.solver, settings, peer.cap, hints.box, hints.points)
+                session = CroppedSession(
+                    image, peer.solver, settings, peer.cap, hints.box, hints.points
+                )
                 return cast(Session, session)
 
             return made

@@ -73,9 +73,17 @@ def objects() -> tuple[ClickObject, ...]:
 
 def written(found: Sequence[ClickObject]) -> str:
     """Text of a table of objects, one a line."""
-    rows = [{"name": each.name, "volume": each.volume, "labels": list(each.labels), "family": each.family,
-             **({"part": each.part} if each.part else {}), **({} if each.chosen else {"chosen": False})}
-            for each in found]
+    rows = [
+        {
+            "name": each.name,
+            "volume": each.volume,
+            "labels": list(each.labels),
+            "family": each.family,
+            **({"part": each.part} if each.part else {}),
+            **({} if each.chosen else {"chosen": False}),
+        }
+        for each in found
+    ]
     return "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n"
 
 
@@ -104,7 +112,9 @@ def chosen(folds: Collection[str] = (), names: Iterable[str] = ()) -> list[Click
     named = set(names)
     unknown = named - {each.name for each in held}
     if unknown:
-        raise ValueError(f"{min(unknown)}: no such object; there are {', '.join(each.name for each in held)}")
+        raise ValueError(
+            f"{min(unknown)}: no such object; there are {', '.join(each.name for each in held)}"
+        )
     return [each for each in held if (each.name in named if named else each.chosen)]
 
 

@@ -53,7 +53,9 @@ def options_of(hints: Hints) -> dict[str, Any]:
     """
     out = {} if hints.size_mm3 is None else {"size": f"{hints.size_mm3:.6f}mm3"}
     if hints.box is not None:
-        ends = [side.start for side in hints.box[::-1]] + [side.stop - 1 for side in hints.box[::-1]]
+        ends = [side.start for side in hints.box[::-1]] + [
+            side.stop - 1 for side in hints.box[::-1]
+        ]
         out["box"] = ",".join(map(str, ends)) + "vox"
     return out
 
@@ -93,7 +95,9 @@ class Refined:
 
         given: dict[str, Any] = {click.side: (text_of(click, self.image),)}
         if self.result is None:
-            self.result = segment(self.image, config=RunConfig(**given, **self.options, keep_state="yes"))
+            self.result = segment(
+                self.image, config=RunConfig(**given, **self.options, keep_state="yes")
+            )
         else:
             self.result = refine(self.result, **given)
         return np.asarray(self.result.labels > 0)
@@ -108,7 +112,9 @@ def sureness(result: Any) -> float | None:
 class StartAlone:
     """The object that the model of the clicks shows, where the surface would begin; by other networks, if given."""
 
-    def __init__(self, image: Volume, hints: Hints, asked: Mapping[str, Network] | None = None) -> None:
+    def __init__(
+        self, image: Volume, hints: Hints, asked: Mapping[str, Network] | None = None
+    ) -> None:
         self.asked = asked
         self.scene = Scene((image.as_float32(),), image.geometry.spacing)
         self.image, self.size = image, hints.size_mm3

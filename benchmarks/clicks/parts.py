@@ -60,7 +60,10 @@ def without(part: str, whole: Mapping[str, Network]) -> dict[str, Network]:
         return {name: network for name, network in whole.items() if name != "boundary"}
     if part == AROUND:
         return {**whole, "first": dataclasses.replace(whole["first"], around=())}
-    return {name: network if name == "boundary" else blind(network, GROUPS[part]) for name, network in whole.items()}
+    return {
+        name: network if name == "boundary" else blind(network, GROUPS[part])
+        for name, network in whole.items()
+    }
 
 
 def blind(network: Network, pattern: str) -> Network:
@@ -69,7 +72,9 @@ def blind(network: Network, pattern: str) -> Network:
     if not unknown:
         raise ValueError(f"{pattern}: no feature fits")
     layers, around = (tuple(part) for part in (network.layers, network.around))
-    return dataclasses.replace(network, layers=_without(layers, unknown), around=_without(around, unknown))
+    return dataclasses.replace(
+        network, layers=_without(layers, unknown), around=_without(around, unknown)
+    )
 
 
 def _without(layers: tuple[Layer, ...], rows: list[int]) -> tuple[Layer, ...]:
@@ -84,13 +89,18 @@ def _without(layers: tuple[Layer, ...], rows: list[int]) -> tuple[Layer, ...]:
 def main(arguments: list[str] | None = None) -> int:
     """Play what is not kept yet, and write table and JSON."""
     summary_line = (__doc__ or "").splitlines()[0]
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.clicks.parts", description=summary_line)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.clicks.parts", description=summary_line
+    )
     parser.add_argument("--clicks", type=int, default=SHOWN[-1])
     parser.add_argument("--volumes", type=Path, default=scans_folder())
     parser.add_argument("--render", action="store_true", help="play nothing")
     options = parser.parse_args(arguments)
     objects = [each for each in chosen() if each.fold != PHANTOMS]
-    stores = {part: Store(RESULTS / "parts", re.sub(r"\W+", "-", part)) for part in (*GROUPS, AROUND, BOUNDARY)}
+    stores = {
+        part: Store(RESULTS / "parts", re.sub(r"\W+", "-", part))
+        for part in (*GROUPS, AROUND, BOUNDARY)
+    }
     (RESULTS / "parts").mkdir(exist_ok=True)
     for which in [] if options.render else objects:
         scene, key = load(which, options.volumes), key_of(which.name, "plain", {})
@@ -98,7 +108,10 @@ def main(arguments: list[str] | None = None) -> int:
             if store.get(key, options.clicks) is None:
                 session = partial(StartAlone, asked=without(part, networks()))
                 game = play(session, scene, options.clicks, "plain", surface=False)
-                clicks = [{name: click[name] for name in ("dice", "wall_s", "cpu_s")} for click in game["clicks"]]
+                clicks = [
+                    {name: click[name] for name in ("dice", "wall_s", "cpu_s")}
+                    for click in game["clicks"]
+                ]
                 store.put(key, {**game, "clicks": clicks})
         print(which.name, flush=True)
     played = {
@@ -123,7 +136,9 @@ def figures_of(games: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
 
 def text_of(figures: Mapping[str, dict[str, Any]]) -> str:
     """The table: a row a part."""
-    lines = head_of(("games of", *(f"Dice {n}" for n in SHOWN), "mean of all, less the model's", "fell"))
+    lines = head_of(
+        ("games of", *(f"Dice {n}" for n in SHOWN), "mean of all, less the model's", "fell")
+    )
     level = np.mean([figures["the model"][str(n)][1] for n in SHOWN])
     for row, found in figures.items():
         apart = statistics.mean(found[str(n)][1] for n in SHOWN) - level

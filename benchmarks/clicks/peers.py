@@ -45,8 +45,13 @@ def random_walker(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
         # It advises other solvers, and says when labels are cut off from seeds; neither changes the result.
         warnings.simplefilter("ignore")
         found = walk(
-            domain.values, domain.seeds.astype(np.int32), beta=settings["beta"], mode="cg_j", tol=1e-3,
-            spacing=domain.spacing, return_full_prob=True,
+            domain.values,
+            domain.seeds.astype(np.int32),
+            beta=settings["beta"],
+            mode="cg_j",
+            tol=1e-3,
+            spacing=domain.spacing,
+            return_full_prob=True,
         )
     return np.asarray(found[0]) - 0.5
 
@@ -55,7 +60,9 @@ def watershed(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
     """Flooding of the gradient's magnitude from the seeds."""
     from skimage.segmentation import watershed as flood
 
-    relief = ndimage.gaussian_gradient_magnitude(domain.values, [settings["sigma"] / h for h in domain.spacing])
+    relief = ndimage.gaussian_gradient_magnitude(
+        domain.values, [settings["sigma"] / h for h in domain.spacing]
+    )
     return np.where(flood(relief, domain.seeds.astype(np.int32)) == INSIDE, 0.5, -0.5)
 
 
@@ -71,7 +78,9 @@ def grow_cut(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
     """Nearest seed by the sum of changes of value over 26 neighbours, and a penalty per length."""
     offsets, lengths = neighbours(domain.spacing, diagonal=True)
     smooth = smoothed(domain, settings["sigma"])
-    label = nearest_seed(smooth, domain.seeds, offsets, lengths * np.float32(settings["penalty"]), 1.0, False)
+    label = nearest_seed(
+        smooth, domain.seeds, offsets, lengths * np.float32(settings["penalty"]), 1.0, False
+    )
     return np.where(label == INSIDE, 0.5, -0.5)
 
 
@@ -81,7 +90,13 @@ def graph_cut(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
     links = []
     for (first, other), h in zip(pairs_of(values.shape), domain.spacing, strict=True):
         apart = values.flat[first] - values.flat[other]
-        links.append((first, other, (UNIT * settings["weight"] * np.exp(-0.5 * apart**2) / h).astype(np.int32)))
+        links.append(
+            (
+                first,
+                other,
+                (UNIT * settings["weight"] * np.exp(-0.5 * apart**2) / h).astype(np.int32),
+            )
+        )
     inside, outside = unary(values, seeds)
     common = np.minimum(inside, outside)
     ends = ((UNIT * (cost - common)).ravel().astype(np.int32) for cost in (outside, inside))
@@ -92,14 +107,18 @@ def graph_cut(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
 UNIT = 100.0
 
 
-def unary(values: NDArray[np.float32], seeds: NDArray[np.uint8]) -> tuple[NDArray[Any], NDArray[Any]]:
+def unary(
+    values: NDArray[np.float32], seeds: NDArray[np.uint8]
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Costs of being inside and outside: minus log of the clicks' smoothed histograms; seeds are bound."""
     edges = np.linspace(values.min(), values.max() + 1e-3, 65)
     bins = np.clip(np.digitize(values, edges) - 1, 0, 63)
     costs = []
     for side in (INSIDE, OUTSIDE):
         counts = np.bincount(bins[seeds == side], minlength=64).astype(float)
-        shares = ndimage.gaussian_filter1d(counts / max(counts.sum(), 1.0), 2.0, mode="nearest") + 1e-3
+        shares = (
+            ndimage.gaussian_filter1d(counts / max(counts.sum(), 1.0), 2.0, mode="nearest") + 1e-3
+        )
         costs.append(-np.log(shares / shares.sum())[bins])
     bound = 1e4
     costs[0][seeds == OUTSIDE] = bound
@@ -109,14 +128,19 @@ def unary(values: NDArray[np.float32], seeds: NDArray[np.uint8]) -> tuple[NDArra
 
 def classifier(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
     """A forest's probability, smoothed by one voxel, above a half and connected to an inside click."""
-    sure = ndimage.gaussian_filter(probability(domain, settings["position"]), [1.0 / h for h in domain.spacing])
+    sure = ndimage.gaussian_filter(
+        probability(domain, settings["position"]), [1.0 / h for h in domain.spacing]
+    )
     return np.where(connected(sure > 0.5, domain.seeds), 0.5, -0.5)
 
 
 def threshold(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
     """Values near the median of an inside click, and nearer to it than to any outside click's, in one part with it."""
     smooth = smoothed(domain, 1.0)
-    far = {"inside": np.full(smooth.shape, np.inf, np.float32), "outside": np.full(smooth.shape, np.inf, np.float32)}
+    far = {
+        "inside": np.full(smooth.shape, np.inf, np.float32),
+        "outside": np.full(smooth.shape, np.inf, np.float32),
+    }
     for side, values in domain.clicks:
         np.minimum(far[side], np.abs(smooth - np.median(values)), out=far[side])
     near = (far["inside"] < settings["spreads"]) & (far["inside"] < far["outside"])
@@ -125,15 +149,24 @@ def threshold(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
 
 def smoothed(domain: Domain, sigma: float) -> NDArray[np.float32]:
     """Values smoothed by so many of the smallest spacing."""
-    return ndimage.gaussian_filter(domain.values, [sigma / h for h in domain.spacing]) if sigma else domain.values
+    return (
+        ndimage.gaussian_filter(domain.values, [sigma / h for h in domain.spacing])
+        if sigma
+        else domain.values
+    )
 
 
-def neighbours(spacing: tuple[float, ...], diagonal: bool) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+def neighbours(
+    spacing: tuple[float, ...], diagonal: bool
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Steps to the 6 or 26 neighbours, and their lengths."""
-    steps = [s for s in itertools.product((-1, 0, 1), repeat=3) if any(s) and (diagonal or sum(map(abs, s)) == 1)]
+    steps = [
+        s
+        for s in itertools.product((-1, 0, 1), repeat=3)
+        if any(s) and (diagonal or sum(map(abs, s)) == 1)
+    ]
     offsets = np.array(steps, np.int64)
     return offsets, np.sqrt(((offsets * np.array(spacing)) ** 2).sum(axis=1)).astype(np.float32)
-
 
 
 #: By name. Those that solve large systems are coarsened sooner.
@@ -142,18 +175,54 @@ def with_implied(grid: list[dict[str, Any]], **best: Any) -> list[dict[str, Any]
     return [*grid, {**best, "implied": 1}]
 
 
-PEERS = {peer.name: peer for peer in (
-    ClickPeer("threshold", threshold, combinations(reach=REACHES, spreads=(1.5, 2.5, 4.0))),
-    ClickPeer("watershed", watershed, with_implied(
-        combinations(reach=REACHES, sigma=(0.5, 1.0, 2.0)), reach=4.0, sigma=1.0)),
-    ClickPeer("geodesic", geodesic, with_implied(
-        combinations(reach=REACHES, sigma=(0.5,), weight=(64.0, 256.0)), reach=2.0, sigma=0.5, weight=64.0)),
-    ClickPeer("grow-cut", grow_cut, with_implied(
-        combinations(reach=REACHES, sigma=(0.5,), penalty=(0.1, 0.3)), reach=2.0, sigma=0.5, penalty=0.1)),
-    ClickPeer("random-walker", random_walker, with_implied(
-        combinations(reach=REACHES, beta=(100.0, 400.0)), reach=4.0, beta=100.0), 120_000),
-    ClickPeer("graph-cut", graph_cut, with_implied(
-        combinations(reach=REACHES, weight=(2.0, 8.0)), reach=2.0, weight=2.0), 120_000),
-    ClickPeer("classifier", classifier, with_implied(
-        combinations(reach=REACHES, position=(False, True)), reach=4.0, position=True), 250_000),
-)}
+PEERS = {
+    peer.name: peer
+    for peer in (
+        ClickPeer("threshold", threshold, combinations(reach=REACHES, spreads=(1.5, 2.5, 4.0))),
+        ClickPeer(
+            "watershed",
+            watershed,
+            with_implied(combinations(reach=REACHES, sigma=(0.5, 1.0, 2.0)), reach=4.0, sigma=1.0),
+        ),
+        ClickPeer(
+            "geodesic",
+            geodesic,
+            with_implied(
+                combinations(reach=REACHES, sigma=(0.5,), weight=(64.0, 256.0)),
+                reach=2.0,
+                sigma=0.5,
+                weight=64.0,
+            ),
+        ),
+        ClickPeer(
+            "grow-cut",
+            grow_cut,
+            with_implied(
+                combinations(reach=REACHES, sigma=(0.5,), penalty=(0.1, 0.3)),
+                reach=2.0,
+                sigma=0.5,
+                penalty=0.1,
+            ),
+        ),
+        ClickPeer(
+            "random-walker",
+            random_walker,
+            with_implied(combinations(reach=REACHES, beta=(100.0, 400.0)), reach=4.0, beta=100.0),
+            120_000,
+        ),
+        ClickPeer(
+            "graph-cut",
+            graph_cut,
+            with_implied(combinations(reach=REACHES, weight=(2.0, 8.0)), reach=2.0, weight=2.0),
+            120_000,
+        ),
+        ClickPeer(
+            "classifier",
+            classifier,
+            with_implied(
+                combinations(reach=REACHES, position=(False, True)), reach=4.0, position=True
+            ),
+            250_000,
+        ),
+    )
+}

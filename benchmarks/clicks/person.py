@@ -65,7 +65,10 @@ def next_click(
     box = bounding_box(wrong, 1)
     if box is None:
         return None
-    sides = [_deep(wrong[box] & (truth[box] == side), box, truth.shape, geometry.spacing) for side in (True, False)]
+    sides = [
+        _deep(wrong[box] & (truth[box] == side), box, truth.shape, geometry.spacing)
+        for side in (True, False)
+    ]
     index, depth = (np.concatenate(parts) for parts in zip(*sides, strict=True))
     step = TIE * min(geometry.spacing)
     if random is None:
@@ -95,7 +98,10 @@ def first_stroke(truth: Mask, geometry: Geometry) -> PersonClick:
     box = bounding_box(truth, 1)
     assert box is not None  # an object has voxels
     depth = ndimage.distance_transform_edt(truth[box], sampling=geometry.spacing)
-    least = min(float(depth[tuple(i - side.start for i, side in zip(place, box, strict=True))]) for place in where)
+    least = min(
+        float(depth[tuple(i - side.start for i, side in zip(place, box, strict=True))])
+        for place in where
+    )
     middle = where[len(where) // 2]
     click = _click("inside", int(np.ravel_multi_index(middle, truth.shape)), least, truth, geometry)
     click = click._replace(line=tuple(where))
@@ -126,7 +132,9 @@ def _longest_way(flat: Mask) -> NDArray[np.int64]:
         stops.append(to[to >= 0])
         lengths.append(np.full(stops[-1].size, np.hypot(*step)))
     links = coo_matrix(
-        (np.concatenate(lengths), (np.concatenate(starts), np.concatenate(stops))), (len(pixels), len(pixels)))
+        (np.concatenate(lengths), (np.concatenate(starts), np.concatenate(stops))),
+        (len(pixels), len(pixels)),
+    )
     end = int(np.argmax(_finite(dijkstra(links, directed=False, indices=0))))
     far, before = dijkstra(links, directed=False, indices=end, return_predecessors=True)
     way = [int(np.argmax(_finite(far)))]
@@ -202,11 +210,16 @@ def ball_voxels(click: PersonClick, geometry: Geometry) -> tuple[Box, Mask]:
         return _stroke_voxels(click, geometry)
     reach = [int(click.radius / h) + 1 for h in geometry.spacing]
     low = [max(i - n, 0) for i, n in zip(click.index, reach, strict=True)]
-    high = [min(i + n + 1, size) for i, n, size in zip(click.index, reach, geometry.shape, strict=True)]
-    axes = [
-        (np.arange(a, b) - i) * h for a, b, i, h in zip(low, high, click.index, geometry.spacing, strict=True)
+    high = [
+        min(i + n + 1, size) for i, n, size in zip(click.index, reach, geometry.shape, strict=True)
     ]
-    squares = axes[0][:, None, None] ** 2 + axes[1][None, :, None] ** 2 + axes[2][None, None, :] ** 2
+    axes = [
+        (np.arange(a, b) - i) * h
+        for a, b, i, h in zip(low, high, click.index, geometry.spacing, strict=True)
+    ]
+    squares = (
+        axes[0][:, None, None] ** 2 + axes[1][None, :, None] ** 2 + axes[2][None, None, :] ** 2
+    )
     inside = squares <= click.radius**2 * (1 + 1e-9)
     box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
     tight = bounding_box(inside)
@@ -222,7 +235,9 @@ def _stroke_voxels(click: PersonClick, geometry: Geometry) -> tuple[Box, Mask]:
     stops = [max(box[i].stop for box, _ in balls) for i in range(3)]
     out = np.zeros([b - a for a, b in zip(starts, stops, strict=True)], bool)
     for box, ball in balls:
-        out[tuple(slice(side.start - a, side.stop - a) for side, a in zip(box, starts, strict=True))] |= ball
+        out[
+            tuple(slice(side.start - a, side.stop - a) for side, a in zip(box, starts, strict=True))
+        ] |= ball
     return (slice(starts[0], stops[0]), slice(starts[1], stops[1]), slice(starts[2], stops[2])), out
 
 

@@ -75,8 +75,11 @@ def ball(at: Sequence[float], radius: float) -> Floats:
 
 def line(points: Floats, radius: float) -> Mask:
     """Voxels within ``radius`` of a line through points (z, y, x from the middle)."""
-    fine = [start + (stop - start) * t for start, stop in zip(points, points[1:], strict=False)
-            for t in np.linspace(0.0, 1.0, 24)]
+    fine = [
+        start + (stop - start) * t
+        for start, stop in zip(points, points[1:], strict=False)
+        for t in np.linspace(0.0, 1.0, 24)
+    ]
     open_ = np.ones((SIDE,) * 3, bool)
     index = np.round(np.array(fine) + 0.5 * (SIDE - 1)).astype(int)
     index = index[((index >= 0) & (index < SIDE)).all(axis=1)]
@@ -84,7 +87,9 @@ def line(points: Floats, radius: float) -> Mask:
     return np.asarray(ndimage.distance_transform_edt(open_) <= radius)
 
 
-def walk(random: np.random.Generator, start: Floats, heading: Floats, steps: int, length: float) -> Floats:
+def walk(
+    random: np.random.Generator, start: Floats, heading: Floats, steps: int, length: float
+) -> Floats:
     """Points of a line that wanders about its heading."""
     points = [start]
     for _ in range(steps):
@@ -103,7 +108,9 @@ def blob(random: np.random.Generator) -> Drawn:
     """An irregular lump beside another one that does not touch it."""
     field = rough(random, 5.0)
     truth = ball((-8.0, -6.0, -6.0), 15.0) + 2.5 * field < 0
-    other = (ball((17.0, 16.0, 17.0), 8.0) + 1.5 * field < 0) & ~ndimage.binary_dilation(truth, iterations=3)
+    other = (ball((17.0, 16.0, 17.0), 8.0) + 1.5 * field < 0) & ~ndimage.binary_dilation(
+        truth, iterations=3
+    )
     return Drawn((truth | other).astype(np.float64), truth)
 
 
@@ -132,13 +139,17 @@ def tree(random: np.random.Generator) -> Drawn:
         branch = walk(random, trunk[-1], np.array([0.3, turn, 0.7]), 5, 4.0)
         truth |= line(branch, 2.6)
         for further in (-0.8, 0.8):
-            truth |= line(walk(random, branch[-1], np.array([further, 0.5 * turn, 0.7]), 5, 4.0), 1.7)
+            truth |= line(
+                walk(random, branch[-1], np.array([further, 0.5 * turn, 0.7]), 5, 4.0), 1.7
+            )
     return plain(truth)
 
 
 def sheet(random: np.random.Generator) -> Drawn:
     """A folded sheet of about four voxels."""
-    height = 14.0 * ndimage.gaussian_filter(random.normal(size=(SIDE, SIDE)), 8.0, mode="reflect") * 8.0
+    height = (
+        14.0 * ndimage.gaussian_filter(random.normal(size=(SIDE, SIDE)), 8.0, mode="reflect") * 8.0
+    )
     z, y, x = grid()
     return plain((np.abs(z - height[None]) < 2.2) & (np.maximum(np.abs(y), np.abs(x)) < 26))
 
@@ -175,13 +186,18 @@ def touching(random: np.random.Generator) -> Drawn:
     at = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 21.0], [0.0, 19.0, -7.0], [18.0, -8.0, -6.0]])
     at += random.normal(0.0, 1.0, at.shape)
     distances = np.stack([ball(tuple(where), 11.0) for where in at])
-    return Drawn((distances.min(axis=0) < 0).astype(np.float64), (distances[0] < 0) & (distances.argmin(axis=0) == 0))
+    return Drawn(
+        (distances.min(axis=0) < 0).astype(np.float64),
+        (distances[0] < 0) & (distances.argmin(axis=0) == 0),
+    )
 
 
 def textured(random: np.random.Generator) -> Drawn:
     """A lump that differs from its surroundings by the size of its grain, and a little in brightness."""
     truth = ball((0, 0, 0), 17.0) + 2.5 * rough(random, 6.0) < 0
-    return Drawn(np.where(truth, 0.5 + 0.5 * rough(random, 1.0), 0.5 * rough(random, 3.0)), truth, noise=0.1)
+    return Drawn(
+        np.where(truth, 0.5 + 0.5 * rough(random, 1.0), 0.5 * rough(random, 3.0)), truth, noise=0.1
+    )
 
 
 def thick(random: np.random.Generator) -> Drawn:

@@ -56,7 +56,9 @@ class Album:
         shown = []
         for i in sides:
             margin = int(AROUND * (box[i].stop - box[i].start)) + 5
-            shown.append(slice(max(box[i].start - margin, 0), min(box[i].stop + margin, truth.shape[i])))
+            shown.append(
+                slice(max(box[i].start - margin, 0), min(box[i].stop + margin, truth.shape[i]))
+            )
 
         def watch(click: PersonClick, labels: Mask) -> None:
             if len(self.frames) == MOST:
@@ -81,17 +83,29 @@ class Album:
         count = len(self.frames)
         columns = min(count, 5)
         rows = -(-count // columns)
-        figure, axes = plt.subplots(rows, columns, figsize=(3.0 * columns, 3.2 * rows), squeeze=False)
+        figure, axes = plt.subplots(
+            rows, columns, figsize=(3.0 * columns, 3.2 * rows), squeeze=False
+        )
         for axis in axes.flat:
             axis.set_axis_off()
         for axis, frame in zip(axes.flat, self.frames, strict=False):
-            axis.imshow(frame.values, cmap="gray", vmin=self.window[0], vmax=self.window[1], aspect=self.aspect)
+            axis.imshow(
+                frame.values,
+                cmap="gray",
+                vmin=self.window[0],
+                vmax=self.window[1],
+                aspect=self.aspect,
+            )
             for mask, colour, style in ((frame.truth, REFERENCE, "--"), (frame.found, FOUND, "-")):
                 if mask.any() and not mask.all():
                     axis.contour(mask, [0.5], colors=colour, linewidths=1.2, linestyles=style)
-            axis.plot(*frame.at, "+" if frame.side == "inside" else "x", color="#D55E00", markersize=9)
+            axis.plot(
+                *frame.at, "+" if frame.side == "inside" else "x", color="#D55E00", markersize=9
+            )
             axis.set_title(frame.text, fontsize=9)
-        figure.suptitle(f"{self.name}: {self.method}, {self.kind} (result solid, reference dashed)", fontsize=10)
+        figure.suptitle(
+            f"{self.name}: {self.method}, {self.kind} (result solid, reference dashed)", fontsize=10
+        )
         figure.tight_layout()
         path = folder / f"clicks_{self.method}_{self.name}_{self.kind}.png"
         figure.savefig(path, dpi=80)

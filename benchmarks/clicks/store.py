@@ -11,8 +11,16 @@ from typing import Any
 PREFIX = "clicks_"
 #: Digits that are kept of Dice and of seconds.
 DIGITS = {
-    "dice": 5, "wall_s": 3, "cpu_s": 3, "radius": 4, "sureness": 4, "nsd": 4, "mean_mm": 4, "p95_mm": 4,
-    "mean_voxels": 4, "p95_voxels": 4,
+    "dice": 5,
+    "wall_s": 3,
+    "cpu_s": 3,
+    "radius": 4,
+    "sureness": 4,
+    "nsd": 4,
+    "mean_mm": 4,
+    "p95_mm": 4,
+    "mean_voxels": 4,
+    "p95_voxels": 4,
 }
 
 
@@ -52,13 +60,18 @@ class Store:
         game = self.played(key)
         if game is None or (len(game["clicks"]) < clicks and not game["perfect"]):
             return None
-        return {"clicks": game["clicks"][:clicks], "perfect": game["perfect"] and len(game["clicks"]) <= clicks}
+        return {
+            "clicks": game["clicks"][:clicks],
+            "perfect": game["perfect"] and len(game["clicks"]) <= clicks,
+        }
 
     def put(self, key: str, game: Mapping[str, Any]) -> None:
         """Keep a game, and write the file: whole, or not at all."""
         self.facts["games"][key] = rounded(game)
         draft = self.path.with_suffix(f".{os.getpid()}.draft")
-        lines = ",\n".join(f"{json.dumps(k)}: {json.dumps(v)}" for k, v in sorted(self.facts["games"].items()))
+        lines = ",\n".join(
+            f"{json.dumps(k)}: {json.dumps(v)}" for k, v in sorted(self.facts["games"].items())
+        )
         head = json.dumps({k: v for k, v in self.facts.items() if k != "games"})[:-1]
         draft.write_text(f'{head}, "games": {{\n{lines}\n}}}}\n')
         draft.replace(self.path)
@@ -70,7 +83,10 @@ class Store:
 
 def brief(game: Mapping[str, Any]) -> dict[str, Any]:
     """A game without the places of its clicks, for the many of a grid."""
-    return {**game, "clicks": [{k: click[k] for k in ("dice", "wall_s", "cpu_s")} for click in game["clicks"]]}
+    return {
+        **game,
+        "clicks": [{k: click[k] for k in ("dice", "wall_s", "cpu_s")} for click in game["clicks"]],
+    }
 
 
 def rounded(game: Mapping[str, Any]) -> dict[str, Any]:

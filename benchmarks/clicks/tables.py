@@ -37,7 +37,9 @@ KINDS = {
     "plain": "exact clicks",
     "answers": "exact clicks; another answer in place of the second click where that is better",
     "size": "exact clicks, and a size 25 % too large or 20 % too small",
-    "jitter": "jittered clicks, five seeds", "box": "first a box and a click in it", "stroke": "first a stroke",
+    "jitter": "jittered clicks, five seeds",
+    "box": "first a box and a click in it",
+    "stroke": "first a stroke",
 }
 CHALLENGES = {"cvpr": "first a point", "cvpr-box": "first a box and a point in it"}
 #: Goals: medians of the Dice over the scans' folds after so many exact clicks; of each fold after five.
@@ -52,10 +54,23 @@ def write(folder: Path, page: Path | None) -> list[Path]:
     games = {kind: collected(folder, kind) for kind in (*KINDS, *CHALLENGES)}
     settings = settings_of(folder)
     figures = {kind: figures_of(games[kind]) for kind in KINDS if games[kind]}
-    fields = {kind: {name: challenge(list(of_scans(played).values())) for name, played in games[kind].items()}
-              for kind in CHALLENGES if games[kind]}
+    fields = {
+        kind: {
+            name: challenge(list(of_scans(played).values())) for name, played in games[kind].items()
+        }
+        for kind in CHALLENGES
+        if games[kind]
+    }
     goals = goals_of(figures.get("plain", {}))
-    facts = plain({"machine": machine(), "settings": settings, "goals": goals, "figures": figures, "challenge": fields})
+    facts = plain(
+        {
+            "machine": machine(),
+            "settings": settings,
+            "goals": goals,
+            "figures": figures,
+            "challenge": fields,
+        }
+    )
     target = folder / "clicks.json"
     target.write_text(json.dumps(facts, indent=1) + "\n")
     text = text_of(figures, fields, games["plain"], goals, settings)
@@ -80,7 +95,12 @@ def settings_of(folder: Path) -> dict[str, dict[str, tuple[dict[str, Any], bool]
 
 def collected(folder: Path, kind: str) -> dict[str, dict[str, dict[str, Any]]]:
     """Method -> object and variant -> game, of the methods that played all objects of the scans' folds."""
-    asked = {f"{which.name} {variant}" for which in chosen() if which.fold != PHANTOMS for variant in variants([kind])}
+    asked = {
+        f"{which.name} {variant}"
+        for which in chosen()
+        if which.fold != PHANTOMS
+        for variant in variants([kind])
+    }
     return {name: games for name, games in every_game(folder, kind).items() if asked <= set(games)}
 
 
@@ -90,13 +110,20 @@ def every_game(folder: Path, kind: str) -> dict[str, dict[str, dict[str, Any]]]:
     settings = settings_of(folder)
     for name in METHODS:
         store = Store(folder, name)
-        keys = {f"{which.name} {variant}": key_of(which.name, variant, settings[name][which.fold][0])
-                for which in chosen() for variant in variants([kind])}
-        out[name] = {shown: game for shown, key in keys.items() if (game := store.played(key)) is not None}
+        keys = {
+            f"{which.name} {variant}": key_of(which.name, variant, settings[name][which.fold][0])
+            for which in chosen()
+            for variant in variants([kind])
+        }
+        out[name] = {
+            shown: game for shown, key in keys.items() if (game := store.played(key)) is not None
+        }
     return out
 
 
-def of_objects(games: Mapping[str, dict[str, Any]], fits: Callable[[ClickObject], bool]) -> dict[str, dict[str, Any]]:
+def of_objects(
+    games: Mapping[str, dict[str, Any]], fits: Callable[[ClickObject], bool]
+) -> dict[str, dict[str, Any]]:
     """Games of the objects that fit."""
     names = {which.name for which in chosen() if fits(which)}
     return {key: game for key, game in games.items() if key.split()[0] in names}
@@ -113,9 +140,16 @@ def figures_of(games: Games) -> dict[str, Any]:
     for name, played in games.items():
         parts = {
             "all": of_scans(played),
-            **{f"fold {fold}": of_objects(played, lambda which, fold=fold: which.fold == fold) for fold in NAMES},
-            **{family: of_objects(of_scans(played), lambda which, family=family: which.family == family)
-               for family in FAMILIES},
+            **{
+                f"fold {fold}": of_objects(played, lambda which, fold=fold: which.fold == fold)
+                for fold in NAMES
+            },
+            **{
+                family: of_objects(
+                    of_scans(played), lambda which, family=family: which.family == family
+                )
+                for family in FAMILIES
+            },
         }
         out[name] = {part: summary(list(held.values())) for part, held in parts.items() if held}
     return out
@@ -127,21 +161,57 @@ def goals_of(methods: Mapping[str, Any]) -> list[dict[str, Any]]:
     every = ours.get("all", {})
     peers = {name: found["all"] for name, found in methods.items() if name not in OWN}
     dice = every.get("dice", {})
-    folds = [found["dice"][5] for part, found in ours.items()
-             if part.startswith("fold") and part != f"fold {PHANTOMS}" and 5 in found["dice"]]
+    folds = [
+        found["dice"][5]
+        for part, found in ours.items()
+        if part.startswith("fold") and part != f"fold {PHANTOMS}" and 5 in found["dice"]
+    ]
     goals = [
-        *(goal(f"median Dice after {_count(n)}", level, dice.get(n), ">=", "") for n, level in WANTED.items()),
-        goal("lowest fold's median Dice after 5 clicks", WANTED_IN_FOLD, min(folds, default=None), ">=", ""),
+        *(
+            goal(f"median Dice after {_count(n)}", level, dice.get(n), ">=", "")
+            for n, level in WANTED.items()
+        ),
+        goal(
+            "lowest fold's median Dice after 5 clicks",
+            WANTED_IN_FOLD,
+            min(folds, default=None),
+            ">=",
+            "",
+        ),
         goal("median number of clicks to .85", 4, every.get("noc", {}).get(0.85), "<=", ""),
         goal("objects at .85 within five clicks", 0.65, every.get("within5"), ">=", ""),
-        goal("clicks after which the Dice fell by more than .02", 0.02, every.get("fell"), "<=", ""),
-        goal("results said to be good that are", 0.85, every.get("confidence", {}).get("good_of_said"), ">=", ""),
-        goal("failed results said to be good", 0.05, every.get("confidence", {}).get("said_of_failed"), "<=", ""),
+        goal(
+            "clicks after which the Dice fell by more than .02", 0.02, every.get("fell"), "<=", ""
+        ),
+        goal(
+            "results said to be good that are",
+            0.85,
+            every.get("confidence", {}).get("good_of_said"),
+            ">=",
+            "",
+        ),
+        goal(
+            "failed results said to be good",
+            0.05,
+            every.get("confidence", {}).get("said_of_failed"),
+            "<=",
+            "",
+        ),
     ]
     for n in BUDGETS:
-        best = max((found["dice"][n] for found in peers.values() if n in found["dice"]), default=None)
+        best = max(
+            (found["dice"][n] for found in peers.values() if n in found["dice"]), default=None
+        )
         if best is not None:
-            goals.append(goal(f"median Dice after {_count(n)}, as the best peer's", best, dice.get(n), ">=", ""))
+            goals.append(
+                goal(
+                    f"median Dice after {_count(n)}, as the best peer's",
+                    best,
+                    dice.get(n),
+                    ">=",
+                    "",
+                )
+            )
     return goals
 
 
@@ -150,25 +220,53 @@ def _count(clicks: int) -> str:
 
 
 def text_of(
-    figures: Mapping[str, Any], fields: Mapping[str, Any], exact: Games, goals: Sequence[dict[str, Any]],
+    figures: Mapping[str, Any],
+    fields: Mapping[str, Any],
+    exact: Games,
+    goals: Sequence[dict[str, Any]],
     settings: Mapping[str, Mapping[str, tuple[dict[str, Any], bool]]],
 ) -> str:
     """All tables in Markdown."""
-    lines = ["## Goals, over the folds of scans", "", *head_of(("goal", "wanted", "measured", "reached"))]
+    lines = [
+        "## Goals, over the folds of scans",
+        "",
+        *head_of(("goal", "wanted", "measured", "reached")),
+    ]
     for each in goals:
         sense = "at most " if each["sense"] == "<=" else "at least "
-        lines.append(row_of((each["what"], sense + measured(each, "wanted"), measured(each), verdict(each))))
+        lines.append(
+            row_of((each["what"], sense + measured(each, "wanted"), measured(each), verdict(each)))
+        )
     for kind, methods in figures.items():
         every = {name: found["all"] for name, found in methods.items()}
         lines += ["", f"## Scans: {KINDS[kind]}", "", *method_rows(every)]
     if "plain" in figures:
         lines += ["", "## Surfaces: exact clicks", "", *surface_rows(figures["plain"])]
-        lines += ["", "## Probability that the program states", "", *confidence_rows(figures["plain"])]
-        lines += ["", "## Each fold: median Dice, exact clicks", "",
-                  *part_rows(figures["plain"], [f"fold {fold}" for fold in NAMES])]
-        lines += ["", "## Each family: median Dice, exact clicks", "", *part_rows(figures["plain"], FAMILIES)]
+        lines += [
+            "",
+            "## Probability that the program states",
+            "",
+            *confidence_rows(figures["plain"]),
+        ]
+        lines += [
+            "",
+            "## Each fold: median Dice, exact clicks",
+            "",
+            *part_rows(figures["plain"], [f"fold {fold}" for fold in NAMES]),
+        ]
+        lines += [
+            "",
+            "## Each family: median Dice, exact clicks",
+            "",
+            *part_rows(figures["plain"], FAMILIES),
+        ]
     for kind, methods in fields.items():
-        lines += ["", f"## Protocol of the CVPR 2025 challenge: {CHALLENGES[kind]}", "", *challenge_rows(methods)]
+        lines += [
+            "",
+            f"## Protocol of the CVPR 2025 challenge: {CHALLENGES[kind]}",
+            "",
+            *challenge_rows(methods),
+        ]
     if exact:
         lines += ["", "## Each object: exact clicks", "", *object_rows(exact)]
     lines += ["", "## Settings", "", *head_of(("method", "fold left out", "settings"))]
@@ -183,11 +281,22 @@ def text_of(
 
 def method_rows(methods: Mapping[str, dict[str, Any]]) -> list[str]:
     """A row per method: medians, and means in brackets; one more where a person may choose among answers."""
-    head = ("method", *(f"Dice {n}" for n in BUDGETS), *(f"clicks to {level:.2f}" for level in LEVELS),
-            "within 5", "fell", "s first", "s later", "CPU s")
+    head = (
+        "method",
+        *(f"Dice {n}" for n in BUDGETS),
+        *(f"clicks to {level:.2f}" for level in LEVELS),
+        "within 5",
+        "fell",
+        "s first",
+        "s later",
+        "CPU s",
+    )
     lines = head_of(head)
     for name, found in methods.items():
-        dice = [f"{found['dice'][n]:.3f} ({found['mean'][n]:.3f})" if n in found["dice"] else "" for n in BUDGETS]
+        dice = [
+            f"{found['dice'][n]:.3f} ({found['mean'][n]:.3f})" if n in found["dice"] else ""
+            for n in BUDGETS
+        ]
         noc = [noc_text(found["noc"][level], found["played"]) for level in LEVELS]
         within = "" if found["within5"] is None else f"{found['within5']:.0%}"
         units = "first_wall_s", "later_wall_s", "later_cpu_s"
@@ -212,14 +321,23 @@ def surface_rows(methods: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 def confidence_rows(methods: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """A row per method that states a probability, for all scans and each fold."""
-    lines = head_of(("method", "objects of", "results", f"said to be good ({SAID:.0%}): are (Dice {GOOD})",
-                     f"failed (below {FAILED}): said to be good"))
+    lines = head_of(
+        (
+            "method",
+            "objects of",
+            "results",
+            f"said to be good ({SAID:.0%}): are (Dice {GOOD})",
+            f"failed (below {FAILED}): said to be good",
+        )
+    )
     for name, parts in methods.items():
         for part in ("all", *(f"fold {fold}" for fold in NAMES)):
             found = parts.get(part, {}).get("confidence")
             if found and found["results"]:
-                shares = ["-" if share is None else f"{share:.0%}"
-                          for share in (found["good_of_said"], found["said_of_failed"])]
+                shares = [
+                    "-" if share is None else f"{share:.0%}"
+                    for share in (found["good_of_said"], found["said_of_failed"])
+                ]
                 lines.append(row_of((name, part, str(found["results"]), *shares)))
     return lines
 
@@ -240,8 +358,15 @@ def part_rows(methods: Mapping[str, Mapping[str, Any]], parts: Sequence[str]) ->
 def challenge_rows(methods: Mapping[str, Mapping[str, float]]) -> list[str]:
     """A row per method: areas under the curves over the six interactions, and what is reached after the last."""
     lines = head_of(("method", "DSC AUC", "NSD AUC", "DSC final", "NSD final"))
-    lines += [row_of((name, *(f"{found[key]:.3f}" for key in ("dsc_auc", "nsd_auc", "dsc_final", "nsd_final"))))
-              for name, found in methods.items()]
+    lines += [
+        row_of(
+            (
+                name,
+                *(f"{found[key]:.3f}" for key in ("dsc_auc", "nsd_auc", "dsc_final", "nsd_final")),
+            )
+        )
+        for name, found in methods.items()
+    ]
     return lines
 
 
@@ -258,21 +383,42 @@ def noc_text(clicks: float | None, played: int) -> str:
 
 def object_rows(methods: Games) -> list[str]:
     """A row per object: ours, and the best peer by the Dice after five clicks."""
-    head = ("object", "fold", "family", *(f"Dice {n}" for n in BUDGETS), "clicks to .85", "best peer, Dice 5")
+    head = (
+        "object",
+        "fold",
+        "family",
+        *(f"Dice {n}" for n in BUDGETS),
+        "clicks to .85",
+        "best peer, Dice 5",
+    )
     lines = head_of(head)
     for which in chosen():
         key = f"{which.name} plain"
         game = methods.get("accelsurf", {}).get(key)
-        peers = {name: dice_after(games[key], 5) or 0.0 for name, games in methods.items()
-                 if name not in OWN and key in games}
+        peers = {
+            name: dice_after(games[key], 5) or 0.0
+            for name, games in methods.items()
+            if name not in OWN and key in games
+        }
         best = max(peers, key=lambda name: peers[name], default="")
         cells = [""] * (len(BUDGETS) + 1)
         if game is not None:
-            cells = [*(_number(dice_after(game, n)) for n in BUDGETS),
-                     noc_text(clicks_to(game, 0.85), len(game["clicks"]))]
+            cells = [
+                *(_number(dice_after(game, n)) for n in BUDGETS),
+                noc_text(clicks_to(game, 0.85), len(game["clicks"])),
+            ]
         if game is not None or best:
-            lines.append(row_of((which.name, which.fold, which.family, *cells,
-                                 f"{peers[best]:.3f} ({best})" if best else "")))
+            lines.append(
+                row_of(
+                    (
+                        which.name,
+                        which.fold,
+                        which.family,
+                        *cells,
+                        f"{peers[best]:.3f} ({best})" if best else "",
+                    )
+                )
+            )
     return lines
 
 
@@ -284,12 +430,16 @@ def flat(folder: Path) -> list[dict[str, Any]]:
     """A row per method and object of exact clicks: fold, family, the course of Dice, probability and seconds."""
     return [
         {
-            "method": name, "object": which.name, "fold": which.fold, "family": which.family,
+            "method": name,
+            "object": which.name,
+            "fold": which.fold,
+            "family": which.family,
             "dice": [click["dice"] for click in games[key]["clicks"]],
             "sureness": [click.get("sureness") for click in games[key]["clicks"]],
             "cpu_s": [click["cpu_s"] for click in games[key]["clicks"]],
         }
-        for name, games in every_game(folder, "plain").items() for which in chosen()
+        for name, games in every_game(folder, "plain").items()
+        for which in chosen()
         if (key := f"{which.name} plain") in games
     ]
 
@@ -302,23 +452,38 @@ def picture(folder: Path, figures: Mapping[str, Any]) -> list[Path]:
     import matplotlib.pyplot as plt
 
     methods = figures.get("plain", {})
-    parts = [part for part in ("all", f"fold {PHANTOMS}") if any(part in found for found in methods.values())]
+    parts = [
+        part
+        for part in ("all", f"fold {PHANTOMS}")
+        if any(part in found for found in methods.values())
+    ]
     if not parts:
         return []
-    figure, axes = plt.subplots(1, len(parts), figsize=(5.6 * len(parts), 4.4), squeeze=False, sharey=True)
+    figure, axes = plt.subplots(
+        1, len(parts), figsize=(5.6 * len(parts), 4.4), squeeze=False, sharey=True
+    )
     for axis, part in zip(axes[0], parts, strict=True):
         for name, found in methods.items():
             if part not in found:
                 continue
             # A method has one colour in all panels.
             i, is_ours, dice = list(METHODS).index(name), name in OWN, found[part]["dice"]
-            axis.plot(list(dice), list(dice.values()), marker="os^Dv<>"[i % 7], label=name, color=COLOURS[i % 6],
-                      linewidth=2.5 if is_ours else 1.2, linestyle="-" if i < 6 else "--")
+            axis.plot(
+                list(dice),
+                list(dice.values()),
+                marker="os^Dv<>"[i % 7],
+                label=name,
+                color=COLOURS[i % 6],
+                linewidth=2.5 if is_ours else 1.2,
+                linestyle="-" if i < 6 else "--",
+            )
         axis.set_xscale("log")
         axis.set_xticks(BUDGETS, [str(n) for n in BUDGETS])
         axis.minorticks_off()
         axis.set_xlabel("clicks")
-        count = statistics.mode(found[part]["objects"] for found in methods.values() if part in found)
+        count = statistics.mode(
+            found[part]["objects"] for found in methods.values() if part in found
+        )
         axis.set_title(f"{'scans' if part == 'all' else 'phantoms'}, {count} objects", fontsize=10)
         axis.grid(True, alpha=0.3)
     axes[0][0].set_ylabel("Dice, median")

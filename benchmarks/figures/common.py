@@ -35,7 +35,9 @@ class Task(NamedTuple):
     settings: dict[str, Any]
 
 
-def box(shape: tuple[int, ...], low: tuple[int, ...], high: tuple[int, ...], noise: float, seed: int) -> tuple:
+def box(
+    shape: tuple[int, ...], low: tuple[int, ...], high: tuple[int, ...], noise: float, seed: int
+) -> tuple:
     """Recipe of a box of ones in zeros (voxels ``low`` to ``high``), with white noise."""
     return shape, low, high, noise, seed
 
@@ -91,7 +93,9 @@ def run(task: Task) -> dict[str, Any]:
     return facts
 
 
-def run_all(tasks: Iterable[Task], on_done: Callable[[dict[str, Any]], None] | None = None) -> list[dict[str, Any]]:
+def run_all(
+    tasks: Iterable[Task], on_done: Callable[[dict[str, Any]], None] | None = None
+) -> list[dict[str, Any]]:
     """Run tasks side by side, in order; ``on_done`` is called with each result."""
     results = []
     with ProcessPoolExecutor(min(PROCESSES, os.cpu_count() or 1)) as pool:
@@ -111,7 +115,11 @@ def write(output: Path, name: str, facts: dict[str, Any]) -> None:
     """Write the figures of a figure as JSON; arrays stay out."""
     document = {
         "figure": name,
-        "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
+        "machine": {
+            "processor": platform.machine(),
+            "cores": os.cpu_count(),
+            "python": platform.python_version(),
+        },
         **facts,
     }
     path = output / f"{name}.json"

@@ -30,7 +30,12 @@ FLOWS: dict[str, dict[str, Any]] = {
     "flowable mass, diffusion": {"flow": "flowable-mass", "diffusion": "free"},
     "flowable mass, none": {"flow": "flowable-mass", "diffusion": 0.0},
     "flowable mass, gravity": {"flow": "flowable-mass", "diffusion": "free", "gravity": 1e-5},
-    "constant density, noise": {"flow": "constant-density", "noise": 0.1, "seed": 1, "noise_time": 20.0},
+    "constant density, noise": {
+        "flow": "constant-density",
+        "noise": 0.1,
+        "seed": 1,
+        "noise_time": 20.0,
+    },
 }
 PICTURED = ("gradient", "gradient, same diffusion", "Sobolev, 5 mm", "constant density, diffusion")
 
@@ -64,7 +69,11 @@ def cube(output: Path) -> None:
         table.append(summary(name, runs))
         print(row(table[-1]))
     limits = {"found_from_dice": FOUND, "good_from_dice": GOOD}
-    write(output, "cube", {"shape": CUBE, "start_seed": START_SEED, **limits, "table": table, "runs": results})
+    write(
+        output,
+        "cube",
+        {"shape": CUBE, "start_seed": START_SEED, **limits, "table": table, "runs": results},
+    )
     draw(output, results)
 
 
@@ -102,14 +111,22 @@ def draw(output: Path, results: list[dict[str, Any]]) -> None:
     truth, image = make(CUBE)
     figure = plt.figure(figsize=(3.4 * len(PICTURED), 7.2))
     for column, name in enumerate(PICTURED):
-        runs = sorted((facts for facts in results if facts["name"][0] == name), key=lambda facts: facts["dice"])
+        runs = sorted(
+            (facts for facts in results if facts["name"][0] == name),
+            key=lambda facts: facts["dice"],
+        )
         axis = figure.add_subplot(2, len(PICTURED), column + 1)
         show(axis, image, truth, [facts["labels"] for facts in runs], ["#0072B2"] * len(runs))
         found = sum(facts["dice"] >= FOUND for facts in runs)
         axis.set_title(f"{name}\nfound by {found} of {len(runs)}", fontsize=9)
         below = figure.add_subplot(2, len(PICTURED), len(PICTURED) + column + 1, projection="3d")
         surface_plot(below, runs[len(runs) // 2])
-    save(figure, output, "cube", "Cube in noise: all runs in the middle slice, surface of the median run")
+    save(
+        figure,
+        output,
+        "cube",
+        "Cube in noise: all runs in the middle slice, surface of the median run",
+    )
 
 
 def surface_plot(axis: Any, facts: dict[str, Any]) -> None:
@@ -119,7 +136,14 @@ def surface_plot(axis: Any, facts: dict[str, Any]) -> None:
         psi = 0.5 - labels.astype(np.float32)
         mesh = extract(psi, Volume.from_array(labels.astype(np.uint8), 1.0).geometry)
         points = mesh.vertices
-        axis.plot_trisurf(points[:, 0], points[:, 1], points[:, 2], triangles=mesh.faces, color="#E69F00", linewidth=0)
+        axis.plot_trisurf(
+            points[:, 0],
+            points[:, 1],
+            points[:, 2],
+            triangles=mesh.faces,
+            color="#E69F00",
+            linewidth=0,
+        )
     axis.set_box_aspect((1, 1, 1))
     for bounds in (axis.set_xlim, axis.set_ylim, axis.set_zlim):
         bounds(0, SIZE)

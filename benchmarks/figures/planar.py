@@ -33,7 +33,10 @@ def square(output: Path) -> None:
         "Sobolev, 10 mm": {"flow": "sobolev", "sobolev_length": 10.0},
         "constant density": {"flow": "constant-density"},
     }
-    tasks = [Task((name,), SQUARE, {"start": STARTS["around"], **STEPS, **changes}) for name, changes in rows.items()]
+    tasks = [
+        Task((name,), SQUARE, {"start": STARTS["around"], **STEPS, **changes})
+        for name, changes in rows.items()
+    ]
     results = run_all(tasks, tell)
     truth, image = make(SQUARE)
     figure, axes = plt.subplots(1, len(rows), figsize=(3.2 * len(rows), 3.7))
@@ -52,12 +55,20 @@ def rectangle(output: Path) -> None:
 
 def rectangle_accelerated(output: Path) -> None:
     """The same starts and energy with momentum: one minimiser."""
-    three(output, "rectangle-accelerated", {"flow": "constant-density"}, "Constant density from three starts")
+    three(
+        output,
+        "rectangle-accelerated",
+        {"flow": "constant-density"},
+        "Constant density from three starts",
+    )
 
 
 def three(output: Path, name: str, changes: dict[str, Any], title: str) -> None:
     """Run the three starts of the rectangle; a column each, and all together."""
-    tasks = [Task((start,), RECTANGLE, {"start": where, **STEPS, **changes}) for start, where in STARTS.items()]
+    tasks = [
+        Task((start,), RECTANGLE, {"start": where, **STEPS, **changes})
+        for start, where in STARTS.items()
+    ]
     results = run_all(tasks, tell)
     labels = [facts["labels"] for facts in results]
     pairs = agreement(labels)
@@ -65,13 +76,21 @@ def three(output: Path, name: str, changes: dict[str, Any], title: str) -> None:
     figure, axes = plt.subplots(1, 4, figsize=(13, 3.7))
     for axis, facts, colour in zip(axes, results, COLOURS, strict=False):
         show(axis, image, truth, [facts["labels"]], [colour])
-        title = f"{facts['name'][0]}: Dice {facts['dice']:.3f}\n{facts['steps']} steps, {facts['stop']}"
+        title = (
+            f"{facts['name'][0]}: Dice {facts['dice']:.3f}\n{facts['steps']} steps, {facts['stop']}"
+        )
         axis.set_title(title, fontsize=9)
     show(axes[3], image, truth, labels, COLOURS)
-    axes[3].set_title("all three; pairwise Dice\n" + ", ".join(f"{p:.3f}" for p in pairs), fontsize=9)
+    axes[3].set_title(
+        "all three; pairwise Dice\n" + ", ".join(f"{p:.3f}" for p in pairs), fontsize=9
+    )
     save(figure, output, name, f"{title} on a noisy rectangle (dashed: truth)")
     print("pairwise Dice:", ", ".join(f"{p:.3f}" for p in pairs))
-    write(output, name, {"shape": RECTANGLE, "starts": STARTS, "pairwise_dice": pairs, "runs": results})
+    write(
+        output,
+        name,
+        {"shape": RECTANGLE, "starts": STARTS, "pairwise_dice": pairs, "runs": results},
+    )
 
 
 def tell(facts: dict[str, Any]) -> None:
@@ -84,7 +103,13 @@ def tell(facts: dict[str, Any]) -> None:
     )
 
 
-def show(axis: Any, image: np.ndarray, truth: np.ndarray, labels: list[np.ndarray], colours: Any = COLOURS) -> None:
+def show(
+    axis: Any,
+    image: np.ndarray,
+    truth: np.ndarray,
+    labels: list[np.ndarray],
+    colours: Any = COLOURS,
+) -> None:
     """One slice of the image with contours; the truth dashed."""
     middle = image.shape[0] // 2
     axis.imshow(image[middle], cmap="gray", vmin=-2, vmax=3)

@@ -50,14 +50,16 @@ def exact_solutions(output: Path) -> None:
     for axis, (name, words) in zip(axes.flat, MODELS.items(), strict=True):
         misfits = [found[name, n][0] for n in SIZES]
         h = [WIDTH / (n - 1) for n in SIZES]
-        table.append({
-            "case": name,
-            "model": words,
-            "point_error_voxels": [m.point / step for m, step in zip(misfits, h, strict=True)],
-            "mean_error_voxels": [m.mean / step for m, step in zip(misfits, h, strict=True)],
-            "order_of_mean": order([m.mean for m in misfits], SIZES),
-            "order_of_point": order([m.point for m in misfits], SIZES),
-        })
+        table.append(
+            {
+                "case": name,
+                "model": words,
+                "point_error_voxels": [m.point / step for m, step in zip(misfits, h, strict=True)],
+                "mean_error_voxels": [m.mean / step for m, step in zip(misfits, h, strict=True)],
+                "order_of_mean": order([m.mean for m in misfits], SIZES),
+                "order_of_point": order([m.point for m in misfits], SIZES),
+            }
+        )
         line = table[-1]
         print(
             f"{name} {words:32s} worst point at 64: {line['point_error_voxels'][2]:.4f} h, order "
@@ -68,8 +70,12 @@ def exact_solutions(output: Path) -> None:
         path = exact.path(exact.CASES[name])
         fine = np.linspace(0.0, exact.CASES[name].t_end, 200)
         axis.plot(fine, [path(s) for s in fine], color=COLOURS[0], label="exact")
-        axis.plot(t[::4], radius[::4], "o", markersize=3, color=COLOURS[5], label="32 voxels a side")
-        axis.set_title(f"{name}: {words}\nworst point at 64: {line['point_error_voxels'][2]:.4f} h", fontsize=8)
+        axis.plot(
+            t[::4], radius[::4], "o", markersize=3, color=COLOURS[5], label="32 voxels a side"
+        )
+        axis.set_title(
+            f"{name}: {words}\nworst point at 64: {line['point_error_voxels'][2]:.4f} h", fontsize=8
+        )
         axis.grid(True, alpha=0.3)
     axes[0, 0].legend(fontsize=8)
     save(figure, output, "exact", "Radius (mm) against flow time")

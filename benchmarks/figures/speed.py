@@ -51,7 +51,9 @@ def problem(n: int, dim: int) -> tuple[LevelSet, ChanVese]:
     return LevelSet(10.0 * start, (h, h, h), 4.0), ChanVese(image, ALPHA, means=(1.0, 0.0))
 
 
-def history(flow: Flow, n: int, dim: int, steps: int, enough: float = -np.inf) -> dict[str, np.ndarray]:
+def history(
+    flow: Flow, n: int, dim: int, steps: int, enough: float = -np.inf
+) -> dict[str, np.ndarray]:
     """Energy, cells visited and seconds at every step, until it has settled or the energy is ``enough``."""
     surface, energy = problem(n, dim)
     evolution = Evolution(surface, energy, flow, StepLimits(0.5, 95.0), steps, Restart())
@@ -81,14 +83,22 @@ def speed(output: Path) -> None:
     began = time.perf_counter()
     for dim, sizes in SIZES.items():
         for n in sizes:
-            runs = {name: history(flow, n, dim, BUDGET) for name, flow in flows().items() if worth(name, n, dim)}
+            runs = {
+                name: history(flow, n, dim, BUDGET)
+                for name, flow in flows().items()
+                if worth(name, n, dim)
+            }
             least = min(float(run["energy"].min()) for run in runs.values())
             for name, run in runs.items():
                 lines.append(line(name, n, dim, run, least))
                 print(text(lines[-1]), f"({time.perf_counter() - began:.0f} s)", flush=True)
     for dim in SIZES:
         for name in flows():
-            found = [(e["n"], e["steps"]) for e in lines if (e["dim"], e["flow"]) == (dim, name) and e["steps"]]
+            found = [
+                (e["n"], e["steps"])
+                for e in lines
+                if (e["dim"], e["flow"]) == (dim, name) and e["steps"]
+            ]
             if len(found) >= 3:
                 slope = float(np.polyfit(*np.log(np.array(found, float)).T, 1)[0])
                 slopes.append({"flow": name, "dim": dim, "slope": slope, "grids": len(found)})
@@ -123,7 +133,11 @@ def line(name: str, n: int, dim: int, run: dict[str, np.ndarray], least: float) 
 
 def text(entry: dict[str, Any]) -> str:
     """A line as text."""
-    total = "not reached" if entry["steps"] is None else f"{entry['steps']:5d} steps, {entry['seconds']:7.2f} s"
+    total = (
+        "not reached"
+        if entry["steps"] is None
+        else f"{entry['steps']:5d} steps, {entry['seconds']:7.2f} s"
+    )
     each = f"{entry['milliseconds_per_step']:.1f} ms per step"
     return f"{entry['dim']}D {entry['n']:4d} {entry['flow']:18s} {total}, {each}"
 
@@ -136,10 +150,17 @@ def speed_ups(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
         best = at["constant density"]
         for name, entry in at.items():
             if entry["steps"] and best["steps"] and entry is not best:
-                ratios.append({
-                    "flow": name, "dim": dim, "n": n,
-                    **{key: entry[key] / best[key] for key in ("steps", "seconds", "cells_visited", "cells_per_step")},
-                })
+                ratios.append(
+                    {
+                        "flow": name,
+                        "dim": dim,
+                        "n": n,
+                        **{
+                            key: entry[key] / best[key]
+                            for key in ("steps", "seconds", "cells_visited", "cells_per_step")
+                        },
+                    }
+                )
                 print(
                     f"{dim}D, {n}: {name} takes {ratios[-1]['seconds']:.1f} times the seconds and "
                     f"{ratios[-1]['cells_visited']:.1f} times the cells of constant density"
@@ -152,7 +173,11 @@ def draw(output: Path, lines: list[dict[str, Any]], slopes: list[dict[str, Any]]
     figure, axes = plt.subplots(1, 2, figsize=(10.5, 4.4))
     for axis, dim in zip(axes, (2, 3), strict=True):
         for (name, colour), marker in zip(zip(flows(), COLOURS, strict=False), "os^D", strict=True):
-            found = [(e["n"], e["steps"]) for e in lines if (e["dim"], e["flow"]) == (dim, name) and e["steps"]]
+            found = [
+                (e["n"], e["steps"])
+                for e in lines
+                if (e["dim"], e["flow"]) == (dim, name) and e["steps"]
+            ]
             if not found:
                 continue
             slope = [s["slope"] for s in slopes if (s["dim"], s["flow"]) == (dim, name)]
@@ -163,4 +188,9 @@ def draw(output: Path, lines: list[dict[str, Any]], slopes: list[dict[str, Any]]
         axis.set_title(f"{dim}D", fontsize=10)
         axis.grid(True, which="both", alpha=0.3)
         axis.legend(fontsize=8)
-    save(figure, output, "speed", f"Regularised energy (area weight {ALPHA:g} mm), each flow at its own stable step")
+    save(
+        figure,
+        output,
+        "speed",
+        f"Regularised energy (area weight {ALPHA:g} mm), each flow at its own stable step",
+    )

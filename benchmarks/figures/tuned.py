@@ -23,17 +23,27 @@ BUDGET = {**STEPS, "max_steps": 400}
 SMOOTH: dict[str, list[Any]] = {"smoothness": [0.0, 0.1, 0.3], "presmooth": [0.0, 1.0]}
 GRIDS: dict[str, tuple[dict[str, Any], dict[str, list[Any]]]] = {
     "gradient": ({"flow": "gradient"}, {**SMOOTH, "diffusion": [0.0, "free"]}),
-    "sobolev": ({"flow": "sobolev"}, {"sobolev_length": [5.0, 10.0, 20.0], "presmooth": [0.0, 1.0]}),
+    "sobolev": (
+        {"flow": "sobolev"},
+        {"sobolev_length": [5.0, 10.0, 20.0], "presmooth": [0.0, 1.0]},
+    ),
     "momentum": ({"flow": "momentum", "blend": 0.9}, SMOOTH),
     "constant density": ({"flow": "constant-density"}, SMOOTH),
-    "flowable mass": ({"flow": "flowable-mass"}, {"smoothness": [0.0, 0.1], "presmooth": [0.0, 1.0]}),
+    "flowable mass": (
+        {"flow": "flowable-mass"},
+        {"smoothness": [0.0, 0.1], "presmooth": [0.0, 1.0]},
+    ),
 }
 
 
 def tuned(output: Path) -> None:
     """Run all; for each flow and noise level the best settings, and the plain ones."""
     tasks = [
-        Task((flow, level, setting, seed, start), shape(level, seed), {"start": where, **BUDGET, **fixed, **setting})
+        Task(
+            (flow, level, setting, seed, start),
+            shape(level, seed),
+            {"start": where, **BUDGET, **fixed, **setting},
+        )
         for flow, (fixed, grid) in GRIDS.items()
         for setting in choices(grid)
         for level, seed in itertools.product(LEVELS, SEEDS)
@@ -44,12 +54,26 @@ def tuned(output: Path) -> None:
     table = []
     for flow, level in itertools.product(GRIDS, LEVELS):
         grid = choices(GRIDS[flow][1])
-        groups = [[r for r in results if r["name"][:3] == (flow, level, setting)] for setting in grid]
+        groups = [
+            [r for r in results if r["name"][:3] == (flow, level, setting)] for setting in grid
+        ]
         means = [float(np.mean([facts["dice"] for facts in group])) for group in groups]
         for kind, at in (("plain", 0), ("tuned", int(np.argmax(means)))):
-            table.append({"flow": flow, "noise": level, "kind": kind, "settings": grid[at], **figures(groups[at])})
+            table.append(
+                {
+                    "flow": flow,
+                    "noise": level,
+                    "kind": kind,
+                    "settings": grid[at],
+                    **figures(groups[at]),
+                }
+            )
             print(row(table[-1]), flush=True)
-    write(output, "tuned", {"seeds": SEEDS, "levels": LEVELS, "starts": STARTS, "table": table, "runs": results})
+    write(
+        output,
+        "tuned",
+        {"seeds": SEEDS, "levels": LEVELS, "starts": STARTS, "table": table, "runs": results},
+    )
     draw(output, table)
 
 
@@ -74,7 +98,9 @@ def figures(group: list[dict[str, Any]]) -> dict[str, Any]:
         "dice_least": min(facts["dice"] for facts in group),
         "corner_dice_mean": float(np.mean([facts["corner_dice"] for facts in group])),
         "hausdorff_median_mm": float(np.median(distances)) if distances else None,
-        "agreement_mean": float(np.nanmean([value for labels in by_seed.values() for value in agreement(labels)])),
+        "agreement_mean": float(
+            np.nanmean([value for labels in by_seed.values() for value in agreement(labels)])
+        ),
         "steps_median": float(np.median([facts["steps"] for facts in group])),
         "cells_visited_median": float(np.median([facts["cells_visited"] for facts in group])),
     }
@@ -104,4 +130,9 @@ def draw(output: Path, table: list[dict[str, Any]]) -> None:
         axis.grid(True, axis="y", alpha=0.3)
     axes[0].set_ylabel("mean Dice (dash: near the corners)")
     axes[0].legend(fontsize=8)
-    save(figure, output, "tuned", "Rectangle in noise, 2 seeds x 3 starts: plain settings, and the best on the truth")
+    save(
+        figure,
+        output,
+        "tuned",
+        "Rectangle in noise, 2 seeds x 3 starts: plain settings, and the best on the truth",
+    )

@@ -10,4 +10,8 @@ import pytest
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if importlib.util.find_spec("pytest_benchmark") is None:
         for item in items:
-            item.add_marker(pytest.mark.skip(reason="pytest-benchmark is not installed (pip install pytest-benchmark)"))
+            item.add_marker(
+                pytest.mark.skip(
+                    reason="pytest-benchmark is not installed (pip install pytest-benchmark)"
+                )
+            )

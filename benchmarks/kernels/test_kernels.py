@@ -77,7 +77,10 @@ def test_construct(benchmark: Any, case: Case) -> None:
 
 def test_redistance_with_two_fields(benchmark: Any, case: Case) -> None:
     change = benchmark.pedantic(
-        lambda surface, fields: surface.redistance(fields), setup=lambda: (case.moved(), {}), rounds=7, warmup_rounds=1
+        lambda surface, fields: surface.redistance(fields),
+        setup=lambda: (case.moved(), {}),
+        rounds=7,
+        warmup_rounds=1,
     )
     assert len(change.fields) == 2
 

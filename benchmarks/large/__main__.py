@@ -29,13 +29,17 @@ SPACING_MM = 0.01
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.large", description="Make a large phantom.")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.large", description="Make a large phantom."
+    )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--size", type=int, default=512, help="voxels along each axis, default 512")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--cells", type=int, default=1000)
     parser.add_argument("--levels", type=int, default=4, help="of the pyramid, default 4")
-    parser.add_argument("--chunk", type=int, default=128, help="voxels along each axis of a chunk, default 128")
+    parser.add_argument(
+        "--chunk", type=int, default=128, help="voxels along each axis of a chunk, default 128"
+    )
     parser.add_argument("--threads", type=int, default=2)
     given = parser.parse_args(argv)
     began = time.perf_counter()
@@ -63,8 +67,13 @@ def make_store(scene: Scene, path: Path, levels: int, chunk: int, threads: int) 
         shapes.append(-(-shapes[-1] // 2))
     arrays = [
         group.create_array(
-            str(number), shape=(n,) * 3, chunks=(chunk,) * 3, dtype="uint8", compressors=ZstdCodec(level=1),
-            dimension_names=("z", "y", "x"), fill_value=0,
+            str(number),
+            shape=(n,) * 3,
+            chunks=(chunk,) * 3,
+            dtype="uint8",
+            compressors=ZstdCodec(level=1),
+            dimension_names=("z", "y", "x"),
+            fill_value=0,
         )
         for number, n in enumerate(shapes)
     ]
@@ -72,7 +81,9 @@ def make_store(scene: Scene, path: Path, levels: int, chunk: int, threads: int) 
         finer = arrays[number - 1] if number else None
 
         def write(box: Box, array: Any = array, finer: Any = finer) -> None:
-            array[box] = image(scene, box) if finer is None else halved(finer[_doubled(box, finer.shape[0])])
+            array[box] = (
+                image(scene, box) if finer is None else halved(finer[_doubled(box, finer.shape[0])])
+            )
 
         each(write, chunks(shapes[number], chunk), threads)
     group.attrs["ome"] = multiscales(levels)
@@ -111,7 +122,10 @@ def multiscales(levels: int) -> dict[str, Any]:
         for level in range(levels)
     ]
     axes = [{"name": name, "type": "space", "unit": "micrometer"} for name in "zyx"]
-    return {"version": "0.5", "multiscales": [{"name": "image", "type": "mean", "axes": axes, "datasets": datasets}]}
+    return {
+        "version": "0.5",
+        "multiscales": [{"name": "image", "type": "mean", "axes": axes, "datasets": datasets}],
+    }
 
 
 def write_table(scene: Scene, path: Path) -> None:
@@ -125,8 +139,12 @@ def write_table(scene: Scene, path: Path) -> None:
 def description(scene: Scene) -> dict[str, Any]:
     """What the store's folder says of itself."""
     return {
-        "what": __doc__, "size": scene.size, "seed": scene.seed, "cells": len(scene.centres),
-        "capsules": len(scene.capsules), "spacing_mm": SPACING_MM,
+        "what": __doc__,
+        "size": scene.size,
+        "seed": scene.seed,
+        "cells": len(scene.centres),
+        "capsules": len(scene.capsules),
+        "spacing_mm": SPACING_MM,
         "root_mm_xyz": (scene.capsules[0, 3:6] * SPACING_MM).tolist()[::-1],
         "root_radius_mm": float(scene.capsules[0, 6]) * SPACING_MM,
         "touching": scene.touching.tolist(),

@@ -31,7 +31,11 @@ def main() -> None:
                 store = Path(folder) / "store"
                 make.main([str(store), "--size", str(size), "--chunk", str(brick), "--levels", "1"])
                 ways = ("parts", "memory") if brick == BRICKS[0] else ("parts",)
-                rows += [row(store, size, brick, run, way) for way in ways for run in ("ball", "click, size")]
+                rows += [
+                    row(store, size, brick, run, way)
+                    for way in ways
+                    for run in ("ball", "click, size")
+                ]
     for size in SIZES:
         for run in ("ball", "click, size"):
             found = {one["digest"] for one in rows if (one["size"], one["run"]) == (size, run)}

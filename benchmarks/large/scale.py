@@ -34,7 +34,9 @@ SETTINGS = {"energy": "threshold:92,150", "threads": 1}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.large.scale", description="A store of 10 TB.")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.large.scale", description="A store of 10 TB."
+    )
     parser.add_argument("store", type=Path, help="folder of a phantom")
     parser.add_argument("--cells", type=int, default=40, help="cells that are run, default 40")
     given = parser.parse_args()
@@ -56,14 +58,19 @@ def measure(store: Path, count: int) -> dict[str, Any]:
     groups: list[dict[str, float]] = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cells.csv"
-        lines = ["id,x,y,z,r", *(",".join(row[key] for key in ("id", "x", "y", "z", "r")) for row in some)]
+        lines = [
+            "id,x,y,z,r",
+            *(",".join(row[key] for key in ("id", "x", "y", "z", "r")) for row in some),
+        ]
         path.write_text("\n".join(lines) + "\n")
         began, read = time.perf_counter(), 0
 
         def ended(ids: Any, result: Any) -> None:
             nonlocal began, read
             now, bytes_now = time.perf_counter(), image.channels[0].bytes_read
-            groups.append({"objects": len(tuple(ids)), "seconds": now - began, "bytes": bytes_now - read})
+            groups.append(
+                {"objects": len(tuple(ids)), "seconds": now - began, "bytes": bytes_now - read}
+            )
             began, read = now, bytes_now
 
         whole = image.whole(accelsurf.RunConfig(**SETTINGS))
@@ -85,7 +92,9 @@ def measure(store: Path, count: int) -> dict[str, Any]:
         label.discard()
     size = image.geometry.shape[0]
     return {
-        "cells": len(table), "voxels": size**3, "statistics_seconds": round(statistics, 2),
+        "cells": len(table),
+        "voxels": size**3,
+        "statistics_seconds": round(statistics, 2),
         "groups": [{key: round(value, 3) for key, value in one.items()} for one in groups],
         "label_seconds_per_object": round(writing / max(boxes, 1), 4),
         "failed": sum(one.object is None for one in found),
@@ -113,12 +122,17 @@ def simulate(measured: dict[str, Any]) -> list[dict[str, Any]]:
                 took = max(one["seconds"], one["bytes"] / share)
                 heapq.heapreplace(free, free[0] + took)
             hours = max(free) * count / shown / 3600.0
-            rows.append({
-                "workers": workers, "delivered_bytes_per_second": delivered, "objects": objects,
-                "hours_of_groups": round(hours, 2), "hours_of_label_map_in_one_process": round(parent / 3600.0, 2),
-                "bytes_read": int(count * sum(one["bytes"] for one in groups) / len(groups)),
-                "efficiency": round(_ideal(groups, count) / 3600.0 / (hours * workers), 3),
-            })
+            rows.append(
+                {
+                    "workers": workers,
+                    "delivered_bytes_per_second": delivered,
+                    "objects": objects,
+                    "hours_of_groups": round(hours, 2),
+                    "hours_of_label_map_in_one_process": round(parent / 3600.0, 2),
+                    "bytes_read": int(count * sum(one["bytes"] for one in groups) / len(groups)),
+                    "efficiency": round(_ideal(groups, count) / 3600.0 / (hours * workers), 3),
+                }
+            )
     return rows
 
 

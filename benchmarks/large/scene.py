@@ -122,24 +122,32 @@ def _cells(
                 at = centres[number - 1] + (width - OVERLAP) * way
             else:
                 at = reach + GAP + (size - 1.0 - 2.0 * (reach + GAP)) * chance.random(3)
-            if _has_room(at, reach, size, capsules, centres[: number - beside], axes[: number - beside]):
+            if _has_room(
+                at, reach, size, capsules, centres[: number - beside], axes[: number - beside]
+            ):
                 break
         else:
-            raise ValueError(f"no room for cell {number + 1} of {count} in {size}^3 voxels: fewer cells")
+            raise ValueError(
+                f"no room for cell {number + 1} of {count} in {size}^3 voxels: fewer cells"
+            )
         centres[number] = at
         if beside:
             pairs.append((number, number + 1))
     return centres, axes, rotations, np.array(pairs, np.int64).reshape(-1, 2)
 
 
-def _has_room(at: Floats, reach: float, size: int, capsules: Floats, centres: Floats, axes: Floats) -> bool:
+def _has_room(
+    at: Floats, reach: float, size: int, capsules: Floats, centres: Floats, axes: Floats
+) -> bool:
     """Whether a ball keeps its distance to the volume's faces, to vessels and to the bounding balls of cells."""
     if (at < reach + GAP).any() or (at > size - 1.0 - reach - GAP).any():
         return False
     if (np.linalg.norm(centres - at, axis=1) < reach + axes.max(axis=1, initial=0.0) + GAP).any():
         return False
     start, along = capsules[:, :3], capsules[:, 3:6] - capsules[:, :3]
-    share = np.clip(((at - start) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-30), 0.0, 1.0)
+    share = np.clip(
+        ((at - start) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-30), 0.0, 1.0
+    )
     distance = np.linalg.norm(start + share[:, None] * along - at, axis=1) - capsules[:, 6]
     return not (distance < reach + GAP).any()
 
@@ -171,7 +179,10 @@ def _radius(axes: Floats, rows: Floats, way: Floats) -> float:
 def table(scene: Scene, spacing_mm: float) -> list[dict[str, Any]]:
     """Rows of a table of balls, one well within each cell, as ``accelsurf segment --objects`` reads it: mm, LPS."""
     return [
-        {"id": number + 1, **dict(zip("zyx", (centre * spacing_mm).tolist(), strict=True)),
-         "r": 0.7 * float(axes.min()) * spacing_mm}
+        {
+            "id": number + 1,
+            **dict(zip("zyx", (centre * spacing_mm).tolist(), strict=True)),
+            "r": 0.7 * float(axes.min()) * spacing_mm,
+        }
         for number, (centre, axes) in enumerate(zip(scene.centres, scene.axes, strict=True))
     ]

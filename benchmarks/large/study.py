@@ -32,12 +32,18 @@ RUNS = {
     "ball": {"start": "ball:{x},{y},{z},{r}"},
     "click": {"inside": "point:{x},{y},{z}"},
     "click, size": {"inside": "point:{x},{y},{z}", "size": "{volume}mm3"},
-    "tree": {"start": "ball:{tree_x},{tree_y},{tree_z},{tree_r}", "energy": "threshold:150,", "max_steps": "300"},
+    "tree": {
+        "start": "ball:{tree_x},{tree_y},{tree_z},{tree_r}",
+        "energy": "threshold:150,",
+        "max_steps": "300",
+    },
 }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="scripts/study large", description="Runs on images larger than memory.")
+    parser = argparse.ArgumentParser(
+        prog="scripts/study large", description="Runs on images larger than memory."
+    )
     parser.add_argument("stores", type=Path, help="folder of the phantoms, a folder for each size")
     parser.add_argument("--sizes", type=int, nargs="+", default=sorted(LIMITS))
     parser.add_argument("--threads", type=int, default=2)
@@ -51,26 +57,54 @@ def main() -> None:
     for size in given.sizes:
         store = given.stores / str(size)
         if not store.exists():
-            subprocess.run([sys.executable, "-m", "benchmarks.large", str(store), "--size", str(size)], check=True)
+            subprocess.run(
+                [sys.executable, "-m", "benchmarks.large", str(store), "--size", str(size)],
+                check=True,
+            )
         for name in RUNS:
             ways = ["parts", "memory"] if size == 512 and name != "tree" else ["parts"]
             for way in ways:
-                row = _child({"store": str(store), "size": size, "run": name, "way": way, "threads": given.threads})
+                row = _child(
+                    {
+                        "store": str(store),
+                        "size": size,
+                        "run": name,
+                        "way": way,
+                        "threads": given.threads,
+                    }
+                )
                 rows.append({"size": size, "run": name, "way": way, **row})
                 print(json.dumps(rows[-1]), flush=True)
     rows.sort(key=lambda row: (row["size"], list(RUNS).index(row["run"]), row["way"]))
     from accelsurf.output.document import versions
 
-    result = {"versions": versions(), "load": os.getloadavg(), "limits": LIMITS, "planned": PLANNED, "runs": rows}
+    result = {
+        "versions": versions(),
+        "load": os.getloadavg(),
+        "limits": LIMITS,
+        "planned": PLANNED,
+        "runs": rows,
+    }
     RESULT.write_text(json.dumps(result, indent=1) + "\n")
     print(f"written: {RESULT}")
 
 
 def _child(task: dict[str, Any]) -> dict[str, Any]:
-    words = [sys.executable, "-m", "benchmarks.large.study", task["store"], "--child", json.dumps(task)]
+    words = [
+        sys.executable,
+        "-m",
+        "benchmarks.large.study",
+        task["store"],
+        "--child",
+        json.dumps(task),
+    ]
     ended = subprocess.run(words, capture_output=True, text=True)
     if ended.returncode:
-        return {"failed": ended.stderr.strip().splitlines()[-1] if ended.stderr.strip() else str(ended.returncode)}
+        return {
+            "failed": ended.stderr.strip().splitlines()[-1]
+            if ended.stderr.strip()
+            else str(ended.returncode)
+        }
     return dict(json.loads(ended.stdout.splitlines()[-1]))
 
 
@@ -94,7 +128,11 @@ def measured(task: dict[str, Any]) -> dict[str, Any]:
         whole = tuple(slice(0, n) for n in image.geometry.shape)
         result = accelsurf.segment(accelsurf.Volume(image.read(whole), image.geometry), **options)
     seconds, used = time.perf_counter() - began, time.process_time() - used
-    vertices = np.ascontiguousarray(result.surface.vertices, "<f4") if result.objects[0].has_surface else np.zeros(0)
+    vertices = (
+        np.ascontiguousarray(result.surface.vertices, "<f4")
+        if result.objects[0].has_surface
+        else np.zeros(0)
+    )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return {
         "seconds": round(seconds, 2),
@@ -125,8 +163,12 @@ def settings_of(store: Path, run: str) -> dict[str, str]:
     scene = json.loads((store / "scene.json").read_text())
     x, y, z = scene["root_mm_xyz"]
     places = {
-        **row, "volume": f"{_volume_mm3(store, row):.6f}",
-        "tree_x": x, "tree_y": y, "tree_z": z, "tree_r": 0.5 * scene["root_radius_mm"],
+        **row,
+        "volume": f"{_volume_mm3(store, row):.6f}",
+        "tree_x": x,
+        "tree_y": y,
+        "tree_z": z,
+        "tree_r": 0.5 * scene["root_radius_mm"],
     }
     return {key: text.format(**places) for key, text in RUNS[run].items()}
 
@@ -157,7 +199,9 @@ def _dice(result: Any, store: Path, run: str) -> float | None:
     box = result.window.box if result.window is not None else _around(result.labels)
     labels = result.labels if result.window is not None else result.labels[box]
     meant = truth(scene, box) == 1
-    return round(2.0 * float((meant & (labels > 0)).sum()) / float(meant.sum() + (labels > 0).sum()), 4)
+    return round(
+        2.0 * float((meant & (labels > 0)).sum()) / float(meant.sum() + (labels > 0).sum()), 4
+    )
 
 
 def _around(labels: np.ndarray) -> Any:

@@ -48,9 +48,13 @@ def tree_distance(scene: Scene, step: int, within: float) -> NDArray[np.float32]
     return out * np.float32(step)
 
 
-def _distances(scene: Scene, box: Box) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
+def _distances(
+    scene: Scene, box: Box
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
     """Distances to the tree and to the nearest cell, voxels, negative inside and at most `BLUR`; that cell's label."""
-    first, last = (np.array([getattr(side, end) for side in box], np.int64) for end in ("start", "stop"))
+    first, last = (
+        np.array([getattr(side, end) for side in box], np.int64) for end in ("start", "stop")
+    )
     shape = tuple(int(n) for n in last - first)
     tree = np.full(shape, BLUR, np.float32)
     cells, nearest = tree.copy(), np.zeros(shape, np.int32)
@@ -63,7 +67,15 @@ def _distances(scene: Scene, box: Box) -> tuple[NDArray[np.float32], NDArray[np.
     reach = scene.axes.max(axis=1, keepdims=True)
     near = ((scene.centres - reach <= high) & (scene.centres + reach >= low)).all(axis=1)
     for number in np.flatnonzero(near):
-        _ellipsoid(cells, nearest, first, scene.centres[number], scene.axes[number], scene.rotations[number], number)
+        _ellipsoid(
+            cells,
+            nearest,
+            first,
+            scene.centres[number],
+            scene.axes[number],
+            scene.rotations[number],
+            number,
+        )
     return tree, cells, nearest
 
 
@@ -149,9 +161,16 @@ def _grey(out, tree, cells, first, size, seed):
                 h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
                 h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
                 h = h ^ (h >> np.uint64(31))
-                total = (h & low) + ((h >> np.uint64(16)) & low) + ((h >> np.uint64(32)) & low) + (h >> np.uint64(48))
+                total = (
+                    (h & low)
+                    + ((h >> np.uint64(16)) & low)
+                    + ((h >> np.uint64(32)) & low)
+                    + (h >> np.uint64(48))
+                )
                 grey = BACKGROUND + (np.float64(total) - 131070.0) * scale
-                grey += (VESSEL - BACKGROUND) * _inside(tree[z, y, x]) + (CELL - BACKGROUND) * _inside(cells[z, y, x])
+                grey += (VESSEL - BACKGROUND) * _inside(tree[z, y, x]) + (
+                    CELL - BACKGROUND
+                ) * _inside(cells[z, y, x])
                 out[z, y, x] = np.uint8(min(max(np.floor(grey + 0.5), 0.0), 255.0))
 
 

@@ -30,10 +30,18 @@ Tell = Callable[[dict[str, Any]], None]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("experiment", nargs="*", help=f"some of {', '.join(EXPERIMENTS)}; all unless given")
-    parser.add_argument("--jobs", type=int, default=1, help="processes; seconds are those of a processor")
-    parser.add_argument("--tables", action="store_true", help="only write the tables again, from the JSON")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "experiment", nargs="*", help=f"some of {', '.join(EXPERIMENTS)}; all unless given"
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="processes; seconds are those of a processor"
+    )
+    parser.add_argument(
+        "--tables", action="store_true", help="only write the tables again, from the JSON"
+    )
     options = parser.parse_args()
     unknown = set(options.experiment) - set(EXPERIMENTS)
     if unknown:
@@ -46,7 +54,9 @@ def main() -> None:
         return
     for name in options.experiment or EXPERIMENTS:
         runs = run_all(name, options.jobs)
-        done = [entry for entry in done if entry["experiment"] != name] + [plain(entry) for entry in runs]
+        done = [entry for entry in done if entry["experiment"] != name] + [
+            plain(entry) for entry in runs
+        ]
         path.write_text(json.dumps({"runs": done}, indent=1) + "\n")
         pictures.draw(name, runs, FIGURES)
         tables.write(PAGE, done)

@@ -27,11 +27,17 @@ class Ball(NamedTuple):
     def distance(self) -> Array:
         """Signed distance from the ball, voxels."""
         z, y, x = axes()
-        return np.asarray(np.sqrt((z - self.z) ** 2 + (y - self.y) ** 2 + (x - self.x) ** 2) - self.radius)
+        return np.asarray(
+            np.sqrt((z - self.z) ** 2 + (y - self.y) ** 2 + (x - self.x) ** 2) - self.radius
+        )
 
 
 #: The paper's three placements, for the box: inside, in a corner of it, around it.
-INSIDE, CORNER, AROUND = Ball(2.0, -1.0, 3.0, 6.0), Ball(-7.0, 7.0, -6.0, 5.0), Ball(0.0, 0.0, 0.0, 21.0)
+INSIDE, CORNER, AROUND = (
+    Ball(2.0, -1.0, 3.0, 6.0),
+    Ball(-7.0, 7.0, -6.0, 5.0),
+    Ball(0.0, 0.0, 0.0, 21.0),
+)
 THREE = {"inside": INSIDE, "in a corner": CORNER, "around": AROUND}
 
 
@@ -80,7 +86,9 @@ def correlated(sigma: float, length: float) -> Callable[[int], tuple[Array, Arra
 
 def smooth_noise(seed: int, length: float) -> Array:
     """Noise of standard deviation 1 with a Gaussian correlation."""
-    noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=(N, N, N)), length, mode="wrap")
+    noise = ndimage.gaussian_filter(
+        np.random.default_rng(seed).normal(size=(N, N, N)), length, mode="wrap"
+    )
     return np.asarray(noise / noise.std())
 
 
@@ -115,7 +123,9 @@ def textured(amplitude: float, wave: float) -> Callable[[int], tuple[Array, Arra
     def make(seed: int) -> tuple[Array, Array]:
         random, truth = np.random.default_rng(seed), box()
         turn, _ = np.linalg.qr(random.normal(size=(3, 3)))
-        a, b, c = 2.0 * np.pi / wave * np.tensordot(turn, axes(), 1) + random.uniform(0.0, 6.3, 3).reshape(3, 1, 1, 1)
+        a, b, c = 2.0 * np.pi / wave * np.tensordot(turn, axes(), 1) + random.uniform(
+            0.0, 6.3, 3
+        ).reshape(3, 1, 1, 1)
         gyroid = np.sin(a) * np.cos(b) + np.sin(b) * np.cos(c) + np.sin(c) * np.cos(a)
         return truth * (1.0 + amplitude * gyroid) + random.normal(0.0, 0.2, truth.shape), truth
 
@@ -140,20 +150,32 @@ ONE, IN_ROOM = {"inside": INSIDE}, {"inside": Ball(2.0, -1.0, 10.0, 6.0)}
 LANDSCAPES = {
     "white noise": Landscape("the box in white noise as strong as the contrast", white(1.0), THREE),
     "weak contrast": Landscape(
-        "the box in white noise of twice the contrast; the program's area weight, 1.2", white(2.0), ONE, 1.2
+        "the box in white noise of twice the contrast; the program's area weight, 1.2",
+        white(2.0),
+        ONE,
+        1.2,
     ),
     "correlated noise": Landscape(
         "the box in noise of 0.5 of the contrast, correlated over 1.5 voxels; area weight 0.3",
-        correlated(0.5, 1.5), ONE, 0.3,
+        correlated(0.5, 1.5),
+        ONE,
+        0.3,
     ),
-    "walls": Landscape("the box parted by three dark walls of 2 voxels, noise 0.2", walled(0.7, 2.0), ONE),
+    "walls": Landscape(
+        "the box parted by three dark walls of 2 voxels, noise 0.2", walled(0.7, 2.0), ONE
+    ),
     "several phases": Landscape(
-        "the box with a core 2.4 times as bright, noise 0.1", phases(2.4, 0.1),
+        "the box with a core 2.4 times as bright, noise 0.1",
+        phases(2.4, 0.1),
         {**ONE, "at the core": Ball(0.0, 0.0, 0.0, 7.0)},
     ),
-    "texture": Landscape("the box filled with a gyroid of 10 voxels, noise 0.2", textured(0.7, 10.0), ONE),
+    "texture": Landscape(
+        "the box filled with a gyroid of 10 voxels, noise 0.2", textured(0.7, 10.0), ONE
+    ),
     "two rooms": Landscape(
-        "the box beside another one, behind a dark wall of 2 voxels; noise 0.2", two_rooms(2.0), IN_ROOM
+        "the box beside another one, behind a dark wall of 2 voxels; noise 0.2",
+        two_rooms(2.0),
+        IN_ROOM,
     ),
     "thin wall": Landscape("the same behind a wall of 1 voxel", two_rooms(1.0), IN_ROOM),
 }

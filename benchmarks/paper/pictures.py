@@ -17,7 +17,11 @@ Run = dict[str, Any]
 
 def draw(name: str, runs: list[Run], output: Path) -> None:
     """Draw an experiment, each flow and all starts of the first seed; that of random acceleration has no picture."""
-    runs = [entry for entry in runs if entry["seed"] == 0 and entry["limits"] == "default" and entry["noise"] == 0.0]
+    runs = [
+        entry
+        for entry in runs
+        if entry["seed"] == 0 and entry["limits"] == "default" and entry["noise"] == 0.0
+    ]
     if name == "random acceleration":
         return
     methods = groups(runs, "method")
@@ -27,4 +31,9 @@ def draw(name: str, runs: list[Run], output: Path) -> None:
         show(axis, image, truth, [entry["labels"] for entry in found], COLOURS)
         dices = ", ".join(f"{entry['dice']:.3f}" for entry in found)
         axis.set_title(f"{method}\nDice {dices}", fontsize=9)
-    save(figure, output, f"paper-{name.replace(' ', '-')}", f"{name}: middle slice, every run at rest (dashed: truth)")
+    save(
+        figure,
+        output,
+        f"paper-{name.replace(' ', '-')}",
+        f"{name}: middle slice, every run at rest (dashed: truth)",
+    )

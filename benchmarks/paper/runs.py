@@ -38,7 +38,9 @@ MAX_STEPS = 20_000
 LIMITS = {"default": StepLimits(), "short": StepLimits(0.25, 100.0)}
 
 
-def vector_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.ndarray) -> np.ndarray:
+def vector_gradient(
+    surface: LevelSet, force: np.ndarray, length: float, guess: np.ndarray
+) -> np.ndarray:
     """Normal part (n,) of g, (1 - length^2 Lap_S) g = f N for each component.
 
     On a sphere of radius r the wave of degree 1, a translation, comes out times 1/3 + 2/3/(1 + 6 q), q = (length/r)^2;
@@ -79,7 +81,12 @@ class Method(NamedTuple):
     alpha: float = 0.0
 
 
-DESCENT, MOMENTUM, SOBOLEV, AREA_WEIGHT = "descent", "constant density", "Sobolev", "descent, area weight 0.3"
+DESCENT, MOMENTUM, SOBOLEV, AREA_WEIGHT = (
+    "descent",
+    "constant density",
+    "Sobolev",
+    "descent, area weight 0.3",
+)
 METHODS = {
     DESCENT: Method(Gradient, "gradient"),
     AREA_WEIGHT: Method(Gradient, "gradient", 0.3),
@@ -143,7 +150,12 @@ def run(task: Task) -> dict[str, Any]:
     }
     if task.experiment == task.landscape and task.method in (DESCENT, MOMENTUM):
         further = Evolution(
-            surface, energy, method.make(), LIMITS[task.limits], min(evolution.stop.steps, 100), Restart()
+            surface,
+            energy,
+            method.make(),
+            LIMITS[task.limits],
+            min(evolution.stop.steps, 100),
+            Restart(),
         )
         for _ in further:
             pass

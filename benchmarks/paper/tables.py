@@ -28,7 +28,10 @@ def write(page: Path, runs: list[Run]) -> None:
         group = [e for e in runs if e["experiment"] == name]
         lines = table(group) if group else ["Not run yet."]
         if group and name != "random acceleration":
-            lines += ["", f"![{name}: middle slice at rest](../figures/paper-{name.replace(' ', '-')}.png)"]
+            lines += [
+                "",
+                f"![{name}: middle slice at rest](../figures/paper-{name.replace(' ', '-')}.png)",
+            ]
         put_table(page, name, "\n".join(lines), COMMAND)
     for limits in ("default", "short"):
         group = [e for e in runs if e["experiment"] not in alone and e["limits"] == limits]
@@ -50,7 +53,9 @@ def spread(values: list[float], digits: int = 3) -> str:
 
 def gap(entry: Run, key: str = "energy") -> float:
     """Energy above that of the truth, in parts of the start's; below 0 the surface fits noise."""
-    return float((entry[key] - entry["true_energy"]) / (entry["first_energy"] - entry["true_energy"]))
+    return float(
+        (entry[key] - entry["true_energy"]) / (entry["first_energy"] - entry["true_energy"])
+    )
 
 
 def found(runs: list[Run]) -> str:
@@ -94,10 +99,21 @@ def three_starts(runs: list[Run]) -> list[str]:
     """Figures 2 and 3: a row for each flow."""
     starts = list(groups(runs, "start"))
     lines = head_of(
-        ("flow", *(f"Dice, {start}" for (start,) in starts), "agreement", "energy", "steps", "seconds", "at rest")
+        (
+            "flow",
+            *(f"Dice, {start}" for (start,) in starts),
+            "agreement",
+            "energy",
+            "steps",
+            "seconds",
+            "at rest",
+        )
     )
     for (method,), group in groups(runs, "method").items():
-        dices = [f"{np.median([e['dice'] for e in group if e['start'] == start]):.3f}" for (start,) in starts]
+        dices = [
+            f"{np.median([e['dice'] for e in group if e['start'] == start]):.3f}"
+            for (start,) in starts
+        ]
         agreements = [min(e["agreement"] for e in same) for same in groups(group, "seed").values()]
         lines.append(row_of([method, *dices, spread(agreements), *cost(group)]))
     return lines
@@ -105,12 +121,25 @@ def three_starts(runs: list[Run]) -> list[str]:
 
 def landscapes(runs: list[Run]) -> list[str]:
     """A row for each landscape and flow; that of descent has the verdict."""
-    columns = "landscape", "flow", "Dice", "found", "later", "energy", "steps", "seconds", "at rest", "descent is"
+    columns = (
+        "landscape",
+        "flow",
+        "Dice",
+        "found",
+        "later",
+        "energy",
+        "steps",
+        "seconds",
+        "at rest",
+        "descent is",
+    )
     lines = head_of(columns)
     for (name, method), group in groups(runs, "landscape", "method").items():
         first = method == DESCENT
         momentum = {e["seed"]: e for e in runs if (e["landscape"], e["method"]) == (name, MOMENTUM)}
-        verdicts = Counter(verdict(e, momentum[e["seed"]]) for e in group) if first else Counter[str]()
+        verdicts = (
+            Counter(verdict(e, momentum[e["seed"]]) for e in group) if first else Counter[str]()
+        )
         words = ", ".join(f"{word} {count}" for word, count in verdicts.most_common())
         laters = [e["later_dice"] for e in group if "later_dice" in e]
         later = f"{np.median(laters):.3f}" if laters else ""
@@ -122,9 +151,12 @@ def landscapes(runs: list[Run]) -> list[str]:
 
 def by_strength(runs: list[Run]) -> list[str]:
     """A row for each start and strength."""
-    lines = head_of(("landscape, start", "tau", "Dice", "found", "energy", "steps", "seconds", "at rest"))
+    lines = head_of(
+        ("landscape, start", "tau", "Dice", "found", "energy", "steps", "seconds", "at rest")
+    )
     for (name, start, strength), group in groups(runs, "landscape", "start", "noise").items():
         dices = spread([entry["dice"] for entry in group])
-        lines.append(row_of([f"{name}, {start}", f"{strength:g}", dices, found(group), *cost(group)]))
+        lines.append(
+            row_of([f"{name}, {start}", f"{strength:g}", dices, found(group), *cost(group)])
+        )
     return lines
-

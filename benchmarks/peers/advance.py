@@ -24,14 +24,18 @@ def advance(options: Options) -> dict[str, Any]:
     start = ball(side, first)
     settings: dict[str, str] = {"accelsurf": f"steps of {CFL} voxel"}
     searches: dict[str, list[dict[str, Any]]] = {}
-    works: dict[str, Callable[[int], np.ndarray]] = {"accelsurf": lambda n: grow_on(n, start, last - first)}
+    works: dict[str, Callable[[int], np.ndarray]] = {
+        "accelsurf": lambda n: grow_on(n, start, last - first)
+    }
     if importlib.util.find_spec("SimpleITK") is None:
         options.say("SimpleITK: skipped, SimpleITK is not installed (pip install SimpleITK)")
     else:
         for name in FILTERS:
             iterations, searches[f"SimpleITK {name}"] = calibrate(name, start, first, last)
             settings[f"SimpleITK {name}"] = f"{iterations} iterations"
-            works[f"SimpleITK {name}"] = lambda n, name=name, count=iterations: sparse_field(name, start, count, n)
+            works[f"SimpleITK {name}"] = lambda n, name=name, count=iterations: sparse_field(
+                name, start, count, n
+            )
     found: dict[str, dict[str, Any]] = {}
     for name, work in works.items():
         seconds, psi = timed(lambda work=work: work(1))
@@ -45,18 +49,42 @@ def advance(options: Options) -> dict[str, Any]:
     swept = 4.0 / 3.0 * np.pi * (last**3 - first**3)
     return {
         "work": f"ball of radius {first:g} grown to {last:g} in {side}^3, start to result, 1 and 2 threads",
-        "threads": list(THREADS), "programs": found, **_compared(found, swept),
-        "tables": [table(
-            "Growth at constant speed",
-            ("program", "setting", "seconds, 1 thread", "2 threads", "ns per surface voxel and voxel travelled",
-             "radius by volume", "error of it", "rms error of the surface"),
-            [
-                (n, f["setting"], _seconds(f, 1), _seconds(f, 2), 1e9 * _seconds(f, 1) / swept, f["radius"],
-                 f["volume_error"], f["rms_error"])
-                for n, f in found.items()
-            ],
-        )],
-        "bars": [[f"{name}, {n} thread{'s' * (n > 1)}", _seconds(f, n)] for name, f in found.items() for n in THREADS],
+        "threads": list(THREADS),
+        "programs": found,
+        **_compared(found, swept),
+        "tables": [
+            table(
+                "Growth at constant speed",
+                (
+                    "program",
+                    "setting",
+                    "seconds, 1 thread",
+                    "2 threads",
+                    "ns per surface voxel and voxel travelled",
+                    "radius by volume",
+                    "error of it",
+                    "rms error of the surface",
+                ),
+                [
+                    (
+                        n,
+                        f["setting"],
+                        _seconds(f, 1),
+                        _seconds(f, 2),
+                        1e9 * _seconds(f, 1) / swept,
+                        f["radius"],
+                        f["volume_error"],
+                        f["rms_error"],
+                    )
+                    for n, f in found.items()
+                ],
+            )
+        ],
+        "bars": [
+            [f"{name}, {n} thread{'s' * (n > 1)}", _seconds(f, n)]
+            for name, f in found.items()
+            for n in THREADS
+        ],
     }
 
 
@@ -66,20 +94,37 @@ def _seconds(facts: dict[str, Any], threads: int) -> float:
 
 def _compared(found: dict[str, dict[str, Any]], swept: float) -> dict[str, Any]:
     """Pairs and goals, each with as many threads on both sides."""
-    own, peers = found["accelsurf"], {name: facts for name, facts in found.items() if name != "accelsurf"}
+    own, peers = (
+        found["accelsurf"],
+        {name: facts for name, facts in found.items() if name != "accelsurf"},
+    )
     pairs, goals = [], []
     for n in THREADS:
         many = f"{n} thread{'s' * (n > 1)}"
         ratios = {name: _seconds(facts, n) / _seconds(own, n) for name, facts in peers.items()}
-        pairs += [{"pair": f"{name} / accelsurf, {many}", "ratio": ratio} for name, ratio in ratios.items()]
-        goals.append(goal(f"times faster than the faster filter, {many}", 10.0, min(ratios.values(), default=None)))
+        pairs += [
+            {"pair": f"{name} / accelsurf, {many}", "ratio": ratio}
+            for name, ratio in ratios.items()
+        ]
+        goals.append(
+            goal(
+                f"times faster than the faster filter, {many}",
+                10.0,
+                min(ratios.values(), default=None),
+            )
+        )
     least = min((facts["rms_error"] for facts in peers.values()), default=None)
     share = None if least is None else own["rms_error"] / least
     goals.append(goal("radius error (rms) over the best filter's", 1.0, share, "<=", ""))
     per_voxel = 1e9 * _seconds(own, 1) / swept
     return {
         "pairs": pairs,
-        "goals": [*goals, goal("ns per surface voxel and voxel travelled, 1 thread", 1000.0, per_voxel, "<=", "ns")],
+        "goals": [
+            *goals,
+            goal(
+                "ns per surface voxel and voxel travelled, 1 thread", 1000.0, per_voxel, "<=", "ns"
+            ),
+        ],
     }
 
 
@@ -122,7 +167,9 @@ def sparse_field(name: str, start: np.ndarray, iterations: int, threads: int = 1
     return np.asarray(sitk.GetArrayFromImage(solver.Execute(sitk.GetImageFromArray(start), ones)))
 
 
-def calibrate(name: str, start: np.ndarray, first: float, last: float) -> tuple[int, list[dict[str, Any]]]:
+def calibrate(
+    name: str, start: np.ndarray, first: float, last: float
+) -> tuple[int, list[dict[str, Any]]]:
     """Iterations after which a filter's radius is closest to the wanted one, by the pace that it shows itself."""
     # The filters move the surface by 1/(2 x dimension) voxel in an iteration.
     n = round(6 * (last - first))

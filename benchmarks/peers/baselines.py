@@ -80,7 +80,9 @@ def graph_cut(
     It is told the two true means. Only the part with the start counts.
     """
     inside, outside = means
-    cost = ((image - inside) ** 2 - (image - outside) ** 2).astype(np.float64) / (inside - outside) ** 2
+    cost = ((image - inside) ** 2 - (image - outside) ** 2).astype(np.float64) / (
+        inside - outside
+    ) ** 2
     cost[start < 0] = -CAPACITY
     links = [
         (one, other, np.full(one.size, round(CAPACITY * settings["weight"]), np.int32))
@@ -96,21 +98,35 @@ BASELINES: dict[str, Peer] = {
     peer.name: peer
     for peer in (
         Peer(
-            "Gaussian, Otsu, largest part", "skimage", "scikit-image", gaussian_otsu,
+            "Gaussian, Otsu, largest part",
+            "skimage",
+            "scikit-image",
+            gaussian_otsu,
             combinations(sigma=(0.7, 1.0, 1.5, 2.0, 2.5)),
         ),
         Peer(
-            "total variation, Otsu, largest part", "skimage", "scikit-image", tv_otsu,
+            "total variation, Otsu, largest part",
+            "skimage",
+            "scikit-image",
+            tv_otsu,
             combinations(weight=(0.6, 1.0, 1.5, 2.0), passes=(50,)),
             {"passes": (2.0,)},
         ),
         Peer(
-            "scikit-image random_walker", "skimage", "scikit-image", random_walker,
-            combinations(sigma=(0.7, 1.0, 1.5), beta=(300.0, 1000.0, 3000.0)), most=MOST,
+            "scikit-image random_walker",
+            "skimage",
+            "scikit-image",
+            random_walker,
+            combinations(sigma=(0.7, 1.0, 1.5), beta=(300.0, 1000.0, 3000.0)),
+            most=MOST,
         ),
         Peer(
-            "graph cut, SciPy", "scipy", "scipy", graph_cut,
-            combinations(weight=(0.4, 0.8, 1.2, 1.8)), most=MOST,
+            "graph cut, SciPy",
+            "scipy",
+            "scipy",
+            graph_cut,
+            combinations(weight=(0.4, 0.8, 1.2, 1.8)),
+            most=MOST,
         ),
     )
 }

@@ -6,7 +6,17 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from benchmarks.peers.baselines import BASELINES
-from benchmarks.peers.measure import LONG, Options, Timing, Trial, best, goal, in_turn, repeats_for, table
+from benchmarks.peers.measure import (
+    LONG,
+    Options,
+    Timing,
+    Trial,
+    best,
+    goal,
+    in_turn,
+    repeats_for,
+    table,
+)
 from benchmarks.peers.programs import PEERS, Peer
 
 OWN = "accelsurf"
@@ -37,11 +47,16 @@ def reporter(name: str, options: Options) -> Callable[[str], None]:
 
 def report(name: str, trial: Trial) -> None:
     """Print the result of a search."""
-    print(f"   {name}: Dice {trial.dice:.4f} in {trial.seconds:.2f} s with {trial.settings}", flush=True)
+    print(
+        f"   {name}: Dice {trial.dice:.4f} in {trial.seconds:.2f} s with {trial.settings}",
+        flush=True,
+    )
 
 
 def time_best(
-    trials: Mapping[str, list[Trial]], calls: Mapping[str, Callable[[Mapping[str, Any]], Any]], options: Options
+    trials: Mapping[str, list[Trial]],
+    calls: Mapping[str, Callable[[Mapping[str, Any]], Any]],
+    options: Options,
 ) -> dict[str, dict[str, Any]]:
     """Time the best setting of every program in turn, and collect its results."""
     trials, calls = dict(trials), dict(calls)
@@ -64,15 +79,20 @@ def time_best(
             options.say(f"{name}: a run takes {top.seconds:.0f} s, timed once more only")
             timing = Timing([top.seconds, *timing.seconds])
         programs[name] = {
-            "settings": top.settings, "dice": top.dice, **timing.to_dict(),
-            "highest_dice": max(t.dice for t in trials[name]), "search": [t.to_dict() for t in trials[name]],
+            "settings": top.settings,
+            "dice": top.dice,
+            **timing.to_dict(),
+            "highest_dice": max(t.dice for t in trials[name]),
+            "search": [t.to_dict() for t in trials[name]],
         }
     return programs
 
 
 def level(trials: Mapping[str, list[Trial]]) -> list[Trial]:
     """The fastest trial of accelsurf with a Dice no lower than any peer's best, if there is one."""
-    highest = max((best(tried).dice for name, tried in trials.items() if name in PEERS), default=1.0)
+    highest = max(
+        (best(tried).dice for name, tried in trials.items() if name in PEERS), default=1.0
+    )
     good = [trial for trial in trials[OWN] if trial.dice >= highest]
     return [min(good, key=lambda trial: trial.seconds)] if good else []
 
@@ -84,21 +104,36 @@ def judge(
     own = programs[OWN]
     others = {name: facts for name, facts in programs.items() if name not in (OWN, LEVEL)}
     pairs = [
-        {"pair": f"{label}: {name} / accelsurf", "ratio": f["median_s"] / own["median_s"], "dice": f["dice"]}
+        {
+            "pair": f"{label}: {name} / accelsurf",
+            "ratio": f["median_s"] / own["median_s"],
+            "dice": f["dice"],
+        }
         for name, f in others.items()
     ]
     peers = {name: facts for name, facts in others.items() if name in PEERS}
     if not peers:
         return [goal(f"{label}: times faster than the best peer", wanted, None)], pairs
-    top = best(Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in peers.items())
+    top = best(
+        Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in peers.items()
+    )
     highest = max(facts["dice"] for facts in peers.values())
-    name, as_good = top.settings["name"], programs.get(LEVEL, own if own["dice"] >= highest else None)
+    name, as_good = (
+        top.settings["name"],
+        programs.get(LEVEL, own if own["dice"] >= highest else None),
+    )
     faster = None if as_good is None else top.seconds / as_good["median_s"]
     return [
         goal(f"{label}: Dice less the best peer's", 0.0, own["dice"] - highest, unit=""),
-        goal(f"{label}: times faster than the best peer ({name}), at no lower Dice than any", wanted, faster),
+        goal(
+            f"{label}: times faster than the best peer ({name}), at no lower Dice than any",
+            wanted,
+            faster,
+        ),
         goal(f"{label}: the same at its own best Dice", wanted, top.seconds / own["median_s"]),
-        *_beside_baselines(own, {name: facts for name, facts in others.items() if name in BASELINES}, label),
+        *_beside_baselines(
+            own, {name: facts for name, facts in others.items() if name in BASELINES}, label
+        ),
     ], pairs
 
 
@@ -108,10 +143,14 @@ def _beside_baselines(
     """Goals beside what a person would take who needs no surface that moves."""
     if not baselines:
         return []
-    top = best(Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in baselines.items())
+    top = best(
+        Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in baselines.items()
+    )
     name = top.settings["name"]
     return [
-        goal(f"{label}: Dice less the best baseline's ({name})", 0.0, own["dice"] - top.dice, unit=""),
+        goal(
+            f"{label}: Dice less the best baseline's ({name})", 0.0, own["dice"] - top.dice, unit=""
+        ),
         goal(f"{label}: times faster than it", 1.0, top.seconds / own["median_s"]),
     ]
 
@@ -125,6 +164,13 @@ def program_table(title: str, programs: Mapping[str, Mapping[str, Any]]) -> dict
         counts = len(f["seconds"]), len(f["search"])
         rows.append((name, f["dice"], f["highest_dice"], f["median_s"], ratio, *counts, settings))
     columns = (
-        "program", "Dice", "highest tried", "seconds", "/ accelsurf's", "runs", "settings tried", "settings"
+        "program",
+        "Dice",
+        "highest tried",
+        "seconds",
+        "/ accelsurf's",
+        "runs",
+        "settings tried",
+        "settings",
     )
     return table(title, columns, rows)

@@ -85,7 +85,9 @@ def _walker(work: Work, settings: Settings) -> np.ndarray:
     from skimage.segmentation import random_walker
 
     seeds, other = _seeds_with_outside(work)
-    smooth = ndimage.gaussian_filter(work.image, settings["sigma"]) / abs(float(np.diff(work.means)[0]))
+    smooth = ndimage.gaussian_filter(work.image, settings["sigma"]) / abs(
+        float(np.diff(work.means)[0])
+    )
     labels = random_walker(smooth, seeds, beta=settings["beta"], mode="cg_j", tol=1e-3)
     return np.where(labels == other, 0, labels)
 
@@ -130,8 +132,12 @@ def _watershed(work: Work, settings: Settings) -> np.ndarray:
 def _watersheds(sigmas: tuple[float, ...], flooded: tuple[str, ...]) -> list[Program]:
     """That of both libraries, with the same settings to try."""
     return [
-        Program(f"{library} watershed", _watershed, combinations(
-            sigma=sigmas, flooded=flooded, library=(library,)), module)
+        Program(
+            f"{library} watershed",
+            _watershed,
+            combinations(sigma=sigmas, flooded=flooded, library=(library,)),
+            module,
+        )
         for library, module in (("scikit-image", "skimage"), ("mahotas", "mahotas"))
     ]
 
@@ -169,36 +175,76 @@ def _peer(name: str) -> Program:
 
 OWN = "accelsurf"
 _OTSU = Program("Gaussian, Otsu, largest part", _otsu, combinations(sigma=(0.5, 1.0, 1.5)))
-_TV = Program("total variation, Otsu, largest part", _tv, combinations(weight=(0.2, 0.5, 1.0), passes=(50,)))
+_TV = Program(
+    "total variation, Otsu, largest part", _tv, combinations(weight=(0.2, 0.5, 1.0), passes=(50,))
+)
 _CUT = Program("graph cut, SciPy", _cut, combinations(weight=(0.05, 0.2, 0.5)))
-_WALKER = Program("scikit-image random_walker", _walker, combinations(sigma=(0.0, 0.7, 1.0), beta=(100.0, 1000.0)))
+_WALKER = Program(
+    "scikit-image random_walker", _walker, combinations(sigma=(0.0, 0.7, 1.0), beta=(100.0, 1000.0))
+)
 _CHAN_VESE = _peer("scikit-image morphological_chan_vese")
 _SPARSE = _peer("SimpleITK ThresholdSegmentation")
 
 PROGRAMS: dict[str, list[Program]] = {
     "uneven": [
-        Program(OWN, _own_start, [
-            *combinations(energy=("local-region:R=8", "local-region:R=12"), presmooth=(0.0, 1.0)), {"presmooth": 1.0},
-        ]),
+        Program(
+            OWN,
+            _own_start,
+            [
+                *combinations(
+                    energy=("local-region:R=8", "local-region:R=12"), presmooth=(0.0, 1.0)
+                ),
+                {"presmooth": 1.0},
+            ],
+        ),
         Program("accelsurf, one click", _own_clicks, [{}]),
-        _OTSU, _TV, _CUT, _WALKER, _CHAN_VESE, _SPARSE,
-        Program("local threshold", _local_threshold, combinations(sigma=(1.0, 1.5), width=(20.0, 30.0))),
+        _OTSU,
+        _TV,
+        _CUT,
+        _WALKER,
+        _CHAN_VESE,
+        _SPARSE,
+        Program(
+            "local threshold", _local_threshold, combinations(sigma=(1.0, 1.5), width=(20.0, 30.0))
+        ),
     ],
     "neighbours": [
         Program(OWN, _own_clicks, [{}, {"presmooth": 1.0}]),
-        _OTSU, _WALKER,
+        _OTSU,
+        _WALKER,
         *_watersheds((1.0, 1.5, 2.0), ("depth", "gradient")),
     ],
     "vessels": [
-        Program(OWN, _own_start, [
-            {}, {"presmooth": 0.7}, {"energy": "likelihood", "smoothness": 0.1}, {"smoothness": 0.1},
-        ]),
+        Program(
+            OWN,
+            _own_start,
+            [
+                {},
+                {"presmooth": 0.7},
+                {"energy": "likelihood", "smoothness": 0.1},
+                {"smoothness": 0.1},
+            ],
+        ),
         Program("accelsurf, one click", _own_clicks, [{}]),
-        _OTSU, _TV, _CUT, _CHAN_VESE, _SPARSE,
-        Program("scikit-image sato", _sato, [
-            {"sigmas": sigmas, "part": part} for sigmas in ((1.0, 2.0), (1.0, 2.0, 3.0)) for part in (0.2, 0.3, 0.4)
-        ]),
-        Program("hysteresis threshold", _hysteresis, combinations(sigma=(0.5, 0.8, 1.2), low=(0.3, 0.4, 0.5))),
+        _OTSU,
+        _TV,
+        _CUT,
+        _CHAN_VESE,
+        _SPARSE,
+        Program(
+            "scikit-image sato",
+            _sato,
+            [
+                {"sigmas": sigmas, "part": part}
+                for sigmas in ((1.0, 2.0), (1.0, 2.0, 3.0))
+                for part in (0.2, 0.3, 0.4)
+            ],
+        ),
+        Program(
+            "hysteresis threshold",
+            _hysteresis,
+            combinations(sigma=(0.5, 0.8, 1.2), low=(0.3, 0.4, 0.5)),
+        ),
     ],
     "cells": [
         Program(OWN, _own_partition, [{}]),

@@ -10,7 +10,16 @@ import numpy as np
 from accelsurf.clicks.model.fronts import times_from
 from accelsurf.kernels.arrival import Tissue
 from accelsurf.levelset import LevelSet
-from benchmarks.peers.measure import Options, Timing, goal, in_turn, repeated, set_threads, table, timed
+from benchmarks.peers.measure import (
+    Options,
+    Timing,
+    goal,
+    in_turn,
+    repeated,
+    set_threads,
+    table,
+    timed,
+)
 from benchmarks.peers.work import ball, bumpy, perturbed
 
 HALF_WIDTH = 4.0
@@ -35,7 +44,9 @@ def march(options: Options) -> dict[str, Any]:
         works["scikit-fmm, two fields"] = lambda: [
             skfmm.extension_velocities(dense, f, narrow=HALF_WIDTH) for f in spread
         ]
-        works["scikit-fmm, one field"] = lambda: skfmm.extension_velocities(dense, spread[0], narrow=HALF_WIDTH)
+        works["scikit-fmm, one field"] = lambda: skfmm.extension_velocities(
+            dense, spread[0], narrow=HALF_WIDTH
+        )
         works["scikit-fmm, distance only"] = lambda: skfmm.distance(dense, narrow=HALF_WIDTH)
     own = repeated(lambda made: redistance(*made), options.repeats, lambda: ready(psi))
     times = {"accelsurf": own, **in_turn(works, dict.fromkeys(works, options.repeats))}
@@ -52,9 +63,13 @@ def march(options: Options) -> dict[str, Any]:
     fronts = arrivals(options)
     return {
         "work": f"redistance and extend two fields, half width 4, ball of radius {radius:g} in {side}^3, 1 thread",
-        "threads": 1, "goals": goals, "pairs": pairs, "band_cells": cells,
+        "threads": 1,
+        "goals": goals,
+        "pairs": pairs,
+        "band_cells": cells,
         "times": {name: t.to_dict() for name, t in times.items()},
-        "sizes": sizes, "arrivals": fronts,
+        "sizes": sizes,
+        "arrivals": fronts,
         "tables": [
             table("The same work", ("program", "seconds", "ns per band cell"), rows),
             table(
@@ -63,8 +78,12 @@ def march(options: Options) -> dict[str, Any]:
                 [(f["program"], f["median_s"], f["ns_per_voxel"], f["mean_error"]) for f in fronts],
             ),
             table(
-                "accelsurf, equal surface in growing volumes", ("volume", "band cells", "seconds", "ns per band cell"),
-                [(f"{s['side']}^3", s["band_cells"], s["median_s"], s["ns_per_cell"]) for s in sizes],
+                "accelsurf, equal surface in growing volumes",
+                ("volume", "band cells", "seconds", "ns per band cell"),
+                [
+                    (f"{s['side']}^3", s["band_cells"], s["median_s"], s["ns_per_cell"])
+                    for s in sizes
+                ],
             ),
         ],
         "bars": [[name, t.median] for name, t in times.items()],
@@ -102,7 +121,9 @@ def arrivals(options: Options) -> list[dict[str, Any]]:
     exact = np.sqrt(sum((axis - side // 2) ** 2 for axis in np.ogrid[:side, :side, :side]))
     image = np.zeros(exact.shape, np.float32)
     tissue = Tissue(np.zeros(1), np.ones(1), np.ones(1), np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0]))
-    works: dict[str, Any] = {"accelsurf": lambda: times_from(exact == 0, image, (1.0, 1.0, 1.0), tissue)}
+    works: dict[str, Any] = {
+        "accelsurf": lambda: times_from(exact == 0, image, (1.0, 1.0, 1.0), tissue)
+    }
     if importlib.util.find_spec("eikonalfm") is None:
         options.say("eikonalfm: skipped, it is not installed (pip install eikonalfm)")
     else:
@@ -115,10 +136,15 @@ def arrivals(options: Options) -> list[dict[str, Any]]:
     far, lines = exact > 6.0, []
     for name, timing in in_turn(works, dict.fromkeys(works, options.repeats)).items():
         wrong = float(np.mean(np.abs(works[name]()[far] - exact[far]) / exact[far]))
-        lines.append({
-            "program": name, "side": side, **timing.to_dict(), "ns_per_voxel": 1e9 * timing.median / side**3,
-            "mean_error": wrong,
-        })
+        lines.append(
+            {
+                "program": name,
+                "side": side,
+                **timing.to_dict(),
+                "ns_per_voxel": 1e9 * timing.median / side**3,
+                "mean_error": wrong,
+            }
+        )
     return lines
 
 
@@ -130,7 +156,9 @@ def growing(options: Options) -> tuple[list[dict[str, Any]], float]:
     cells = {side: pair[0].size for side, pair in made.items()}
     for turn in range(2 * options.repeats + 1):
         for side, (surface, fields) in made.items():
-            taken, change = timed(lambda surface=surface, fields=fields: redistance(surface, fields))
+            taken, change = timed(
+                lambda surface=surface, fields=fields: redistance(surface, fields)
+            )
             # The surface moves a little in and out, so that no redistancing finds its work done.
             surface.advance(bumpy(surface), -0.5 if turn % 2 == 0 else 0.5)
             made[side] = surface, change.fields
@@ -139,8 +167,13 @@ def growing(options: Options) -> tuple[list[dict[str, Any]], float]:
     lines = []
     for side in sides:
         t = Timing(seconds[side])
-        lines.append({
-            "side": side, "band_cells": cells[side], **t.to_dict(), "ns_per_cell": 1e9 * t.median / cells[side]
-        })
+        lines.append(
+            {
+                "side": side,
+                "band_cells": cells[side],
+                **t.to_dict(),
+                "ns_per_cell": 1e9 * t.median / cells[side],
+            }
+        )
     medians = [line["median_s"] for line in lines]
     return lines, 100.0 * (max(medians) / min(medians) - 1.0)

@@ -22,7 +22,16 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent.parent
 #: Distributions whose version a result names.
 PACKAGES = (
-    "accelsurf", "numpy", "scipy", "numba", "SimpleITK", "scikit-image", "scikit-fmm", "picsl-c3d", "pyvista", "vtk",
+    "accelsurf",
+    "numpy",
+    "scipy",
+    "numba",
+    "SimpleITK",
+    "scikit-image",
+    "scikit-fmm",
+    "picsl-c3d",
+    "pyvista",
+    "vtk",
 )
 #: Settings whose Dice is this close to the best count as equally good: the fastest of them is taken.
 AS_GOOD = 0.002
@@ -30,7 +39,10 @@ AS_GOOD = 0.002
 LONG = 60.0
 #: Variables by which libraries choose their number of threads when they are loaded.
 THREAD_VARIABLES = (
-    "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
+    "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS",
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
 )
 
 
@@ -67,7 +79,9 @@ def scans_folder() -> Path | None:
     return Path(folder) if folder else None
 
 
-def goal(what: str, wanted: float, measured: float | None, sense: str = ">=", unit: str = "x") -> dict[str, Any]:
+def goal(
+    what: str, wanted: float, measured: float | None, sense: str = ">=", unit: str = "x"
+) -> dict[str, Any]:
     """One thing to reach, for the table: ``measured`` should be >= or <= ``wanted``."""
     return {"what": what, "wanted": wanted, "measured": measured, "sense": sense, "unit": unit}
 
@@ -114,7 +128,10 @@ def timed(work: Callable[[], Any], setup: Callable[[], Any] | None = None) -> tu
 
 
 def repeated(
-    work: Callable[..., Any], repeats: int, setup: Callable[[], Any] | None = None, warm: bool = True
+    work: Callable[..., Any],
+    repeats: int,
+    setup: Callable[[], Any] | None = None,
+    warm: bool = True,
 ) -> Timing:
     """Time ``repeats`` runs, after one that warms up."""
     if warm:
@@ -122,7 +139,9 @@ def repeated(
     return Timing([timed(work, setup)[0] for _ in range(repeats)])
 
 
-def in_turn(works: Mapping[str, Callable[[], Any]], repeats: Mapping[str, int]) -> dict[str, Timing]:
+def in_turn(
+    works: Mapping[str, Callable[[], Any]], repeats: Mapping[str, int]
+) -> dict[str, Timing]:
     """Time several programs in turn, so that what disturbs the machine disturbs all of them alike."""
     seconds: dict[str, list[float]] = {name: [] for name in works}
     for turn in range(max(repeats.values(), default=0)):
@@ -156,7 +175,10 @@ def combinations(**values: Iterable[Any]) -> list[dict[str, Any]]:
     >>> combinations(sigma=(1, 2), weight=(0,))
     [{'sigma': 1, 'weight': 0}, {'sigma': 2, 'weight': 0}]
     """
-    return [dict(zip(values, combination, strict=True)) for combination in itertools.product(*values.values())]
+    return [
+        dict(zip(values, combination, strict=True))
+        for combination in itertools.product(*values.values())
+    ]
 
 
 def best(trials: Iterable[Trial]) -> Trial:
@@ -203,7 +225,9 @@ def search(
             if any(trial.settings == settings for trial in trials):
                 continue
             if trials and time.perf_counter() - began > limit_s:
-                say(f"search stopped after {limit_s:.0f} s, {len(settings_list) - i} settings not tried")
+                say(
+                    f"search stopped after {limit_s:.0f} s, {len(settings_list) - i} settings not tried"
+                )
                 return
             seconds, dice = timed(lambda settings=settings: run(settings))
             trials.append(Trial(settings, float(dice), seconds))
@@ -229,7 +253,9 @@ def repeats_for(trial: Trial, options: Options, hopeless: bool = False) -> int:
 def machine() -> dict[str, Any]:
     """Processor, memory, system, versions, date; and how busy the machine was when the benchmark began."""
     return {
-        "processor": _first_line("/proc/cpuinfo", "model name") or platform.processor() or platform.machine(),
+        "processor": _first_line("/proc/cpuinfo", "model name")
+        or platform.processor()
+        or platform.machine(),
         "cores": os.cpu_count(),
         "memory_gb": _memory_gb(),
         "caches": _caches(),
@@ -274,7 +300,9 @@ def _caches() -> dict[str, str]:
     found = {}
     for index in sorted(Path("/sys/devices/system/cpu/cpu0/cache").glob("index*")):
         try:
-            level, kind, size = ((index / name).read_text().strip() for name in ("level", "type", "size"))
+            level, kind, size = (
+                (index / name).read_text().strip() for name in ("level", "type", "size")
+            )
         except OSError:
             continue
         if kind != "Instruction":
@@ -285,7 +313,10 @@ def _caches() -> dict[str, str]:
 def _commit() -> str | None:
     try:
         done = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=10"], cwd=ROOT, capture_output=True, text=True
+            ["git", "describe", "--always", "--dirty", "--abbrev=10"],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
         )
     except OSError:
         return None
@@ -314,9 +345,13 @@ def run_process(command: list[str], threads: int, **more: str) -> tuple[float, s
         When it fails, with the last line of what it said.
     """
     began = time.perf_counter()
-    done = subprocess.run(command, env=child_environment(threads, **more), capture_output=True, text=True)
+    done = subprocess.run(
+        command, env=child_environment(threads, **more), capture_output=True, text=True
+    )
     seconds = time.perf_counter() - began
     if done.returncode:
         said = (done.stderr.strip() or done.stdout.strip()).splitlines()
-        raise MissingError(f"{Path(command[0]).name} ended with {done.returncode}: {said[-1] if said else ''}")
+        raise MissingError(
+            f"{Path(command[0]).name} ended with {done.returncode}: {said[-1] if said else ''}"
+        )
     return seconds, done.stdout

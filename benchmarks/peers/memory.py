@@ -21,36 +21,64 @@ def memory(options: Options) -> dict[str, Any]:
     for side in sides:
         hold, _ = peak("hold", side)
         run, cells = peak("run", side)
-        lines.append({
-            "side": side, "hold_bytes": hold, "run_bytes": run, "band_cells": cells,
-            "bytes_per_voxel": (run - hold) / side**3,
-        })
-        print(f"   {side}^3: {run / 1e9:.2f} GB, {lines[-1]['bytes_per_voxel']:.1f} bytes a voxel beyond the image")
+        lines.append(
+            {
+                "side": side,
+                "hold_bytes": hold,
+                "run_bytes": run,
+                "band_cells": cells,
+                "bytes_per_voxel": (run - hold) / side**3,
+            }
+        )
+        print(
+            f"   {side}^3: {run / 1e9:.2f} GB, {lines[-1]['bytes_per_voxel']:.1f} bytes a voxel beyond the image"
+        )
     per_voxel, per_cell, constant = fitted(lines)
     largest = lines[-1]
     return {
         "work": f"peak memory of segment() of a ball in n^3 float32, {STEPS} steps, n = {', '.join(map(str, sides))}",
-        "threads": 1, "lines": lines,
+        "threads": 1,
+        "lines": lines,
         "fit": {"bytes_per_voxel": per_voxel, "bytes_per_band_cell": per_cell, "bytes": constant},
-        "pairs": [{
-            "pair": f"segmenting / holding the image, {largest['side']}^3",
-            "ratio": largest["run_bytes"] / largest["hold_bytes"], "sense": "<=",
-        }],
+        "pairs": [
+            {
+                "pair": f"segmenting / holding the image, {largest['side']}^3",
+                "ratio": largest["run_bytes"] / largest["hold_bytes"],
+                "sense": "<=",
+            }
+        ],
         "goals": [
             goal("bytes a voxel beyond the image, band term apart", 12.0, per_voxel, "<=", "B"),
             goal(f"peak at {largest['side']}^3", 3.0, largest["run_bytes"] / 1e9, "<=", "GB"),
         ],
-        "tables": [table(
-            "Peak memory",
-            ("volume", "band cells", "holding the image (MB)", "segmenting (MB)", "bytes a voxel beyond the image"),
-            [
-                (f"{e['side']}^3", e["band_cells"], e["hold_bytes"] / 1e6, e["run_bytes"] / 1e6, e["bytes_per_voxel"])
-                for e in lines
-            ],
-        )],
+        "tables": [
+            table(
+                "Peak memory",
+                (
+                    "volume",
+                    "band cells",
+                    "holding the image (MB)",
+                    "segmenting (MB)",
+                    "bytes a voxel beyond the image",
+                ),
+                [
+                    (
+                        f"{e['side']}^3",
+                        e["band_cells"],
+                        e["hold_bytes"] / 1e6,
+                        e["run_bytes"] / 1e6,
+                        e["bytes_per_voxel"],
+                    )
+                    for e in lines
+                ],
+            )
+        ],
         "curves": {
-            "x": "voxels a side", "y": "peak memory beyond the image (MB)",
-            "lines": {"segment()": [[e["side"], (e["run_bytes"] - e["hold_bytes"]) / 1e6] for e in lines]},
+            "x": "voxels a side",
+            "y": "peak memory beyond the image (MB)",
+            "lines": {
+                "segment()": [[e["side"], (e["run_bytes"] - e["hold_bytes"]) / 1e6] for e in lines]
+            },
         },
     }
 
@@ -92,7 +120,9 @@ def own_peak() -> int:
     import resource
 
     # Kilobytes but for macOS, where it is bytes.
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
+        1 if sys.platform == "darwin" else 1024
+    )
 
 
 def phantom(side: int) -> np.ndarray:
@@ -116,7 +146,9 @@ def child(what: str, side: int) -> None:
     cells = 0
     if what == "run":
         middle = 0.5 * (side - 1)
-        result = segment(image, start=f"ball:{middle},{middle},{middle},{0.3 * side}vox", max_steps=STEPS)
+        result = segment(
+            image, start=f"ball:{middle},{middle},{middle},{0.3 * side}vox", max_steps=STEPS
+        )
         cells = result.history[-1].band_cells
     print(cells, own_peak())
 

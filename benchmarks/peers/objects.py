@@ -21,7 +21,9 @@ from benchmarks.peers.programs import level
 from benchmarks.peers.scans import Window, found_by, in_window, search_peer, search_peers
 
 #: Settings of the watersheds: presmoothing (voxels), what is flooded, and the threshold between the true means.
-WATERSHEDS = combinations(sigma=(1.0, 2.0, 3.0), flooded=("value", "distance"), where=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
+WATERSHEDS = combinations(
+    sigma=(1.0, 2.0, 3.0), flooded=("value", "distance"), where=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+)
 
 
 def mean_dice(found: np.ndarray, truth: np.ndarray) -> float:
@@ -50,14 +52,26 @@ def compare_on_objects(
         "truth": truth > 0,
         "start": psi / min(image.geometry.spacing),
     }
-    found: dict[str, Any] = {"seconds_of_search": seconds, "voxels": list(psi.shape), "best": {}, "missing": []}
+    found: dict[str, Any] = {
+        "seconds_of_search": seconds,
+        "voxels": list(psi.shape),
+        "best": {},
+        "missing": [],
+    }
 
     def shared_out(inside: np.ndarray, _: Mapping[str, np.ndarray]) -> float:
         return mean_dice(np.where(inside, nearest, 0), truth)
 
-    search_peers(found, lambda peer: search_peer(peer, case, seconds, shared_out, halve=False), ", shared out")
+    search_peers(
+        found,
+        lambda peer: search_peer(peer, case, seconds, shared_out, halve=False),
+        ", shared out",
+    )
     seeds = np.where(psi < 0, nearest, 0)
-    for name, flood in (("scikit-image watershed", _skimage_flood), ("SimpleITK watershed", _sitk_flood)):
+    for name, flood in (
+        ("scikit-image watershed", _skimage_flood),
+        ("SimpleITK watershed", _sitk_flood),
+    ):
         tried = functools.partial(search_watershed, flood, image, truth, seeds, seconds)
         found["best"][name] = found_by(name, tried)
     return found
@@ -71,20 +85,28 @@ def together(starts: Sequence[ObjectStart], image: Volume) -> tuple[np.ndarray, 
         box = tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True))
         np.minimum(psi[box], one.psi, out=psi[box])
         ids[box][one.psi < 0] = one.id
-    far, at = ndimage.distance_transform_edt(ids == 0, sampling=image.geometry.spacing, return_indices=True)
+    far, at = ndimage.distance_transform_edt(
+        ids == 0, sampling=image.geometry.spacing, return_indices=True
+    )
     return np.where(np.isfinite(psi), psi, far.astype(np.float32)), ids[tuple(at)]
 
 
-def search_watershed(flood: Any, image: Volume, truth: np.ndarray, seeds: np.ndarray, seconds: float) -> list[Trial]:
+def search_watershed(
+    flood: Any, image: Volume, truth: np.ndarray, seeds: np.ndarray, seconds: float
+) -> list[Trial]:
     """Try all settings of a watershed."""
     values = image.as_float32()
     means = float(values[truth > 0].mean()), float(values[truth == 0].mean())
 
     def run(settings: Mapping[str, Any]) -> float:
         smooth = ndimage.gaussian_filter(values, settings["sigma"])
-        inside = ((smooth - level(means, settings["where"])) * (means[0] - means[1]) > 0) | (seeds > 0)
+        inside = ((smooth - level(means, settings["where"])) * (means[0] - means[1]) > 0) | (
+            seeds > 0
+        )
         if settings["flooded"] == "distance":
-            relief = -ndimage.distance_transform_edt(inside, sampling=image.geometry.spacing).astype(np.float32)
+            relief = -ndimage.distance_transform_edt(
+                inside, sampling=image.geometry.spacing
+            ).astype(np.float32)
         else:
             relief = smooth * np.float32(np.sign(means[1] - means[0]))
         return mean_dice(np.where(inside, flood(relief, seeds, inside), 0), truth)
@@ -103,5 +125,7 @@ def _sitk_flood(relief: np.ndarray, seeds: np.ndarray, inside: np.ndarray) -> np
 
     high = np.where(inside, relief, relief.max() + 1).astype(np.float32)
     pictures = sitk.GetImageFromArray(high), sitk.GetImageFromArray(seeds.astype(np.int32))
-    flooded = sitk.MorphologicalWatershedFromMarkers(*pictures, markWatershedLine=False, fullyConnected=False)
+    flooded = sitk.MorphologicalWatershedFromMarkers(
+        *pictures, markWatershedLine=False, fullyConnected=False
+    )
     return np.asarray(sitk.GetArrayFromImage(flooded))

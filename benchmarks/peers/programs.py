@@ -147,7 +147,9 @@ def sitk_chan_vese(
     solver.SetVolumeMatchingWeight(0.0)
     step = {"atan": solver.AtanRegularizedHeaviside, "step": solver.Heaviside}
     solver.SetHeavisideStepFunction(step[settings["heaviside"]])
-    brightness = _itk_smooth(image, settings["sigma"]) * (settings["scale"] / abs(means[0] - means[1]))
+    brightness = _itk_smooth(image, settings["sigma"]) * (
+        settings["scale"] / abs(means[0] - means[1])
+    )
     found = solver.Execute(_itk(-start if settings["swapped"] else start), brightness)
     labels = np.asarray(sitk.GetArrayViewFromImage(found)) > 0
     # Which of the two regions it labels is a convention: the one that the start lies in is meant.
@@ -206,10 +208,15 @@ def skimage_geodesic(
     image: np.ndarray, start: np.ndarray, means: tuple[float, float], settings: Mapping[str, Any]
 ) -> np.ndarray:
     """morphological_geodesic_active_contour, growing from inside up to the edges."""
-    from skimage.segmentation import inverse_gaussian_gradient, morphological_geodesic_active_contour
+    from skimage.segmentation import (
+        inverse_gaussian_gradient,
+        morphological_geodesic_active_contour,
+    )
 
     contrast = abs(means[0] - means[1])
-    edges = inverse_gaussian_gradient(image / contrast, alpha=settings["alpha"], sigma=settings["sigma"])
+    edges = inverse_gaussian_gradient(
+        image / contrast, alpha=settings["alpha"], sigma=settings["sigma"]
+    )
     return np.asarray(
         morphological_geodesic_active_contour(
             edges,
@@ -230,40 +237,91 @@ PEERS: dict[str, Peer] = {
     peer.name: peer
     for peer in (
         Peer(
-            "c3d -levelset", "picsl_c3d", "picsl-c3d", c3d,
-            combinations(sigma=(1.0, 1.5, 2.0), curvature=(0.0, 0.2, 0.5), where=(0.5,), advection=(0.0,),
-                         iterations=(300,)),
+            "c3d -levelset",
+            "picsl_c3d",
+            "picsl-c3d",
+            c3d,
+            combinations(
+                sigma=(1.0, 1.5, 2.0),
+                curvature=(0.0, 0.2, 0.5),
+                where=(0.5,),
+                advection=(0.0,),
+                iterations=(300,),
+            ),
             ITERATIONS,
         ),
         Peer(
-            "SimpleITK ThresholdSegmentation", "SimpleITK", "SimpleITK", sitk_threshold,
-            combinations(sigma=(1.0, 1.5, 2.0), curvature=(0.0, 0.05), where=(0.5,), upper=(1.5, 2.5),
-                         iterations=(400,)),
+            "SimpleITK ThresholdSegmentation",
+            "SimpleITK",
+            "SimpleITK",
+            sitk_threshold,
+            combinations(
+                sigma=(1.0, 1.5, 2.0),
+                curvature=(0.0, 0.05),
+                where=(0.5,),
+                upper=(1.5, 2.5),
+                iterations=(400,),
+            ),
             {"iterations": (0.75, 1.5)},
         ),
         Peer(
-            "SimpleITK GeodesicActiveContour", "SimpleITK", "SimpleITK", sitk_geodesic,
-            combinations(feature=("region",), sigma=(1.0, 1.5), curvature=(0.0, 0.2), where=(0.5,), advection=(0.0,),
-                         iterations=(300,))
-            + combinations(feature=("edge",), sigma=(1.5, 2.5), curvature=(0.2,), edge=(0.1, 0.05),
-                           advection=(1.0,), iterations=(300,)),
+            "SimpleITK GeodesicActiveContour",
+            "SimpleITK",
+            "SimpleITK",
+            sitk_geodesic,
+            combinations(
+                feature=("region",),
+                sigma=(1.0, 1.5),
+                curvature=(0.0, 0.2),
+                where=(0.5,),
+                advection=(0.0,),
+                iterations=(300,),
+            )
+            + combinations(
+                feature=("edge",),
+                sigma=(1.5, 2.5),
+                curvature=(0.2,),
+                edge=(0.1, 0.05),
+                advection=(1.0,),
+                iterations=(300,),
+            ),
             ITERATIONS,
         ),
         Peer(
-            "SimpleITK ScalarChanAndVeseDense", "SimpleITK", "SimpleITK", sitk_chan_vese,
-            combinations(sigma=(1.5, 2.5), scale=(100.0,), swapped=(False, True), heaviside=("atan", "step"),
-                         curvature=(0.0, 1.0), iterations=(20,)),
+            "SimpleITK ScalarChanAndVeseDense",
+            "SimpleITK",
+            "SimpleITK",
+            sitk_chan_vese,
+            combinations(
+                sigma=(1.5, 2.5),
+                scale=(100.0,),
+                swapped=(False, True),
+                heaviside=("atan", "step"),
+                curvature=(0.0, 1.0),
+                iterations=(20,),
+            ),
             {"scale": (0.01, 100.0), "iterations": (0.5, 2.0)},
         ),
         Peer(
-            "scikit-image morphological_chan_vese", "skimage", "scikit-image", skimage_chan_vese,
+            "scikit-image morphological_chan_vese",
+            "skimage",
+            "scikit-image",
+            skimage_chan_vese,
             combinations(smoothing=(0, 1, 2), sigma=(1.0, 1.5, 2.0), iterations=(60,)),
             {"iterations": (0.67, 2.0)},
         ),
         Peer(
-            "scikit-image morphological_geodesic", "skimage", "scikit-image", skimage_geodesic,
-            combinations(sigma=(2.0, 3.0), alpha=(100.0, 1000.0), smoothing=(1,), threshold=("auto", 0.5),
-                         iterations=(60,)),
+            "scikit-image morphological_geodesic",
+            "skimage",
+            "scikit-image",
+            skimage_geodesic,
+            combinations(
+                sigma=(2.0, 3.0),
+                alpha=(100.0, 1000.0),
+                smoothing=(1,),
+                threshold=("auto", 0.5),
+                iterations=(60,),
+            ),
             {"iterations": (0.67, 2.0)},
         ),
     )

@@ -41,22 +41,34 @@ def regularised(options: Options) -> dict[str, Any]:
     return {
         "work": f"Chan-Vese with area weight {speed.ALPHA:g} mm, {sizes[0]} to {sizes[-1]} voxels a side, to 1 % "
         "of the energy gap, 1 thread",
-        "threads": 1, "lines": lines, "slopes": slopes,
-        "pairs": [{"pair": f"gradient / constant density at {compared}^3, seconds", "ratio": ratio}],
+        "threads": 1,
+        "lines": lines,
+        "slopes": slopes,
+        "pairs": [
+            {"pair": f"gradient / constant density at {compared}^3, seconds", "ratio": ratio}
+        ],
         "goals": [
             goal("slope of momentum's steps", 1.3, slopes[MOMENTUM], "<=", ""),
             goal("slope of descent's steps", 1.7, slopes[GRADIENT], ">=", ""),
             goal(f"times faster at {compared}^3", 5.0, ratio),
         ],
-        "tables": [table(
-            "Steps and seconds to the minimum", ("voxels a side", "flow", "steps", "seconds", "ms per step"),
-            [(e["n"], e["flow"], e["steps"], e["seconds"], e["milliseconds_per_step"]) for e in lines],
-        )],
+        "tables": [
+            table(
+                "Steps and seconds to the minimum",
+                ("voxels a side", "flow", "steps", "seconds", "ms per step"),
+                [
+                    (e["n"], e["flow"], e["steps"], e["seconds"], e["milliseconds_per_step"])
+                    for e in lines
+                ],
+            )
+        ],
         "curves": {
-            "x": "voxels a side", "y": "steps to 1 % of the energy gap",
+            "x": "voxels a side",
+            "y": "steps to 1 % of the energy gap",
             "lines": {
-                f"{name}: n^{slopes[name]:.2f}" if slopes[name] is not None else name:
-                    [[e["n"], e["steps"]] for e in lines if e["flow"] == name and e["steps"]]
+                f"{name}: n^{slopes[name]:.2f}" if slopes[name] is not None else name: [
+                    [e["n"], e["steps"]] for e in lines if e["flow"] == name and e["steps"]
+                ]
                 for name in slopes
             },
         },

@@ -12,7 +12,15 @@ from benchmarks.figures.common import COLOURS
 
 #: The order in which they are shown.
 NAMES = (
-    "march", "advance", "segment-noise", "segment-hard", "segment-real", "regularised", "step", "memory", "start",
+    "march",
+    "advance",
+    "segment-noise",
+    "segment-hard",
+    "segment-real",
+    "regularised",
+    "step",
+    "memory",
+    "start",
     "threads",
 )
 NOTES = Path(__file__).with_name("notes.toml")
@@ -76,10 +84,14 @@ def verdict(entry: dict[str, Any]) -> str:
     return f"no, {number(factor)} times {'too little' if entry['sense'] == '>=' else 'too much'}"
 
 
-def markdown(results: dict[str, dict[str, Any]], notes: dict[str, str], pictures: str = "results") -> str:
+def markdown(
+    results: dict[str, dict[str, Any]], notes: dict[str, str], pictures: str = "results"
+) -> str:
     """RESULTS.md of some results."""
     lines = ["# accelsurf beside its peers", ""]
-    lines += ["Made by `scripts/benchmark`, rendered from the JSON files in `results` (`scripts/benchmark --render`)."]
+    lines += [
+        "Made by `scripts/benchmark`, rendered from the JSON files in `results` (`scripts/benchmark --render`)."
+    ]
     lines += ["[README.md](README.md) says how to read it.", ""]
     lines += ["| benchmark | work | wanted | measured | reached |", "|---|---|---|---|---|"]
     for name, result in results.items():
@@ -101,7 +113,12 @@ def markdown(results: dict[str, dict[str, Any]], notes: dict[str, str], pictures
         for each in result["tables"]:
             lines += ["", f"**{each['title']}**", "", *as_markdown(each)]
         if result["pairs"]:
-            pairs = [{"columns": ["pair", "ratio"], "rows": [(p["pair"], p["ratio"]) for p in result["pairs"]]}]
+            pairs = [
+                {
+                    "columns": ["pair", "ratio"],
+                    "rows": [(p["pair"], p["ratio"]) for p in result["pairs"]],
+                }
+            ]
             lines += ["", *as_markdown(pairs[0])]
         for message in result.get("messages", []):
             lines += ["", f"* {message}"]
@@ -114,7 +131,10 @@ def as_markdown(each: dict[str, Any]) -> list[str]:
     """A table's lines."""
     columns, rows = each["columns"], each["rows"]
     kinds = [all(not isinstance(row[i], str) for row in rows) for i in range(len(columns))]
-    head = [f"| {' | '.join(columns)} |", f"|{'|'.join('---:' if numeric else '---' for numeric in kinds)}|"]
+    head = [
+        f"| {' | '.join(columns)} |",
+        f"|{'|'.join('---:' if numeric else '---' for numeric in kinds)}|",
+    ]
     return head + [f"| {' | '.join(number(value) for value in row)} |" for row in rows]
 
 
@@ -152,7 +172,12 @@ def picture(folder: Path, name: str, result: dict[str, Any]) -> str | None:
         curves = result["curves"]
         for i, (label, points) in enumerate(curves["lines"].items()):
             if points:
-                axis.loglog(*zip(*points, strict=True), marker="os^D"[i % 4], color=COLOURS[i % 6], label=label)
+                axis.loglog(
+                    *zip(*points, strict=True),
+                    marker="os^D"[i % 4],
+                    color=COLOURS[i % 6],
+                    label=label,
+                )
         axis.set_xlabel(curves["x"])
         axis.set_ylabel(curves["y"])
         axis.legend(fontsize=8)

@@ -66,13 +66,24 @@ def compare_peers(
     low, high = where.min(axis=0) - MARGIN, where.max(axis=0) + MARGIN + 1
     box = tuple(slice(max(int(a), 0), int(b)) for a, b in zip(low, high, strict=True))
     values = in_window(image.as_float32()[box], window)
-    whole = {"image": values, "truth": truth[box], "start": start[box] / min(image.geometry.spacing)}
-    found: dict[str, Any] = {"seconds_of_search": seconds, "voxels": list(values.shape), "best": {}, "missing": []}
+    whole = {
+        "image": values,
+        "truth": truth[box],
+        "start": start[box] / min(image.geometry.spacing),
+    }
+    found: dict[str, Any] = {
+        "seconds_of_search": seconds,
+        "voxels": list(values.shape),
+        "best": {},
+        "missing": [],
+    }
     search_peers(found, lambda peer: search_peer(peer, whole, seconds))
     return found
 
 
-def search_peers(found: dict[str, Any], tried: Callable[[Peer], list[Trial]], remark: str = "") -> None:
+def search_peers(
+    found: dict[str, Any], tried: Callable[[Peer], list[Trial]], remark: str = ""
+) -> None:
     """Enter the best that each program has ``tried`` into what was ``found``, or that it is missing."""
     for peer in PEERS.values():
         if peer.missing:
@@ -123,7 +134,9 @@ def search_peer(
     trials = search(lambda s: run_on(first, s), coarse, peer.fine, share * seconds)
     if small is None:
         return trials
-    carried = [{**t.settings, "iterations": 2 * t.settings["iterations"]} for t in ranked(trials)[:CARRIED]]
+    carried = [
+        {**t.settings, "iterations": 2 * t.settings["iterations"]} for t in ranked(trials)[:CARRIED]
+    ]
     return search(lambda s: run_on(whole, s), carried, None, (1 - share) * seconds)
 
 
@@ -144,4 +157,8 @@ def halved(case: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     def mean(array: np.ndarray) -> np.ndarray:
         return array[cut].astype(np.float32).reshape(parts).mean(axis=(1, 3, 5))
 
-    return {"image": mean(case["image"]), "truth": mean(case["truth"]) >= 0.5, "start": 0.5 * mean(case["start"])}
+    return {
+        "image": mean(case["image"]),
+        "truth": mean(case["truth"]) >= 0.5,
+        "start": 0.5 * mean(case["start"]),
+    }

@@ -32,7 +32,11 @@ def own_noise_grid() -> list[dict[str, Any]]:
     """Settings of accelsurf in noise."""
     return [
         *combinations(
-            epsilon=(0.0,), presmooth=(1.5,), smoothness=(0.2, 0.1), tolerance=(0.1, 0.3, 0.5), levels=("auto", 3)
+            epsilon=(0.0,),
+            presmooth=(1.5,),
+            smoothness=(0.2, 0.1),
+            tolerance=(0.1, 0.3, 0.5),
+            levels=("auto", 3),
         ),
         *combinations(epsilon=(0.0, 1.5), presmooth=(1.5, 1.0, 2.0), smoothness=(0.1, 0.2, 0.0)),
         *combinations(flow=("gradient",), epsilon=(0.0,), presmooth=(1.5,), tolerance=(0.1, 0.3)),
@@ -60,11 +64,18 @@ def segment_noise(options: Options) -> dict[str, Any]:
     return {
         "work": f"cube in noise sigma 1 of the contrast, {sides[0]}^3 and {sides[1]}^3, off-centre ball, library call, "
         f"{options.threads} threads",
-        "threads": options.threads, "cases": cases, "goals": goals, "pairs": pairs, "tables": tables, "bars": bars,
+        "threads": options.threads,
+        "cases": cases,
+        "goals": goals,
+        "pairs": pairs,
+        "tables": tables,
+        "bars": bars,
     }
 
 
-def noise_case(side: int, options: Options, carried: dict[str, list[Trial]], limit_s: float) -> dict[str, Any]:
+def noise_case(
+    side: int, options: Options, carried: dict[str, list[Trial]], limit_s: float
+) -> dict[str, Any]:
     """One size: search, then timing in turn. ``carried`` brings the settings of a smaller size, and takes these."""
     image, truth, start, distance = noisy_cube(side)
     segment(image, start=start, threads=options.threads, max_steps=3)  # compile
@@ -75,7 +86,9 @@ def noise_case(side: int, options: Options, carried: dict[str, list[Trial]], lim
     calls: dict[str, Callable[[Mapping[str, Any]], np.ndarray]] = {OWN: own}
     grids: dict[str, tuple[list[dict[str, Any]], Any]] = {OWN: (own_noise_grid(), None)}
     for peer in (*available(options), *available(options, BASELINES)):
-        calls[peer.name] = lambda settings, peer=peer: peer.run(image, distance, (1.0, 0.0), settings)
+        calls[peer.name] = lambda settings, peer=peer: peer.run(
+            image, distance, (1.0, 0.0), settings
+        )
         grids[peer.name] = ([peer.scaled(s, side) for s in peer.coarse], peer.fine)
     if options.quick:
         grids = {name: (coarse[:2], None) for name, (coarse, _) in grids.items()}
@@ -89,9 +102,14 @@ def noise_case(side: int, options: Options, carried: dict[str, list[Trial]], lim
             # Both sizes have the same noise: the best of the smaller one, iterations grown with the side.
             coarse, fine = from_smaller(carried[name], side), None
         say = reporter(name, options)
-        trials[name] = search(lambda s, c=calls[name]: dice(c(s), truth), coarse, fine, limit_s, say)
+        trials[name] = search(
+            lambda s, c=calls[name]: dice(c(s), truth), coarse, fine, limit_s, say
+        )
         report(name, best(trials[name]))
-    carried |= {name: [scaled_trial(t, 96 / side) for t in ranked(ts)[:CARRIED]] for name, ts in trials.items()}
+    carried |= {
+        name: [scaled_trial(t, 96 / side) for t in ranked(ts)[:CARRIED]]
+        for name, ts in trials.items()
+    }
     carried[OWN] += [scaled_trial(t, 96 / side) for t in level(trials)]
     programs = time_best(trials, calls, options)
     return {"side": side, "start": start, "programs": programs}
@@ -101,7 +119,9 @@ def last_settings(side: int, options: Options) -> dict[str, dict[str, Any]]:
     """The peers' settings that the last search found for a size, for ``--again``; else none."""
     if not options.again or options.search is None:
         return {}
-    cases = json.loads(options.search.with_name("benchmark_segment-noise.json").read_text())["cases"]
+    cases = json.loads(options.search.with_name("benchmark_segment-noise.json").read_text())[
+        "cases"
+    ]
     programs = next((case["programs"] for case in cases if case["side"] == side), {})
     return {name: found["settings"] for name, found in programs.items() if name not in (OWN, LEVEL)}
 

@@ -49,13 +49,18 @@ OWN_SETTINGS = {"preset": "mr-brain"}
 
 def segment_real(options: Options) -> dict[str, Any]:
     """The brain scan, every program as a process from file to files."""
-    image_path, reference_path = scan(options.volumes, BRAIN), scan(options.volumes, BRAIN_REFERENCE)
+    image_path, reference_path = (
+        scan(options.volumes, BRAIN),
+        scan(options.volumes, BRAIN_REFERENCE),
+    )
     set_threads(options.threads)
     with tempfile.TemporaryDirectory() as folder:
         return _segment_real(options, image_path, reference_path, Path(folder))
 
 
-def _segment_real(options: Options, image_path: Path, reference_path: Path, folder: Path) -> dict[str, Any]:
+def _segment_real(
+    options: Options, image_path: Path, reference_path: Path, folder: Path
+) -> dict[str, Any]:
     truth = io.read_labels(reference_path).array > 0
     volume = io.read(image_path)
     image = volume.as_float32()
@@ -65,8 +70,23 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
     written = folder / "labels.nii.gz"
 
     def own(settings: Mapping[str, Any]) -> Path:
-        call = [sys.executable, "-m", "accelsurf", "segment", str(image_path), "-o", str(folder / "own"), "--quiet"]
-        call += ["--overwrite", "--start", f"ball:{world},{radius:g}", "--threads", str(options.threads)]
+        call = [
+            sys.executable,
+            "-m",
+            "accelsurf",
+            "segment",
+            str(image_path),
+            "-o",
+            str(folder / "own"),
+            "--quiet",
+        ]
+        call += [
+            "--overwrite",
+            "--start",
+            f"ball:{world},{radius:g}",
+            "--threads",
+            str(options.threads),
+        ]
         for key, value in settings.items():
             call += [f"--{key.replace('_', '-')}", str(value)]
         run_process(call, options.threads)
@@ -74,8 +94,21 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
 
     def whole(peer: Peer) -> Callable[[Mapping[str, Any]], Path]:
         def call(settings: Mapping[str, Any]) -> Path:
-            task = {"peer": peer.name, "settings": dict(settings), "centre": centre, "radius": radius, "means": means}
-            command = [sys.executable, "-m", "benchmarks.peers.whole", str(image_path), str(written), json.dumps(task)]
+            task = {
+                "peer": peer.name,
+                "settings": dict(settings),
+                "centre": centre,
+                "radius": radius,
+                "means": means,
+            }
+            command = [
+                sys.executable,
+                "-m",
+                "benchmarks.peers.whole",
+                str(image_path),
+                str(written),
+                json.dumps(task),
+            ]
             run_process(command, options.threads)
             return written
 
@@ -96,7 +129,9 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
         mine = {**OWN_SETTINGS, "max_steps": 3} if options.quick else OWN_SETTINGS
         trials = {OWN: searched(own, _dice_of(truth), [mine], None, options)}
         half = halved(image, truth, centre, radius, means)
-        quarter = halved(half["image"], half["truth"], [0.5 * c - 0.25 for c in centre], 0.5 * radius, means)
+        quarter = halved(
+            half["image"], half["truth"], [0.5 * c - 0.25 for c in centre], 0.5 * radius, means
+        )
         for name in calls:
             if name == OWN:
                 continue
@@ -112,7 +147,11 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
     return {
         "work": f"brain MRI {'x'.join(map(str, image.shape))} ({BRAIN}), a whole command each, from file to files, "
         f"warm compile cache, {options.threads} threads",
-        "threads": options.threads, "means": means, "goals": goals, "pairs": pairs, "programs": programs,
+        "threads": options.threads,
+        "means": means,
+        "goals": goals,
+        "pairs": pairs,
+        "programs": programs,
         "tables": [program_table("Brain scan, one ball", programs)],
         "bars": [[name, f["median_s"]] for name, f in programs.items()],
     }
@@ -120,7 +159,10 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
 
 def write_search(trials: Mapping[str, list[Trial]], options: Options) -> None:
     """Write what a search found, for ``--again``."""
-    found = {"messages": options.messages, "trials": {n: [t.to_dict() for t in ts] for n, ts in trials.items()}}
+    found = {
+        "messages": options.messages,
+        "trials": {n: [t.to_dict() for t in ts] for n, ts in trials.items()},
+    }
     if options.search is not None:
         options.search.write_text(json.dumps(found, indent=1) + "\n")
 
@@ -145,15 +187,20 @@ def _dice_of(truth: np.ndarray) -> Callable[[Path], float]:
 
 
 def searched(
-    call: Callable[[Mapping[str, Any]], Path], read: Callable[[Path], float], grid: Iterable[dict[str, Any]],
-    limit_s: float | None, options: Options,
+    call: Callable[[Mapping[str, Any]], Path],
+    read: Callable[[Path], float],
+    grid: Iterable[dict[str, Any]],
+    limit_s: float | None,
+    options: Options,
 ) -> list[Trial]:
     """Run whole commands with some settings; the seconds are those of the command, not of reading its result."""
     trials: list[Trial] = []
     grid = list(grid)
     for i, settings in enumerate(grid):
         if trials and limit_s is not None and sum(t.seconds for t in trials) > limit_s:
-            options.say(f"search of whole commands stopped after {limit_s:.0f} s, {len(grid) - i} settings not tried")
+            options.say(
+                f"search of whole commands stopped after {limit_s:.0f} s, {len(grid) - i} settings not tried"
+            )
             break
         seconds, path = timed(lambda settings=settings: call(settings))
         trials.append(Trial(settings, read(path), seconds))
@@ -162,7 +209,11 @@ def searched(
 
 
 def halved(
-    image: np.ndarray, truth: np.ndarray, centre: list[float], radius: float, means: tuple[float, float]
+    image: np.ndarray,
+    truth: np.ndarray,
+    centre: list[float],
+    radius: float,
+    means: tuple[float, float],
 ) -> dict[str, Any]:
     """A scan at half its resolution, on which the peers' settings are searched."""
     shape = tuple(n // 2 * 2 for n in image.shape)
@@ -172,7 +223,12 @@ def halved(
     inside = truth[even].reshape(blocks).mean(axis=(1, 3, 5)) >= 0.5
     z, y, x = (np.arange(n // 2) * 2 + 0.5 - c for n, c in zip(shape, centre, strict=True))
     start = np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2) - radius
-    return {"image": small, "truth": inside, "start": (0.5 * start).astype(np.float32), "means": means}
+    return {
+        "image": small,
+        "truth": inside,
+        "start": (0.5 * start).astype(np.float32),
+        "means": means,
+    }
 
 
 def small_search(
@@ -185,26 +241,43 @@ def small_search(
     """
 
     def run_on(scale: dict[str, Any]) -> Callable[[Mapping[str, Any]], float]:
-        return lambda s: dice(peer.run(scale["image"], scale["start"], scale["means"], s), scale["truth"])
+        return lambda s: dice(
+            peer.run(scale["image"], scale["start"], scale["means"], s), scale["truth"]
+        )
 
     say = reporter(peer.name, options)
-    grid = [{**peer.scaled(s, max(quarter["image"].shape)), **more} for s in peer.coarse for more in real_changes(s)]
+    grid = [
+        {**peer.scaled(s, max(quarter["image"].shape)), **more}
+        for s in peer.coarse
+        for more in real_changes(s)
+    ]
     if options.quick:
-        grid = [{**settings, "iterations": 2} if "iterations" in settings else settings for settings in grid]
-    first = search(run_on(quarter), grid[:1] if options.quick else grid, None, 0.5 * SEARCH_S[0], say)
+        grid = [
+            {**settings, "iterations": 2} if "iterations" in settings else settings
+            for settings in grid
+        ]
+    first = search(
+        run_on(quarter), grid[:1] if options.quick else grid, None, 0.5 * SEARCH_S[0], say
+    )
     candidates = [doubled(t.settings) for t in ranked(first)[: 3 * CARRIED]]
     fine = {} if options.quick or "iterations" not in candidates[0] else {"iterations": (0.5, 1.6)}
     trials = search(run_on(half), candidates, fine, SEARCH_S[0], say)
     report(f"{peer.name} at half resolution", best(trials))
     if best(trials).dice < reached - HOPELESS and not options.quick:
-        options.say(f"{peer.name}: Dice {best(trials).dice:.3f} at half the resolution, not run at the whole")
+        options.say(
+            f"{peer.name}: Dice {best(trials).dice:.3f} at half the resolution, not run at the whole"
+        )
         return []
     return [doubled(t.settings) for t in ranked(trials)[: 1 if options.quick else CARRIED]]
 
 
 def doubled(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings for twice the resolution."""
-    return {**settings, "iterations": 2 * settings["iterations"]} if "iterations" in settings else dict(settings)
+    return (
+        {**settings, "iterations": 2 * settings["iterations"]}
+        if "iterations" in settings
+        else dict(settings)
+    )
 
 
 def real_changes(settings: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -218,4 +291,8 @@ def real_changes(settings: Mapping[str, Any]) -> list[dict[str, Any]]:
     sigma = sigmas.get(settings["sigma"], settings["sigma"])
     if "edge" in settings or "alpha" in settings:
         sigma = max(sigma, 0.7)
-    return [{"sigma": sigma, "where": where} for where in (0.5, 0.6)] if "where" in settings else [{"sigma": sigma}]
+    return (
+        [{"sigma": sigma, "where": where} for where in (0.5, 0.6)]
+        if "where" in settings
+        else [{"sigma": sigma}]
+    )

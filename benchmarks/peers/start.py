@@ -37,9 +37,13 @@ def start(options: Options) -> dict[str, Any]:
         times["cold"] = _repeated(words["start"], options, folder, cold=True)
         parts = {which: parts_of(words[which], options) for which in ("start", "click")}
     titles = {
-        "help": "accelsurf --help", "look": "accelsurf look", "start": f"accelsurf segment --start, {side}^3",
-        "click": f"accelsurf segment --inside, {side}^3", "refine": "accelsurf refine",
-        "cold": f"accelsurf segment --start, {side}^3, nothing compiled", "imports": "imports of every command",
+        "help": "accelsurf --help",
+        "look": "accelsurf look",
+        "start": f"accelsurf segment --start, {side}^3",
+        "click": f"accelsurf segment --inside, {side}^3",
+        "refine": "accelsurf refine",
+        "cold": f"accelsurf segment --start, {side}^3, nothing compiled",
+        "imports": "imports of every command",
     }
     slower = IMPORTS_TAKE / times["imports"].median
     return {
@@ -47,22 +51,38 @@ def start(options: Options) -> dict[str, Any]:
         "threads": options.threads,
         "times": {titles[which]: time.to_dict() for which, time in times.items()},
         "pairs": [
-            {"pair": f"{titles[one]} / {titles[by]}", "ratio": times[one].median / times[by].median, "sense": "<="}
+            {
+                "pair": f"{titles[one]} / {titles[by]}",
+                "ratio": times[one].median / times[by].median,
+                "sense": "<=",
+            }
             for one, by in (
-                ("start", "imports"), ("click", "imports"), ("refine", "imports"), ("click", "start"), ("cold", "start")
+                ("start", "imports"),
+                ("click", "imports"),
+                ("refine", "imports"),
+                ("click", "start"),
+                ("cold", "start"),
             )
         ],
         "goals": [
-            goal(f"{titles[which]}; imports {IMPORTS_TAKE} s", seconds, times[which].median * slower, "<=", "s")
+            goal(
+                f"{titles[which]}; imports {IMPORTS_TAKE} s",
+                seconds,
+                times[which].median * slower,
+                "<=",
+                "s",
+            )
             for which, seconds in WANTED.items()
         ],
         "tables": [
             table(
-                "Commands", ("command", "seconds", "runs"),
+                "Commands",
+                ("command", "seconds", "runs"),
                 [(titles[which], time.median, len(time.seconds)) for which, time in times.items()],
             ),
             table(
-                "Where the processor's seconds go, one thread", ("part", titles["start"], titles["click"]),
+                "Where the processor's seconds go, one thread",
+                ("part", titles["start"], titles["click"]),
                 [(part, *(parts[which].get(part) for which in parts)) for part in parts["click"]],
             ),
         ],
@@ -85,8 +105,15 @@ def commands(folder: Path, side: int, begin: str) -> dict[str, list[str]]:
         "start": [*segment, str(folder / "start"), "--start", begin, "--presmooth", "1"],
         "click": [*segment, str(folder / "click"), "--inside", f"ball:{middle},4"],
         "refine": [
-            *python, "refine", str(folder / "click"), "-o", str(folder / "refined"), "--overwrite", "--quiet",
-            "--outside", f"point:{beside}",
+            *python,
+            "refine",
+            str(folder / "click"),
+            "-o",
+            str(folder / "refined"),
+            "--overwrite",
+            "--quiet",
+            "--outside",
+            f"point:{beside}",
         ],
     }
 

@@ -29,35 +29,52 @@ def step(options: Options) -> dict[str, Any]:
     surfaces = {"smooth": inside, "noisy": inside + noise}
     found = {name: one(ball(side, radius), image, count) for name, image in surfaces.items()}
     smooth = found["smooth"]["ns_per_cell"]
-    tables = [table(
-        "One step, all included",
-        ("surface", "band cells", "ms per step", "ns per band cell", "times a streaming copy"),
-        [
-            (n, f["band_cells"], f["ms_per_step"], f["ns_per_cell"], f["ns_per_cell"] / copy_ns)
-            for n, f in found.items()
-        ],
-    )]
+    tables = [
+        table(
+            "One step, all included",
+            ("surface", "band cells", "ms per step", "ns per band cell", "times a streaming copy"),
+            [
+                (n, f["band_cells"], f["ms_per_step"], f["ns_per_cell"], f["ns_per_cell"] / copy_ns)
+                for n, f in found.items()
+            ],
+        )
+    ]
     for name, f in found.items():
-        tables.append(table(
-            f"Where it goes, {name} surface", ("part", "ns per band cell", "share (%)"),
-            [(part, ns, 100 * ns / f["ns_per_cell"]) for part, ns in f["profile"].items()],
-        ))
+        tables.append(
+            table(
+                f"Where it goes, {name} surface",
+                ("part", "ns per band cell", "share (%)"),
+                [(part, ns, 100 * ns / f["ns_per_cell"]) for part, ns in f["profile"].items()],
+            )
+        )
     return {
         "work": f"whole steps of constant density on a ball of radius {radius:g} in {side}^3, smooth and in noise "
         "sigma 1, 1 thread",
-        "threads": 1, "copy_bytes_per_cell": BYTES_PER_CELL, "copy_gb_per_s": bandwidth / 1e9,
+        "threads": 1,
+        "copy_bytes_per_cell": BYTES_PER_CELL,
+        "copy_gb_per_s": bandwidth / 1e9,
         "copy_ns_per_cell": copy_ns,
-        "surfaces": found, "pairs": [
-            {"pair": f"{name} step / streaming copy of {BYTES_PER_CELL} bytes", "ratio": f["ns_per_cell"] / copy_ns,
-             "sense": "<="}
+        "surfaces": found,
+        "pairs": [
+            {
+                "pair": f"{name} step / streaming copy of {BYTES_PER_CELL} bytes",
+                "ratio": f["ns_per_cell"] / copy_ns,
+                "sense": "<=",
+            }
             for name, f in found.items()
         ],
         "goals": [
             goal("ns per band cell, smooth surface", 100.0, smooth, "<=", "ns"),
-            goal("ns per band cell, noisy surface", 100.0, found["noisy"]["ns_per_cell"], "<=", "ns"),
+            goal(
+                "ns per band cell, noisy surface", 100.0, found["noisy"]["ns_per_cell"], "<=", "ns"
+            ),
         ],
         "tables": tables,
-        "bars": [[f"{name}: {part}", 1e-9 * ns] for name, f in found.items() for part, ns in f["profile"].items()],
+        "bars": [
+            [f"{name}: {part}", 1e-9 * ns]
+            for name, f in found.items()
+            for part, ns in f["profile"].items()
+        ],
         "bars_unit": "seconds per band cell and step",
     }
 
@@ -84,8 +101,12 @@ def one(psi: np.ndarray, image: np.ndarray, count: int) -> dict[str, Any]:
     each = [1e9 * row.seconds / row.band_cells for row in rows]
     ns = statistics.median(each)
     return {
-        "steps": len(made.history) - 1, "band_cells": rows[-1].band_cells, "ns_per_cell": ns, "all_ns_per_cell": each,
-        "ms_per_step": 1e3 * statistics.median(row.seconds for row in rows), "profile": profile(psi, image, count, ns),
+        "steps": len(made.history) - 1,
+        "band_cells": rows[-1].band_cells,
+        "ns_per_cell": ns,
+        "all_ns_per_cell": each,
+        "ms_per_step": 1e3 * statistics.median(row.seconds for row in rows),
+        "profile": profile(psi, image, count, ns),
     }
 
 
@@ -103,7 +124,9 @@ def profile(psi: np.ndarray, image: np.ndarray, count: int, ns: float) -> dict[s
             seconds += taken.record.seconds
             cells += taken.record.band_cells
     parts = clock.stages or clock.kernels
-    counted = {name: 1e9 * s / cells for name, s in sorted(parts.items(), key=lambda item: -item[1])}
+    counted = {
+        name: 1e9 * s / cells for name, s in sorted(parts.items(), key=lambda item: -item[1])
+    }
     rest = "not in a stage" if clock.stages else "march and other work outside the threads' kernels"
     counted[rest] = max(0.0, 1e9 * seconds / cells - sum(counted.values()))
     # The clock costs a little: the parts are shares of the time taken without it.

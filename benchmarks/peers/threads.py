@@ -24,11 +24,15 @@ BRAIN_SETTINGS: dict[str, Any] = {"balance": 2.0, "epsilon": 0.0}
 
 def threads(options: Options) -> dict[str, Any]:
     """Time both pieces of work on 1 and 2 threads."""
-    works: dict[str, Callable[[int], dict[str, Any]]] = {"advance": lambda n: advance_on(n, options)}
+    works: dict[str, Callable[[int], dict[str, Any]]] = {
+        "advance": lambda n: advance_on(n, options)
+    }
     try:
         volume = io.read(scan(options.volumes, BRAIN))
         world = ",".join(f"{v:.2f}" for v in volume.geometry.center_world())
-        config = RunConfig(start=f"ball:{world},30", max_steps=3 if options.quick else 1000, **BRAIN_SETTINGS)
+        config = RunConfig(
+            start=f"ball:{world},30", max_steps=3 if options.quick else 1000, **BRAIN_SETTINGS
+        )
         works["brain scan"] = lambda n: segment_on(volume, config.replace(threads=n))
     except MissingError as missing:
         options.say(f"brain scan: skipped, {missing}")
@@ -40,7 +44,10 @@ def threads(options: Options) -> dict[str, Any]:
         work(2)  # compile
         runs = one_and_two(work, options.repeats)
         same = len({run["digest"] for both in runs.values() for run in both}) == 1
-        middle = {n: sorted(both, key=lambda run: run["seconds"])[len(both) // 2] for n, both in runs.items()}
+        middle = {
+            n: sorted(both, key=lambda run: run["seconds"])[len(both) // 2]
+            for n, both in runs.items()
+        }
         parts = {n: run["parallel"] for n, run in middle.items()}
         whole = middle[1]["seconds"] / middle[2]["seconds"]
         parallel = parts[1] / parts[2]
@@ -50,18 +57,39 @@ def threads(options: Options) -> dict[str, Any]:
         pairs.append({"pair": f"{name}: 1 thread / 2 threads, whole", "ratio": whole})
         pairs.append({"pair": f"{name}: 1 thread / 2 threads, parallel parts", "ratio": parallel})
         more += [(name, n, *on_cores(n, middle[1], parallel)) for n in CORES]
-        rows += [(name, n, run["seconds"], run["parallel"], run["digest"][:12]) for n, run in middle.items()]
+        rows += [
+            (name, n, run["seconds"], run["parallel"], run["digest"][:12])
+            for n, run in middle.items()
+        ]
         if not same:
             options.say(f"{name}: the labels differ between numbers of threads")
     return {
         "work": "a ball grown from radius 60 to 70 in 256^3, and the brain scan (library call), on 1 and 2 threads",
-        "threads": [1, 2], "goals": goals, "pairs": pairs, "works": found,
+        "threads": [1, 2],
+        "goals": goals,
+        "pairs": pairs,
+        "works": found,
         "tables": [
-            table("One thread and two", ("work", "threads", "seconds", "in parallel parts", "labels (hash)"), rows),
-            table("More cores, computed from the serial share", ("work", "cores", "seconds", "times faster"), more),
-            table("By part", ("work", "part", "1 thread (s)", "2 threads (s)", "ratio"), by_part(found)),
+            table(
+                "One thread and two",
+                ("work", "threads", "seconds", "in parallel parts", "labels (hash)"),
+                rows,
+            ),
+            table(
+                "More cores, computed from the serial share",
+                ("work", "cores", "seconds", "times faster"),
+                more,
+            ),
+            table(
+                "By part",
+                ("work", "part", "1 thread (s)", "2 threads (s)", "ratio"),
+                by_part(found),
+            ),
         ],
-        "bars": [[f"{name}, {n} thread{'s' if n > 1 else ''}", seconds] for name, n, seconds, _, _ in rows],
+        "bars": [
+            [f"{name}, {n} thread{'s' if n > 1 else ''}", seconds]
+            for name, n, seconds, _, _ in rows
+        ],
     }
 
 
@@ -90,7 +118,9 @@ def on_cores(count: int, one: dict[str, Any], parallel: float) -> tuple[float, f
     return seconds, one["seconds"] / seconds
 
 
-def one_and_two(work: Callable[[int], dict[str, Any]], repeats: int) -> dict[int, list[dict[str, Any]]]:
+def one_and_two(
+    work: Callable[[int], dict[str, Any]], repeats: int
+) -> dict[int, list[dict[str, Any]]]:
     """Runs on one and on two threads in turn; a long one once only."""
     runs: dict[int, list[dict[str, Any]]] = {1: [], 2: []}
     for turn in range(repeats):
@@ -143,4 +173,9 @@ def segment_on(volume: Any, config: RunConfig) -> dict[str, Any]:
 def facts_of(seconds: float, clock: Clock, labels: np.ndarray) -> dict[str, Any]:
     """What the result has of a run."""
     parts = clock.stages or dict(clock.kernels)
-    return {"seconds": seconds, "parallel": clock.parallel, "parts": parts, "digest": digest(labels)}
+    return {
+        "seconds": seconds,
+        "parallel": clock.parallel,
+        "parts": parts,
+        "digest": digest(labels),
+    }

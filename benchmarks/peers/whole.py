@@ -20,10 +20,15 @@ def main(source: str, target: str, task: str) -> None:
     given = json.loads(task)
     scan = sitk.ReadImage(source)
     image = sitk.GetArrayViewFromImage(scan).astype(np.float32)
-    z, y, x = (np.arange(n, dtype=np.float32) - c for n, c in zip(image.shape, given["centre"], strict=True))
+    z, y, x = (
+        np.arange(n, dtype=np.float32) - c
+        for n, c in zip(image.shape, given["centre"], strict=True)
+    )
     far = z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2
     start = np.sqrt(far, out=far) - np.float32(given["radius"])
-    labels = {**PEERS, **BASELINES}[given["peer"]].run(image, start, tuple(given["means"]), given["settings"])
+    labels = {**PEERS, **BASELINES}[given["peer"]].run(
+        image, start, tuple(given["means"]), given["settings"]
+    )
     out = sitk.GetImageFromArray(labels.astype(np.uint8))
     out.CopyInformation(scan)
     sitk.WriteImage(out, target)

@@ -52,7 +52,9 @@ def scan(folder: Path | None, name: str) -> Path:
         When there is no folder, or not this scan in it.
     """
     if folder is None:
-        raise MissingError(f"no folder with scans: --volumes DIR or ACCELSURF_VOLUMES, with {name} ({SOURCES})")
+        raise MissingError(
+            f"no folder with scans: --volumes DIR or ACCELSURF_VOLUMES, with {name} ({SOURCES})"
+        )
     if not (folder / name).is_file():
         raise MissingError(f"{name} is not in the folder of scans ({SOURCES})")
     return folder / name
@@ -71,16 +73,24 @@ def radius_error(psi: np.ndarray, radius: float) -> dict[str, float]:
     volume = abs(float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())) / 6.0
     by_volume = (0.75 * volume / np.pi) ** (1 / 3)
     far = np.sqrt((points.astype(np.float64) ** 2).sum(axis=1)) - radius
-    return {"radius": by_volume, "volume_error": abs(by_volume - radius), "rms_error": float(np.sqrt((far**2).mean()))}
+    return {
+        "radius": by_volume,
+        "volume_error": abs(by_volume - radius),
+        "rms_error": float(np.sqrt((far**2).mean())),
+    }
 
 
 def bumpy(surface: LevelSet) -> np.ndarray:
     """A smooth field on the band: what a flow would extend."""
     z, y, x = np.unravel_index(surface.band.cells, surface.shape)
-    return (1.0 + 0.3 * np.sin(0.11 * z) * np.cos(0.13 * y) + 0.2 * np.sin(0.09 * x)).astype(np.float32)
+    return (1.0 + 0.3 * np.sin(0.11 * z) * np.cos(0.13 * y) + 0.2 * np.sin(0.09 * x)).astype(
+        np.float32
+    )
 
 
-def perturbed(psi: np.ndarray, half_width: float, motion: float = 0.5, workers: Workers | None = None) -> LevelSet:
+def perturbed(
+    psi: np.ndarray, half_width: float, motion: float = 0.5, workers: Workers | None = None
+) -> LevelSet:
     """A surface moved by about ``motion`` voxels and not yet redistanced."""
     surface = LevelSet(psi, (1.0, 1.0, 1.0), half_width, workers)
     surface.advance(bumpy(surface), motion)
@@ -88,7 +98,11 @@ def perturbed(psi: np.ndarray, half_width: float, motion: float = 0.5, workers: 
 
 
 def evolution(
-    psi: np.ndarray, image: np.ndarray, steps: int, flow: Flow | None = None, workers: Workers | None = None
+    psi: np.ndarray,
+    image: np.ndarray,
+    steps: int,
+    flow: Flow | None = None,
+    workers: Workers | None = None,
 ) -> Evolution:
     """Constant density on Chan-Vese with the settings of `accelsurf segment`, at 1 mm."""
     surface = LevelSet(psi, (1.0, 1.0, 1.0), 3.0, workers)

@@ -28,7 +28,9 @@ STEPS = 60
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     options.add_argument("folder", type=Path)
     folder = options.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
@@ -38,7 +40,15 @@ def main() -> None:
         image = Path(home) / "two_balls.nii.gz"
         truth = Path(home) / "two_balls_truth.nii.gz"
         words = ["view", str(image), "--levels", "1"]
-        movie = ["movie", *words[1:], "--reference", str(truth), "--preview", "--max-steps", str(STEPS)]
+        movie = [
+            "movie",
+            *words[1:],
+            "--reference",
+            str(truth),
+            "--preview",
+            "--max-steps",
+            str(STEPS),
+        ]
         accelsurf(*movie, "-o", str(folder / "viewer-scene.png"), "--overwrite")
         window_pictures(words, truth, folder)
         with page_of(words, "dark", Path(home)) as browser:
@@ -58,7 +68,9 @@ def window_pictures(words: list[str], truth: Path, folder: Path) -> None:
     """The window when it is opened, with the result of a press and a drag, its keys; and after a stroke."""
     for theme in ("dark", "light"):
         with tempfile.TemporaryDirectory() as home, own_screen(*SIZE) as display:
-            person = Person(display, Path(home), [*words, "--theme", theme, "--output", home], size=SIZE)
+            person = Person(
+                display, Path(home), [*words, "--theme", theme, "--output", home], size=SIZE
+            )
             person.until(lambda now: now["state"]["ready"], 120)
             time.sleep(2.0)
             if theme == "dark":
@@ -90,7 +102,9 @@ def press(person: Person, place: np.ndarray) -> None:
     for tile in ("sagittal", "coronal"):
         person.click(person.pixel(tile, place))
     person.key("s")
-    way = [person.pixel("axial", place + (right, 0.0, 0.0)) for right in (0.0, 4.0, 8.0, 12.0, 16.0)]
+    way = [
+        person.pixel("axial", place + (right, 0.0, 0.0)) for right in (0.0, 4.0, 8.0, 12.0, 16.0)
+    ]
     person.drag(way)
     person.until(lambda now: now["stop"] is not None and not now["playing"], 300)
     person.until(lambda now: now["state"]["uncertain"] or now["state"]["result"], 60)

@@ -51,22 +51,49 @@ class Person:
     """
 
     def __init__(
-        self, display: str, folder: Path, words: Sequence[str], truth: Path | None = None, label: str = "1",
-        size: tuple[int, int] = (1280, 720), scale: float = 1.0,
+        self,
+        display: str,
+        folder: Path,
+        words: Sequence[str],
+        truth: Path | None = None,
+        label: str = "1",
+        size: tuple[int, int] = (1280, 720),
+        scale: float = 1.0,
     ) -> None:
-        self.env = {**os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb", "QT_SCALE_FACTOR": f"{scale:g}"}
-        self.env["XDG_STATE_HOME"] = str(folder.absolute())  # the list of recent images of who runs this stays as it is
+        self.env = {
+            **os.environ,
+            "DISPLAY": display,
+            "QT_QPA_PLATFORM": "xcb",
+            "QT_SCALE_FACTOR": f"{scale:g}",
+        }
+        self.env["XDG_STATE_HOME"] = str(
+            folder.absolute()
+        )  # the list of recent images of who runs this stays as it is
         self._scale, self._file, self.actions = scale, folder / "window.json", 0
         self._height = size[1] / scale
         self.began = time.monotonic()
         self._log = open(folder / "window.log", "w+")
         command = [sys.executable, "-m", "benchmarks.viewer_tasks.window_watch", str(self._file)]
         command += [str(truth or "-"), label, *words]
-        self.process = subprocess.Popen(command, env=self.env, cwd=ROOT, stdout=self._log, stderr=self._log, text=True)
-        self.until(lambda now: now["drawn"] is not None or (now["is_start_page"] and now["widgets"]), 300)
+        self.process = subprocess.Popen(
+            command, env=self.env, cwd=ROOT, stdout=self._log, stderr=self._log, text=True
+        )
+        self.until(
+            lambda now: now["drawn"] is not None or (now["is_start_page"] and now["widgets"]), 300
+        )
         self._focus("^accelsurf")
         sides = [str(side) for side in size]
-        self._do("search", "--onlyvisible", "--name", "accelsurf", "windowsize", *sides, "windowmove", "0", "0")
+        self._do(
+            "search",
+            "--onlyvisible",
+            "--name",
+            "accelsurf",
+            "windowsize",
+            *sides,
+            "windowmove",
+            "0",
+            "0",
+        )
         # A busy machine takes seconds for it; what is clicked before lies elsewhere afterwards.
         wanted = [round(side / scale) for side in size]
         self.until(lambda now: now.get("size") == wanted, 120)
@@ -125,14 +152,28 @@ class Person:
         """Turn the wheel: up is 4, down 5."""
         self.actions += 1
         x, y = self._pixel(place)
-        self._do("mousemove", x, y, "sleep", "0.05", "click", "--repeat", str(notches), "--delay", "20", str(button))
+        self._do(
+            "mousemove",
+            x,
+            y,
+            "sleep",
+            "0.05",
+            "click",
+            "--repeat",
+            str(notches),
+            "--delay",
+            "20",
+            str(button),
+        )
 
     def _at_rest(self, name: str) -> Any:
         """Where something is, once two states of the window that were written one after the other agree."""
         before, place, asked = None, None, time.time()
         while place is None or place != before:
             before = place
-            seen = self.until(lambda now, asked=asked: name in now["widgets"] and now["time"] > asked, 60)
+            seen = self.until(
+                lambda now, asked=asked: name in now["widgets"] and now["time"] > asked, 60
+            )
             place, asked = seen["widgets"][name], time.time() + 0.2
         return place
 
@@ -140,7 +181,12 @@ class Person:
         # What a window manager does, which this screen has not.
         self._do("search", "--sync", "--onlyvisible", "--name", title, "windowfocus", "--sync")
 
-    def drag(self, places: Sequence[Sequence[float]], button: int = 1, stop: Callable[[], bool] | None = None) -> None:
+    def drag(
+        self,
+        places: Sequence[Sequence[float]],
+        button: int = 1,
+        stop: Callable[[], bool] | None = None,
+    ) -> None:
         """Press at the first place, move over the others until ``stop`` says so, let go."""
         self.actions += 1
         x, y = self._pixel(places[0])
@@ -156,7 +202,9 @@ class Person:
         return str(round(place[0] * self._scale)), str(round(place[1] * self._scale))
 
     def _do(self, *words: str) -> None:
-        subprocess.run(["xdotool", *words], env=self.env, check=True, timeout=60, capture_output=True)
+        subprocess.run(
+            ["xdotool", *words], env=self.env, check=True, timeout=60, capture_output=True
+        )
 
     # -- eyes ---------------------------------------------------------------------------------------------
 
@@ -167,9 +215,13 @@ class Person:
     def pixel(self, tile: str, world: Sequence[float]) -> np.ndarray:
         """Where a world point is drawn in a slice."""
         shown = self.now()["tiles"][tile]
-        return np.asarray(np.array(shown["origin"]) + np.array(shown["matrix"]) @ np.asarray(world, float))
+        return np.asarray(
+            np.array(shown["origin"]) + np.array(shown["matrix"]) @ np.asarray(world, float)
+        )
 
-    def until(self, condition: Callable[[dict[str, Any]], bool], seconds: float = 120.0) -> dict[str, Any]:
+    def until(
+        self, condition: Callable[[dict[str, Any]], bool], seconds: float = 120.0
+    ) -> dict[str, Any]:
         """Wait until something is seen; returns what is seen then.
 
         Raises
@@ -187,14 +239,20 @@ class Person:
                 self._log.seek(0)
                 raise GaveUp(f"the window has gone: {self._log.read()[-2000:]}")
             time.sleep(0.03)
-        raise GaveUp(f"never seen: {json.dumps({k: v for k, v in now.items() if k != 'widgets'})[:2000]}")
+        raise GaveUp(
+            f"never seen: {json.dumps({k: v for k, v in now.items() if k != 'widgets'})[:2000]}"
+        )
 
     def judge(self, seconds: float = 300.0) -> dict[str, Any]:
         """Wait until nothing moves any more, and look where the surface is wrong."""
-        before = self.until(lambda now: not now["playing"] and "correcting" not in now["message"], seconds)
+        before = self.until(
+            lambda now: not now["playing"] and "correcting" not in now["message"], seconds
+        )
         number = before["verdict"].get("number", 0)
         self._file.with_suffix(".judge").touch()
-        return dict(self.until(lambda now: now["verdict"].get("number", 0) > number, seconds)["verdict"])
+        return dict(
+            self.until(lambda now: now["verdict"].get("number", 0) > number, seconds)["verdict"]
+        )
 
     def picture(self, path: Path) -> None:
         """A picture of the whole screen."""

@@ -40,7 +40,9 @@ COLORS = 160
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     options.add_argument("scan", type=Path)
     options.add_argument("folder", type=Path)
     options.add_argument("--only", choices=("window", "page"))
@@ -61,7 +63,9 @@ def main() -> None:
         (given.folder / "shares.json").write_text(json.dumps(shares, indent=2) + "\n")
     folders = [folder for folder in (given.before, given.folder) if folder is not None]
     if given.output is not None:
-        known = {folder.name: json.loads((folder / "shares.json").read_text()) for folder in folders}
+        known = {
+            folder.name: json.loads((folder / "shares.json").read_text()) for folder in folders
+        }
         given.output.write_text(json.dumps(known, indent=2) + "\n")
     if given.sheet is not None:
         write_sheet(folders, given.sheet)
@@ -73,7 +77,10 @@ def write_sheet(folders: list[Path], path: Path) -> None:
     for folder in folders:
         for kind in ("window", "page"):
             for when in ("opened", "result"):
-                found = sorted(folder.glob(f"{kind}-*-{when}.png"), key=lambda each: int(each.name.split("-")[1]))
+                found = sorted(
+                    folder.glob(f"{kind}-*-{when}.png"),
+                    key=lambda each: int(each.name.split("-")[1]),
+                )
                 rows.append([in_row(Image.open(each).convert("RGB")) for each in found])
     rows = [row for row in rows if row]
     width = max(sum(each.width + GAP for each in row) for row in rows) + GAP
@@ -88,14 +95,19 @@ def write_sheet(folders: list[Path], path: Path) -> None:
 
 def in_row(picture: Image.Image) -> Image.Image:
     """A picture as high as a row of the sheet."""
-    return picture.resize((round(picture.width * ROW / picture.height), ROW), Image.Resampling.LANCZOS)
+    return picture.resize(
+        (round(picture.width * ROW / picture.height), ROW), Image.Resampling.LANCZOS
+    )
 
 
 def share_of(slices: dict[str, list[float]], width: float, height: float) -> dict[str, float]:
     """The part of a window that is image in slices, and the sides of the largest one, pixels of a usual screen."""
     areas = {name: wide * high for name, (wide, high) in slices.items()}
     largest = slices[max(areas, key=lambda name: areas[name])]
-    return {"share": round(sum(areas.values()) / (width * height), 3), "largest": [round(side) for side in largest]}
+    return {
+        "share": round(sum(areas.values()) / (width * height), 3),
+        "largest": [round(side) for side in largest],
+    }
 
 
 def window_pictures(
@@ -104,7 +116,9 @@ def window_pictures(
     """Pictures of the window when the image is open, and after the run; returns the shares of slices."""
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as home, own_screen(width, height) as display:
-        person = Person(display, Path(home), [*words, "--theme", theme], size=(width, height), scale=factor)
+        person = Person(
+            display, Path(home), [*words, "--theme", theme], size=(width, height), scale=factor
+        )
 
         def take(when: str) -> None:
             time.sleep(3.0)
@@ -149,12 +163,17 @@ def click_in_axial(browser: Any, state_file: Path) -> None:
     across, down = json.loads(state_file.read_text())["axial"]
     right, below = (across - 0.5) * picture.size["width"], (down - 0.5) * picture.size["height"]
     browser.find_element("id", "tool-size").click()
-    ActionChains(browser).move_to_element_with_offset(picture, round(right), round(below)).click().perform()
+    ActionChains(browser).move_to_element_with_offset(
+        picture, round(right), round(below)
+    ).click().perform()
 
 
 def has_ended(browser: Any) -> bool:
     """Whether the run of a page has come to its end."""
-    return any(shown.text not in ("", "running", "paused") for shown in browser.find_elements("id", "state"))
+    return any(
+        shown.text not in ("", "running", "paused")
+        for shown in browser.find_elements("id", "state")
+    )
 
 
 def take_page(browser: Any, width: int, height: int, path: Path) -> None:
@@ -169,10 +188,20 @@ def page_of(words: list[str], theme: str, home: Path) -> Iterator[Any]:
     """A browser at the page of a command, once its picture is there."""
     from selenium import webdriver
 
-    command = [sys.executable, "-m", "benchmarks.viewer_tasks.window_watch", str(home / "page.json"), "-", "1"]
+    command = [
+        sys.executable,
+        "-m",
+        "benchmarks.viewer_tasks.window_watch",
+        str(home / "page.json"),
+        "-",
+        "1",
+    ]
     env = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
     server = subprocess.Popen(
-        [*command, *words, "--browser", "--no-open", "--theme", theme], env=env, cwd=ROOT, stdout=subprocess.PIPE,
+        [*command, *words, "--browser", "--no-open", "--theme", theme],
+        env=env,
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
         text=True,
     )
     assert server.stdout is not None

@@ -28,7 +28,9 @@ CORRECTIONS = 3
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     options.add_argument("folder", type=Path)
     folder = options.parse_args().folder
     scans = scans_folder()
@@ -44,7 +46,9 @@ def main() -> None:
         try:
             assert server.stdout is not None
             address = server.stdout.readline().strip()
-            driven = RemoteNapari(scan.as_float32(), scan.geometry.spacing, address, "", name="abdomen")
+            driven = RemoteNapari(
+                scan.as_float32(), scan.geometry.spacing, address, "", name="abdomen"
+            )
             driven.image.contrast_limits = WINDOW
             driven.show(middle)
             driven.look_at(middle, ZOOM)
@@ -70,7 +74,10 @@ def main() -> None:
 def said(name: str, driven: RemoteNapari, truth: np.ndarray) -> None:
     """Print the Dice after a prompt."""
     found = driven.labels > 0
-    print(f"{name}: {2 * np.count_nonzero(found & truth) / (found.sum() + truth.sum()):.3f}", flush=True)
+    print(
+        f"{name}: {2 * np.count_nonzero(found & truth) / (found.sum() + truth.sum()):.3f}",
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

@@ -57,14 +57,18 @@ NEAR = 3
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     options.add_argument("volumes", type=Path)
     options.add_argument("tasks", nargs="*", choices=[*TASKS, []], default=[])
     options.add_argument("--size", default="1920x1080")
     options.add_argument("--pictures", type=Path)
     options.add_argument("--words", default="")
     options.add_argument("--strokes", type=int, default=MAX_STROKES)
-    options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer_tasks.json")
+    options.add_argument(
+        "-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer_tasks.json"
+    )
     given = options.parse_args()
     width, height = (int(side) for side in given.size.split("x"))
     results = {}
@@ -72,7 +76,16 @@ def main() -> None:
         for name in given.tasks or TASKS:
             with tempfile.TemporaryDirectory() as folder:
                 size, words = (width, height), given.words.split()
-                work = TASKS[name], given.volumes, display, Path(folder), given.pictures, size, words, given.strokes
+                work = (
+                    TASKS[name],
+                    given.volumes,
+                    display,
+                    Path(folder),
+                    given.pictures,
+                    size,
+                    words,
+                    given.strokes,
+                )
                 results[name] = do_task(name, *work)
             print(name, json.dumps(results[name]), flush=True)
             known = json.loads(given.output.read_text()) if given.output.exists() else {}
@@ -81,8 +94,15 @@ def main() -> None:
 
 
 def do_task(
-    name: str, task: Task, volumes: Path, display: str, folder: Path, pictures: Path | None, size: tuple[int, int],
-    words: list[str], strokes: int,
+    name: str,
+    task: Task,
+    volumes: Path,
+    display: str,
+    folder: Path,
+    pictures: Path | None,
+    size: tuple[int, int],
+    words: list[str],
+    strokes: int,
 ) -> dict[str, Any]:
     """Do a task; returns what it took and what came of it."""
     scan, reference = volumes / task.scan, volumes / task.reference
@@ -90,12 +110,16 @@ def do_task(
         scan, reference = touching_nuclei(folder)
     truth = io.read_labels(reference)
     labels = three_neighbours(truth.array) if task.labels == "neighbours" else task.labels
-    objects = [np.isin(truth.array, [int(one) for one in ids.split(",")]) for ids in labels.split(";")]
+    objects = [
+        np.isin(truth.array, [int(one) for one in ids.split(",")]) for ids in labels.split(";")
+    ]
     voxel = float(np.prod(truth.geometry.spacing))
     recent = folder / "accelsurf"
     recent.mkdir()
     (recent / "recent.json").write_text(json.dumps([str(scan.absolute())]))
-    person = Person(display, folder, ["view", "-o", str(folder / "out"), *words], reference, labels, size)
+    person = Person(
+        display, folder, ["view", "-o", str(folder / "out"), *words], reference, labels, size
+    )
     person.open_recent()
     for number, wanted in enumerate(objects):
         begin_object(person, number, wanted, truth.geometry, float(wanted.sum() * voxel))
@@ -117,11 +141,17 @@ def do_task(
     seconds, actions = time.monotonic() - person.began - judged_s, person.actions
     person.close()
     return {
-        "actions": actions, "seconds": round(seconds, 1), "opened_s": round(person.opened_s, 1),
-        "first_result_s": round(first_s, 1), "dice": dice, "strokes": len(obeyed),
-        "obeyed_s": obeyed, "ml": saved_ml(folder / "out"),
+        "actions": actions,
+        "seconds": round(seconds, 1),
+        "opened_s": round(person.opened_s, 1),
+        "first_result_s": round(first_s, 1),
+        "dice": dice,
+        "strokes": len(obeyed),
+        "obeyed_s": obeyed,
+        "ml": saved_ml(folder / "out"),
         "ml_reference": [round(float(one.sum()) * voxel / 1000, 6) for one in objects],
-        "files": sorted(path.name for path in (folder / "out").iterdir()), "same_bytes": same_bytes(scan, folder),
+        "files": sorted(path.name for path in (folder / "out").iterdir()),
+        "same_bytes": same_bytes(scan, folder),
     }
 
 
@@ -139,7 +169,11 @@ def three_neighbours(labels: np.ndarray) -> str:
     ids, counts = np.unique(labels[labels > 0], return_counts=True)
     volumes, found = dict(zip(ids.tolist(), counts.tolist(), strict=True)), []
     for own in volumes:
-        around = ndimage.binary_dilation(labels == own, np.ones((3, 3, 3)), NEAR) & (labels != own) & (labels > 0)
+        around = (
+            ndimage.binary_dilation(labels == own, np.ones((3, 3, 3)), NEAR)
+            & (labels != own)
+            & (labels > 0)
+        )
         others, voxels = np.unique(labels[around], return_counts=True)
         if len(others) > 1:
             nearest = [int(others[place]) for place in np.argsort(-voxels)[:2]]
@@ -147,10 +181,14 @@ def three_neighbours(labels: np.ndarray) -> str:
     return ";".join(str(one) for one in max(found)[1])
 
 
-def begin_object(person: Person, number: int, wanted: np.ndarray, geometry: Geometry, mm3: float) -> None:
+def begin_object(
+    person: Person, number: int, wanted: np.ndarray, geometry: Geometry, mm3: float
+) -> None:
     """Press at the thickest place of an object, draw its size out, and let the surface run to its end."""
     depth = ndimage.distance_transform_edt(wanted, sampling=geometry.spacing)
-    place = geometry.index_to_world(np.array(np.unravel_index(int(depth.argmax()), depth.shape), float))
+    place = geometry.index_to_world(
+        np.array(np.unravel_index(int(depth.argmax()), depth.shape), float)
+    )
     show(person, place)
     before = person.now()
     if number:
@@ -158,13 +196,19 @@ def begin_object(person: Person, number: int, wanted: np.ndarray, geometry: Geom
     draw_size(person, place, mm3)
     person.until(lambda now: now["undoable"] > before["undoable"], 300)
     # The run plays from the release on; a key for it would pause it. A further object is a correction.
-    person.until(lambda now: now["stop"] is not None and not now["playing"] and has_begun(now, number), 600)
+    person.until(
+        lambda now: now["stop"] is not None and not now["playing"] and has_begun(now, number), 600
+    )
 
 
 def has_begun(now: dict[str, Any], number: int) -> bool:
     """Whether an object has its surface."""
     rows = now["state"]["object_rows"]
-    return len(rows) > number and all(row["volume"] for row in rows) and "correcting" not in now["message"]
+    return (
+        len(rows) > number
+        and all(row["volume"] for row in rows)
+        and "correcting" not in now["message"]
+    )
 
 
 def show(person: Person, world: np.ndarray) -> None:
@@ -174,8 +218,15 @@ def show(person: Person, world: np.ndarray) -> None:
     slope, first = wanted
     notches = round(first + slope * float(world[2])) + 1 - now
     if notches:
-        person.turn_wheel(seen["tiles"]["axial"]["middle"], 4 if (notches > 0) == (slope > 0) else 5, abs(notches))
-        person.until(lambda seen: abs(seen["state"]["slices"]["axial"][0] - min(max(now + notches, 1), count)) < 2, 20)
+        person.turn_wheel(
+            seen["tiles"]["axial"]["middle"], 4 if (notches > 0) == (slope > 0) else 5, abs(notches)
+        )
+        person.until(
+            lambda seen: (
+                abs(seen["state"]["slices"]["axial"][0] - min(max(now + notches, 1), count)) < 2
+            ),
+            20,
+        )
 
 
 def use(person: Person, tool: str) -> None:
@@ -214,8 +265,13 @@ def size_in(now: dict[str, Any]) -> float:
 
 def correct(person: Person, worst: dict[str, Any]) -> float:
     """A stroke where the surface is wrong most; returns the seconds until the surface was drawn that obeys."""
-    if len(person.now()["object_rows"]) > 1 and person.now()["state"]["object_active"] != worst["object"] + 1:
-        person.click(person.now()["object_rows"][worst["object"]])  # strokes are for the row that is chosen
+    if (
+        len(person.now()["object_rows"]) > 1
+        and person.now()["state"]["object_active"] != worst["object"] + 1
+    ):
+        person.click(
+            person.now()["object_rows"][worst["object"]]
+        )  # strokes are for the row that is chosen
     show(person, np.array(worst["world"]))
     use(person, "Inside" if worst["side"] == "inside" else "Outside")
     x, y = person.pixel("axial", worst["world"])
@@ -244,8 +300,14 @@ def same_bytes(scan: Path, folder: Path) -> bool:
     words = ["segment", str(scan), "--config", str(config), "-o", str(folder / "again"), "--quiet"]
     if cli.execute(words):
         return False
-    names = [path.name for path in (folder / "out").iterdir() if "_seg" in path.name or "_surface" in path.name]
-    return bool(names) and all(digest(folder / "out" / name) == digest(folder / "again" / name) for name in names)
+    names = [
+        path.name
+        for path in (folder / "out").iterdir()
+        if "_seg" in path.name or "_surface" in path.name
+    ]
+    return bool(names) and all(
+        digest(folder / "out" / name) == digest(folder / "again" / name) for name in names
+    )
 
 
 def digest(path: Path) -> str:

@@ -21,12 +21,16 @@ FRAME = 1
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     options.add_argument("folder", type=Path)
     folder = options.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as home, own_screen(*SIZE) as display:
-        accelsurf("synth", str(ROOT / "volumes_synth" / "sequences" / "balls_passing.toml"), "-o", home)
+        accelsurf(
+            "synth", str(ROOT / "volumes_synth" / "sequences" / "balls_passing.toml"), "-o", home
+        )
         sequence, out = f"{home}/balls_passing.nii.gz", f"{home}/out"
         accelsurf("track", sequence, "-o", out, "--start", "otsu", "--also", "surfaces", "--quiet")
         person = Person(display, Path(home), ["view", sequence, "--tracks", out], size=SIZE)

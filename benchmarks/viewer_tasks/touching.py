@@ -27,8 +27,12 @@ def touching_nuclei(folder: Path) -> tuple[Path, Path]:
     labels = nuclei_labels()
     random = np.random.default_rng(20)
     texture = ndimage.gaussian_filter(random.normal(0.0, 1.0, SHAPE), 2.0)
-    brightness = np.array([0.0, *(one[2] for one in NUCLEI)])[labels] * (1.0 + CHROMATIN * texture / texture.std())
-    image = ndimage.gaussian_filter(BACKGROUND + brightness, BLUR) + random.normal(0.0, NOISE, SHAPE)
+    brightness = np.array([0.0, *(one[2] for one in NUCLEI)])[labels] * (
+        1.0 + CHROMATIN * texture / texture.std()
+    )
+    image = ndimage.gaussian_filter(BACKGROUND + brightness, BLUR) + random.normal(
+        0.0, NOISE, SHAPE
+    )
     volume = Volume.from_array(image.astype(np.float32))
     paths = folder / "touching_nuclei.nii.gz", folder / "touching_nuclei_truth.nii.gz"
     io.write(volume, paths[0])
@@ -47,8 +51,13 @@ def nuclei_labels() -> NDArray[np.intp]:
     [True, True, True]
     """
     places = np.indices(SHAPE)
-    depths = np.stack([
-        sum(((place - middle) / half) ** 2 for place, middle, half in zip(places, one[0], one[1], strict=True))
-        for one in NUCLEI
-    ])  # fmt: skip
+    depths = np.stack(
+        [
+            sum(
+                ((place - middle) / half) ** 2
+                for place, middle, half in zip(places, one[0], one[1], strict=True)
+            )
+            for one in NUCLEI
+        ]
+    )
     return np.where(depths.min(axis=0) < 1.0, depths.argmin(axis=0) + 1, 0)

@@ -90,11 +90,22 @@ class WindowWatch:
 
     def write(self) -> None:
         """Write the state, all or nothing."""
-        said = {"time": time.time(), "title": self._main.windowTitle(), "widgets": self._widgets(), "drawn": None}
+        said = {
+            "time": time.time(),
+            "title": self._main.windowTitle(),
+            "widgets": self._widgets(),
+            "drawn": None,
+        }
         sides = [self._main.width(), self._main.height()]
-        said |= {"is_start_page": self._window is None, "items": items(), "size": sides, "heights": {
-            widget.accessibleName(): widget.height() for widget in self._main.findChildren(QListWidget)
-        }}
+        said |= {
+            "is_start_page": self._window is None,
+            "items": items(),
+            "size": sides,
+            "heights": {
+                widget.accessibleName(): widget.height()
+                for widget in self._main.findChildren(QListWidget)
+            },
+        }
         if self._window is not None:
             said |= self._of_image()
         write_whole(self._file, said)
@@ -107,17 +118,22 @@ class WindowWatch:
             self._verdict = {**self._judge(frame), "number": self._verdict.get("number", 0) + 1}
             self._wanted.unlink()
         return {
-            "state": window.user_actions.state(), "tiles": self._tiles(),
+            "state": window.user_actions.state(),
+            "tiles": self._tiles(),
             "place_of_slices": axial_numbers(window.scene),
             "slices": slice_sizes(window.scene, window.canvas.devicePixelRatioF()),
-            "step": status.step, "playing": status.playing,
+            "step": status.step,
+            "playing": status.playing,
             "message": window.message.text().replace("\N{ZERO WIDTH SPACE}", ""),
             "stop": status.stop and status.stop.reason,
             "drawn": None if frame is None else [frame.step, frame.volume_mm3],
-            "undoable": status.undoable, "refinements": len(status.refinements), "edits": len(status.edits),
+            "undoable": status.undoable,
+            "refinements": len(status.refinements),
+            "edits": len(status.edits),
             "settings": status.settings.model_dump(mode="json"),
             "titles": {name: tile.title.text for name, tile in window.scene.slice_tiles.items()},
-            "verdict": self._verdict, "object_rows": self._object_rows(),
+            "verdict": self._verdict,
+            "object_rows": self._object_rows(),
         }
 
     def _tiles(self) -> dict[str, Any]:
@@ -130,16 +146,27 @@ class WindowWatch:
             left, bottom, right, top = renderer.GetViewport()
             if right <= left:
                 continue
-            middle = [corner.x() + 0.5 * (left + right) * width, corner.y() + (1 - 0.5 * (bottom + top)) * height]
+            middle = [
+                corner.x() + 0.5 * (left + right) * width,
+                corner.y() + (1 - 0.5 * (bottom + top)) * height,
+            ]
             found[name] = {"middle": middle}
             tile = window.scene.slice_tiles.get(name)
             if tile is not None:
                 x, y, _ = renderer.camera.focal_point
                 mm = tile.mm_per_pixel() * ratio
 
-                def pixel(world: Any, tile: Any = tile, x: float = x, y: float = y, mm: float = mm,
-                          middle: Any = middle) -> Any:
-                    right, up = tile.to_tile(window.scene.geometry.world_to_index(np.asarray(world, float)))
+                def pixel(
+                    world: Any,
+                    tile: Any = tile,
+                    x: float = x,
+                    y: float = y,
+                    mm: float = mm,
+                    middle: Any = middle,
+                ) -> Any:
+                    right, up = tile.to_tile(
+                        window.scene.geometry.world_to_index(np.asarray(world, float))
+                    )
                     return np.array([middle[0] + (right - x) / mm, middle[1] - (up - y) / mm])
 
                 origin = pixel([0, 0, 0])
@@ -150,14 +177,19 @@ class WindowWatch:
     def _object_rows(self) -> list[list[int]]:
         """Middle on the screen of the name of each object in the list."""
         table = self._window.side.panels["ObjectsPanel"].table
-        rects = [table.visualRect(table.model().index(row, NAME_COLUMN)) for row in range(table.rowCount())]
+        rects = [
+            table.visualRect(table.model().index(row, NAME_COLUMN))
+            for row in range(table.rowCount())
+        ]
         places = [table.viewport().mapToGlobal(rect.center()) for rect in rects]
         return [[place.x(), place.y()] for place in places]
 
     def _widgets(self) -> dict[str, Any]:
         """Middle on the screen of what has a name or a text and is not hidden; a line comes before its label."""
         found: dict[str, Any] = {}
-        for widget in sorted(self._main.findChildren(QWidget), key=lambda widget: not isinstance(widget, QLabel)):
+        for widget in sorted(
+            self._main.findChildren(QWidget), key=lambda widget: not isinstance(widget, QLabel)
+        ):
             text = getattr(widget, "text", None)
             said = text() if callable(text) else ""
             place = widget.mapToGlobal(QPoint(widget.width() // 2, widget.height() // 2))
@@ -177,14 +209,23 @@ class WindowWatch:
                 places = np.argwhere(surface.psi < 0)
                 index = np.rint(surface.to_image(places)).astype(int) if len(places) else places
                 labels[tuple(np.clip(index, 0, np.array(shape) - 1).T)] = True
-            dice.append(round(float(2.0 * (labels & truth).sum() / max(labels.sum() + truth.sum(), 1)), 3))
+            dice.append(
+                round(float(2.0 * (labels & truth).sum() / max(labels.sum() + truth.sum(), 1)), 3)
+            )
             worst.append({"depth": 0.0})
             for side, wrong in (("inside", truth & ~labels), ("outside", labels & ~truth)):
-                depth = ndimage.distance_transform_edt(np.pad(wrong, 1), sampling=geometry.spacing)[1:-1, 1:-1, 1:-1]
+                depth = ndimage.distance_transform_edt(np.pad(wrong, 1), sampling=geometry.spacing)[
+                    1:-1, 1:-1, 1:-1
+                ]
                 at = np.unravel_index(int(depth.argmax()), depth.shape)
                 if depth[at] > worst[-1]["depth"]:
                     world = geometry.index_to_world(np.array(at, float)).tolist()
-                    worst[-1] = {"depth": float(depth[at]), "side": side, "world": world, "object": number}
+                    worst[-1] = {
+                        "depth": float(depth[at]),
+                        "side": side,
+                        "world": world,
+                        "object": number,
+                    }
         return {"dice": dice, "worst": worst[int(np.argmin(dice))], "mm3": float(frame.volume_mm3)}
 
 
@@ -219,7 +260,10 @@ def watch_page(state_file: Path) -> None:
         seconds = original(page, actions)
         left, bottom, right, top = actions.scene.slice_tiles["axial"].renderer.GetViewport()
         sizes = slice_sizes(actions.scene, actions.scene.tiles.pixel_ratio)
-        write_whole(state_file, {"slices": sizes, "axial": [0.5 * (left + right), 1.0 - 0.5 * (bottom + top)]})
+        write_whole(
+            state_file,
+            {"slices": sizes, "axial": [0.5 * (left + right), 1.0 - 0.5 * (bottom + top)]},
+        )
         return seconds
 
     Page._draw = drawn  # type: ignore[method-assign]

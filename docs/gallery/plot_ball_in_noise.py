@@ -25,7 +25,9 @@ start = "ball:14,16,18,5vox"
 # image's own grid: limiter and coarse grids make descent faster as well, and would hide the difference.
 
 results = {
-    flow: accelsurf.segment(image, start=start, flow=flow, cfl=0.25, percentile=100, levels=1, max_steps=300)
+    flow: accelsurf.segment(
+        image, start=start, flow=flow, cfl=0.25, percentile=100, levels=1, max_steps=300
+    )
     for flow in ("gradient", "constant-density")
 }
 

@@ -50,7 +50,9 @@ def constant_density(surface, force, dt, steps, k=2.0, lam=1.0, rho=1.0):
 def closest_points(surface):
     """Points (n, 3) of the surface that are closest to the cells of its band, mm from the middle of the volume."""
     cells = np.stack(np.unravel_index(surface.band.cells, surface.shape), axis=1)
-    return (cells - 0.5 * (np.array(surface.shape) - 1)) * surface.spacings + surface.band.to_closest
+    return (
+        cells - 0.5 * (np.array(surface.shape) - 1)
+    ) * surface.spacings + surface.band.to_closest
 
 
 # %%
@@ -83,7 +85,9 @@ for t in constant_density(surface, force, dt=0.02, steps=120):
         slices.append(surface.psi[24].copy())
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4))
-for number, (psi, shade) in enumerate(zip(slices, ("0.7", "#ffd29b", "#ff9d2e", "#c45f00", "black"), strict=True)):
+for number, (psi, shade) in enumerate(
+    zip(slices, ("0.7", "#ffd29b", "#ff9d2e", "#c45f00", "black"), strict=True)
+):
     left.contour(psi, [0.0], colors=[shade])
     left.plot([], [], color=shade, label=f"t = {0.6 * number:.1f}")
 left.set(aspect="equal", title="middle slice", ylim=(0, 56))

@@ -24,7 +24,10 @@ image = truth + x / 16 + np.random.default_rng(0).normal(0, 0.1, truth.shape)
 # Terms add with weights. The start lies within R = 8 mm of the edge.
 
 energies = ("chan-vese", "local-region:R=8", "local-region:R=8 + 0.1*area")
-results = {energy: accelsurf.segment(image, start="center", energy=energy, max_steps=200) for energy in energies}
+results = {
+    energy: accelsurf.segment(image, start="center", energy=energy, max_steps=200)
+    for energy in energies
+}
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(10.5, 3.8))

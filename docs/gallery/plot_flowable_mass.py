@@ -63,7 +63,9 @@ def divergence(surface, V):
 def closest_points(surface):
     """Points (n, 3) of the surface that are closest to the cells of its band, mm from the middle of the volume."""
     cells = np.stack(np.unravel_index(surface.band.cells, surface.shape), axis=1)
-    return (cells - 0.5 * (np.array(surface.shape) - 1)) * surface.spacings + surface.band.to_closest
+    return (
+        cells - 0.5 * (np.array(surface.shape) - 1)
+    ) * surface.spacings + surface.band.to_closest
 
 
 # %%

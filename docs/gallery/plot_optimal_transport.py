@@ -25,13 +25,17 @@ density = 0.5 * (1 - np.tanh((np.hypot(x, y) - 0.7) / 0.03))
 # %%
 # q = .35 x^2 - .25 y^2 + .13 (x^2 - .25) y^2: its gradient draws the disc out along x and makes it thinner along y.
 
-velocity = np.stack([0 * x, -0.5 * y + 0.26 * (x**2 - 0.25) * y, 0.7 * x + 0.26 * x * y**2])[:, None]
+velocity = np.stack([0 * x, -0.5 * y + 0.26 * (x**2 - 0.25) * y, 0.7 * x + 0.26 * x * y**2])[
+    :, None
+]
 
 # %%
 # A force of 0 and no friction: nothing but the first velocity moves the mass.
 
 flow = RegionMass(friction=0.0)
-evolution = Evolution(disc, RegionField(np.zeros(disc.shape)), flow, StepLimits(0.5, 100.0, 0.5 * h), 10_000)
+evolution = Evolution(
+    disc, RegionField(np.zeros(disc.shape)), flow, StepLimits(0.5, 100.0, 0.5 * h), 10_000
+)
 evolution.initialize()
 flow.set_fluid(density[None], velocity)
 frames, kinetic = [(0.0, flow.fluid[0, 0].copy(), disc.psi[0].copy())], []
@@ -55,7 +59,9 @@ for (above, below), (t, rho, psi) in zip(axes.T, frames, strict=True):
     above.imshow(rho, cmap="gray", origin="lower", extent=extent, vmin=0, vmax=1.5)
     above.contour(psi, [0], colors="#ff9d2e", linewidths=1.5, extent=extent, origin="lower")
     above.set_title(f"transported, t = {t:.1f}", fontsize=10)
-    below.imshow((1 - t) * first + t * last, cmap="gray", origin="lower", extent=extent, vmin=0, vmax=1.5)
+    below.imshow(
+        (1 - t) * first + t * last, cmap="gray", origin="lower", extent=extent, vmin=0, vmax=1.5
+    )
     below.set_title(f"mixed, t = {t:.1f}", fontsize=10)
 for axis in axes.flat:
     axis.set(ylim=(-1.3, 1.3), xticks=[], yticks=[])

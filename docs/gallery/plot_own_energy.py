@@ -41,7 +41,8 @@ z, y, x = np.indices((40, 40, 40)) - 19.5
 blob = np.exp(-(x**2 / 2 + y**2 + z**2) / (2 * 7.0**2))
 volumes = (1000.0, 4000.0, 9000.0)
 results = [
-    accelsurf.segment(blob, start="ball:22,18,20,5vox", energy=KnownVolume(blob, volume)) for volume in volumes
+    accelsurf.segment(blob, start="ball:22,18,20,5vox", energy=KnownVolume(blob, volume))
+    for volume in volumes
 ]
 
 # %%

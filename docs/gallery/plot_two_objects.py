@@ -27,7 +27,9 @@ start[13:19, 13:19, 36:42] = 2
 
 result = accelsurf.segment_objects(image, start)
 for number in (1, 2):
-    print(f"object {number}: {(result.labels == number).sum()} voxels of 1 mm3, a ball has {4 / 3 * np.pi * 12**3:.0f}")
+    print(
+        f"object {number}: {(result.labels == number).sum()} voxels of 1 mm3, a ball has {4 / 3 * np.pi * 12**3:.0f}"
+    )
 
 # %%
 figure, axis = plt.subplots(figsize=(7, 4))

@@ -154,7 +154,9 @@ def _page(text: str) -> str:
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     lines = [header, ["---"] * len(header), *rows]
-    return ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines] + [""]
+    return [
+        "| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines
+    ] + [""]
 
 
 def _code(words: Iterable[str]) -> str:
@@ -195,13 +197,22 @@ def _track_settings() -> list[str]:
         facts.append(("Default", f"`{default}`" if default else "not set"))
         facts += [("Unit", said.unit)] if said.unit else []
         facts += [("Repeated", "the option may be given several times")] if said.repeated else []
-        lines += [f"### {key} (tracking)", "", said.completed(field.description or ""), "", *_table(("", ""), facts)]
+        lines += [
+            f"### {key} (tracking)",
+            "",
+            said.completed(field.description or ""),
+            "",
+            *_table(("", ""), facts),
+        ]
     return lines
 
 
 def _setting(key: str) -> list[str]:
     said, default = entry(key), default_shown(key)
-    facts = [("Option", f"`--{key.replace('_', '-')}`"), ("Values", expected(key).replace("*", "\\*"))]
+    facts = [
+        ("Option", f"`--{key.replace('_', '-')}`"),
+        ("Values", expected(key).replace("*", "\\*")),
+    ]
     facts += [("Default", f"`{default}`" if default else "not set")]
     if said.unit:
         facts.append(("Unit", said.unit))
@@ -233,43 +244,74 @@ def _term(spec: TermSpec) -> list[str]:
         lines += _table(("Setting", "Values", "Meaning"), rows)
     if uses := (*spec.uses, *spec.uses_to_learn):
         lines.append(f"* Uses the settings {_code(uses)} of the run.")
-    seen = {"first": "the first", "mean": "the mean over all", "sum": "the sum over all"}[spec.channels]
+    seen = {"first": "the first", "mean": "the mean over all", "sum": "the sum over all"}[
+        spec.channels
+    ]
     if spec.uses_model:
         lines.append("* Of an image of several channels it is made of all.")
     elif spec.sees_image:
         lines.append(f"* Of an image of several channels it takes {seen}.")
     else:
         lines.append("* It does not see the image: it needs a term beside it that does.")
-    lines.append(f"* Its weight is {'any number other than 0' if spec.signed else 'a number greater than 0'}.")
+    lines.append(
+        f"* Its weight is {'any number other than 0' if spec.signed else 'a number greater than 0'}."
+    )
     return [*lines, ""]
 
 
 def _flows() -> str:
-    rows = [(f"`{name}`", spec.help, _code(spec.uses), str(spec.half_width)) for name, spec in FLOWS.items()]
+    rows = [
+        (f"`{name}`", spec.help, _code(spec.uses), str(spec.half_width))
+        for name, spec in FLOWS.items()
+    ]
     header = ("Flow", "What it is", "Its settings", "Half width of the band (voxels)")
-    return "\n".join(["# Flows", "", "How the surface moves: `--flow NAME`.", "", *_table(header, rows)])
+    return "\n".join(
+        ["# Flows", "", "How the surface moves: `--flow NAME`.", "", *_table(header, rows)]
+    )
 
 
 def _presets() -> str:
     lines = ["# Presets", "", *_wrapped(PRESETS_WHY), ""]
-    measured = {name: "; ".join(f"{what}: {said}" for what, said in preset.tried.items())
-                for name, preset in PRESETS.items()}  # fmt: skip
-    rows = [(f"[`{name}`](#{name})", preset.summary, measured[name]) for name, preset in PRESETS.items()]
+    measured = {
+        name: "; ".join(f"{what}: {said}" for what, said in preset.tried.items())
+        for name, preset in PRESETS.items()
+    }
+    rows = [
+        (f"[`{name}`](#{name})", preset.summary, measured[name]) for name, preset in PRESETS.items()
+    ]
     lines += _table(("Preset", "For", "Measured"), rows)
     for name, preset in PRESETS.items():
-        rows = [(f"`{key}`", f"`{as_typed(value)}`", preset.reasons[key]) for key, value in preset.settings.items()]
+        rows = [
+            (f"`{key}`", f"`{as_typed(value)}`", preset.reasons[key])
+            for key, value in preset.settings.items()
+        ]
         lines += [f"## {name}", "", *_table(("Setting", "Value", "Why"), rows)]
     return "\n".join(lines)
 
 
 def _file_formats() -> str:
-    kept = {"all": "the whole grid", "spacing": "the spacing", "pixel": "the size of a pixel", "none": "nothing"}
+    kept = {
+        "all": "the whole grid",
+        "spacing": "the spacing",
+        "pixel": "the size of a pixel",
+        "none": "nothing",
+    }
     images = [
-        (f"`{name}`", form.help, _code(form.suffixes), _values(form), kept[form.keeps], _channels(form), _boxes(form))
+        (
+            f"`{name}`",
+            form.help,
+            _code(form.suffixes),
+            _values(form),
+            kept[form.keeps],
+            _channels(form),
+            _boxes(form),
+        )
         for name, form in IMAGE_FORMATS.items()
     ]
     meshes = [(f"`{name}`", form.help, *_uses(form)) for name, form in MESH_FORMATS.items()]
-    tracks = [(f"`{name}`", form.help, f"`NAME_{form.ending}`") for name, form in TRACK_FORMATS.items()]
+    tracks = [
+        (f"`{name}`", form.help, f"`NAME_{form.ending}`") for name, form in TRACK_FORMATS.items()
+    ]
     lines = [
         "# File formats",
         "",
@@ -279,7 +321,9 @@ def _file_formats() -> str:
         f"are written: unless given that of the input, or `{DEFAULT_IMAGE_FORMAT}`. What is not kept of the grid is",
         "the world's origin, the world's axes and voxels of 1 mm when the file is read; `--spacing` says another size.",
         "",
-        *_table(("Format", "What it is", "Endings", "Values", "Keeps", "Channels", "By boxes"), images),
+        *_table(
+            ("Format", "What it is", "Endings", "Values", "Keeps", "Channels", "By boxes"), images
+        ),
         "By boxes: `accelsurf.open_volume` reads parts of an image that is larger than the memory. NRRD and",
         "MetaImage must then be saved uncompressed, TIFF in grey. TIFF in packings beyond deflate, LZW, LZMA and",
         'PackBits needs `pip install "accelsurf[tiff]"`. OME-Zarr is a folder, for',
@@ -316,17 +360,28 @@ def _channels(form: ImageFormat) -> str:
 
 
 def _boxes(form: ImageFormat) -> str:
-    return "no" if form.open is None else "yes" if form.store is None else "yes; label maps also written so"
+    return (
+        "no"
+        if form.open is None
+        else "yes"
+        if form.store is None
+        else "yes; label maps also written so"
+    )
 
 
 def _uses(form: MeshFormat) -> list[str]:
     shapes: tuple[Shape, ...] = ("surface", "contour")
-    words = [("written by auto" if shape in form.auto else "yes") if form.writer(shape) else "no" for shape in shapes]
+    words = [
+        ("written by auto" if shape in form.auto else "yes") if form.writer(shape) else "no"
+        for shape in shapes
+    ]
     return [*words, "yes" if form.read else "no"]
 
 
 def _trace() -> str:
-    rows = [(f"`{name}`", column.unit or "none", column.help) for name, column in TRACE_COLUMNS.items()]
+    rows = [
+        (f"`{name}`", column.unit or "none", column.help) for name, column in TRACE_COLUMNS.items()
+    ]
     lines = [
         "# Trace",
         "",
@@ -345,7 +400,12 @@ def _report() -> str:
         "known is null.",
         "",
     ]
-    return "\n".join([*lines, *_table(("Key", "Meaning"), [(f"`{key}`", text) for key, text in REPORT_KEYS.items()])])
+    return "\n".join(
+        [
+            *lines,
+            *_table(("Key", "Meaning"), [(f"`{key}`", text) for key, text in REPORT_KEYS.items()]),
+        ]
+    )
 
 
 def _exit_codes() -> str:
@@ -354,7 +414,10 @@ def _exit_codes() -> str:
 
 
 def _limits() -> str:
-    rows = [(one.what, f"{one.limit} {one.unit}" + (f" per {one.per}" if one.per else ""), one.hint) for one in BUDGETS]
+    rows = [
+        (one.what, f"{one.limit} {one.unit}" + (f" per {one.per}" if one.per else ""), one.hint)
+        for one in BUDGETS
+    ]
     numbers = (
         f"Settings and weights: 0, or of a size from {MAGNITUDES[0]:g} to {MAGNITUDES[1]:g}.",
         f"Values of an image: finite, at most {MAX_VALUE:g}, with a range of at least {MIN_RANGE:g}. Larger ones often "
@@ -364,8 +427,23 @@ def _limits() -> str:
     )
     return "\n".join(
         [
-            *("# Limits", "", *_wrapped(LIMITS_WHY), "", "## Budgets", "", *_table(("What", "At most", "Else"), rows)),
-            *(f"An energy has at most {MAX_TERMS} terms.", "", "## Numbers", "", *_listed(numbers), ""),
+            *(
+                "# Limits",
+                "",
+                *_wrapped(LIMITS_WHY),
+                "",
+                "## Budgets",
+                "",
+                *_table(("What", "At most", "Else"), rows),
+            ),
+            *(
+                f"An energy has at most {MAX_TERMS} terms.",
+                "",
+                "## Numbers",
+                "",
+                *_listed(numbers),
+                "",
+            ),
             *("## Names and data files", "", *_listed(LIMITS_NAMES), "", "## How it is held", ""),
             *_wrapped(LIMITS_HELD),
         ]
@@ -377,7 +455,9 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _listed(items: Iterable[str]) -> list[str]:
-    return [line for item in items for line in textwrap.wrap(f"* {item}", 118, subsequent_indent="  ")]
+    return [
+        line for item in items for line in textwrap.wrap(f"* {item}", 118, subsequent_indent="  ")
+    ]
 
 
 if __name__ == "__main__":

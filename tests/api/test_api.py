@@ -19,7 +19,11 @@ GRIDS = {
     "isotropic": {"shape": [40, 40, 40], "spacing": [1.0, 1.0, 1.0]},
     "1 x 1 x 3 mm": {"shape": [40, 40, 14], "spacing": [1.0, 1.0, 3.0]},
     "oblique": {"shape": [40, 40, 40], "spacing": [1.0, 1.0, 1.0], "rotation": [20.0, -15.0, 35.0]},
-    "oblique 1 x 1 x 3 mm": {"shape": [40, 40, 14], "spacing": [1.0, 1.0, 3.0], "rotation": [20.0, -15.0, 35.0]},
+    "oblique 1 x 1 x 3 mm": {
+        "shape": [40, 40, 14],
+        "spacing": [1.0, 1.0, 3.0],
+        "rotation": [20.0, -15.0, 35.0],
+    },
 }
 
 
@@ -77,7 +81,8 @@ def test_the_image_is_never_modified():
 def test_scale_and_offset_of_the_image_do_not_matter():
     image = noisy()
     one, four, other = (
-        segment(i, start="ball:19,17,15,6", smoothness=0.1) for i in (image, 4 * image, 0.01 * image + 7)
+        segment(i, start="ball:19,17,15,6", smoothness=0.1)
+        for i in (image, 4 * image, 0.01 * image + 7)
     )
     # A factor of 4 rounds nothing; other factors round each voxel, and in noise a run multiplies that.
     np.testing.assert_array_equal(four.labels, one.labels)
@@ -111,9 +116,14 @@ def test_axes_and_flips_do_not_matter():
     image = noisy()
     one = segment(image, start="ball:19,17,15,6", smoothness=0.1, max_steps=120)
     turned = segment(
-        np.ascontiguousarray(image.transpose(2, 0, 1)), start="ball:17,15,19,6", smoothness=0.1, max_steps=120
+        np.ascontiguousarray(image.transpose(2, 0, 1)),
+        start="ball:17,15,19,6",
+        smoothness=0.1,
+        max_steps=120,
     )
-    flipped = segment(np.ascontiguousarray(image[::-1]), start="ball:19,17,14,6", smoothness=0.1, max_steps=120)
+    flipped = segment(
+        np.ascontiguousarray(image[::-1]), start="ball:19,17,14,6", smoothness=0.1, max_steps=120
+    )
     assert dice(turned.labels.transpose(1, 2, 0), one.labels) > 0.99
     # In noise rounding decides details, and here even which window of the stop rule is the last.
     assert dice(flipped.labels[::-1], one.labels) > 0.98
@@ -154,14 +164,20 @@ def test_vanished_and_filled():
 def test_options_win_over_the_configuration():
     config = RunConfig(start="ball:19,17,15,6", max_steps=3)
     result = segment(noisy(), config=config, max_steps=5)
-    assert result.config.max_steps == 5 and result.stop.reason == "max-steps" and result.stop.steps == 5
+    assert (
+        result.config.max_steps == 5
+        and result.stop.reason == "max-steps"
+        and result.stop.steps == 5
+    )
     with pytest.raises(UsageError, match="max_step: there is no such setting"):
         segment(noisy(), config=config, max_step=5)
 
 
 def test_on_step_may_end_the_run():
     rows = []
-    result = segment(noisy(), start="ball:19,17,15,6", on_step=lambda row: rows.append(row) or len(rows) == 4)
+    result = segment(
+        noisy(), start="ball:19,17,15,6", on_step=lambda row: rows.append(row) or len(rows) == 4
+    )
     assert result.stop.reason == "interrupted" and result.stop.steps == 4
     assert result.report["status"] == "interrupted" and result.report["exit_code"] == 130
     assert rows == result.history
@@ -210,7 +226,14 @@ def test_scaled_puts_the_percentiles_at_0_and_1():
 
 
 def test_the_run_is_made_of_what_the_configuration_says():
-    config = RunConfig(start="ball:19,17,15,6", flow="gradient", diffusion=0.5, cfl=0.3, percentile=80, restart="off")
+    config = RunConfig(
+        start="ball:19,17,15,6",
+        flow="gradient",
+        diffusion=0.5,
+        cfl=0.3,
+        percentile=80,
+        restart="off",
+    )
     run = Run(Volume.from_array(noisy()), config)
     evolution = run.objects[0].evolution
     assert evolution.limits.cfl == 0.3 and evolution.limits.percentile == 80
@@ -218,17 +241,28 @@ def test_the_run_is_made_of_what_the_configuration_says():
 
 
 def test_the_report_has_what_the_run_took_from_image_and_grid():
-    image = make(recipe_from({"kind": "ball", "radius": 12, "shape": [48, 48, 24], "spacing": [1, 1, 2]})).image
+    image = make(
+        recipe_from({"kind": "ball", "radius": 12, "shape": [48, 48, 24], "spacing": [1, 1, 2]})
+    ).image
     image = image.with_array(image.array * 3.0 + 7.0)
     found = segment(image, start="ball:0,0,0,6", presmooth="1.5vox").report["resolved_settings"]
     assert found["presmooth_mm"] == 1.5  # of the smallest spacing
     (scale_,) = found["scale"]
     smooth = filtered_volume(image, ImageFilters(sigma=1.5))
-    assert (scale_["at_0"], scale_["at_1"]) == pytest.approx(tuple(np.percentile(smooth, [0.5, 99.5])), rel=1e-5)
+    assert (scale_["at_0"], scale_["at_1"]) == pytest.approx(
+        tuple(np.percentile(smooth, [0.5, 99.5])), rel=1e-5
+    )
     assert found["levels"] == 2 and found["half_width_voxels"] == 3
     assert (found["flow"], found["diffusion"]) == ("constant-density", "free")
     assert found["stop"] == {"voxels": 0.1, "steps": 6} and found["step_voxels"] == 0.5
-    other = {"start": "ball:0,0,0,6", "flow": "gradient", "levels": 1, "cfl": 0.3, "tolerance": 0.2, "half_width": 4}
+    other = {
+        "start": "ball:0,0,0,6",
+        "flow": "gradient",
+        "levels": 1,
+        "cfl": 0.3,
+        "tolerance": 0.2,
+        "half_width": 4,
+    }
     found = segment(image, **other).report["resolved_settings"]
     assert found["levels"] == 1 and found["diffusion"] == 0.0 and found["half_width_voxels"] == 4
     assert found["stop"] == {"voxels": 0.2, "steps": 20} and found["step_voxels"] == 0.3

@@ -15,7 +15,10 @@ SHAPE, MIDDLES, RADIUS = (24, 40, 28), ((12, 11, 14), (12, 27, 14)), 8.0
 def balls(shape=SHAPE, middles=MIDDLES):
     """Two equal balls that touch, in noise, and which voxels are the first one's."""
     places = np.indices(shape)
-    inside = [sum((axis - at) ** 2 for axis, at in zip(places, middle, strict=True)) < RADIUS**2 for middle in middles]
+    inside = [
+        sum((axis - at) ** 2 for axis, at in zip(places, middle, strict=True)) < RADIUS**2
+        for middle in middles
+    ]
     noise = np.random.default_rng(7).normal(0, 6, shape)
     return (100.0 * (inside[0] | inside[1]) + noise).astype(np.float32), inside[0]
 
@@ -36,7 +39,9 @@ def played(*steps):
 
 
 def dice(first, second):
-    return 2 * np.count_nonzero(first & second) / (np.count_nonzero(first) + np.count_nonzero(second))
+    return (
+        2 * np.count_nonzero(first & second) / (np.count_nonzero(first) + np.count_nonzero(second))
+    )
 
 
 def test_an_inside_and_an_outside_click_tell_one_ball_from_the_other():
@@ -86,7 +91,9 @@ def test_the_box_of_a_step_holds_what_has_changed_and_no_margin():
             shown[changed] = session.labels_on(changed)
             places = np.argwhere(shown != before)
             box = zip(places.min(axis=0), places.max(axis=0) + 1, strict=True)
-            assert [(side.start, side.stop) for side in changed] == [(int(a), int(b)) for a, b in box]
+            assert [(side.start, side.stop) for side in changed] == [
+                (int(a), int(b)) for a, b in box
+            ]
         assert np.array_equal(shown, session.labels)
     assert session.clear() is not None
     assert not session.labels.any()
@@ -114,7 +121,9 @@ def test_nothing_clicked_inside_is_no_object():
 
 def test_channels_and_spacing_are_used():
     image, ball = balls()
-    plain = accelsurf.ClickSession(np.random.default_rng(1).normal(0, 1, SHAPE), channels=[image], spacing=(2, 1, 1))
+    plain = accelsurf.ClickSession(
+        np.random.default_rng(1).normal(0, 1, SHAPE), channels=[image], spacing=(2, 1, 1)
+    )
     plain.add(CLICKS[:2])
     assert dice(plain.labels > 0, ball) > 0.8
     assert plain.geometry.spacing == (2.0, 1.0, 1.0)
@@ -143,7 +152,9 @@ def test_labels_of_another_shape_and_clicks_beyond_the_memory_are_refused(monkey
     session = played([CLICKS[0]])
     with pytest.raises(GeometryError, match="labels"):
         session.start_from(np.ones((3, 3, 3)))
-    monkeypatch.setattr(click_session.budgets, "SESSION_CLICKS", budgets.Budget("clicks", 200, "bytes", "clear"))
+    monkeypatch.setattr(
+        click_session.budgets, "SESSION_CLICKS", budgets.Budget("clicks", 200, "bytes", "clear")
+    )
     with pytest.raises(InputError, match="at most 200"):
         session.add([CLICKS[1]])
     session.undo()

@@ -26,15 +26,22 @@ def test_values_are_counted_by_the_header_alone(suffix, tmp_path):
 
 
 def test_a_png_has_its_pixels(tmp_path):
-    io.write(Volume(np.zeros((1, 5, 6), np.uint8), Geometry((1, 5, 6), (1.0, 1.0, 1.0))), tmp_path / "a.png")
+    io.write(
+        Volume(np.zeros((1, 5, 6), np.uint8), Geometry((1, 5, 6), (1.0, 1.0, 1.0))),
+        tmp_path / "a.png",
+    )
     assert count_values(tmp_path / "a.png") == 30
 
 
 def test_channels_and_clicks_need_more(tmp_path):
     path = tmp_path / "a.nii"
-    io.write(Volume(np.zeros((40, 50, 60), np.uint8), Geometry((40, 50, 60), (1.0, 1.0, 1.0))), path)
+    io.write(
+        Volume(np.zeros((40, 50, 60), np.uint8), Geometry((40, 50, 60), (1.0, 1.0, 1.0))), path
+    )
     one, two, clicks = need_of(path), need_of(path, [path]), need_of(path, clicks=True)
-    assert need_of(path, flow="region-mass").bytes > one.bytes == need_of(path, flow="sobolev").bytes
+    assert (
+        need_of(path, flow="region-mass").bytes > one.bytes == need_of(path, flow="sobolev").bytes
+    )
     assert (one.values, two.values) == (120_000, 240_000)
     assert two.bytes - PROCESS_BYTES == 2 * (one.bytes - PROCESS_BYTES)
     assert clicks.bytes > one.bytes > PROCESS_BYTES
@@ -80,7 +87,12 @@ def test_sizes_that_are_none(text):
 
 
 def test_the_plan_says_what_waits_and_what_cannot_run():
-    needs = {"a": Need(8, GB), "b": Need(8, 3 * GB), "c": Need(8, 9 * GB), "d": Need(None, 0, "no image")}
+    needs = {
+        "a": Need(8, GB),
+        "b": Need(8, 3 * GB),
+        "c": Need(8, 9 * GB),
+        "d": Need(None, 0, "no image"),
+    }
     rows = {line[0]: line[1:] for line in plan_rows(needs, Admission(2, 1, 4 * GB))}
     assert rows["a"] == ("8", "1 GB", "")
     assert rows["b"] == ("8", "3 GB", "waits for room")

@@ -25,17 +25,23 @@ def test_columns_are_settings_and_empty_cells_leave_them(table, tmp_path):
         f"{tmp_path}/elsewhere/b.nrrd,,,,,brain-t1\n"
     )
     assert (first.id, first.image, first.reference) == (
-        "one", tmp_path / "scans/a.nii.gz", tmp_path / "refs/a.nii.gz",
+        "one",
+        tmp_path / "scans/a.nii.gz",
+        tmp_path / "refs/a.nii.gz",
     )
     assert first.settings == {"inside": ("point:1,2,3", "ball:4,5,6,2"), "max_steps": "20"}
-    assert (second.id, second.image, second.reference) == ("b", tmp_path / "elsewhere" / "b.nrrd", None)
+    assert (second.id, second.image, second.reference) == (
+        "b",
+        tmp_path / "elsewhere" / "b.nrrd",
+        None,
+    )
     assert second.settings == {"preset": "brain-t1"} and second.place.endswith("cases.csv, row 4")
 
 
 def test_files_are_looked_for_in_the_folder_of_the_table(table, tmp_path):
     (case,) = table(
         "image,mask,objects,channel,start,inside\n"
-        f"a.nii,m.nii,o.nii@2,t2.nii;{tmp_path}/x/t1.nii,\"label:l.nii@3;ball:1,2,3,4\",stroke:sub/s.csv\n"
+        f'a.nii,m.nii,o.nii@2,t2.nii;{tmp_path}/x/t1.nii,"label:l.nii@3;ball:1,2,3,4",stroke:sub/s.csv\n'
     )
     assert case.settings == {
         "mask": str(tmp_path / "m.nii"),
@@ -55,8 +61,16 @@ def test_tabs_a_mark_of_utf8_and_capitals(table):
     ("text", "message", "hint"),
     [
         ("id,inside\na,b\n", "no column image", "image"),
-        ("image,smothness\na.nii,1\n", "smothness: there is no such column", "did you mean smoothness?"),
-        ("image,max_step\na.nii,1\n", "max_step: there is no such column", "did you mean max_steps?"),
+        (
+            "image,smothness\na.nii,1\n",
+            "smothness: there is no such column",
+            "did you mean smoothness?",
+        ),
+        (
+            "image,max_step\na.nii,1\n",
+            "max_step: there is no such column",
+            "did you mean max_steps?",
+        ),
         ("image,patient\na.nii,1\n", "patient: there is no such column", "leave out"),
         ("image;id\na.nii;b\n", "separated by commas", ".tsv"),
         ("image,id,id\na.nii,b,c\n", "column id is given twice", "leave one"),

@@ -21,10 +21,21 @@ def ids(given, layout="auto"):
 
 
 def test_a_folder_of_images_in_the_order_of_their_names(tmp_path):
-    made(tmp_path, "b.nii.gz", "a.nrrd", "c.TIF", ".hidden.nii", "notes.txt", "deeper/d.nii", "c.zraw")
+    made(
+        tmp_path,
+        "b.nii.gz",
+        "a.nrrd",
+        "c.TIF",
+        ".hidden.nii",
+        "notes.txt",
+        "deeper/d.nii",
+        "c.zraw",
+    )
     cases, words = read_cases([str(tmp_path)])
     assert [case.id for case in cases] == ["a", "b", "c"] and words == "a folder of images"
-    assert [case.image for case in cases] == [tmp_path / name for name in ("a.nrrd", "b.nii.gz", "c.TIF")]
+    assert [case.image for case in cases] == [
+        tmp_path / name for name in ("a.nrrd", "b.nii.gz", "c.TIF")
+    ]
     assert all(case.image.is_absolute() and not case.settings for case in cases)
 
 
@@ -36,9 +47,19 @@ def test_an_empty_folder_is_refused(tmp_path):
 
 
 def test_nnunets_files_are_channels_of_their_case(tmp_path):
-    made(tmp_path, "liver_1_0000.nii.gz", "liver_1_0001.nii.gz", "liver_2_0000.nii.gz", "liver_2_0001.nii.gz")
+    made(
+        tmp_path,
+        "liver_1_0000.nii.gz",
+        "liver_1_0001.nii.gz",
+        "liver_2_0000.nii.gz",
+        "liver_2_0001.nii.gz",
+    )
     cases, words = read_cases([str(tmp_path)])
-    assert [case.id for case in cases] == ["liver_1", "liver_2"] and "nnU-Net" in words and "2 channels" in words
+    assert (
+        [case.id for case in cases] == ["liver_1", "liver_2"]
+        and "nnU-Net" in words
+        and "2 channels" in words
+    )
     assert cases[1].image == tmp_path / "liver_2_0000.nii.gz"
     assert cases[1].settings == {"channel": (str(tmp_path / "liver_2_0001.nii.gz"),)}
     assert cases[1].channels == (tmp_path / "liver_2_0001.nii.gz",)
@@ -114,7 +135,22 @@ def test_a_layout_is_for_a_folder(tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    ["", "a/b", "..", "a\\b", ".a", "-a", "a ", "a.", "a:b", "\n", "\ud800", "x" * 161, "batch.csv", "Batch_1of2.csv"],
+    [
+        "",
+        "a/b",
+        "..",
+        "a\\b",
+        ".a",
+        "-a",
+        "a ",
+        "a.",
+        "a:b",
+        "\n",
+        "\ud800",
+        "x" * 161,
+        "batch.csv",
+        "Batch_1of2.csv",
+    ],
 )
 def test_ids_that_are_no_names_of_folders(name, tmp_path):
     with pytest.raises(InputError, match="row 3: the id"):
@@ -167,7 +203,8 @@ def test_an_array_of_slurm_is_a_shard_unless_one_is_given():
 
 
 @pytest.mark.parametrize(
-    "values", [dict(ID=7, COUNT=3, MIN=1), dict(ID=2, COUNT=3, MIN=1, STEP=2), dict(ID="x", COUNT=2)]
+    "values",
+    [dict(ID=7, COUNT=3, MIN=1), dict(ID=2, COUNT=3, MIN=1, STEP=2), dict(ID="x", COUNT=2)],
 )
 def test_an_array_of_slurm_that_has_gaps_is_refused(values):
     with pytest.raises(UsageError) as error:

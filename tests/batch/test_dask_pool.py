@@ -47,14 +47,18 @@ def test_values_and_failures_come_back(cluster):
 
 
 def test_a_job_that_ends_its_workers_has_failed_and_the_others_go_on(cluster):
-    found = ended(DaskPool(work, cluster.scheduler_address), {"a": ("die", None), "b": ("double", 3)})
+    found = ended(
+        DaskPool(work, cluster.scheduler_address), {"a": ("die", None), "b": ("double", 3)}
+    )
     assert found["a"].failure.kind == "killed" and "was lost" in found["a"].failure.message
     assert found["b"].value == 6
 
 
 def test_workers_work_where_the_command_was_given(cluster, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert ended(DaskPool(os.path.abspath, cluster.scheduler_address), {"a": "x"})["a"].value == str(tmp_path / "x")
+    assert ended(DaskPool(os.path.abspath, cluster.scheduler_address), {"a": "x"})[
+        "a"
+    ].value == str(tmp_path / "x")
 
 
 def test_who_does_not_want_to_wait_need_not(cluster):

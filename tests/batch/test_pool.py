@@ -62,9 +62,16 @@ def test_a_worker_that_dies_is_replaced_and_the_others_go_on(pool):
     assert (found["a"].value, found["b"].value) == (4, 42) and found["b"].failure is None
     kinds = {key: one.failure.kind for key, one in found.items() if one.failure is not None}
     assert kinds == {
-        "killed": "killed", "raises": "error", "out of memory": "memory", "cannot be sent": "error", "ends": "killed",
+        "killed": "killed",
+        "raises": "error",
+        "out of memory": "memory",
+        "cannot be sent": "error",
+        "ends": "killed",
     }
-    assert "SIGKILL" in found["killed"].failure.message and "exit code 7" in found["ends"].failure.message
+    assert (
+        "SIGKILL" in found["killed"].failure.message
+        and "exit code 7" in found["ends"].failure.message
+    )
     assert found["raises"].failure.message == "ValueError: no such thing"
     assert "batch_jobs.py" in found["raises"].failure.details
     for key in found:
@@ -87,16 +94,24 @@ def test_one_worker_does_many_jobs_and_is_recycled(pool, monkeypatch):
 
 
 def test_jobs_wait_for_room_and_those_that_never_fit_fail(pool):
-    jobs = [Job("a", ("pid later", 0.3), 6), Job("b", ("pid later", 0.3), 6), Job("large", ("double", 1), 11)]
+    jobs = [
+        Job("a", ("pid later", 0.3), 6),
+        Job("b", ("pid later", 0.3), 6),
+        Job("large", ("double", 1), 11),
+    ]
     found, events = outcomes(pool(2, bytes=10), jobs)
     assert found["large"].failure.kind == "memory" and Started("large") not in events
     assert events.index(found["a"]) < events.index(Started("b"))  # one after the other
     assert found["a"].value == found["b"].value  # so one worker was enough
 
 
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not say how large a process is")
+@pytest.mark.skipif(
+    not Path("/proc/self/statm").exists(), reason="the system does not say how large a process is"
+)
 def test_a_worker_that_takes_too_much_memory_is_ended(pool):
-    found, _ = outcomes(pool(1, limit=400 * MB), [Job("eats", ("eat", 600 * MB)), Job("good", ("double", 3))])
+    found, _ = outcomes(
+        pool(1, limit=400 * MB), [Job("eats", ("eat", 600 * MB)), Job("good", ("double", 3))]
+    )
     assert found["eats"].failure.kind == "memory" and "may be used" in found["eats"].failure.message
     assert found["good"].value == 6
 

@@ -39,7 +39,10 @@ class Watching:
 
 @pytest.fixture
 def batch(tmp_path):
-    tasks = [CaseTask(Case(name, tmp_path / f"{name}.nii"), tmp_path / "out" / name, RunConfig()) for name in "abc"]
+    tasks = [
+        CaseTask(Case(name, tmp_path / f"{name}.nii"), tmp_path / "out" / name, RunConfig())
+        for name in "abc"
+    ]
     needs = {"a": Need(8, 1), "b": Need(8, 1), "c": Need(8, 1000)}
     return Batch(tasks, needs, Admission(2, 1, 100), None, "a folder", ["accelsurf", "batch"])
 
@@ -67,7 +70,9 @@ def test_tables_are_current_while_it_runs(batch, tmp_path, monkeypatch):
     seen = []
 
     def look(task):
-        seen.append((statuses(tmp_path), json.loads((tmp_path / "batch_report.json").read_text())["status"]))
+        seen.append(
+            (statuses(tmp_path), json.loads((tmp_path / "batch_report.json").read_text())["status"])
+        )
         if task.case.id == "b":
             raise ValueError("no luck")
         return Outcome(task.case.id, "ok", ml=1.5)
@@ -81,12 +86,20 @@ def test_tables_are_current_while_it_runs(batch, tmp_path, monkeypatch):
     reasons = {one.id: one.reason for one in made.outcomes}
     assert (reasons["b"], reasons["c"]) == ("lost: error", "lost: memory")
     assert watching.events == [
-        ("started", "a"), ("ok", "a"), ("started", "b"), ("failed", "b"), ("failed", "c"),
+        ("started", "a"),
+        ("ok", "a"),
+        ("started", "b"),
+        ("failed", "b"),
+        ("failed", "c"),
     ]
     document = json.loads((tmp_path / "batch_report.json").read_text())
     assert (document["status"], document["exit_code"]) == ("failed", 9)
     assert "no luck" in document["cases"][1]["details"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["batch.csv", "batch.html", "batch_report.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "batch.csv",
+        "batch.html",
+        "batch_report.json",
+    ]
 
 
 def test_tables_that_cannot_be_written_stop_no_case(batch, tmp_path, monkeypatch):
@@ -108,7 +121,10 @@ def test_tables_that_cannot_be_written_stop_no_case(batch, tmp_path, monkeypatch
 
 def test_one_batch_at_a_time_writes_the_tables_of_a_folder(batch, tmp_path):
     def again(task):
-        with pytest.raises(OutputError, match="another run is writing there"), opened_set(Path(tmp_path), "batch"):
+        with (
+            pytest.raises(OutputError, match="another run is writing there"),
+            opened_set(Path(tmp_path), "batch"),
+        ):
             pytest.fail("two at once")
         return Outcome(task.case.id, "ok")
 

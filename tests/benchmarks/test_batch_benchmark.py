@@ -12,7 +12,9 @@ def test_seconds_are_per_case_and_beyond_the_call(tmp_path, monkeypatch):
 
     def run(command):
         commands.append(command[3:])
-        assert cli.execute(["batch", *command[4:], "--plan"]) == 0  # all words are options of the command
+        assert (
+            cli.execute(["batch", *command[4:], "--plan"]) == 0
+        )  # all words are options of the command
         out = command[command.index("-o") + 1]
         Path(out).mkdir()
         (Path(out) / "batch_report.json").write_text(json.dumps({"jobs": 3}))

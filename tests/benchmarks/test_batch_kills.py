@@ -18,12 +18,16 @@ def test_seconds_may_differ_and_nothing_else(tmp_path):
         (tmp_path / name / "batch_report.json").write_text(f"{seconds}")
     whole = batch_kills.content(tmp_path / "whole")
     assert batch_kills.difference(batch_kills.content(tmp_path / "same"), whole) == ""
-    assert "one/one_seg.nii" in batch_kills.difference(batch_kills.content(tmp_path / "other"), whole)
+    assert "one/one_seg.nii" in batch_kills.difference(
+        batch_kills.content(tmp_path / "other"), whole
+    )
     (tmp_path / "same" / "more.json").touch()
     assert "more.json" in batch_kills.difference(batch_kills.content(tmp_path / "same"), whole)
     (tmp_path / "same" / "more.json").unlink()
     (tmp_path / "same" / "batch_report.json").unlink()
-    assert "batch_report.json" in batch_kills.difference(batch_kills.content(tmp_path / "same"), whole)
+    assert "batch_report.json" in batch_kills.difference(
+        batch_kills.content(tmp_path / "same"), whole
+    )
 
 
 PARENT = """
@@ -38,7 +42,9 @@ child.wait()
 def test_what_a_kill_leaves_is_found(kind, monkeypatch):
     """The worker of a parent that it does not end with; nothing where all processes or the worker were killed."""
     monkeypatch.setattr(batch_kills, "LEAVE_SECONDS", 0.3)
-    program = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, start_new_session=True)
+    program = subprocess.Popen(
+        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, start_new_session=True
+    )
     assert program.stdout is not None and program.stdout.readline() == b"ready\n"
     deadline = time.monotonic() + 10
     while not (workers := batch_kills.workers_of(program.pid)) and time.monotonic() < deadline:

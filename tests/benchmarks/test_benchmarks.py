@@ -64,12 +64,24 @@ def test_the_search_tries_the_grid_then_refines_its_best() -> None:
     coarse = [{"sigma": 1.0, "iterations": 10}, {"sigma": 2.0, "iterations": 10}]
     trials = search(run, coarse, {"iterations": (0.5, 1.0, 2.0)})
     assert asked == [*coarse, {"sigma": 2.0, "iterations": 5}, {"sigma": 2.0, "iterations": 20}]
-    assert best(trials).settings == {"sigma": 2.0, "iterations": 20} and isinstance(asked[-1]["iterations"], int)
+    assert best(trials).settings == {"sigma": 2.0, "iterations": 20} and isinstance(
+        asked[-1]["iterations"], int
+    )
 
 
 def test_a_search_that_runs_out_of_time_says_what_it_left_out() -> None:
     messages: list[str] = []
-    assert len(search(lambda settings: 0.5, [{"a": 1}, {"a": 2}, {"a": 3}], limit_s=-1.0, say=messages.append)) == 1
+    assert (
+        len(
+            search(
+                lambda settings: 0.5,
+                [{"a": 1}, {"a": 2}, {"a": 3}],
+                limit_s=-1.0,
+                say=messages.append,
+            )
+        )
+        == 1
+    )
     assert messages == ["search stopped after -1 s, 2 settings not tried"]
 
 
@@ -82,11 +94,15 @@ def test_long_runs_are_timed_once_more_and_hopeless_ones_twice() -> None:
 @pytest.mark.slow
 def test_programs_take_turns() -> None:
     order: list[str] = []
-    times = in_turn({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, {"a": 3, "b": 2})
+    times = in_turn(
+        {"a": lambda: order.append("a"), "b": lambda: order.append("b")}, {"a": 3, "b": 2}
+    )
     assert order == ["a", "b", "a", "b", "a"] and len(times["b"].seconds) == 2
 
 
-def test_a_peer_that_is_not_installed_is_skipped_with_a_message(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_peer_that_is_not_installed_is_skipped_with_a_message(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     absent = programs.Peer("gone", "no_such_module_here", "no-such", programs.c3d, [])
     monkeypatch.setattr(contest, "PEERS", {"gone": absent})
     options = Options()
@@ -105,12 +121,22 @@ def test_march_without_scikit_fmm_says_so_and_goes_on(monkeypatch: pytest.Monkey
     assert render.verdict(result["goals"][0]) == "not measured" and result["band_cells"] > 1000
 
 
-@pytest.mark.parametrize("name", ["SimpleITK ThresholdSegmentation", "scikit-image morphological_chan_vese"])
+@pytest.mark.parametrize(
+    "name", ["SimpleITK ThresholdSegmentation", "scikit-image morphological_chan_vese"]
+)
 def test_peers_find_a_clean_cube(name: str) -> None:
     image, truth, _, start = noisy_cube(24)
     peer = programs.PEERS[name]
-    labels = peer.run(truth.astype(np.float32), start, (1.0, 0.0), peer.scaled({**peer.coarse[0], "sigma": 0.5}, 48))
-    assert labels.shape == image.shape and 2 * (labels & truth).sum() / (labels.sum() + truth.sum()) > 0.95
+    labels = peer.run(
+        truth.astype(np.float32),
+        start,
+        (1.0, 0.0),
+        peer.scaled({**peer.coarse[0], "sigma": 0.5}, 48),
+    )
+    assert (
+        labels.shape == image.shape
+        and 2 * (labels & truth).sum() / (labels.sum() + truth.sum()) > 0.95
+    )
 
 
 @pytest.mark.sampled(2)
@@ -123,7 +149,10 @@ def test_baselines_find_a_cube_in_noise(name: str) -> None:
     image[2, 2, 2:6] = 5.0  # a speck that is no part of it
     peer = baselines.BASELINES[name]
     labels = peer.run(image, start, (1.0, 0.0), peer.coarse[0])
-    assert 2 * (labels & truth).sum() / (labels.sum() + truth.sum()) > 0.97 and not labels[2, 2, 2:6].any()
+    assert (
+        2 * (labels & truth).sum() / (labels.sum() + truth.sum()) > 0.97
+        and not labels[2, 2, 2:6].any()
+    )
 
 
 def test_the_graph_cut_has_the_least_energy_of_all_labels() -> None:
@@ -145,7 +174,9 @@ def test_works_have_clicks_on_their_sides_and_no_threshold(name: str) -> None:
     work = hard_works.WORKS[name](1, 48)
     for own, click in work.inside.items():
         assert (work.truth[hard_works.drawn(work.truth.shape, click)] == own).mean() > 0.7
-    assert all(not work.truth[hard_works.drawn(work.truth.shape, click)].any() for click in work.outside)
+    assert all(
+        not work.truth[hard_works.drawn(work.truth.shape, click)].any() for click in work.outside
+    )
     middle = sum(work.means) / 2
     assert work.score(work.truth) == 1.0 and work.score((work.image > middle).astype(int)) < 0.9
 
@@ -158,11 +189,17 @@ def test_peers_find_two_touching_balls_each(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(scans, "PEERS", {name: one})
     monkeypatch.setattr(objects, "WATERSHEDS", [{"sigma": 1.0, "flooded": "value", "where": 0.4}])
     z, y, x = np.indices((24, 24, 36)) - np.array([11.5, 11.5, 11.5])[:, None, None, None]
-    truth = np.where(z**2 + y**2 + x**2 < 8**2, 3, 0) + np.where(z**2 + y**2 + (x - 15) ** 2 < 7**2, 5, 0)
+    truth = np.where(z**2 + y**2 + x**2 < 8**2, 3, 0) + np.where(
+        z**2 + y**2 + (x - 15) ** 2 < 7**2, 5, 0
+    )
     image = Volume.from_array((truth > 0) * 100.0, 1.0)
     psi = [np.sqrt(z**2 + y**2 + (x - at) ** 2) - 3 for at in (0, 15)]
-    starts = [ObjectStart(own, (0, 0, 0), np.float32(one)) for own, one in zip((3, 5), psi, strict=True)]
-    found = objects.compare_on_objects(image, truth, starts, scans.best_window(image.array, truth > 0), 60.0)
+    starts = [
+        ObjectStart(own, (0, 0, 0), np.float32(one)) for own, one in zip((3, 5), psi, strict=True)
+    ]
+    found = objects.compare_on_objects(
+        image, truth, starts, scans.best_window(image.array, truth > 0), 60.0
+    )
     assert found["best"]["scikit-image watershed"]["dice"] > 0.95
     assert found["best"]["SimpleITK watershed"]["dice"] > 0.95
     assert found["best"]["scikit-image morphological_chan_vese, shared out"]["dice"] > 0.9
@@ -174,7 +211,10 @@ def test_radius_is_read_alike_from_every_result() -> None:
     assert exact["volume_error"] < 0.03 and exact["rms_error"] < 0.03
     assert radius_error(ball(32, 10.5), 10.0)["volume_error"] == pytest.approx(0.5, abs=0.03)
     assert radius_error(grow(ball(32, 8.0), 2.0), 10.0)["rms_error"] < 0.1
-    assert radius_error(sparse_field("ThresholdSegmentation", ball(32, 8.0), 12), 10.0)["volume_error"] < 0.5
+    assert (
+        radius_error(sparse_field("ThresholdSegmentation", ball(32, 8.0), 12), 10.0)["volume_error"]
+        < 0.5
+    )
 
 
 def test_the_clock_counts_kernels_and_stages() -> None:
@@ -190,7 +230,12 @@ def test_the_clock_counts_kernels_and_stages() -> None:
 
 def test_memory_is_split_into_voxels_and_band() -> None:
     lines = [
-        {"side": n, "hold_bytes": 1e6, "run_bytes": 3e6 + 10.0 * n**3 + 50.0 * 7 * n**2, "band_cells": 7 * n**2}
+        {
+            "side": n,
+            "hold_bytes": 1e6,
+            "run_bytes": 3e6 + 10.0 * n**3 + 50.0 * 7 * n**2,
+            "band_cells": 7 * n**2,
+        }
         for n in (64, 128, 256)
     ]
     assert fitted(lines) == pytest.approx((10.0, 50.0, 2e6), rel=1e-6)
@@ -216,10 +261,15 @@ def test_a_process_that_fails_is_reported_by_its_last_line() -> None:
 
 def result_of(measured: float | None, **more: Any) -> dict[str, Any]:
     return {
-        "machine": machine(), "work": "a test", "quick": False,
+        "machine": machine(),
+        "work": "a test",
+        "quick": False,
         "goals": [goal("times faster", 10.0, measured), goal("seconds", 3.0, 4.5, "<=", "s")],
         "tables": [table("All", ("program", "Dice"), [("one", 0.98765), ("two", None)])],
-        "pairs": [{"pair": "one / two", "ratio": 2.345}], "messages": ["two: skipped"], "bars": [["one", 1.0]], **more,
+        "pairs": [{"pair": "one / two", "ratio": 2.345}],
+        "messages": ["two: skipped"],
+        "bars": [["one", 1.0]],
+        **more,
     }
 
 
@@ -237,7 +287,9 @@ def test_results_are_rendered_from_json_alone(tmp_path: Path) -> None:
     notes = tmp_path / "notes.toml"
     notes.write_text('march = "What is counted."\n')
     text = render.render(folder, tmp_path / "RESULTS.md", notes).read_text()
-    assert "| [march](#march) | a test | times faster: 10x | 4x | no, 2.5 times too little |" in text
+    assert (
+        "| [march](#march) | a test | times faster: 10x | 4x | no, 2.5 times too little |" in text
+    )
     assert "|  |  | seconds: at most 3 s | 4.5 s | no, 1.5 times too much |" in text
     assert "| 12x | yes |" in text and "What is counted." in text and "* two: skipped" in text
     assert "| one | 0.9877 |" in text and "| two | - |" in text and "| one / two | 2.35 |" in text
@@ -247,7 +299,9 @@ def test_results_are_rendered_from_json_alone(tmp_path: Path) -> None:
 
 
 def test_short_of_a_difference_is_reported_as_a_difference() -> None:
-    assert render.verdict(goal("Dice less the best", 0.0, -0.0312, unit="")) == "no, short by 0.0312"
+    assert (
+        render.verdict(goal("Dice less the best", 0.0, -0.0312, unit="")) == "no, short by 0.0312"
+    )
     assert render.verdict(goal("x", 1.0, None)) == "not measured"
 
 
@@ -257,10 +311,15 @@ def test_the_command_writes_json_with_machine_and_raw_times(
 ) -> None:
     assert benchmark.main(["advance", "--quick", "--results", str(tmp_path)]) == 0
     result = json.loads((tmp_path / "benchmark_advance.json").read_text())
-    assert result["machine"]["cores"] >= 1 and result["machine"]["packages"]["numpy"] == np.__version__
+    assert (
+        result["machine"]["cores"] >= 1 and result["machine"]["packages"]["numpy"] == np.__version__
+    )
     by_threads = result["programs"]["accelsurf"]["threads"]
     assert [len(by_threads[n]["seconds"]) for n in ("1", "2")] == [1, 1] and result["quick"]
-    assert {pair["pair"].rpartition(", ")[2] for pair in result["pairs"]} == {"1 thread", "2 threads"}
+    assert {pair["pair"].rpartition(", ")[2] for pair in result["pairs"]} == {
+        "1 thread",
+        "2 threads",
+    }
     assert (tmp_path / "RESULTS.md").is_file() and (tmp_path / "benchmark_advance.png").is_file()
     with pytest.raises(SystemExit):
         benchmark.main(["no-such"])
@@ -284,7 +343,10 @@ def test_a_tree_does_each_work_and_a_commit_that_is_not_there_is_one_line() -> N
         with pytest.raises(SystemExit, match="error: 'no such work' failed"):
             child.seconds("no such work")
     assert tuple(turns.works()) == turns.WORKS
-    with pytest.raises(SystemExit, match="error: no-such: git has no such commit"), turns.checked_out("no-such"):
+    with (
+        pytest.raises(SystemExit, match="error: no-such: git has no such commit"),
+        turns.checked_out("no-such"),
+    ):
         pass
 
 

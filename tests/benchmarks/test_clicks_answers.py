@@ -67,7 +67,10 @@ def test_in_the_game_of_answers_a_better_one_is_taken_in_place_of_the_second_cli
             return self.labels
 
     clicked, taken, then = play(Taking, Scene(IMAGE, PART), 3, "answers")["clicks"]
-    assert clicked["side"] == "inside" and (taken["answer"], taken["dice"]) == (1, clicked["best_of_answers"])
+    assert clicked["side"] == "inside" and (taken["answer"], taken["dice"]) == (
+        1,
+        clicked["best_of_answers"],
+    )
     assert taken["dice"] > clicked["dice"] and then["side"] == "outside"
     # What is not better by more than .02 is not taken, nor in the other games.
     assert "answer" not in play(Taking, Scene(IMAGE, PART), 2)["clicks"][1]

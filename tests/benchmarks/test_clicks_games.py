@@ -47,7 +47,10 @@ class Painter:
 
 
 def game_of(*dices: float, wall: float = 1.0) -> dict[str, Any]:
-    clicks = [{"dice": dice, "wall_s": wall * k, "cpu_s": 0.5 * wall * k} for k, dice in enumerate(dices, 1)]
+    clicks = [
+        {"dice": dice, "wall_s": wall * k, "cpu_s": 0.5 * wall * k}
+        for k, dice in enumerate(dices, 1)
+    ]
     return {"clicks": clicks, "perfect": dices[-1] == 1.0}
 
 
@@ -56,7 +59,10 @@ def test_a_game_corrects_until_its_clicks_are_spent() -> None:
     game = play(Painter, Scene(image, truth), 6)
     dices = [one["dice"] for one in game["clicks"]]
     assert len(dices) == 6 and dices == sorted(dices) and dices[0] > 0.1 and not game["perfect"]
-    assert all(one["side"] == "inside" and one["wall_s"] >= 0 and one["cpu_s"] >= 0 for one in game["clicks"])
+    assert all(
+        one["side"] == "inside" and one["wall_s"] >= 0 and one["cpu_s"] >= 0
+        for one in game["clicks"]
+    )
     # Each click is at the deepest point of what the ones before left.
     assert game["clicks"][0]["index"] == [11, 19, 21]
     assert len({tuple(one["index"]) for one in game["clicks"]}) == 6
@@ -94,7 +100,11 @@ def test_the_stated_size_is_given_only_to_the_variant_with_a_size() -> None:
 
     for variant in ("plain", "size", "jitter3", "box", "cvpr", "cvpr-box"):
         play(segmenter, Scene(image, truth), 1, variant, 1.25)
-    assert [hints.size_mm3 for hints in given] == [None, pytest.approx(1.25 * truth.sum() * 2.0), *[None] * 4]
+    assert [hints.size_mm3 for hints in given] == [
+        None,
+        pytest.approx(1.25 * truth.sum() * 2.0),
+        *[None] * 4,
+    ]
     box = (slice(8, 15), slice(12, 27), slice(14, 29))
     assert [hints.box for hints in given] == [None, None, None, box, None, box]
     assert [hints.points for hints in given] == [False] * 4 + [True] * 2
@@ -129,7 +139,9 @@ def test_surfaces_are_measured_at_the_budgets_and_in_the_challenge_always() -> N
     exact = play(Painter, Scene(image, truth), 4)["clicks"]
     assert ["nsd" in each for each in exact] == [True, True, True, False]
     assert exact[2]["nsd"] > exact[0]["nsd"] and exact[2]["mean_mm"] < exact[0]["mean_mm"]
-    assert all("nsd" not in each for each in play(Painter, Scene(image, truth), 2, surface=False)["clicks"])
+    assert all(
+        "nsd" not in each for each in play(Painter, Scene(image, truth), 2, surface=False)["clicks"]
+    )
     challenge = play(Painter, Scene(image, truth), 20, "cvpr")["clicks"]
     assert len(challenge) == 6 and all("nsd" in each for each in challenge)
 
@@ -158,15 +170,25 @@ def test_the_probability_of_the_method_is_kept() -> None:
 
 def test_figures_of_games() -> None:
     falling = game_of(0.9, 0.88, 0.879, 0.87, 0.86)
-    found = summary([game_of(0.5, 0.81, 0.86, 0.83, 0.91), falling, game_of(0.2, 0.3, 0.3, 0.3, 0.3)])
+    found = summary(
+        [game_of(0.5, 0.81, 0.86, 0.83, 0.91), falling, game_of(0.2, 0.3, 0.3, 0.3, 0.3)]
+    )
     assert found["played"] == 5 and found["objects"] == 3
     assert found["dice"] == {1: 0.5, 2: 0.81, 3: 0.86, 5: 0.86}
     # .80: 2, 1, never; .85: 3, 1, never; .90: 5, 1, never.
-    assert found["noc"] == {0.80: 2, 0.85: 3, 0.90: 5} and found["never"] == {0.80: 1, 0.85: 1, 0.90: 1}
+    assert found["noc"] == {0.80: 2, 0.85: 3, 0.90: 5} and found["never"] == {
+        0.80: 1,
+        0.85: 1,
+        0.90: 1,
+    }
     assert found["within5"] == pytest.approx(2 / 3)
     # Only .86 to .83 of twelve later clicks is a fall of more than .02.
     assert found["fell"] == pytest.approx(1 / 12)
-    assert found["first_wall_s"] == 1.0 and found["later_wall_s"] == 3.5 and found["later_cpu_s"] == 1.75
+    assert (
+        found["first_wall_s"] == 1.0
+        and found["later_wall_s"] == 3.5
+        and found["later_cpu_s"] == 1.75
+    )
 
 
 def test_figures_count_as_many_clicks_as_all_games_have() -> None:
@@ -179,7 +201,9 @@ def test_figures_count_as_many_clicks_as_all_games_have() -> None:
 
 def test_settings_are_chosen_by_the_mean_over_the_first_clicks() -> None:
     early, late = game_of(0.6, 0.7, 0.7, 0.7, 0.7), game_of(0.1, 0.2, 0.9, 0.9, 0.9)
-    assert games.score([early]) == pytest.approx(0.675) and games.score([late]) == pytest.approx(0.525)
+    assert games.score([early]) == pytest.approx(0.675) and games.score([late]) == pytest.approx(
+        0.525
+    )
 
 
 # -- what is kept ------------------------------------------------------------------------------------------
@@ -190,7 +214,9 @@ def small(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Three objects of two folds on the ball's scan instead of the list; the calls of a peer that only paints."""
     image, truth = ball_scan()
     scans = ("mra_aorta", "mra_aorta", "ct_tooth")
-    three = tuple(ClickObject(name, scan, (1,)) for name, scan in zip(("a", "b", "c"), scans, strict=True))
+    three = tuple(
+        ClickObject(name, scan, (1,)) for name, scan in zip(("a", "b", "c"), scans, strict=True)
+    )
     monkeypatch.setattr(objects, "objects", lambda: three)
     monkeypatch.setattr(program, "load", lambda which, folder: Scene(image, truth))
     played: list[str] = []
@@ -199,8 +225,12 @@ def small(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         played.append(settings["reach"])
         return np.where(domain.values > -settings["cut"], 0.5, -0.5)
 
-    peer = peers.ClickPeer("made-up", solver, [{"reach": 2.0, "cut": 5.0}, {"reach": 3.0, "cut": -99.0}])
-    monkeypatch.setattr(methods, "METHODS", {"made-up": methods.Method("made-up", peer.grid, peer=peer)})
+    peer = peers.ClickPeer(
+        "made-up", solver, [{"reach": 2.0, "cut": 5.0}, {"reach": 3.0, "cut": -99.0}]
+    )
+    monkeypatch.setattr(
+        methods, "METHODS", {"made-up": methods.Method("made-up", peer.grid, peer=peer)}
+    )
     monkeypatch.setattr(tables, "METHODS", methods.METHODS)
     monkeypatch.setattr(tables, "write", lambda folder, page: [])
     return played
@@ -216,10 +246,15 @@ def test_a_stopped_run_goes_on_where_it_was(small: list[str], tmp_path: Path) ->
     after = json.loads((tmp_path / "clicks_made-up.json").read_text())["games"]
     assert len(after) == 6 and all(after[key] == kept[key] for key in kept)
     assert program.main([*call, "--again", "--objects", "a"]) == 0
-    assert len(small) > before + 1 and len(json.loads((tmp_path / "clicks_made-up.json").read_text())["games"]) == 6
+    assert (
+        len(small) > before + 1
+        and len(json.loads((tmp_path / "clicks_made-up.json").read_text())["games"]) == 6
+    )
 
 
-def test_a_fold_is_played_with_the_best_settings_of_the_others(small: list[str], tmp_path: Path) -> None:
+def test_a_fold_is_played_with_the_best_settings_of_the_others(
+    small: list[str], tmp_path: Path
+) -> None:
     # Fold 3 has a and b, fold 4 has c.
     store = Store(tmp_path, "made-up")
     for name, first, second in (("a", 0.9, 0.8), ("b", 0.9, 0.8), ("c", 0.1, 0.7)):
@@ -230,7 +265,10 @@ def test_a_fold_is_played_with_the_best_settings_of_the_others(small: list[str],
     assert method.settings(store, "4") == {"reach": 2.0, "cut": 5.0}
     # A fold that is left out is not asked; one that is not there is.
     store.forget({"c/plain/cut=5.0,reach=2.0"})
-    assert method.settings(store, "4") == {"reach": 2.0, "cut": 5.0} and method.settings(store, "3") is None
+    assert (
+        method.settings(store, "4") == {"reach": 2.0, "cut": 5.0}
+        and method.settings(store, "3") is None
+    )
 
 
 def test_folds_without_chosen_settings_are_left_out_or_played_with_the_default(
@@ -299,9 +337,18 @@ def test_the_outside_is_the_faces_that_are_far_from_the_click() -> None:
     box, margin = crop([click], image.geometry, 2.0)
     assert margin == 12.0 and box == (slice(0, 9), slice(7, 32), slice(9, 34))
     # The scan ends 4 mm below the click, less than half the margin.
-    assert sorted(outer_faces([click], image.geometry, box, margin)) == [(0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]
+    assert sorted(outer_faces([click], image.geometry, box, margin)) == [
+        (0, 1),
+        (1, 0),
+        (1, 1),
+        (2, 0),
+        (2, 1),
+    ]
     # Where the scan is small on all sides the farthest face counts.
-    assert len(outer_faces([click], image.geometry, (slice(0, 5), slice(15, 22), slice(18, 24)), 99.0)) == 1
+    assert (
+        len(outer_faces([click], image.geometry, (slice(0, 5), slice(15, 22), slice(18, 24)), 99.0))
+        == 1
+    )
 
 
 def test_what_lies_beyond_a_drawn_box_is_outside() -> None:
@@ -311,7 +358,8 @@ def test_what_lies_beyond_a_drawn_box_is_outside() -> None:
     # Of the ball a half is in the box.
     box = (slice(7, 16), slice(11, 28), slice(13, 22))
     labels = CroppedSession(image, peer.solver, {"reach": 2.0, "sigma": 1.0}, peer.cap, box).click(
-        click._replace(index=(11, 19, 17), radius=3.0))
+        click._replace(index=(11, 19, 17), radius=3.0)
+    )
     beyond = np.ones(labels.shape, bool)
     beyond[box] = False
     assert labels.any() and not labels[beyond].any()
@@ -324,14 +372,19 @@ def test_what_lies_beyond_a_drawn_box_is_outside() -> None:
         return domain.values
 
     for points in (False, True):
-        CroppedSession(image, solver, {"reach": 2.0}, 10**6, None, points).click(click._replace(radius=0.5))
+        CroppedSession(image, solver, {"reach": 2.0}, 10**6, None, points).click(
+            click._replace(radius=0.5)
+        )
     assert seen == [(13, 25, 25), (24, 40, 40)]
 
 
 def test_coarse_grids_lose_no_seed() -> None:
     seeds = np.zeros((1, 7, 4), np.uint8)
     seeds[0, 6, 3], seeds[0, 0, 0] = 1, 2
-    assert coarsened_seeds(seeds, (1, 3, 2))[0, 2, 1] == 1 and coarsened_seeds(seeds, (1, 3, 2))[0, 0, 0] == 2
+    assert (
+        coarsened_seeds(seeds, (1, 3, 2))[0, 2, 1] == 1
+        and coarsened_seeds(seeds, (1, 3, 2))[0, 0, 0] == 2
+    )
     seeds[0, 1, 1] = 1
     assert coarsened_seeds(seeds, (1, 3, 2))[0, 0, 0] == 0
 
@@ -346,29 +399,46 @@ def test_the_shortest_path_goes_around_a_wall() -> None:
     label = nearest_seed(values, seeds, *peers.neighbours((1.0, 1.0, 1.0), False), 10.0, True)
     # Straight across it is 2 steps to the first seed; around the wall and up, 7 from the second.
     assert label[0, 0, 5] == 2 and label[0, 0, 2] == 1 and (label > 0).all()
-    open_field = nearest_seed(np.zeros_like(values), seeds, *peers.neighbours((1.0, 1.0, 1.0), False), 10.0, True)
+    open_field = nearest_seed(
+        np.zeros_like(values), seeds, *peers.neighbours((1.0, 1.0, 1.0), False), 10.0, True
+    )
     assert open_field[0, 0, 5] == 1
 
 
 # -- tables ------------------------------------------------------------------------------------------------
 
 
-def test_tables_and_picture_are_made_of_the_games(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kinds = (("liver", "ct_abdomen_hires", "organs"), ("tumour", "mri_tumour_thick2", "lesions"),
-             ("phantom-blob", "phantom", "other"))
+def test_tables_and_picture_are_made_of_the_games(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kinds = (
+        ("liver", "ct_abdomen_hires", "organs"),
+        ("tumour", "mri_tumour_thick2", "lesions"),
+        ("phantom-blob", "phantom", "other"),
+    )
     held = tuple(ClickObject(name, scan, (1,), family) for name, scan, family in kinds)
     monkeypatch.setattr(objects, "objects", lambda: held)
     peer = peers.ClickPeer("watershed", peers.watershed, [{"reach": 2.0}])
-    monkeypatch.setattr(tables, "METHODS", {
-        "accelsurf": methods.Method("accelsurf", takes_size=True),
-        "watershed": methods.Method("watershed", peer.grid, peer=peer),
-    })
-    for name, dices in (("accelsurf", (0.8, 0.9, 0.9, 0.9, 0.95)), ("watershed", (0.6, 0.7, 0.8, 0.86, 0.9))):
+    monkeypatch.setattr(
+        tables,
+        "METHODS",
+        {
+            "accelsurf": methods.Method("accelsurf", takes_size=True),
+            "watershed": methods.Method("watershed", peer.grid, peer=peer),
+        },
+    )
+    for name, dices in (
+        ("accelsurf", (0.8, 0.9, 0.9, 0.9, 0.95)),
+        ("watershed", (0.6, 0.7, 0.8, 0.86, 0.9)),
+    ):
         for which in held:
             settings, store = "reach=2.0" if name == "watershed" else "", Store(tmp_path, name)
             more = 0.0 if which.name == "liver" else 0.1 if which.fold == "phantoms" else 0.04
             store.put(f"{which.name}/plain/{settings}", game_of(*(dice - more for dice in dices)))
-            challenge = [{"dice": dice, "nsd": dice - 0.5, "wall_s": 1, "cpu_s": 1} for dice in (*dices, 0.95)]
+            challenge = [
+                {"dice": dice, "nsd": dice - 0.5, "wall_s": 1, "cpu_s": 1}
+                for dice in (*dices, 0.95)
+            ]
             store.put(f"{which.name}/cvpr/{settings}", {"clicks": challenge, "perfect": False})
     page = tmp_path / "page.md"
     comments = "<!-- scripts/benchmark clicks writes this table -->", "<!-- end of the table -->"
@@ -377,13 +447,20 @@ def test_tables_and_picture_are_made_of_the_games(tmp_path: Path, monkeypatch: p
     text = page.read_text()
     assert text.startswith("before\n") and text.endswith("after\n") and "replaced" not in text
     # Medians and means of the two objects of scans; phantoms are a fold of their own.
-    assert "| accelsurf | 0.780 (0.780) | 0.880 (0.880) | 0.880 (0.880) | 0.930 (0.930) |  | 1.5 | 2 | 3.5 |" in text
+    assert (
+        "| accelsurf | 0.780 (0.780) | 0.880 (0.880) | 0.880 (0.880) | 0.930 (0.930) |  | 1.5 | 2 | 3.5 |"
+        in text
+    )
     assert "| fold phantoms | 1 | accelsurf | 0.700 | 0.800 | 0.800 | 0.850 |  |" in text
     assert "| lesions | 1 | watershed | 0.560 | 0.660 | 0.760 | 0.860 |  |" in text
-    assert "| median Dice after one click, as the best peer's | at least 0.58 | 0.78 | yes |" in text
+    assert (
+        "| median Dice after one click, as the best peer's | at least 0.58 | 0.78 | yes |" in text
+    )
     # 5 intervals: half of the first and the last value, and all between.
     assert "| accelsurf | 4.525 | 2.025 | 0.950 | 0.450 |" in text
-    assert "| liver | 1 | organs | 0.800 | 0.900 | 0.900 | 0.950 |  | 2 | 0.900 (watershed) |" in text
+    assert (
+        "| liver | 1 | organs | 0.800 | 0.900 | 0.900 | 0.950 |  | 2 | 0.900 (watershed) |" in text
+    )
     assert (tmp_path / "clicks.md").read_text() in text
     facts = json.loads((tmp_path / "clicks.json").read_text())
     assert facts["figures"]["plain"]["watershed"]["all"]["noc"]["0.85"] == 4.5
@@ -391,7 +468,9 @@ def test_tables_and_picture_are_made_of_the_games(tmp_path: Path, monkeypatch: p
     assert written[-1].stat().st_size > 5000
     rows = tables.flat(tmp_path)
     assert [(row["method"], row["object"], row["fold"], row["family"]) for row in rows[:2]] == [
-        ("accelsurf", "liver", "1", "organs"), ("accelsurf", "tumour", "6", "lesions")]
+        ("accelsurf", "liver", "1", "organs"),
+        ("accelsurf", "tumour", "6", "lesions"),
+    ]
 
 
 def test_an_album_has_the_slice_through_each_click(tmp_path: Path) -> None:

@@ -51,11 +51,16 @@ def test_objects_and_folds_that_do_not_exist_are_refused() -> None:
         objects.chosen(["2"], ["liver"])
     with pytest.raises(ValueError, match="no such fold"):
         objects.chosen(["seven"])
-    assert [which.name for which in objects.chosen(["1"], ["spleen", "liver"])] == ["liver", "spleen"]
+    assert [which.name for which in objects.chosen(["1"], ["spleen", "liver"])] == [
+        "liver",
+        "spleen",
+    ]
 
 
 @pytest.mark.skipif("ACCELSURF_VOLUMES" not in os.environ, reason="needs the scans")
-@pytest.mark.parametrize("scan", ["synthetic_nuclei", "mri_cord_iso", "ct_vertebra_l3", "mra_aorta"])
+@pytest.mark.parametrize(
+    "scan", ["synthetic_nuclei", "mri_cord_iso", "ct_vertebra_l3", "mra_aorta"]
+)
 def test_the_table_is_what_the_rule_gives(scan: str) -> None:
     found = choice.of_scan(scan, Path(os.environ["ACCELSURF_VOLUMES"]))
     assert found == [which for which in objects.objects() if which.volume == scan]
@@ -63,8 +68,11 @@ def test_the_table_is_what_the_rule_gives(scan: str) -> None:
 
 def test_places_go_to_the_families_in_turn() -> None:
     found = [
-        choice.Candidate(objects.ClickObject(f"{family}{size}", "scan", (size,), family), size, np.inf)
-        for family, sizes in (("organs", (5, 50)), ("bones", (6, 7, 8, 9, 10)), ("other", (90,))) for size in sizes
+        choice.Candidate(
+            objects.ClickObject(f"{family}{size}", "scan", (size,), family), size, np.inf
+        )
+        for family, sizes in (("organs", (5, 50)), ("bones", (6, 7, 8, 9, 10)), ("other", (90,)))
+        for size in sizes
     ]
     taken = [each.object.name for each in choice.spread(found, 6)]
     # Two organs, three bones from the largest to the smallest, one other.
@@ -76,7 +84,9 @@ def test_maps_of_many_parcels_are_asked_for_an_edge() -> None:
     reference = np.arange(1, 9 * 9 * 9 + 1).reshape(9, 9, 9).astype(np.int32) + 300
     reference[2:7, 2:7, 2:7] = 4
     values = np.where(reference == 4, 1.0, 0.0)
-    many = {each.object.name: each.edge for each in choice.candidates("mri_brain256", values, reference)}
+    many = {
+        each.object.name: each.edge for each in choice.candidates("mri_brain256", values, reference)
+    }
     assert many["ventricle-left"] > 100 and "ventricle-right" not in many
     few = next(iter(choice.candidates("mri_cord_iso", values, (reference == 4).astype(np.int32))))
     assert few.edge == np.inf and few.size == 125
@@ -86,7 +96,9 @@ def test_an_edge_is_a_difference_in_deviations() -> None:
     random = np.random.default_rng(0)
     mask = np.zeros((24, 24, 24), bool)
     mask[6:18, 6:18, 6:18] = True
-    assert edge(random.normal(0.0, 2.0, mask.shape) + 3.0 * mask, mask) == pytest.approx(1.5, abs=0.1)
+    assert edge(random.normal(0.0, 2.0, mask.shape) + 3.0 * mask, mask) == pytest.approx(
+        1.5, abs=0.1
+    )
 
 
 def test_references_by_thresholds() -> None:

@@ -35,13 +35,20 @@ def test_clicks_are_typed_in_the_worlds_coordinates() -> None:
     assert own.text_of(click._replace(radius=0.5), image) == "point:22.0,-12.0,34.0"
 
 
-@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.7, 0.7, 0.7), (2.5, 0.9, 0.9), (3.0, 0.35, 0.61)])
-def test_the_program_reads_the_voxels_that_the_person_has_painted(spacing: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "spacing", [(1.0, 1.0, 1.0), (0.7, 0.7, 0.7), (2.5, 0.9, 0.9), (3.0, 0.35, 0.61)]
+)
+def test_the_program_reads_the_voxels_that_the_person_has_painted(
+    spacing: tuple[float, float, float],
+) -> None:
     geometry = Geometry((15, 17, 19), spacing, (-11.3, 204.7, 0.1))
     image, voxel = Volume(np.zeros(geometry.shape, np.float32), geometry), (7, 8, 9)
     x, y, z = (float(value) for value in geometry.index_to_world(np.array(voxel, float)))
     # Depths are distances between voxels' centres: half of them often end at a centre.
-    far = {math.hypot(a * spacing[0], b * spacing[1], c * spacing[2]) for a, b, c in np.ndindex(2, 2, 2)}
+    far = {
+        math.hypot(a * spacing[0], b * spacing[1], c * spacing[2])
+        for a, b, c in np.ndindex(2, 2, 2)
+    }
     for radius in sorted((far | {2.0 * each for each in far}) - {0.0}):
         click = PersonClick("inside", voxel, (x, y, z), radius)
         (read,) = read_clicks([own.text_of(click, image)], "inside", image)

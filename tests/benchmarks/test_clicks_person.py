@@ -28,7 +28,9 @@ def block(shape: tuple[int, int, int], *boxes: Any) -> np.ndarray:
     return out
 
 
-def click(truth: np.ndarray, labels: np.ndarray | None = None, spacing: Any = UNIT, **more: Any) -> PersonClick:
+def click(
+    truth: np.ndarray, labels: np.ndarray | None = None, spacing: Any = UNIT, **more: Any
+) -> PersonClick:
     made = next_click(truth, labels, Geometry(truth.shape, spacing), **more)
     assert made is not None
     return made
@@ -77,7 +79,10 @@ def test_what_is_missing_gets_an_inside_click_and_too_much_an_outside_one() -> N
 def test_at_equal_depth_the_lowest_index_counts_whatever_the_side() -> None:
     truth = block((9, 9, 30), ((2, 5), (2, 5), (20, 23)))
     assert click(truth, block(truth.shape, ((2, 5), (2, 5), (3, 6))))[:2] == ("outside", (3, 3, 4))
-    truth, labels = block((9, 9, 30), ((2, 5), (2, 5), (3, 6))), block(truth.shape, ((2, 5), (2, 5), (20, 23)))
+    truth, labels = (
+        block((9, 9, 30), ((2, 5), (2, 5), (3, 6))),
+        block(truth.shape, ((2, 5), (2, 5), (20, 23))),
+    )
     assert click(truth, labels)[:2] == ("inside", (3, 3, 4))
 
 
@@ -164,10 +169,17 @@ def test_the_challenge_clicks_a_voxel_of_the_part_with_most_voxels() -> None:
     geometry = Geometry((20, 20, 40), UNIT)
     truth = block((20, 20, 40), ((2, 9), (2, 9), (2, 9)))
     # Too much: a plate of 200 voxels; missing: a cube of 125, which is deeper.
-    labels = (truth & ~block(truth.shape, ((3, 8), (3, 8), (3, 8)))) | block(truth.shape, ((15, 17), (5, 15), (20, 30)))
+    labels = (truth & ~block(truth.shape, ((3, 8), (3, 8), (3, 8)))) | block(
+        truth.shape, ((15, 17), (5, 15), (20, 30))
+    )
     assert click(truth, labels)[:2] == ("inside", (5, 5, 5))
     made = click_of_challenge(truth, labels, geometry)
-    assert made is not None and made.side == "outside" and made.index[0] in (15, 16) and made.radius == 0.5
+    assert (
+        made is not None
+        and made.side == "outside"
+        and made.index[0] in (15, 16)
+        and made.radius == 0.5
+    )
     # Parts of either side are apart, even where they touch.
     first = click_of_challenge(truth, None, geometry)
     assert first is not None and first[:2] == ("inside", (5, 5, 5))

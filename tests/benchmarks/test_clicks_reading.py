@@ -27,15 +27,20 @@ def test_a_network_learns() -> None:
 
 def some_layers(random: np.random.Generator, features: int) -> list[tuple[np.ndarray, np.ndarray]]:
     """Layers of random weights, so that each counts."""
-    return [(0.3 * random.standard_normal(w.shape), 0.3 * random.standard_normal(b.shape))
-            for w, b in around.started(features)]
+    return [
+        (0.3 * random.standard_normal(w.shape), 0.3 * random.standard_normal(b.shape))
+        for w, b in around.started(features)
+    ]
 
 
 @pytest.mark.parametrize("shape", [(6, 7, 5), (4, 8, 4), (1, 9, 2)])
 def test_what_is_trained_on_windows_is_what_the_program_asks(shape: tuple[int, int, int]) -> None:
     random = np.random.default_rng(2)
     layers = [(w.astype(np.float32), b.astype(np.float32)) for w, b in some_layers(random, 3)]
-    values, answer = random.standard_normal((*shape, 3)).astype(np.float32), random.standard_normal(shape)
+    values, answer = (
+        random.standard_normal((*shape, 3)).astype(np.float32),
+        random.standard_normal(shape),
+    )
     expected, _ = around.forward(layers, values, answer.astype(np.float32))
     first = np.ascontiguousarray(np.moveaxis(values, -1, 0))
     found = logits_around([Layer(*layer) for layer in layers], first, answer.astype(np.float32))
@@ -54,8 +59,12 @@ def test_slopes_on_windows_are_those_of_differences() -> None:
             for step in (1e-6, -1e-6):
                 moved = [list(pair) for pair in layers]
                 moved[i][j] = part + step * way
-                sides.append(float((around.forward(moved, values, answer[..., 0])[0] * wanted[..., 0]).sum()))
-            assert (sides[0] - sides[1]) / 2e-6 == pytest.approx(float((slopes[i][j] * way).sum()), rel=1e-3, abs=1e-3)
+                sides.append(
+                    float((around.forward(moved, values, answer[..., 0])[0] * wanted[..., 0]).sum())
+                )
+            assert (sides[0] - sides[1]) / 2e-6 == pytest.approx(
+                float((slopes[i][j] * way).sum()), rel=1e-3, abs=1e-3
+            )
 
 
 def test_slopes_of_the_error_are_those_of_differences() -> None:
@@ -82,7 +91,9 @@ def test_scenes_are_the_same_for_a_seed_and_their_objects_are_whole() -> None:
 def test_rows_of_games_are_those_that_the_networks_are_asked_with() -> None:
     known = networks()
     for name, rows in (
-        ("first", first_rows(5)), ("later", later_rows(5, known)), ("boundary", boundary_rows(5, known))
+        ("first", first_rows(5)),
+        ("later", later_rows(5, known)),
+        ("boundary", boundary_rows(5, known)),
     ):
         assert rows and set(known[name].names) <= set(rows[0].names)
         assert all(len(each.table) == len(each.wanted) == len(each.scenes) for each in rows)

@@ -25,10 +25,16 @@ def laid(folder, files):
 def trial(tmp_path, monkeypatch):
     """A trial whose command is none, and whose next command removes what is hidden in one folder."""
     old, new = laid(tmp_path / "old", OLD), laid(tmp_path / "new", NEW)
-    monkeypatch.setattr(command_kills, "look_at", lambda out: [path.rmdir() for path in out.glob(".mine.*")])
-    monkeypatch.setattr(command_kills, "finished", lambda words: "" if words else "exit 1: no words")
+    monkeypatch.setattr(
+        command_kills, "look_at", lambda out: [path.rmdir() for path in out.glob(".mine.*")]
+    )
+    monkeypatch.setattr(
+        command_kills, "finished", lambda words: "" if words else "exit 1: no words"
+    )
     command = command_kills.Command(lambda out: [], lambda out: [])
-    return command_kills.Trial(command, tmp_path, command_kills.content(old), command_kills.content(new), 1.0)
+    return command_kills.Trial(
+        command, tmp_path, command_kills.content(old), command_kills.content(new), 1.0
+    )
 
 
 def faults(trial, files, to_the_end=False, hidden=()):
@@ -38,8 +44,12 @@ def faults(trial, files, to_the_end=False, hidden=()):
     return trial._faults(out, to_the_end, Counter())
 
 
-@pytest.mark.parametrize("files", [OLD, NEW, {**OLD, "a_report.json": "3 s"}, {**OLD, "a_frames/frame_1.npz": "state"}])
-def test_all_old_or_all_new_files_are_right_and_what_is_hidden_may_go_with_the_next_command(trial, files):
+@pytest.mark.parametrize(
+    "files", [OLD, NEW, {**OLD, "a_report.json": "3 s"}, {**OLD, "a_frames/frame_1.npz": "state"}]
+)
+def test_all_old_or_all_new_files_are_right_and_what_is_hidden_may_go_with_the_next_command(
+    trial, files
+):
     assert faults(trial, files, hidden=[".mine.accelsurf"]) == []
 
 
@@ -57,13 +67,20 @@ def test_what_the_next_command_leaves_is_a_fault(trial):
 
 def test_a_command_that_fails_or_leaves_a_state_when_it_is_given_again_is_a_fault(trial):
     found = faults(trial, {**OLD, "a_checkpoint.npz": "state"}, to_the_end=True)
-    assert found == ["once more: exit 1: no words", "left by the command that was given once more: a_checkpoint.npz"]
+    assert found == [
+        "once more: exit 1: no words",
+        "left by the command that was given once more: a_checkpoint.npz",
+    ]
 
 
 def test_a_program_is_killed_at_the_moment_that_follows_from_the_seed(trial, monkeypatch):
     waited = []
-    monkeypatch.setattr(command_kills, "wait_until", lambda program, is_so, longest: waited.append(longest))
-    said = [trial._wait(None, random.Random(seed), trial.folder) for seed in (*range(20), *range(20))]
+    monkeypatch.setattr(
+        command_kills, "wait_until", lambda program, is_so, longest: waited.append(longest)
+    )
+    said = [
+        trial._wait(None, random.Random(seed), trial.folder) for seed in (*range(20), *range(20))
+    ]
     assert said[:20] == said[20:] and len(set(said)) == 20
     assert all(0 <= moment <= 60 for moment in waited)
 
@@ -71,7 +88,13 @@ def test_a_program_is_killed_at_the_moment_that_follows_from_the_seed(trial, mon
 @pytest.mark.parametrize("count", [0, 1, 7, 100])
 def test_kills_are_shared_out_among_all_commands(count):
     shares = kills.shared_out(count)
-    assert sum(shares.values()) == count and set(shares) == {"segment", "refine", "track", "movie", "batch"}
+    assert sum(shares.values()) == count and set(shares) == {
+        "segment",
+        "refine",
+        "track",
+        "movie",
+        "batch",
+    }
     assert count < 100 or min(shares.values()) >= 15
 
 

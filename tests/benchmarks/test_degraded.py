@@ -8,7 +8,9 @@ import pytest
 from benchmarks.degraded import BALL as FROM_BALL
 from benchmarks.degraded import METHODS, Crop, counted, degraded, measured, projected, rician
 
-BALL = ((np.indices((12, 40, 40)) - np.array([6, 20, 20]).reshape(3, 1, 1, 1)) ** 2).sum(axis=0) < 12**2
+BALL = ((np.indices((12, 40, 40)) - np.array([6, 20, 20]).reshape(3, 1, 1, 1)) ** 2).sum(
+    axis=0
+) < 12**2
 IMAGE = (100.0 + 100.0 * BALL).astype(np.float32)
 
 

@@ -31,7 +31,9 @@ def test_edges_of_a_box_count_as_corners_in_3d() -> None:
 
 def test_a_run_reports_its_figures_and_json_leaves_arrays_out(tmp_path: Path) -> None:
     shape = common.box((1, 32, 32), (0, 8, 8), (1, 24, 24), 0.1, 3)
-    facts = common.run(common.Task(("a", 1), shape, {"start": "ball:16,16,0,5vox", "max_steps": 100}))
+    facts = common.run(
+        common.Task(("a", 1), shape, {"start": "ball:16,16,0,5vox", "max_steps": 100})
+    )
     assert facts["dice"] > 0.95 and facts["hausdorff_mm"] < 3 and facts["cells_visited"] > 1000
     common.write(tmp_path, "one", {"runs": [facts], "bad": float("nan")})
     document = json.loads((tmp_path / "one.json").read_text())
@@ -41,8 +43,17 @@ def test_a_run_reports_its_figures_and_json_leaves_arrays_out(tmp_path: Path) ->
 
 def test_the_cube_counts_runs_that_found_it() -> None:
     truth, _ = common.make(cube.CUBE)
-    run = {"corner_dice": 1.0, "energy": 1.0, "steps": 5, "stop": "converged", "cells_visited": 9, "labels": truth}
-    line = cube.summary("x", [{**run, "dice": 0.95}, {**run, "dice": 0.85}, {**run, "dice": 0.3, "stop": "stalled"}])
+    run = {
+        "corner_dice": 1.0,
+        "energy": 1.0,
+        "steps": 5,
+        "stop": "converged",
+        "cells_visited": 9,
+        "labels": truth,
+    }
+    line = cube.summary(
+        "x", [{**run, "dice": 0.95}, {**run, "dice": 0.85}, {**run, "dice": 0.3, "stop": "stalled"}]
+    )
     assert (line["found"], line["good"], line["of"], line["converged"]) == (2, 1, 3, 2)
     assert len(set(cube.starts())) == cube.STARTS and cube.starts() == cube.starts()
 

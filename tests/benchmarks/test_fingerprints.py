@@ -24,7 +24,16 @@ def test_every_flow_and_every_term_has_a_run(runs):
     assert len(runs) >= 40
     assert all(f"flow {flow}" in names and f"flow {flow}, two objects" in runs for flow in FLOWS)
     assert all(re.search(rf"\b{term}\b", names) for term in TERMS)
-    for word in ("levels", "edits", "one slice", "thick slices", "two threads", "mask", "region", "noise"):
+    for word in (
+        "levels",
+        "edits",
+        "one slice",
+        "thick slices",
+        "two threads",
+        "mask",
+        "region",
+        "noise",
+    ):
         assert word in names
 
 
@@ -38,7 +47,9 @@ def test_a_fingerprint_sees_a_change_and_nothing_else(runs):
     cube = fingerprints.cube(24)
     settings = {"start": "ball:12,12,12,5vox", "max_steps": 5, "levels": 1}
     first, again, other = (
-        fingerprints.fingerprint(accelsurf.segment(cube, threads=threads, smoothness=smoothness, **settings))
+        fingerprints.fingerprint(
+            accelsurf.segment(cube, threads=threads, smoothness=smoothness, **settings)
+        )
         for threads, smoothness in ((1, 0.2), (2, 0.2), (1, 0.2001))
     )
     assert first == again

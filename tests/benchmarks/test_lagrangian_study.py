@@ -21,4 +21,7 @@ def test_rows_of_the_border() -> None:
 
 
 def test_every_figure_of_the_paper_can_be_called() -> None:
-    assert all(callable(figure) for figure in paper_figures.FIGURES.values()) and "exact" in paper_figures.FIGURES
+    assert (
+        all(callable(figure) for figure in paper_figures.FIGURES.values())
+        and "exact" in paper_figures.FIGURES
+    )

@@ -47,7 +47,9 @@ def test_the_truth_is_that_of_the_image(whole):
         (truth(thick, trunk) == TREE, image(thick, trunk), 170),
         (truth(thick, cell) == 1, image(thick, cell), 125),
     ):
-        inner = ndimage.distance_transform_edt(of_label) > 2.87  # 2 to the surface, and half a diagonal
+        inner = (
+            ndimage.distance_transform_edt(of_label) > 2.87
+        )  # 2 to the surface, and half a diagonal
         assert inner.any() and np.abs(voxels[inner].astype(int) - expected).max() <= 28
         assert abs(voxels[inner].mean() - expected) < 0.3 + 4 * 8 / np.sqrt(inner.sum())
     away = ndimage.binary_erosion(labels == 0, iterations=4)
@@ -58,7 +60,12 @@ def test_noise_of_neighbours_and_of_seeds_is_independent(whole):
     empty = ndimage.binary_erosion(whole[1] == 0, iterations=4)
     noise = np.where(empty, whole[0] - 60.0, 0.0)
     other = image(Scene.of(SIZE, seed=4, cells=0), (slice(0, SIZE),) * 3) - 60.0
-    for shifted in (np.roll(noise, 1, 2), np.roll(noise, 1, 1), np.roll(noise, 1, 0), np.where(empty, other, 0.0)):
+    for shifted in (
+        np.roll(noise, 1, 2),
+        np.roll(noise, 1, 1),
+        np.roll(noise, 1, 0),
+        np.where(empty, other, 0.0),
+    ):
         both = (noise != 0) & (shifted != 0) & (np.abs(shifted) < 28)
         assert abs(np.corrcoef(noise[both], shifted[both])[0, 1]) < 0.02
 
@@ -79,7 +86,11 @@ def test_the_tree_is_one_piece_that_spans_the_volume(whole):
     assert count == 1
     capsules = Scene.of(512, cells=0).capsules
     ends = capsules[:, :6].reshape(-1, 3)
-    assert (np.ptp(ends, axis=0) > 0.75 * 512).all() and capsules[0, 6] == 12.8 and capsules[:, 6].min() == 3.0
+    assert (
+        (np.ptp(ends, axis=0) > 0.75 * 512).all()
+        and capsules[0, 6] == 12.8
+        and capsules[:, 6].min() == 3.0
+    )
 
 
 def test_no_room_for_cells_is_said():
@@ -109,13 +120,17 @@ def test_the_store(tmp_path):
     datasets = group.attrs["ome"]["multiscales"][0]["datasets"]
     assert [one["path"] for one in datasets] == ["0", "1", "2"]
     scale, move = datasets[2]["coordinateTransformations"]
-    assert scale["scale"] == [40.0] * 3 and move["translation"] == [15.0] * 3  # micrometers; 4 voxels of 10
+    assert (
+        scale["scale"] == [40.0] * 3 and move["translation"] == [15.0] * 3
+    )  # micrometers; 4 voxels of 10
     labels = truth(scene, (slice(0, 75),) * 3)
     with (tmp_path / "made" / "cells.csv").open() as file:
         for row in csv.DictReader(file):
             at = np.array([float(row[name]) for name in "zyx"]) / command.SPACING_MM
             radius = float(row["r"]) / command.SPACING_MM
-            ball = np.linalg.norm(np.moveaxis(np.indices(labels.shape), 0, -1) - at, axis=-1) < radius
+            ball = (
+                np.linalg.norm(np.moveaxis(np.indices(labels.shape), 0, -1) - at, axis=-1) < radius
+            )
             assert ball.any() and (labels[ball] == int(row["id"])).all()
     about = json.loads((tmp_path / "made" / "scene.json").read_text())
     root = tuple(round(v / command.SPACING_MM) for v in about["root_mm_xyz"][::-1])

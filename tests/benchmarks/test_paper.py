@@ -49,7 +49,9 @@ def test_the_vector_form_keeps_a_third_of_a_translation(length: float) -> None:
 def test_a_run_reports_its_rest() -> None:
     figures = run(Task("several phases", "several phases", "inside", "descent", 0))
     assert figures["stop"] == "converged" and figures["seconds"] > 0
-    assert figures["dice"] < 0.2 and figures["later_dice"] == pytest.approx(figures["dice"], abs=0.01)
+    assert figures["dice"] < 0.2 and figures["later_dice"] == pytest.approx(
+        figures["dice"], abs=0.01
+    )
     assert figures["first_energy"] > figures["energy"] > figures["true_energy"]
 
 
@@ -64,7 +66,9 @@ def test_a_run_reports_its_rest() -> None:
         (0.95, 0.95, 3.0, 100, "momentum worse"),
     ],
 )
-def test_what_descent_is_beside_momentum(dice: float, later: float, energy: float, steps: int, words: str) -> None:
+def test_what_descent_is_beside_momentum(
+    dice: float, later: float, energy: float, steps: int, words: str
+) -> None:
     momentum: dict[str, Any] = {"dice": 0.9, "later_dice": 0.9, "energy": 2.0, "steps": 100}
     descent = {"dice": dice, "later_dice": later, "energy": energy, "steps": steps}
     assert tables.verdict(descent, momentum) == words
@@ -77,4 +81,6 @@ def test_a_page_keeps_what_follows_a_table(tmp_path: Path) -> None:
     for name in ("a", "b", "a"):
         pages.put_table(page, name, f"table {name}", tables.COMMAND)
     text = page.read_text()
-    assert text.count("after") == 2 and text.index("table a") < text.index("after") < text.index("table b")
+    assert text.count("after") == 2 and text.index("table a") < text.index("after") < text.index(
+        "table b"
+    )

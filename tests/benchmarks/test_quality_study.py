@@ -16,7 +16,8 @@ def row(dice: float, overlap: float, fold: str = "1", **more: Any) -> dict[str, 
 
 
 ROWS = {
-    f"object-{i}": [row(0.5 + 0.02 * i + 0.1 * k, i + 5.0 * k, str(1 + i % 3)) for k in range(3)] for i in range(12)
+    f"object-{i}": [row(0.5 + 0.02 * i + 0.1 * k, i + 5.0 * k, str(1 + i % 3)) for k in range(3)]
+    for i in range(12)
 }
 
 
@@ -36,8 +37,13 @@ def test_a_fold_is_judged_by_a_model_made_without_it() -> None:
 def test_an_object_of_a_drawn_scene_counts_less() -> None:
     plain = {"a": [row(0.9, 1.0)], "b": [row(0.5, 1.0)]}
     drawn = {"a": [row(0.9, 1.0)], "b": [row(0.5, 1.0, quality.DRAWN)]}
-    assert quality.trained(drawn, "clicks")["constant"] > quality.trained(plain, "clicks")["constant"]
-    assert quality.table_of(drawn, {"a": [0.5], "b": [0.5]})[2].tolist() == [1.0, quality.SCENE_WEIGHT]
+    assert (
+        quality.trained(drawn, "clicks")["constant"] > quality.trained(plain, "clicks")["constant"]
+    )
+    assert quality.table_of(drawn, {"a": [0.5], "b": [0.5]})[2].tolist() == [
+        1.0,
+        quality.SCENE_WEIGHT,
+    ]
 
 
 def test_figures_count_what_is_said_to_be_good() -> None:
@@ -48,7 +54,11 @@ def test_figures_count_what_is_said_to_be_good() -> None:
     found = quality.figures(rows, {"one": [0.2, 0.9, 0.8], "two": [0.75, 0.1]})
     assert (found["results"], found["said"], found["failed"]) == (5, 3, 2)
     assert (found["good_of_said"], found["said_of_failed"]) == pytest.approx((2 / 3, 0.0))
-    assert found["doubted_of_failed"] == 1.0 and found["doubted_of_good"] == 0.0 and found["hints"] == 2
+    assert (
+        found["doubted_of_failed"] == 1.0
+        and found["doubted_of_good"] == 0.0
+        and found["hints"] == 2
+    )
     assert (found["hinted_raises"], found["person_raises"]) == pytest.approx((0.5, 1.0))
     assert (found["hinted_gain"], found["person_gain"]) == pytest.approx((0.05, 0.3))
     text = quality.text_of({"clicks": {"all scans": found}, "image": {}})

@@ -10,14 +10,28 @@ from benchmarks import refine
 
 def test_each_click_is_measured_by_part(tmp_path, monkeypatch):
     monkeypatch.setattr(refine, "REPEATS", 1)
-    assert refine.main(["--objects", "two_balls", "--size", "40", "--clicks", "2", "--results", str(tmp_path)]) == 0
+    assert (
+        refine.main(
+            ["--objects", "two_balls", "--size", "40", "--clicks", "2", "--results", str(tmp_path)]
+        )
+        == 0
+    )
     facts = json.loads((tmp_path / refine.NAME).read_text())
     first, later = facts["clicks"]
     assert (first["click"], later["click"]) == (1, 2)
     for row in facts["clicks"]:
         assert sum(row["parts"].values()) == pytest.approx(row["cpu_s"], rel=0.05, abs=0.01)
         assert row["wall_s"] > 0
-    model = ("windows", "features", "arrival times", "paths", "walks", "network", "the model's object", "area's weight")
+    model = (
+        "windows",
+        "features",
+        "arrival times",
+        "paths",
+        "walks",
+        "network",
+        "the model's object",
+        "area's weight",
+    )
     for part in (*model, "first band", "steps"):
         assert first["parts"][part] > 0, part
     for part in (*model, "region", "steps"):

@@ -46,7 +46,9 @@ def image(path, radius=7.0, seed=0):
     grid = Geometry(ball.shape, (1.0, 1.0, 1.0), origin=(-middle,) * 3)
     path.parent.mkdir(parents=True, exist_ok=True)
     io.write(Volume(noisy.astype(np.float32), grid), path)
-    io.write_labels(Volume((ball > 0).astype(np.uint8), grid), path.parent.parent / "truth" / path.name)
+    io.write_labels(
+        Volume((ball > 0).astype(np.uint8), grid), path.parent.parent / "truth" / path.name
+    )
 
 
 @pytest.fixture(scope="session")
@@ -91,7 +93,9 @@ def contents(folder):
         if path.suffix == ".csv":
             rows = list(csv.DictReader(path.read_text().splitlines()))
             effort = ("seconds", "cells_visited")
-            found[path.name] = [{key: value for key, value in row.items() if key not in effort} for row in rows]
+            found[path.name] = [
+                {key: value for key, value in row.items() if key not in effort} for row in rows
+            ]
     return found
 
 
@@ -103,11 +107,20 @@ def test_the_files_are_those_of_one_segment_for_each_case(done, scans, tmp_path)
     for name in "abc":
         link = tmp_path / f"case-{name}.nii.gz"  # outputs are named by the id
         os.link(scans / f"{name}.nii.gz", link)
-        words = ["segment", link, "-o", tmp_path / f"case-{name}", *START, "--reproducible", "--quiet"]
+        words = [
+            "segment",
+            link,
+            "-o",
+            tmp_path / f"case-{name}",
+            *START,
+            "--reproducible",
+            "--quiet",
+        ]
         assert cli.execute([str(word) for word in words]) == 0
         mine, alone = contents(done / f"case-{name}"), contents(tmp_path / f"case-{name}")
         assert set(alone) >= {
-            f"case-{name}_{kind}" for kind in ("seg.nii.gz", "surface.ply", "trace.csv", "preview.png")
+            f"case-{name}_{kind}"
+            for kind in ("seg.nii.gz", "surface.ply", "trace.csv", "preview.png")
         }
         assert mine == alone
 
@@ -118,7 +131,10 @@ def test_the_table_has_a_row_for_each_case(done, scans):
     for name, row in rows.items():
         one = json.loads((done / name / f"{name}_report.json").read_text())
         assert (row["status"], row["reason"], row["folder"]) == ("ok", "converged", name)
-        assert float(row["ml"]) == one["volume_mm3"] / 1000 and int(row["steps"]) == one["stop"]["steps"]
+        assert (
+            float(row["ml"]) == one["volume_mm3"] / 1000
+            and int(row["steps"]) == one["stop"]["steps"]
+        )
         assert float(row["quality"]) == one["quality"]["probability"]
         assert float(row["seconds"]) == one["seconds"]["total"]
         labels = io.read_labels(done / name / f"{name}_seg.nii.gz").array > 0
@@ -137,7 +153,12 @@ def test_the_report_of_a_batch(done):
 
 def test_nothing_else_is_left_in_the_folder(done):
     assert sorted(path.name for path in done.iterdir()) == [
-        "batch.csv", "batch.html", "batch_report.json", "case-a", "case-b", "case-c",
+        "batch.csv",
+        "batch.html",
+        "batch_report.json",
+        "case-a",
+        "case-b",
+        "case-c",
     ]
     assert not list(done.rglob(".*"))
 
@@ -146,7 +167,7 @@ def test_failures_are_named_and_the_others_go_on(inline, scans, tmp_path, capsys
     (tmp_path / "torn.nii.gz").write_bytes((scans / "a.nii.gz").read_bytes()[:200])
     (tmp_path / "cases.csv").write_text(
         "image,id,start,reference\n"
-        f"{scans}/a.nii.gz,far,\"ball:900,0,0,4\",\n"
+        f'{scans}/a.nii.gz,far,"ball:900,0,0,4",\n'
         "torn.nii.gz,torn,,\n"
         f"{scans}/b.nii.gz,good,,\n"
         f"{scans}/c.nii.gz,other grid,,small.nii\n"
@@ -156,12 +177,20 @@ def test_failures_are_named_and_the_others_go_on(inline, scans, tmp_path, capsys
     assert run(tmp_path / "cases.csv", "-o", tmp_path / "out", *START) == 9
     rows, said = table(tmp_path / "out"), capsys.readouterr()
     assert {name: row["status"] for name, row in rows.items()} == {
-        "far": "failed", "torn": "failed", "good": "ok", "other grid": "failed",
+        "far": "failed",
+        "torn": "failed",
+        "good": "ok",
+        "other grid": "failed",
     }
     assert "different grids" in rows["other grid"]["reason"] and rows["good"]["dice"] == ""
     for name in ("far", "torn", "other grid"):
-        assert f"failed: {name}: {rows[name]['reason']}" in said.err and len(rows[name]["reason"]) > 20
-        assert json.loads((tmp_path / "out" / name / f"{name}_report.json").read_text())["status"] == "failed"
+        assert (
+            f"failed: {name}: {rows[name]['reason']}" in said.err and len(rows[name]["reason"]) > 20
+        )
+        assert (
+            json.loads((tmp_path / "out" / name / f"{name}_report.json").read_text())["status"]
+            == "failed"
+        )
     assert "4 cases: 1 ok, 3 failed" in said.out and str(tmp_path / "out" / "batch.csv") in said.out
     document = report(tmp_path / "out")
     assert (document["status"], document["exit_code"]) == ("failed", 9)
@@ -172,13 +201,22 @@ def test_a_case_of_clicks_and_settings_of_its_own(inline, scans, tmp_path):
     (tmp_path / "run.toml").write_text("max_steps = 2\nsmoothness = 0.25\n")
     (tmp_path / "cases.csv").write_text(
         "image,inside,outside,max_steps\n"
-        f"{scans}/a.nii.gz,\"point:0,0,0;ball:1,1,0,1\",\"point:7,7,7\",3\n"
+        f'{scans}/a.nii.gz,"point:0,0,0;ball:1,1,0,1","point:7,7,7",3\n'
         f"{scans}/b.nii.gz,,,\n"
     )
-    words = (tmp_path / "cases.csv", "-o", tmp_path / "out", "--config", tmp_path / "run.toml", "--smoothness", "0.5")
+    words = (
+        tmp_path / "cases.csv",
+        "-o",
+        tmp_path / "out",
+        "--config",
+        tmp_path / "run.toml",
+        "--smoothness",
+        "0.5",
+    )
     assert run(*words) == 0
     first, second = (
-        json.loads((tmp_path / "out" / name / f"{name}_report.json").read_text())["config"] for name in "ab"
+        json.loads((tmp_path / "out" / name / f"{name}_report.json").read_text())["config"]
+        for name in "ab"
     )
     assert (first["inside"], first["outside"]) == (["point:0,0,0", "ball:1,1,0,1"], ["point:7,7,7"])
     assert (first["max_steps"], first["smoothness"], first["energy"]) == (3, 0.5, "seeded")
@@ -188,7 +226,18 @@ def test_a_case_of_clicks_and_settings_of_its_own(inline, scans, tmp_path):
 
 def test_several_objects_have_the_least_of_their_qualities(inline, scans, tmp_path):
     (tmp_path / "seeds.csv").write_text("id,x,y,z,r\n1,-3,0,0,2\n2,4,0,0,2\n")
-    assert run(scans / "a.nii.gz", "-o", tmp_path / "out", "--objects", tmp_path / "seeds.csv", "--max-steps", 3) == 0
+    assert (
+        run(
+            scans / "a.nii.gz",
+            "-o",
+            tmp_path / "out",
+            "--objects",
+            tmp_path / "seeds.csv",
+            "--max-steps",
+            3,
+        )
+        == 0
+    )
     one = json.loads((tmp_path / "out" / "a" / "a_report.json").read_text())
     qualities = [entry["quality"]["probability"] for entry in one["objects"]]
     assert len(set(qualities)) == 2
@@ -200,7 +249,8 @@ def test_the_page_shows_every_case_by_doubt_and_runs_no_script(inline, scans, tm
     if sys.platform == "win32":
         pytest.skip("no such names there")
     (tmp_path / "cases.csv").write_text(
-        "image,id\n" + "".join(f"{scans}/{key}.nii.gz,{name}\n" for key, name in names.items() if key != "a")
+        "image,id\n"
+        + "".join(f"{scans}/{key}.nii.gz,{name}\n" for key, name in names.items() if key != "a")
         + f"absent.nii,{names['a'].replace('<i>', 'i')}\n"
     )
     assert run(tmp_path / "cases.csv", "-o", tmp_path / "out", *START) == 9
@@ -208,9 +258,14 @@ def test_the_page_shows_every_case_by_doubt_and_runs_no_script(inline, scans, tm
     assert "<script" not in page and "a&amp;b i" in page and "a&b" not in page
     rows = table(tmp_path / "out")
     by_doubt = sorted(("x' y", "100%"), key=lambda name: float(rows[name]["quality"]))
-    places = [page.index(f"<h2>{text}</h2>") for text in ("a&amp;b i", *(n.replace("'", "&#x27;") for n in by_doubt))]
+    places = [
+        page.index(f"<h2>{text}</h2>")
+        for text in ("a&amp;b i", *(n.replace("'", "&#x27;") for n in by_doubt))
+    ]
     assert places == sorted(places)
-    assert 'src="x%27%20y/x%27%20y_preview.png"' in page and 'src="100%25/100%25_preview.png"' in page
+    assert (
+        'src="x%27%20y/x%27%20y_preview.png"' in page and 'src="100%25/100%25_preview.png"' in page
+    )
     assert (tmp_path / "out" / "100%" / "100%_preview.png").is_file()
 
 
@@ -221,7 +276,9 @@ def test_the_page_shows_every_case_by_doubt_and_runs_no_script(inline, scans, tm
         (MemoryError("for 9 GB"), 3, "not enough memory for 9 GB"),
     ],
 )
-def test_an_error_that_nobody_expects_ends_its_case_only(inline, scans, tmp_path, monkeypatch, error, code, reason):
+def test_an_error_that_nobody_expects_ends_its_case_only(
+    inline, scans, tmp_path, monkeypatch, error, code, reason
+):
     evolve = case.evolve
 
     def failing(name, *others):
@@ -232,7 +289,9 @@ def test_an_error_that_nobody_expects_ends_its_case_only(inline, scans, tmp_path
     monkeypatch.setattr(case, "evolve", failing)
     assert run(scans, "-o", tmp_path / "out", *START, "--max-steps", "1") == 9
     rows, entry = table(tmp_path / "out"), report(tmp_path / "out")["cases"][1]
-    assert [row["status"] for row in rows.values()] == ["ok", "failed", "ok"] and rows["b"]["reason"] == reason
+    assert [row["status"] for row in rows.values()] == ["ok", "failed", "ok"] and rows["b"][
+        "reason"
+    ] == reason
     assert entry["exit_code"] == code and ("Traceback" in entry["details"]) == (code == 1)
     one = json.loads((tmp_path / "out" / "b" / "b_report.json").read_text())
     assert (one["status"], one["exit_code"]) == ("failed", code)
@@ -268,8 +327,23 @@ def test_a_plan_runs_nothing(inline, scans, tmp_path, capsys, monkeypatch):
 
 
 def test_progress_has_a_line_of_json_for_each_event(inline, scans, tmp_path, capsys):
-    assert run(scans, "-o", tmp_path / "out", *START, "--max-steps", "2", "--progress", "json", "--quiet") == 0
-    lines = [json.loads(line) for line in capsys.readouterr().err.splitlines() if line.startswith("{")]
+    assert (
+        run(
+            scans,
+            "-o",
+            tmp_path / "out",
+            *START,
+            "--max-steps",
+            "2",
+            "--progress",
+            "json",
+            "--quiet",
+        )
+        == 0
+    )
+    lines = [
+        json.loads(line) for line in capsys.readouterr().err.splitlines() if line.startswith("{")
+    ]
     assert [(line["event"], line["case"]) for line in lines] == [
         (event, name) for name in "abc" for event in ("start", "end")
     ]
@@ -297,10 +371,16 @@ def test_resume_runs_what_is_not_finished(inline, scans, tmp_path, capsys):
     assert run(*words, "--resume") == 0 and inline.ran == ["case-b", "case-c"]
     assert {name: contents(out / f"case-{name}") for name in "abc"} == before
     inline.ran.clear()
-    assert run(*("2" if word == "1" else word for word in words), "--resume") == 0 and inline.ran == []  # threads
+    assert (
+        run(*("2" if word == "1" else word for word in words), "--resume") == 0 and inline.ran == []
+    )  # threads
     assert run(*words[:-1], "2", "--resume") == 0 and inline.ran == ["case-a", "case-b", "case-c"]
     inline.ran.clear()
-    assert run(*words[:-1], "2", "--overwrite") == 0 and inline.ran == ["case-a", "case-b", "case-c"]
+    assert run(*words[:-1], "2", "--overwrite") == 0 and inline.ran == [
+        "case-a",
+        "case-b",
+        "case-c",
+    ]
 
 
 def test_resume_looks_at_the_images_and_files_that_settings_name(inline, scans, tmp_path):
@@ -325,7 +405,9 @@ def test_resume_looks_at_the_images_and_files_that_settings_name(inline, scans, 
 @pytest.mark.slow
 def test_resume_leaves_a_result_that_somebody_has_corrected(inline, scans, tmp_path):
     out = tmp_path / "out"
-    (tmp_path / "cases.csv").write_text(f"image,id,reference\n{scans}/a.nii.gz,a,{scans.parent}/truth/a.nii.gz\n")
+    (tmp_path / "cases.csv").write_text(
+        f"image,id,reference\n{scans}/a.nii.gz,a,{scans.parent}/truth/a.nii.gz\n"
+    )
     words = (tmp_path / "cases.csv", "-o", out, "--inside", "point:0,0,0", "--quiet")
     assert run(*words) == 0
     before = table(out)["a"]
@@ -395,19 +477,33 @@ def test_two_shards_are_one_run(inline, scans, tmp_path, monkeypatch, capsys):
         (("SCANS", "-o", "TABLE"), 7, "cannot be written to"),
     ],
 )
-def test_what_is_refused_is_one_line_and_a_hint(words, code, message, scans, tmp_path, capsys, inline):
+def test_what_is_refused_is_one_line_and_a_hint(
+    words, code, message, scans, tmp_path, capsys, inline
+):
     (tmp_path / "empty").mkdir()
     (tmp_path / "cases.csv").write_text(f"image,cfl\n{scans}/a.nii.gz,7\n")
-    places = {"SCANS": scans, "EMPTY": tmp_path / "empty", "TABLE": tmp_path / "cases.csv", "OUT": tmp_path / "out"}
+    places = {
+        "SCANS": scans,
+        "EMPTY": tmp_path / "empty",
+        "TABLE": tmp_path / "cases.csv",
+        "OUT": tmp_path / "out",
+    }
     for name, path in places.items():
         words = [word.replace(name, str(path)) for word in words]
     assert run(*words) == code
     error, *rest = capsys.readouterr().err.splitlines()
-    assert error.startswith("error: ") and message in error and len(rest) == 1 and rest[0].startswith("hint: ")
+    assert (
+        error.startswith("error: ")
+        and message in error
+        and len(rest) == 1
+        and rest[0].startswith("hint: ")
+    )
     assert not (tmp_path / "out").exists() and not inline.ran
 
 
-def test_a_result_of_segment_in_the_place_of_a_case_is_not_replaced(inline, scans, tmp_path, capsys):
+def test_a_result_of_segment_in_the_place_of_a_case_is_not_replaced(
+    inline, scans, tmp_path, capsys
+):
     out = tmp_path / "out"
     words = ["segment", scans / "a.nii.gz", "-o", out / "a", *START, "--max-steps", "2", "--quiet"]
     assert cli.execute([str(word) for word in words]) == 0
@@ -415,16 +511,30 @@ def test_a_result_of_segment_in_the_place_of_a_case_is_not_replaced(inline, scan
     assert "a_report.json: exists already" in capsys.readouterr().err and not inline.ran
 
 
-def test_settings_of_a_preset_in_a_cell_are_under_options_and_over_the_file(inline, scans, tmp_path):
+def test_settings_of_a_preset_in_a_cell_are_under_options_and_over_the_file(
+    inline, scans, tmp_path
+):
     from accelsurf.settings.presets import PRESETS
 
     name, preset = next((key, one) for key, one in PRESETS.items() if one.settings.get("presmooth"))
     (tmp_path / "run.toml").write_text("presmooth = 0.125\n")
-    (tmp_path / "cases.csv").write_text(f"image,preset\n{scans}/a.nii.gz,{name}\n{scans}/b.nii.gz,\n")
-    words = (tmp_path / "cases.csv", "-o", tmp_path / "out", *START, "--max-steps", "1", "--energy", "chan-vese")
+    (tmp_path / "cases.csv").write_text(
+        f"image,preset\n{scans}/a.nii.gz,{name}\n{scans}/b.nii.gz,\n"
+    )
+    words = (
+        tmp_path / "cases.csv",
+        "-o",
+        tmp_path / "out",
+        *START,
+        "--max-steps",
+        "1",
+        "--energy",
+        "chan-vese",
+    )
     assert run(*words, "--config", tmp_path / "run.toml") in (0, 9)
     first, second = (
-        json.loads((tmp_path / "out" / key / f"{key}_report.json").read_text())["config"] for key in "ab"
+        json.loads((tmp_path / "out" / key / f"{key}_report.json").read_text())["config"]
+        for key in "ab"
     )
     assert (first["preset"], first["energy"]) == (name, "chan-vese")
     assert first["presmooth"] == preset.settings["presmooth"] and second["presmooth"] == 0.125
@@ -434,14 +544,29 @@ def test_settings_of_a_preset_in_a_cell_are_under_options_and_over_the_file(inli
 
 
 def started(out, scans, *words, **more):
-    command = [sys.executable, "-m", "accelsurf", "batch", scans, "-o", out, *START, "--progress", "json", *words]
+    command = [
+        sys.executable,
+        "-m",
+        "accelsurf",
+        "batch",
+        scans,
+        "-o",
+        out,
+        *START,
+        "--progress",
+        "json",
+        *words,
+    ]
     both = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen([str(word) for word in command], text=True, **both, **more)
 
 
 def read_until(program, event, name):
     for line in program.stderr:
-        if line.startswith("{") and (json.loads(line)["event"], json.loads(line).get("case")) == (event, name):
+        if line.startswith("{") and (json.loads(line)["event"], json.loads(line).get("case")) == (
+            event,
+            name,
+        ):
             return
     pytest.fail(f"there was no {event} of {name}")
 
@@ -456,8 +581,13 @@ def table_with_endless_cases(folder, *rows):
     large = Volume((100.0 * (z * z + y * y + x * x < 75**2)).astype(np.float32), grid)
     io.write(large, folder / "large.nii")
     slow = "1e-15,1,100000000,0.05"
-    lines = [f"large.nii,{name},{slow}" if name in ENDLESS else f"{path}.nii.gz,{name},,,," for path, name in rows]
-    (folder / "cases.csv").write_text("\n".join(["image,id,tolerance,levels,max_steps,cfl", *lines, ""]))
+    lines = [
+        f"large.nii,{name},{slow}" if name in ENDLESS else f"{path}.nii.gz,{name},,,,"
+        for path, name in rows
+    ]
+    (folder / "cases.csv").write_text(
+        "\n".join(["image,id,tolerance,levels,max_steps,cfl", *lines, ""])
+    )
 
 
 def workers_of(pid):
@@ -476,7 +606,9 @@ def workers_of(pid):
 def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
     """The second case hangs; no process and no draft is left behind."""
     out = tmp_path / "out"
-    table_with_endless_cases(tmp_path, (f"{scans}/a", "quick"), (f"{scans}/a", "endless"), (f"{scans}/b", "waits"))
+    table_with_endless_cases(
+        tmp_path, (f"{scans}/a", "quick"), (f"{scans}/a", "endless"), (f"{scans}/b", "waits")
+    )
     program = started(out, tmp_path / "cases.csv", "--jobs", "1")
     with program:
         read_until(program, "start", "endless")
@@ -486,19 +618,25 @@ def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
         program.send_signal(signal.SIGINT)
         rest = program.stderr.read()
     assert program.returncode == 130
-    assert "1 of 3 cases are finished; to go on: accelsurf batch " in rest and "Traceback" not in rest
+    assert (
+        "1 of 3 cases are finished; to go on: accelsurf batch " in rest and "Traceback" not in rest
+    )
     end = time.monotonic() + 20
     while any(_alive(child) for child in children) and time.monotonic() < end:
         time.sleep(0.02)
     assert not any(_alive(child) for child in children)
     assert not list(out.rglob(".*"))
     assert {name: row["status"] for name, row in table(out).items()} == {
-        "quick": "ok", "endless": "waiting", "waits": "waiting",
+        "quick": "ok",
+        "endless": "waiting",
+        "waits": "waiting",
     }
     assert report(out)["status"] == "interrupted" and report(out)["exit_code"] == 130
 
 
-@pytest.mark.parametrize(("number", "send"), [(signal.SIGINT, os.kill), (signal.SIGTERM, os.killpg)])
+@pytest.mark.parametrize(
+    ("number", "send"), [(signal.SIGINT, os.kill), (signal.SIGTERM, os.killpg)]
+)
 def test_a_case_that_was_interrupted_goes_on_to_the_same_bytes(tmp_path, number, send, monkeypatch):
     """The signal comes to the program alone, or as from a cluster to all its processes."""
     out = tmp_path / "out"
@@ -516,7 +654,11 @@ def test_a_case_that_was_interrupted_goes_on_to_the_same_bytes(tmp_path, number,
         time.sleep(1)
         send(program.pid, number)
         rest = program.stderr.read()
-    assert program.returncode == 128 + number and "keep their state (" in rest and "Traceback" not in rest
+    assert (
+        program.returncode == 128 + number
+        and "keep their state (" in rest
+        and "Traceback" not in rest
+    )
     assert {path.name for path in (out / "a").iterdir()} == {"a_report.json", "a_checkpoint.npz"}
     assert json.loads((out / "a" / "a_report.json").read_text())["status"] == "interrupted"
     assert table(out)["a"]["status"] == "waiting"
@@ -541,16 +683,26 @@ def _alive(pid):
 @pytest.mark.usefixtures("done")  # all is compiled by then: that would take its time
 def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_path):
     out = tmp_path / "out"
-    table_with_endless_cases(tmp_path, (f"{scans}/a", "killed"), (f"{scans}/a", "hung"), (f"{scans}/b", "good"))
+    table_with_endless_cases(
+        tmp_path, (f"{scans}/a", "killed"), (f"{scans}/a", "hung"), (f"{scans}/b", "good")
+    )
     with started(out, tmp_path / "cases.csv", "--jobs", "1", "--case-timeout", "4") as program:
         read_until(program, "start", "killed")
-        while not (found := [pid for pid, words in workers_of(program.pid).items() if "spawn_main" in words]):
+        while not (
+            found := [
+                pid for pid, words in workers_of(program.pid).items() if "spawn_main" in words
+            ]
+        ):
             time.sleep(0.02)
         os.kill(found[0], signal.SIGKILL)
         program.stderr.read()
     assert program.returncode == 9
     rows = table(out)
-    assert {name: row["status"] for name, row in rows.items()} == {"killed": "failed", "hung": "failed", "good": "ok"}
+    assert {name: row["status"] for name, row in rows.items()} == {
+        "killed": "failed",
+        "hung": "failed",
+        "good": "ok",
+    }
     assert "SIGKILL" in rows["killed"]["reason"] and "within 4 s" in rows["hung"]["reason"]
     for name in ("killed", "hung"):
         one = json.loads((out / name / f"{name}_report.json").read_text())
@@ -558,16 +710,39 @@ def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_p
     assert not list(out.rglob(".*"))
 
 
-UNSAFE = ["a:b", "-x", "a ", "tab\there", "x" * 170, os.fsdecode(b"bad\xff"), "quote\"s", "a<b>", "a\\b"]
+UNSAFE = [
+    "a:b",
+    "-x",
+    "a ",
+    "tab\there",
+    "x" * 170,
+    os.fsdecode(b"bad\xff"),
+    'quote"s',
+    "a<b>",
+    "a\\b",
+]
 
 
 def test_files_with_unsafe_names_are_refused_alone(inline, tmp_path, capsys):
     scans = tmp_path / "scans"
     scans.mkdir()
-    io.write(Volume.from_array(np.pad(np.full((4, 4, 4), 100.0, np.float32), 3)), scans / "good.nii")
+    io.write(
+        Volume.from_array(np.pad(np.full((4, 4, 4), 100.0, np.float32), 3)), scans / "good.nii"
+    )
     for name in (*UNSAFE, "batch"):  # only batch.csv and its like are names of tables
         shutil.copyfile(scans / "good.nii", scans / f"{name}.nii")
-    words = ["batch", str(scans), "-o", str(tmp_path / "out"), "--jobs", "1", "--max-steps", "2", "--progress", "none"]
+    words = [
+        "batch",
+        str(scans),
+        "-o",
+        str(tmp_path / "out"),
+        "--jobs",
+        "1",
+        "--max-steps",
+        "2",
+        "--progress",
+        "none",
+    ]
     assert cli.execute(words) == 9
     said = capsys.readouterr()
     assert "Traceback" not in said.err + said.out
@@ -577,4 +752,7 @@ def test_files_with_unsafe_names_are_refused_alone(inline, tmp_path, capsys):
     assert len(refused) == len(UNSAFE)
     for line in refused:
         assert "the id" in line["reason"] and line["exit_code"] == 3 and "table" in line["hint"]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir() if path.is_dir()) == ["batch", "good"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir() if path.is_dir()) == [
+        "batch",
+        "good",
+    ]

@@ -20,8 +20,29 @@ from accelsurf.settings.run_config import RunConfig
 
 START = ("--start", "ball:3,-2,1,5")
 REPORT_KEYS = {
-    *("schema_version", "status", "exit_code", "error", "versions", "argv", "config", "input", "seed", "threads"),
-    *("stop", "energy", "mass", "seconds", "peak_rss_mb", "volume_mm3", "area_mm2", "components", "touches_border"),
+    *(
+        "schema_version",
+        "status",
+        "exit_code",
+        "error",
+        "versions",
+        "argv",
+        "config",
+        "input",
+        "seed",
+        "threads",
+    ),
+    *(
+        "stop",
+        "energy",
+        "mass",
+        "seconds",
+        "peak_rss_mb",
+        "volume_mm3",
+        "area_mm2",
+        "components",
+        "touches_border",
+    ),
     *("warnings", "outputs"),
 }
 
@@ -32,7 +53,9 @@ def run(*words):
 
 def command(*words, **options):
     """Start the real program."""
-    return subprocess.run([sys.executable, "-m", "accelsurf", *map(str, words)], capture_output=True, **options)
+    return subprocess.run(
+        [sys.executable, "-m", "accelsurf", *map(str, words)], capture_output=True, **options
+    )
 
 
 def report_of(folder, name="ball"):
@@ -44,7 +67,12 @@ def scans(tmp_path_factory):
     """A small noisy ball on an oblique, anisotropic grid, and its truth."""
     folder = tmp_path_factory.mktemp("scans")
     recipe = recipes.Recipe(
-        kind="ball", shape=(32, 28, 20), spacing=(1.0, 1.0, 1.5), radius=9, noise=0.2, rotation=(10, 5, 20)
+        kind="ball",
+        shape=(32, 28, 20),
+        spacing=(1.0, 1.0, 1.5),
+        radius=9,
+        noise=0.2,
+        rotation=(10, 5, 20),
     )
     phantom = recipes.make(recipe)
     io.write(phantom.image, folder / "ball.nii.gz")
@@ -56,7 +84,19 @@ def scans(tmp_path_factory):
 def done(scans, tmp_path_factory):
     """The outputs of one good run."""
     folder = tmp_path_factory.mktemp("done") / "made" / "by the run"
-    assert run("segment", scans / "ball.nii.gz", "-o", folder, *START, "--mesh", "ply,stl", "--save-sdf") == 0
+    assert (
+        run(
+            "segment",
+            scans / "ball.nii.gz",
+            "-o",
+            folder,
+            *START,
+            "--mesh",
+            "ply,stl",
+            "--save-sdf",
+        )
+        == 0
+    )
     return folder
 
 
@@ -64,7 +104,15 @@ def done(scans, tmp_path_factory):
 
 
 def test_segment_writes_every_output_and_nothing_else(done):
-    names = ("seg.nii.gz", "sdf.nii.gz", "surface.ply", "surface.stl", "report.json", "trace.csv", "preview.png")
+    names = (
+        "seg.nii.gz",
+        "sdf.nii.gz",
+        "surface.ply",
+        "surface.stl",
+        "report.json",
+        "trace.csv",
+        "preview.png",
+    )
     names += ("statistics.csv", "statistics.json")
     assert sorted(path.name for path in done.iterdir()) == sorted(f"ball_{name}" for name in names)
 
@@ -88,7 +136,11 @@ def test_report_tells_the_whole_run(done, scans):
     assert (document["status"], document["exit_code"], document["error"]) == ("ok", 0, None)
     image = io.read(scans / "ball.nii.gz")
     assert document["input"]["sha256"] == io.sha256(scans / "ball.nii.gz")
-    assert document["input"]["size"] == [32, 28, 20] and document["input"]["spacing"] == [1.0, 1.0, 1.5]
+    assert document["input"]["size"] == [32, 28, 20] and document["input"]["spacing"] == [
+        1.0,
+        1.0,
+        1.5,
+    ]
     assert document["input"]["origin"] == pytest.approx(image.geometry.origin)
     assert np.allclose(document["input"]["direction"], image.geometry.direction)
     assert RunConfig(**document["config"]).start == ("ball:3,-2,1,5",)
@@ -102,7 +154,16 @@ def test_report_tells_the_whole_run(done, scans):
     assert document["volume_mm3"] == pytest.approx(4 / 3 * np.pi * 9**3, rel=0.1)
     assert document["components"] == 1 and document["touches_border"] is False
     kinds = [output["kind"] for output in document["outputs"]]
-    assert kinds == ["labels", "surface", "surface", "sdf", "trace", "preview", "statistics", "statistics"]
+    assert kinds == [
+        "labels",
+        "surface",
+        "surface",
+        "sdf",
+        "trace",
+        "preview",
+        "statistics",
+        "statistics",
+    ]
     for output in document["outputs"]:
         assert io.sha256(output["path"]) == output["sha256"]
 
@@ -121,31 +182,56 @@ def test_trace_has_a_row_for_each_step(done):
 def test_format_follows_the_input(suffix, scans, tmp_path):
     io.write(io.read(scans / "ball.nii.gz"), tmp_path / f"ball.{suffix}")
     out = tmp_path / "out"
-    assert run("segment", "-i", tmp_path / f"ball.{suffix}", "-o", out, *START, "--max-steps", 2) == 0
+    assert (
+        run("segment", "-i", tmp_path / f"ball.{suffix}", "-o", out, *START, "--max-steps", 2) == 0
+    )
     labels = io.read(out / f"ball_seg.{suffix}")
     assert labels.geometry.difference(io.read(tmp_path / f"ball.{suffix}").geometry) == ""
 
 
 def test_format_and_mesh_space_as_told(scans, tmp_path):
-    words = ("segment", scans / "ball.nii.gz", *START, "--max-steps", 2, "--mesh", "obj", "--format", "mha")
+    words = (
+        "segment",
+        scans / "ball.nii.gz",
+        *START,
+        "--max-steps",
+        2,
+        "--mesh",
+        "obj",
+        "--format",
+        "mha",
+    )
     assert run(*words, "-o", tmp_path / "lps") == 0
     assert run(*words, "-o", tmp_path / "ras", "--mesh-space", "ras") == 0
     assert (tmp_path / "lps" / "ball_seg.mha").is_file()
     meshes = []
     for space in ("lps", "ras"):
         lines = (tmp_path / space / "ball_surface.obj").read_text().splitlines()
-        meshes.append(np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=float))
+        meshes.append(
+            np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=float)
+        )
     assert len(meshes[0]) > 100
     assert np.allclose(meshes[0] * (-1, -1, 1), meshes[1])
 
 
 def test_results_go_to_stdout_and_progress_to_stderr(scans, tmp_path, capsys):
-    words = ("segment", scans / "ball.nii.gz", *START, "--max-steps", 3, "--overwrite", "-o", tmp_path)
+    words = (
+        "segment",
+        scans / "ball.nii.gz",
+        *START,
+        "--max-steps",
+        3,
+        "--overwrite",
+        "-o",
+        tmp_path,
+    )
     assert run(*words) == 0
     plain = capsys.readouterr()
     assert "ball_seg.nii.gz" in plain.out and "volume" in plain.out
     assert "step" not in plain.err.replace("steps", "")  # stderr is no terminal here: no bar
-    assert "warning: ball: max-steps" in plain.err and "--max-steps" not in plain.err  # more would not help
+    assert (
+        "warning: ball: max-steps" in plain.err and "--max-steps" not in plain.err
+    )  # more would not help
 
     assert run(*words, "--progress", "json", "--quiet") == 0
     json_run = capsys.readouterr()
@@ -164,8 +250,19 @@ def test_results_go_to_stdout_and_progress_to_stderr(scans, tmp_path, capsys):
 
 
 def test_dump_config_does_nothing_else_and_can_be_run_again(scans, tmp_path, capsys):
-    words = ("--start", "ball:-1.5,2,-3,4", "--start", "box:-1,-1,-1,2,2,2", "--smoothness", 0.25, "--friction", 0.5)
-    assert run("segment", scans / "absent.nii", "-o", tmp_path / "out", *words, "--dump-config") == 0
+    words = (
+        "--start",
+        "ball:-1.5,2,-3,4",
+        "--start",
+        "box:-1,-1,-1,2,2,2",
+        "--smoothness",
+        0.25,
+        "--friction",
+        0.5,
+    )
+    assert (
+        run("segment", scans / "absent.nii", "-o", tmp_path / "out", *words, "--dump-config") == 0
+    )
     text = capsys.readouterr().out
     assert not (tmp_path / "out").exists()
     config = RunConfig(**tomllib.loads(text))
@@ -183,23 +280,76 @@ def test_options_beat_the_file_which_beats_the_defaults(tmp_path, capsys):
     config = RunConfig(**tomllib.loads(capsys.readouterr().out))
     assert config == RunConfig(cfl=0.25, flow="constant-density")
     assert run(*words) == 0
-    assert RunConfig(**tomllib.loads(capsys.readouterr().out)) == RunConfig(cfl=0.25, flow="gradient", save_sdf=True)
+    assert RunConfig(**tomllib.loads(capsys.readouterr().out)) == RunConfig(
+        cfl=0.25, flow="gradient", save_sdf=True
+    )
 
 
 def test_every_setting_is_an_option(capsys):
     values = RunConfig(
-        **dict(flow="gradient", start=("center", "ball:-1,2,-3,4"), smoothness=1.5, presmooth=0.5, k=3, lam=2, rho=0.5),
-        **dict(diffusion=0.25, friction=2, restart="off", cfl=0.25, max_steps=9, percentile=90, epsilon=2),
-        **dict(mesh="obj,vtp", mesh_space="ras", save_sdf=True, half_width=5, balance=1.5, format="nrrd"),
-        **dict(seed=5, threads=2, energy="geodesic", edge_scale=1.5, edge_contrast=0.2, balloon=-0.5),
+        **dict(
+            flow="gradient",
+            start=("center", "ball:-1,2,-3,4"),
+            smoothness=1.5,
+            presmooth=0.5,
+            k=3,
+            lam=2,
+            rho=0.5,
+        ),
+        **dict(
+            diffusion=0.25,
+            friction=2,
+            restart="off",
+            cfl=0.25,
+            max_steps=9,
+            percentile=90,
+            epsilon=2,
+        ),
+        **dict(
+            mesh="obj,vtp",
+            mesh_space="ras",
+            save_sdf=True,
+            half_width=5,
+            balance=1.5,
+            format="nrrd",
+        ),
+        **dict(
+            seed=5, threads=2, energy="geodesic", edge_scale=1.5, edge_contrast=0.2, balloon=-0.5
+        ),
         **dict(t0=0.1, gravity=2, noise=0.5, noise_length=6, noise_time=2, sobolev_length=7),
-        **dict(blend=0.6, reproducible=True, levels=2, mask="m.nii", roi="1,2,3,4,5,6", max_volume=1e4),
-        **dict(foreground=("center", "ball:-1,2,-3,4"), background=("otsu:dark", "label:b.nii@2"), channel=("a", "b")),
-        **dict(outside=("point:1,2,3", "stroke:s.csv"), box="0,0,0,9,9,9", size="250ml", keep_state="yes"),
+        **dict(
+            blend=0.6, reproducible=True, levels=2, mask="m.nii", roi="1,2,3,4,5,6", max_volume=1e4
+        ),
+        **dict(
+            foreground=("center", "ball:-1,2,-3,4"),
+            background=("otsu:dark", "label:b.nii@2"),
+            channel=("a", "b"),
+        ),
+        **dict(
+            outside=("point:1,2,3", "stroke:s.csv"),
+            box="0,0,0,9,9,9",
+            size="250ml",
+            keep_state="yes",
+        ),
         **dict(stop_at_rest=True, end="present", extension="fast-marching", refine=["merge=1,3"]),
-        **dict(level=2, channel_index=1, time_index=3, channels_from_time=True, series="4", spacing="1,2,3um"),
-        **dict(resample=True, name=["2=liver"], color=["2=#102030"], label_table="t.csv", also=["tsv", "rtstruct"]),
-        layout="nnunet", label_group="cells", window="bone",
+        **dict(
+            level=2,
+            channel_index=1,
+            time_index=3,
+            channels_from_time=True,
+            series="4",
+            spacing="1,2,3um",
+        ),
+        **dict(
+            resample=True,
+            name=["2=liver"],
+            color=["2=#102030"],
+            label_table="t.csv",
+            also=["tsv", "rtstruct"],
+        ),
+        layout="nnunet",
+        label_group="cells",
+        window="bone",
         edit=["step=4 flow=sobolev", "step=9 add=ball:1,2,3,4vox"],
     )
     words = []
@@ -208,10 +358,14 @@ def test_every_setting_is_an_option(capsys):
         if value is None:
             continue
         if entry(key).repeated:
-            value = [str(one) for one in getattr(values, key)] if key in ("edit", "refine") else value
+            value = (
+                [str(one) for one in getattr(values, key)] if key in ("edit", "refine") else value
+            )
             words += [word for text in value for word in (option, text)]
         else:
-            words += [option] if value is True else [option, ",".join(value) if key == "mesh" else value]
+            words += (
+                [option] if value is True else [option, ",".join(value) if key == "mesh" else value]
+            )
     assert run("segment", "--dump-config", *words) == 0
     assert RunConfig(**tomllib.loads(capsys.readouterr().out)) == values
     # The one that does not go together with the others.
@@ -243,7 +397,14 @@ def test_usage_errors_are_one_line_and_a_hint(words, message, scans, tmp_path, c
 
 def test_unknown_key_in_the_file_is_reported_too(scans, tmp_path, capsys):
     (tmp_path / "run.toml").write_text("smothness = 1\n")
-    words = ("segment", scans / "ball.nii.gz", "-o", tmp_path / "out", "--config", tmp_path / "run.toml")
+    words = (
+        "segment",
+        scans / "ball.nii.gz",
+        "-o",
+        tmp_path / "out",
+        "--config",
+        tmp_path / "run.toml",
+    )
     assert run(*words) == 2
     assert "did you mean smoothness?" in capsys.readouterr().err
     document = report_of(tmp_path / "out")
@@ -252,7 +413,9 @@ def test_unknown_key_in_the_file_is_reported_too(scans, tmp_path, capsys):
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["ball_report.json"]
 
 
-@pytest.mark.parametrize("words", [("segment",), ("segment", "x.nii"), ("segmen", "x.nii"), ("evaluate", "x.nii")])
+@pytest.mark.parametrize(
+    "words", [("segment",), ("segment", "x.nii"), ("segmen", "x.nii"), ("evaluate", "x.nii")]
+)
 def test_incomplete_commands(words, capsys):
     assert run(*words) == 2
     assert capsys.readouterr().err.startswith("error: ")
@@ -273,7 +436,19 @@ def test_existing_outputs_are_refused_before_anything_is_read(scans, tmp_path, c
 
 def test_overwrite_replaces(scans, tmp_path):
     (tmp_path / "ball_trace.csv").write_text("old")
-    assert run("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 1, "--overwrite") == 0
+    assert (
+        run(
+            "segment",
+            scans / "ball.nii.gz",
+            "-o",
+            tmp_path,
+            *START,
+            "--max-steps",
+            1,
+            "--overwrite",
+        )
+        == 0
+    )
     assert (tmp_path / "ball_trace.csv").read_text().startswith("step,")
 
 
@@ -294,7 +469,11 @@ def test_bad_input_leaves_a_report_and_does_not_block_the_next_try(scans, tmp_pa
     assert error.startswith("error: ") and "Traceback" not in error and len(error.splitlines()) <= 2
     document = report_of(out)
     assert set(document) >= REPORT_KEYS
-    assert (document["status"], document["exit_code"], document["error"]["type"]) == ("failed", 3, "InputError")
+    assert (document["status"], document["exit_code"], document["error"]["type"]) == (
+        "failed",
+        3,
+        "InputError",
+    )
     assert document["error"]["message"] in error
     assert document["outputs"] == [] and document["input"]["size"] is None
     assert [path.name for path in out.iterdir()] == ["ball_report.json"]
@@ -316,7 +495,12 @@ def test_a_failure_does_not_replace_the_report_of_a_result(scans, tmp_path):
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("words", "code"),
-    [(("--cfl", "-1"), 2), (("--start", "label:absent.nii.gz"), 3), (("--smoothness", "1000"), 5), (("--strict",), 4)],
+    [
+        (("--cfl", "-1"), 2),
+        (("--start", "label:absent.nii.gz"), 3),
+        (("--smoothness", "1000"), 5),
+        (("--strict",), 4),
+    ],
 )
 def test_a_failing_run_leaves_a_good_result(words, code, scans, tmp_path, capsys):
     steps = ("--max-steps", 2)
@@ -327,36 +511,63 @@ def test_a_failing_run_leaves_a_good_result(words, code, scans, tmp_path, capsys
     assert run(*good, *start, *words, *(() if code == 5 else steps)) == code
     assert {name: (tmp_path / name).read_bytes() for name in before} == before
     others = {path.name for path in tmp_path.iterdir()} - set(before)
-    assert "ball_failed_report.json" in others and all(name.startswith("ball_failed_") for name in others)
+    assert "ball_failed_report.json" in others and all(
+        name.startswith("ball_failed_") for name in others
+    )
     failed = report_of(tmp_path, "ball_failed")
     assert (failed["status"], failed["exit_code"]) == ("failed", code)
-    assert {"ball_failed_report.json", *(os.path.basename(one["path"]) for one in failed["outputs"])} == others
+    assert {
+        "ball_failed_report.json",
+        *(os.path.basename(one["path"]) for one in failed["outputs"]),
+    } == others
     assert run(*good, *START, *steps) == 0
     assert {path.name for path in tmp_path.iterdir()} == set(before)
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("words", "code"), [(("--strict",), 4), (("--cfl", "-1"), 2)])
-def test_a_failing_run_leaves_the_result_of_an_image_that_is_called_failed(words, code, scans, tmp_path, capsys):
+def test_a_failing_run_leaves_the_result_of_an_image_that_is_called_failed(
+    words, code, scans, tmp_path, capsys
+):
     out, steps = tmp_path / "out", ("--max-steps", 1)
     shutil.copy(scans / "ball.nii.gz", tmp_path / "ball_failed.nii.gz")
     assert run("segment", scans / "ball.nii.gz", "-o", out, *START, *steps) == 0
     assert run("segment", tmp_path / "ball_failed.nii.gz", "-o", out, *START, *steps) == 0
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    assert run("segment", scans / "ball.nii.gz", "-o", out, *START, *steps, "--overwrite", *words) == code
+    assert (
+        run("segment", scans / "ball.nii.gz", "-o", out, *START, *steps, "--overwrite", *words)
+        == code
+    )
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     assert "is the report of a result" in capsys.readouterr().err
 
 
 def test_overwrite_takes_away_what_the_earlier_run_wrote_and_nothing_else(scans, tmp_path):
-    words = ("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 1, "--overwrite")
+    words = (
+        "segment",
+        scans / "ball.nii.gz",
+        "-o",
+        tmp_path,
+        *START,
+        "--max-steps",
+        1,
+        "--overwrite",
+    )
     assert run(*words, "--mesh", "ply,obj", "--format", "mhd", "--save-sdf") == 0
     assert (tmp_path / "ball_seg.zraw").exists()
     assert {one["kind"] for one in report_of(tmp_path)["outputs"]} >= {"labels", "data", "sdf"}
     (tmp_path / "ball_notes.txt").write_text("mine")
     (tmp_path / "ball_surface.obj").write_text("changed by hand")
     assert run(*words, "--mesh", "stl") == 0
-    names = {"seg.nii.gz", "surface.stl", "report.json", "trace.csv", "preview.png", "notes.txt", "surface.obj"}
+    names = {
+        "seg.nii.gz",
+        "surface.stl",
+        "report.json",
+        "trace.csv",
+        "preview.png",
+        "notes.txt",
+        "surface.obj",
+    }
     names |= {"statistics.csv", "statistics.json"}
     assert {path.name for path in tmp_path.iterdir()} == {f"ball_{name}" for name in names}
     assert (tmp_path / "ball_surface.obj").read_text() == "changed by hand"
@@ -391,7 +602,9 @@ def test_readers_finish_the_moves_of_a_killed_run(scans, tmp_path, capsys, monke
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_file_that_appears_while_the_run_goes_on_is_not_replaced(scans, tmp_path, capsys, monkeypatch):
+def test_a_file_that_appears_while_the_run_goes_on_is_not_replaced(
+    scans, tmp_path, capsys, monkeypatch
+):
     from accelsurf.output.pictures import preview
 
     def precious(*args):
@@ -401,7 +614,10 @@ def test_a_file_that_appears_while_the_run_goes_on_is_not_replaced(scans, tmp_pa
     monkeypatch.setattr(preview, "preview_png", precious)
     assert run("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 1) == 7
     assert "ball_trace.csv: exists already" in capsys.readouterr().err
-    assert {path.name for path in tmp_path.iterdir()} == {"ball_trace.csv", "ball_failed_report.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "ball_trace.csv",
+        "ball_failed_report.json",
+    }
     assert (tmp_path / "ball_trace.csv").read_text() == "precious"
 
 
@@ -416,12 +632,25 @@ def test_two_runs_with_one_output(scans, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "start",
-    ["ball:500,0,0,5", "ball:0,0,0", "ball:0,0,0,-5", "cone:1,2,3", "label:absent.nii.gz", "threshold:50,60", ""],
+    [
+        "ball:500,0,0,5",
+        "ball:0,0,0",
+        "ball:0,0,0,-5",
+        "cone:1,2,3",
+        "label:absent.nii.gz",
+        "threshold:50,60",
+        "",
+    ],
 )
 def test_bad_starts_are_told(start, scans, tmp_path, capsys):
     code = run("segment", scans / "ball.nii.gz", "-o", tmp_path, "--start", start)
     error = capsys.readouterr().err
-    assert code in (2, 3) and error.startswith("error: ") and "hint: " in error and "Traceback" not in error
+    assert (
+        code in (2, 3)
+        and error.startswith("error: ")
+        and "hint: " in error
+        and "Traceback" not in error
+    )
     assert report_of(tmp_path)["exit_code"] == code
 
 
@@ -435,7 +664,9 @@ def test_strict_asks_for_convergence(scans, tmp_path, capsys):
     assert (tmp_path / "ball_seg.nii.gz").is_file()
     assert run(*words, "--overwrite") == 0
     document = report_of(tmp_path)
-    assert document["status"] == "ok" and any("max-steps" in warning for warning in document["warnings"])
+    assert document["status"] == "ok" and any(
+        "max-steps" in warning for warning in document["warnings"]
+    )
 
 
 @pytest.mark.pictures
@@ -447,13 +678,17 @@ def test_vanished_surface(scans, tmp_path, capsys):
     assert "vanished" in error and "hint: " in error
     document = report_of(tmp_path)
     assert (document["status"], document["exit_code"]) == ("failed", 5)
-    assert document["error"]["type"] == "EmptyResultError" and document["stop"]["reason"] == "vanished"
+    assert (
+        document["error"]["type"] == "EmptyResultError" and document["stop"]["reason"] == "vanished"
+    )
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         *("ball_preview.png", "ball_report.json", "ball_trace.csv")
     ]
 
 
-def test_internal_error_is_a_line_a_report_and_with_debug_a_traceback(scans, tmp_path, capsys, monkeypatch):
+def test_internal_error_is_a_line_a_report_and_with_debug_a_traceback(
+    scans, tmp_path, capsys, monkeypatch
+):
     def broken(*args, **kwargs):
         raise ZeroDivisionError("nobody\nexpected this")
 
@@ -461,7 +696,10 @@ def test_internal_error_is_a_line_a_report_and_with_debug_a_traceback(scans, tmp
     words = ("segment", scans / "ball.nii.gz", "-o", tmp_path, *START)
     assert run(*words) == 1
     error = capsys.readouterr().err
-    assert error.splitlines()[0] == "error: ZeroDivisionError: nobody expected this" and "--debug" in error
+    assert (
+        error.splitlines()[0] == "error: ZeroDivisionError: nobody expected this"
+        and "--debug" in error
+    )
     assert report_of(tmp_path)["error"]["type"] == "ZeroDivisionError"
     with pytest.raises(ZeroDivisionError):
         run(*words, "--debug")
@@ -479,7 +717,9 @@ def test_write_that_fails_half_way_is_reported(scans, tmp_path, capsys, monkeypa
     document = report_of(tmp_path)
     assert (document["status"], document["exit_code"]) == ("failed", 7)
     assert document["error"]["type"] == "OutputError" and document["outputs"] == []
-    assert [path.name for path in tmp_path.iterdir()] == ["ball_report.json"]  # labels of half a run are of none
+    assert [path.name for path in tmp_path.iterdir()] == [
+        "ball_report.json"
+    ]  # labels of half a run are of none
 
 
 # ---------------------------------------------------------------------------------------------- other commands
@@ -510,7 +750,9 @@ def test_synth_takes_a_file(tmp_path):
 
 
 def test_evaluate_refuses_other_grids(scans, tmp_path, capsys):
-    io.write_labels(recipes.make(recipes.load_recipe("ball_small")).truth, tmp_path / "other.nii.gz")
+    io.write_labels(
+        recipes.make(recipes.load_recipe("ball_small")).truth, tmp_path / "other.nii.gz"
+    )
     assert run("evaluate", scans / "truth.nii.gz", tmp_path / "other.nii.gz") == 3
     assert "hint: " in capsys.readouterr().err
 
@@ -561,7 +803,15 @@ def test_every_command_has_help(capsys):
 def test_ctrl_c_keeps_an_earlier_result(tmp_path):
     recipe = recipes.Recipe(kind="cube", shape=(64, 64, 64), side=36.0, noise=1.0)
     io.write(recipes.make(recipe).image, tmp_path / "ball.nii.gz")
-    words = ("segment", tmp_path / "ball.nii.gz", "-o", tmp_path / "out", "--start", "ball:2,1,-1,5", "--overwrite")
+    words = (
+        "segment",
+        tmp_path / "ball.nii.gz",
+        "-o",
+        tmp_path / "out",
+        "--start",
+        "ball:2,1,-1,5",
+        "--overwrite",
+    )
     assert run(*words, "--max-steps", "2") == 0
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
     words = (*words, "--cfl", "0.02")
@@ -584,7 +834,11 @@ def test_ctrl_c_keeps_an_earlier_result(tmp_path):
     assert set(after) - set(before) == {"ball_failed_report.json", "ball_checkpoint.npz"}
     assert {name: after[name] for name in before} == before
     document = json.loads(after["ball_failed_report.json"])
-    assert (document["status"], document["exit_code"], document["outputs"]) == ("interrupted", 130, [])
+    assert (document["status"], document["exit_code"], document["outputs"]) == (
+        "interrupted",
+        130,
+        [],
+    )
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full")
@@ -595,10 +849,22 @@ def test_streams_that_cannot_be_written():
 
     full = shell("info >/dev/full")
     assert full.returncode == 7
-    assert full.stderr.splitlines()[0] == "error: standard output: cannot be written (No space left on device)"
-    for words, code in (("info >&-", 0), ("info 2>&-", 0), ("segmen >&- 2>&-", 2), ("segmen 2>/dev/full", 2)):
+    assert (
+        full.stderr.splitlines()[0]
+        == "error: standard output: cannot be written (No space left on device)"
+    )
+    for words, code in (
+        ("info >&-", 0),
+        ("info 2>&-", 0),
+        ("segmen >&- 2>&-", 2),
+        ("segmen 2>/dev/full", 2),
+    ):
         ended = shell(words)
-        assert ended.returncode == code and "Traceback" not in ended.stderr and "error: " not in ended.stdout, words
+        assert (
+            ended.returncode == code
+            and "Traceback" not in ended.stderr
+            and "error: " not in ended.stdout
+        ), words
 
 
 def test_closed_stdout_is_no_error():

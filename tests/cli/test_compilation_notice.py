@@ -51,10 +51,16 @@ def test_it_is_an_event_where_progress_is_json(compile_now, capsys):
     with Watcher(Display(progress="json")).watch("scan", 10):
         compile_now()
     (line,) = capsys.readouterr().err.splitlines()
-    assert json.loads(line) == {"event": "compiling", "run": "scan", "message": COMPILING.removeprefix("note: ")}
+    assert json.loads(line) == {
+        "event": "compiling",
+        "run": "scan",
+        "message": COMPILING.removeprefix("note: "),
+    }
 
 
-def test_it_is_not_said_when_quiet_before_or_after_a_run_or_when_nothing_is_compiled(compile_now, capsys):
+def test_it_is_not_said_when_quiet_before_or_after_a_run_or_when_nothing_is_compiled(
+    compile_now, capsys
+):
     with Watcher(Display(quiet=True)).watch("scan", 10):
         compile_now()
     with Watcher(Display()).watch("scan", 10):
@@ -80,7 +86,10 @@ def test_a_kernel_that_is_stored_is_loaded_without_a_word(tmp_path):
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     first, second = (
-        subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True) for _ in range(2)
+        subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+        )
+        for _ in range(2)
     )
     assert (first.returncode, first.stderr) == (0, f"{COMPILING}\n")
     assert (second.returncode, second.stderr) == (0, "")

@@ -22,7 +22,11 @@ def home(tmp_path, monkeypatch):
 
 
 def files_of(folder):
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 @pytest.mark.sampled(1)
@@ -34,7 +38,9 @@ def files_of(folder):
         ("fish", ".config/fish/completions/accelsurf.fish", None),
     ],
 )
-def test_it_writes_a_script_says_where_and_changes_nothing_the_second_time(shell, script, startup, home, capsys):
+def test_it_writes_a_script_says_where_and_changes_nothing_the_second_time(
+    shell, script, startup, home, capsys
+):
     if startup is not None:
         (home / startup).write_text("alias ll='ls -l'")
     assert cli.execute(["--install-completion", "--shell", shell]) == 0
@@ -50,13 +56,19 @@ def test_it_writes_a_script_says_where_and_changes_nothing_the_second_time(shell
 def test_the_shell_is_that_of_the_user(home, monkeypatch, capsys):
     monkeypatch.setenv("BASH_VERSION", "5.2")
     assert cli.execute(["--install-completion", "-o", str(home / "there" / "script")]) == 0
-    assert list(files_of(home)) == ["there/script"] and f"source {home}/there/script" in capsys.readouterr().out
+    assert (
+        list(files_of(home)) == ["there/script"]
+        and f"source {home}/there/script" in capsys.readouterr().out
+    )
     assert b"complete -o default -F _accelsurf accelsurf" in files_of(home)["there/script"]
 
 
 def test_what_cannot_be_written_is_one_line(home, capsys):
     (home / "file").touch()
-    assert cli.execute(["--install-completion", "--shell", "bash", "-o", str(home / "file" / "x")]) == 7
+    assert (
+        cli.execute(["--install-completion", "--shell", "bash", "-o", str(home / "file" / "x")])
+        == 7
+    )
     assert len(capsys.readouterr().err.splitlines()) == 2
     assert cli.execute(["--install-completion", "--shell", "csh"]) == 2
 
@@ -74,18 +86,33 @@ def test_bash_completes_commands_options_and_names(home):
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m accelsurf "$@"\n')
     program.chmod(0o755)
     typed = [
-        ("seg",), ("e",), ("segment", "--pres"), ("evaluate", "--"), ("segment", "x.nii", "--flow", ""),
-        ("segment", "x.nii", "--energy", "geo"), ("batch", "scans", "--preset", ""), ("segment", "x", "--mask", ""),
+        ("seg",),
+        ("e",),
+        ("segment", "--pres"),
+        ("evaluate", "--"),
+        ("segment", "x.nii", "--flow", ""),
+        ("segment", "x.nii", "--energy", "geo"),
+        ("batch", "scans", "--preset", ""),
+        ("segment", "x", "--mask", ""),
     ]
     lines = [f". {home}/script"]
     for words in typed:
         quoted = " ".join(f"'{word}'" for word in ("accelsurf", *words))
-        lines += [f"COMP_WORDS=({quoted}); COMP_CWORD={len(words)}; COMPREPLY=(); _accelsurf", 'echo "${COMPREPLY[*]}"']
+        lines += [
+            f"COMP_WORDS=({quoted}); COMP_CWORD={len(words)}; COMPREPLY=(); _accelsurf",
+            'echo "${COMPREPLY[*]}"',
+        ]
     environment = {**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}"}
-    done = subprocess.run(["bash", "--norc", "-c", "\n".join(lines)], env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        ["bash", "--norc", "-c", "\n".join(lines)], env=environment, capture_output=True, text=True
+    )
     assert done.returncode == 0 and done.stderr == ""
     offered = [line.split() for line in done.stdout.splitlines()]
     assert offered[:3] == [["segment"], ["evaluate"], ["--preset", "--presmooth"]]
     assert {"--labels", "--pairs", "--tolerance", "--csv"} <= set(offered[3])
-    assert offered[4] == ["auto", *FLOWS] and offered[5] == ["geodesic"] and offered[6] == list(PRESETS)
+    assert (
+        offered[4] == ["auto", *FLOWS]
+        and offered[5] == ["geodesic"]
+        and offered[6] == list(PRESETS)
+    )
     assert offered[7] == []  # then bash offers names of files

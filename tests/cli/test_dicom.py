@@ -16,7 +16,9 @@ from tests.support.dicom_series import Series, save
 
 def ball_series(folder, **changes):
     """A CT of a ball: 300 inside, 0 outside, oblique, 24 slices."""
-    series = Series(rows=28, columns=30, spacing=(1.0, 1.0), orientation=(0.6, 0.8, 0, 0, 0, -1), **changes)
+    series = Series(
+        rows=28, columns=30, spacing=(1.0, 1.0), orientation=(0.6, 0.8, 0, 0, 0, -1), **changes
+    )
     series.stacked(24, 1.5)
     middle = series.points(series.positions[12])[14, 15]
     for number in range(24):
@@ -29,13 +31,21 @@ def ball_series(folder, **changes):
 
 def test_info_lists_the_volumes_of_a_folder(tmp_path, capsys):
     ball_series(tmp_path / "study" / "a")
-    gap = Series(uid="1.2.3.8", changes={"SeriesNumber": 7, "SeriesDescription": "with a gap"}).stacked(5)
+    gap = Series(
+        uid="1.2.3.8", changes={"SeriesNumber": 7, "SeriesDescription": "with a gap"}
+    ).stacked(5)
     del gap.positions[2]
     gap.write(tmp_path / "study" / "b")
     assert cli.execute(["info", str(tmp_path / "study")]) == 0
     said = capsys.readouterr().out
-    assert "1  CT phantom\n   30 x 28 x 24 voxels of 1 x 1 x 1.5 mm, oblique, near sagittal, HU" in said
-    assert "2  CT with a gap" in said and "warning: 1 slice missing: 4 mm between b/001.dcm, b/002.dcm" in said
+    assert (
+        "1  CT phantom\n   30 x 28 x 24 voxels of 1 x 1 x 1.5 mm, oblique, near sagittal, HU"
+        in said
+    )
+    assert (
+        "2  CT with a gap" in said
+        and "warning: 1 slice missing: 4 mm between b/001.dcm, b/002.dcm" in said
+    )
     assert cli.execute(["info", "--json", str(tmp_path / "study")]) == 0
     volumes = json.loads(capsys.readouterr().out)["volumes"]
     assert [one["number"] for one in volumes] == [1, 2] and volumes[0]["size"] == [30, 28, 24]
@@ -47,7 +57,14 @@ def test_a_series_is_segmented_where_it_lies(tmp_path, capsys):
     middle = ball_series(tmp_path / "study" / "a")
     Series(uid="1.2.3.8").stacked(5).write(tmp_path / "study" / "b")
     place = ",".join(f"{part:.3f}" for part in middle)
-    words = ["segment", str(tmp_path / "study"), "-o", str(tmp_path / "out"), "--inside", f"ball:{place},3"]
+    words = [
+        "segment",
+        str(tmp_path / "study"),
+        "-o",
+        str(tmp_path / "out"),
+        "--inside",
+        f"ball:{place},3",
+    ]
     assert cli.execute(words) == 3
     assert "2 volumes are in it" in capsys.readouterr().err
     assert cli.execute([*words, "--series", "1.2.3.4.5", "--threads", "1"]) == 0
@@ -69,7 +86,12 @@ def test_a_gap_ends_with_code_3_unless_it_is_to_be_filled(tmp_path, capsys):
 
 def test_an_option_that_a_format_has_not_is_refused(tmp_path, capsys):
     ball_series(tmp_path / "scan")
-    assert cli.execute(["look", str(tmp_path / "scan"), "-o", str(tmp_path / "a.png"), "--time-index", "1"]) == 2
+    assert (
+        cli.execute(
+            ["look", str(tmp_path / "scan"), "-o", str(tmp_path / "a.png"), "--time-index", "1"]
+        )
+        == 2
+    )
     assert capsys.readouterr().err.startswith("error: ")
 
 
@@ -92,8 +114,22 @@ def test_the_result_goes_back_as_dicom_the_same_bytes_twice(tmp_path):
     middle = ball_series(tmp_path / "scan")
     place = ",".join(f"{part:.3f}" for part in middle)
     for out in ("one", "two"):
-        words = ["segment", str(tmp_path / "scan"), "-o", str(tmp_path / out), "--inside", f"ball:{place},3"]
-        words += ["--threads", "1", "--name", "ball", "--also", "dicom-seg,dicom-labelmap,rtstruct,seg.nrrd"]
+        words = [
+            "segment",
+            str(tmp_path / "scan"),
+            "-o",
+            str(tmp_path / out),
+            "--inside",
+            f"ball:{place},3",
+        ]
+        words += [
+            "--threads",
+            "1",
+            "--name",
+            "ball",
+            "--also",
+            "dicom-seg,dicom-labelmap,rtstruct,seg.nrrd",
+        ]
         assert cli.execute(words) == 0
     names = [f"scan_{name}.dcm" for name in ("segmentation", "labelmap", "rtstruct")]
     for name in names:

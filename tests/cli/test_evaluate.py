@@ -47,10 +47,15 @@ def rows_of(text):
 
 def test_several_labels_as_one_object_are_told(pair, said):
     code, out, _ = said(*pair, "--tolerance", "1,2.5")
-    values = dict(line.split(maxsplit=1) for line in out.splitlines() if not line.startswith("note"))
+    values = dict(
+        line.split(maxsplit=1) for line in out.splitlines() if not line.startswith("note")
+    )
     assert code == 0 and float(values["dice"]) == pytest.approx(6 / 7, rel=1e-5)
     assert values["volume_pred_ml"] == "0.384" and 0 < float(values["surface_dice_1mm"]) < 1
-    assert "note: several labels count as one object: 3 of PRED, 3 of REF" in out and "surface_dice_2.5mm" in values
+    assert (
+        "note: several labels count as one object: 3 of PRED, 3 of REF" in out
+        and "surface_dice_2.5mm" in values
+    )
     found = json.loads(said(*pair, "--json")[1])
     assert found["dice"] == pytest.approx(6 / 7) and "several labels" in found["notes"][0]
     one = said(f"{pair[0]}@1", f"{pair[1]}@1")[1]
@@ -60,15 +65,24 @@ def test_several_labels_as_one_object_are_told(pair, said):
 def test_each_label_alone(pair, said):
     code, out, _ = said(*pair, "--labels", "all", "--json")
     found = {entry["label"]: entry for entry in json.loads(out)["labels"]}
-    assert code == 0 and {label: entry["dice"] for label, entry in found.items()} == {1: 1, 2: 1, 4: 0, 7: 0}
+    assert code == 0 and {label: entry["dice"] for label, entry in found.items()} == {
+        1: 1,
+        2: 1,
+        4: 0,
+        7: 0,
+    }
     assert found[4]["hausdorff_mm"] is None and found[4]["volume_difference_ml"] == -0.256
     code, out, _ = said(*pair, "--labels", "2-4,9")
     assert [line.split()[0] for line in out.splitlines()[1:4]] == ["2", "4", "9"]
     assert "note: label 4: only in REF" in out and "note: label 9: in neither map" in out
     # These ids only, on either side.
-    found = json.loads(said(f"{pair[0]}@1,5-9", f"{pair[1]}@2", "--labels", "all", "--json")[1])["labels"]
+    found = json.loads(said(f"{pair[0]}@1,5-9", f"{pair[1]}@2", "--labels", "all", "--json")[1])[
+        "labels"
+    ]
     assert [entry["label"] for entry in found] == [1, 2, 7]
-    assert json.loads(said(f"{pair[0]}@7", f"{pair[1]}@4", "--json")[1])["dice"] == pytest.approx(2 / 3)
+    assert json.loads(said(f"{pair[0]}@7", f"{pair[1]}@4", "--json")[1])["dice"] == pytest.approx(
+        2 / 3
+    )
 
 
 def test_names_of_labels(pair, said, tmp_path):
@@ -76,13 +90,19 @@ def test_names_of_labels(pair, said, tmp_path):
     code, out, _ = said(*pair, "--labels", "all", "--label-table", tmp_path / "names.csv")
     assert code == 0 and out.splitlines()[0].split()[:2] == ["label", "name"]
     assert "liver" in out.splitlines()[1] and "left kidney" in out.splitlines()[3]
-    found = json.loads(said(*pair, "--labels", "all", "--names", tmp_path / "names.csv", "--json")[1])["labels"]
+    found = json.loads(
+        said(*pair, "--labels", "all", "--names", tmp_path / "names.csv", "--json")[1]
+    )["labels"]
     assert [entry["name"] for entry in found] == ["liver", "", "left kidney", ""]
 
 
 def test_folders_are_compared_by_name_and_a_case_that_fails_stops_no_other(tmp_path, said):
     for case, *labels in (("a", 1, 2), ("sub/b", 1, 0), ("wide", 1)):
-        put(tmp_path / "pred" / f"{case}.nii.gz", *labels, spacing=SPACING if case != "wide" else (2.0, 1.0, 1.5))
+        put(
+            tmp_path / "pred" / f"{case}.nii.gz",
+            *labels,
+            spacing=SPACING if case != "wide" else (2.0, 1.0, 1.5),
+        )
         put(tmp_path / "ref" / f"{case}.nrrd", 1, 2)
     put(tmp_path / "ref" / "missed.nii.gz", 1)
     put(tmp_path / "pred" / "more.nii.gz", 1)
@@ -94,28 +114,50 @@ def test_folders_are_compared_by_name_and_a_case_that_fails_stops_no_other(tmp_p
     assert code == 9 and found["counts"] == {"cases": 6, "ok": 2, "failed": 4}
     failures = {entry["case"]: entry["failure"] for entry in found["cases"]}
     assert failures["a"] is failures["sub/b"] is None
-    assert "grid" in failures["wide"] and "prediction" in failures["missed"] and "reference" in failures["more"]
+    assert (
+        "grid" in failures["wide"]
+        and "prediction" in failures["missed"]
+        and "reference" in failures["more"]
+    )
     assert "broken.nii.gz" in failures["broken"] and len(err.splitlines()) == 4
     one, two = found["summary"]
     assert (one["mean"]["dice"], one["count"]["dice"]) == (1, 2)
     assert (two["mean"]["dice"], two["median"]["dice"], two["count"]["hd95_mm"]) == (0.5, 0.5, 1)
     code, out, _ = said(tmp_path / "pred", tmp_path / "ref")
     assert code == 9 and "6 cases, 4 failed" in out
-    assert [line.split()[0] for line in out.splitlines()[1:6]] == ["a", "sub/b", "mean", "median", "count"]
+    assert [line.split()[0] for line in out.splitlines()[1:6]] == [
+        "a",
+        "sub/b",
+        "mean",
+        "median",
+        "count",
+    ]
 
 
 def test_a_table_of_pairs(tmp_path, pair, said):
     table = tmp_path / "pairs.csv"
-    table.write_text("case,pred,ref\nfirst,pred.nii.gz,ref.nii.gz\n,pred.nii.gz@7,ref.nii.gz@4\n\nlost,no.nii,ref.nii.gz\n")
+    table.write_text(
+        "case,pred,ref\nfirst,pred.nii.gz,ref.nii.gz\n,pred.nii.gz@7,ref.nii.gz@4\n\nlost,no.nii,ref.nii.gz\n"
+    )
     code, out, err = said("--pairs", table, "--csv", "-", "--tolerance", "1")
     rows = rows_of(out)
     assert code == 9 and "lost" in err and "no such file" in err
     assert [(row["row"], row["case"]) for row in rows] == [
-        ("case", "first"), ("case", "pred"), ("case", "lost"), ("mean", ""), ("median", ""), ("count", "")
+        ("case", "first"),
+        ("case", "pred"),
+        ("case", "lost"),
+        ("mean", ""),
+        ("median", ""),
+        ("count", ""),
     ]
-    assert float(rows[1]["dice"]) == pytest.approx(2 / 3) and rows[1]["pred"].endswith("pred.nii.gz@7")
+    assert float(rows[1]["dice"]) == pytest.approx(2 / 3) and rows[1]["pred"].endswith(
+        "pred.nii.gz@7"
+    )
     assert rows[2]["status"] == "failed" and rows[2]["dice"] == "" and rows[5]["dice"] == "2"
-    assert float(rows[3]["dice"]) == pytest.approx((6 / 7 + 2 / 3) / 2) and float(rows[3]["surface_dice_1mm"]) > 0
+    assert (
+        float(rows[3]["dice"]) == pytest.approx((6 / 7 + 2 / 3) / 2)
+        and float(rows[3]["surface_dice_1mm"]) > 0
+    )
 
 
 @pytest.mark.parametrize(

@@ -48,8 +48,11 @@ def said(capsys):
 
 def test_scores_of_a_folder_of_the_challenge(tmp_path, reference, said):
     gap = np.where(TWO == 2, 0, TWO).astype(np.uint16)
-    result = put(tmp_path / "01_RES", [TWO, gap, np.where(TWO == 2, 3, TWO).astype(np.uint16)],
-                 "1 0 2 0\n2 0 0 0\n3 2 2 2\n")  # fmt: skip
+    result = put(
+        tmp_path / "01_RES",
+        [TWO, gap, np.where(TWO == 2, 3, TWO).astype(np.uint16)],
+        "1 0 2 0\n2 0 0 0\n3 2 2 2\n",
+    )
     code, out, _ = said(result, reference)
     values = dict(row.split() for row in out.splitlines())
     assert code == 0
@@ -86,7 +89,10 @@ def test_json_and_a_table_of_frames(tmp_path, reference, said):
     ("lines", "message"),
     [
         ("1 0 2\n", "line 1: '1 0 2' given, expected four whole numbers"),
-        ("1 0 2 0\n2 3 1 0\n", "line 2: '2 3 1 0' given, expected a label above 0, and first <= last frame"),
+        (
+            "1 0 2 0\n2 3 1 0\n",
+            "line 2: '2 3 1 0' given, expected a label above 0, and first <= last frame",
+        ),
         ("1 0 2 0\n1 0 2 0\n", "line 2: a second track with the label 1"),
         ("a b c d\n", "line 1: 'a b c d' given, expected four whole numbers"),
     ],
@@ -100,7 +106,9 @@ def test_a_table_that_is_none_is_refused(tmp_path, reference, said, lines, messa
 def test_sequences_of_other_lengths_grids_and_frames_that_lack(tmp_path, reference, said):
     code, _, err = said(put(tmp_path / "short", [TWO] * 2, "1 0 1 0\n2 0 1 0\n"), reference)
     assert (code, "has 2 frames" in err) == (3, True)
-    code, _, err = said(put(tmp_path / "wide", [np.concatenate([TWO, TWO], axis=2)] * 3, ALONE), reference)
+    code, _, err = said(
+        put(tmp_path / "wide", [np.concatenate([TWO, TWO], axis=2)] * 3, ALONE), reference
+    )
     assert (code, "(1, 2, 32) voxels" in err) == (3, True)
     result = put(tmp_path / "01_RES", [TWO] * 3, ALONE)
     (result / "mask001.tif").unlink()
@@ -117,7 +125,9 @@ def test_options_of_label_maps_are_refused(reference, said):
 
 def test_label_maps_with_time_and_their_table_are_as_the_folder_of_the_challenge(tmp_path, said):
     made = dividing_cells()
-    with TrackOutputs(tmp_path, "cells", made.sequence, TrackFiles(labels="nii.gz", also=("ctc",))) as outputs:
+    with TrackOutputs(
+        tmp_path, "cells", made.sequence, TrackFiles(labels="nii.gz", also=("ctc",))
+    ) as outputs:
         for result in made.results:
             outputs.add(result)
         outputs.finish(made.lineage)
@@ -130,19 +140,30 @@ def test_label_maps_with_time_and_their_table_are_as_the_folder_of_the_challenge
     (tmp_path / "cells_tracks.csv").unlink()
     code, out, _ = said(labels, folder)
     values = dict(row.split(maxsplit=1) for row in out.splitlines() if not row.startswith("note"))
-    assert values["missing_edges"] == "2"  # of the division; a gap can be seen in the label maps themselves
+    assert (
+        values["missing_edges"] == "2"
+    )  # of the division; a gap can be seen in the label maps themselves
     assert "note: cells_labels.nii.gz: no table of tracks beside it" in out
 
 
 def test_a_table_that_lacks_a_column_is_refused(tmp_path, reference, said):
-    with io.SequenceWriter(tmp_path / "a_labels.nii.gz", Volume.from_array(TWO).geometry, (0, 1, 2), "frame",
-                           np.uint16) as writer:  # fmt: skip
+    with io.SequenceWriter(
+        tmp_path / "a_labels.nii.gz", Volume.from_array(TWO).geometry, (0, 1, 2), "frame", np.uint16
+    ) as writer:
         for number in range(3):
             writer.write(number, TWO)
-    no_line = "not a line of a table of tracks, whole numbers of frame, id and parent expected\nhint: "
+    no_line = (
+        "not a line of a table of tracks, whole numbers of frame, id and parent expected\nhint: "
+    )
     tables = [("frame,name\n0,1\n", "no column id")]
     # No number, a cell too few, one of 5000 digits, a quote that never ends: nothing that Python says of them is said.
-    for number, lines in ((2, "0,x"), (2, "0"), (3, "0,1\n0," + "1" * 5000), (1, '0,"1'), (2, "0,\u00b2")):
+    for number, lines in (
+        (2, "0,x"),
+        (2, "0"),
+        (3, "0,1\n0," + "1" * 5000),
+        (1, '0,"1'),
+        (2, "0,\u00b2"),
+    ):
         tables.append((f"frame,id\n{lines}\n", f"line {number}: {no_line}"))
     for text, message in tables:
         (tmp_path / "a_tracks.csv").write_text(text, encoding="utf-8")
@@ -153,10 +174,13 @@ def test_a_table_that_lacks_a_column_is_refused(tmp_path, reference, said):
 @pytest.mark.parametrize(
     ("labels", "table"),
     [
-        ("a_labels.nii.gz", "a_tracks.csv"), ("a_truth.nii.gz", "a_tracks.csv"), ("a_truth.nii.gz", "a_truth.csv"),
-        ("a_truth.nii.gz", "a_truth_tracks.csv"), ("a.tif", "a_tracks.csv"),
+        ("a_labels.nii.gz", "a_tracks.csv"),
+        ("a_truth.nii.gz", "a_tracks.csv"),
+        ("a_truth.nii.gz", "a_truth.csv"),
+        ("a_truth.nii.gz", "a_truth_tracks.csv"),
+        ("a.tif", "a_tracks.csv"),
     ],
-)  # fmt: skip
+)
 def test_the_table_is_found_by_its_name(tmp_path, labels, table):
     (tmp_path / "b_tracks.csv").touch()
     assert table_beside(tmp_path / labels) is None

@@ -38,7 +38,10 @@ def server(monkeypatch, tmp_path):
     thread.start()
     files = "".join(
         f'[a.files."a{end}"]\npath="{path}"\nbytes={len(content)}\nsha256="{hashlib.sha256(content).hexdigest()}"\n'
-        for end, path, content in ((".nii.gz", "scan.bin", IMAGE), ("_labels.nii.gz", "labels.bin", LABELS))
+        for end, path, content in (
+            (".nii.gz", "scan.bin", IMAGE),
+            ("_labels.nii.gz", "labels.bin", LABELS),
+        )
     )
     table = tmp_path / "samples.toml"
     base = f"http://127.0.0.1:{listening.server_address[1]}"
@@ -68,7 +71,9 @@ def names(folder):
 
 def test_a_scan_and_its_labels_come_once(server, folder, capsys):
     assert fetched(folder) == 0
-    assert (folder / "a.nii.gz").read_bytes() == IMAGE and (folder / "a_labels.nii.gz").read_bytes() == LABELS
+    assert (folder / "a.nii.gz").read_bytes() == IMAGE and (
+        folder / "a_labels.nii.gz"
+    ).read_bytes() == LABELS
     assert names(folder) == ["a.nii.gz", "a_labels.nii.gz"]
     said = capsys.readouterr()
     assert not said.err
@@ -77,7 +82,9 @@ def test_a_scan_and_its_labels_come_once(server, folder, capsys):
     assert server[1] == ["/scan.bin", "/labels.bin"]
 
 
-def test_licence_source_and_checksums_are_shown_before_anything_is_asked_for(server, folder, capsys, monkeypatch):
+def test_licence_source_and_checksums_are_shown_before_anything_is_asked_for(
+    server, folder, capsys, monkeypatch
+):
     monkeypatch.setattr(fetch, "_fetch_all", lambda *_: shown.append(capsys.readouterr().out))
     shown = []
     assert fetched(folder) == 0
@@ -96,7 +103,9 @@ def test_licence_source_and_checksums_are_shown_before_anything_is_asked_for(ser
         ("/labels.bin", None, "status 404"),
     ],
 )
-def test_what_is_not_the_file_is_refused_and_nothing_is_left(server, folder, capsys, path, sent, word):
+def test_what_is_not_the_file_is_refused_and_nothing_is_left(
+    server, folder, capsys, path, sent, word
+):
     server[0][path] = sent
     assert fetched(folder) == 3
     said = capsys.readouterr().err
@@ -121,11 +130,17 @@ def test_a_file_of_the_user_s_stays(server, folder, capsys):
     folder.mkdir()
     (folder / "a_labels.nii.gz").write_bytes(b"mine")
     assert fetched(folder) == 7 and "exists already" in capsys.readouterr().err
-    assert (folder / "a_labels.nii.gz").read_bytes() == b"mine" and names(folder) == ["a_labels.nii.gz"]
+    assert (folder / "a_labels.nii.gz").read_bytes() == b"mine" and names(folder) == [
+        "a_labels.nii.gz"
+    ]
     server[0]["/scan.bin"] = b"other"
-    assert fetched(folder, "--overwrite") == 3 and (folder / "a_labels.nii.gz").read_bytes() == b"mine"
+    assert (
+        fetched(folder, "--overwrite") == 3 and (folder / "a_labels.nii.gz").read_bytes() == b"mine"
+    )
     server[0]["/scan.bin"] = IMAGE
-    assert fetched(folder, "--overwrite") == 0 and (folder / "a_labels.nii.gz").read_bytes() == LABELS
+    assert (
+        fetched(folder, "--overwrite") == 0 and (folder / "a_labels.nii.gz").read_bytes() == LABELS
+    )
 
 
 @pytest.mark.parametrize("words", [[], ["b"]])
@@ -142,4 +157,8 @@ def test_the_list_has_open_licences_and_addresses_that_cannot_change(capsys):
         assert name in shown and sample["licence"] in OPEN and sample["licence"] in shown
         assert re.search(r"^https://.*/[0-9a-f]{40}/", sample["base"])
         for key, file in sample["files"].items():
-            assert key.startswith(name) and len(bytes.fromhex(file["sha256"])) == 32 and 0 < file["bytes"] < 1e7
+            assert (
+                key.startswith(name)
+                and len(bytes.fromhex(file["sha256"])) == 32
+                and 0 < file["bytes"] < 1e7
+            )

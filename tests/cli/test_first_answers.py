@@ -55,7 +55,9 @@ def other_answers(text):
     return re.findall(r"--answer (\d)", line)
 
 
-def test_the_other_answer_has_another_volume_and_each_run_names_the_other(scan, second, tmp_path, capsys):
+def test_the_other_answer_has_another_volume_and_each_run_names_the_other(
+    scan, second, tmp_path, capsys
+):
     _, part, whole = part_and_whole()
     assert run("segment", scan, "-o", tmp_path / "first", *WORDS) == 0
     assert other_answers(capsys.readouterr().out) in (["2"], ["2", "3"])
@@ -82,7 +84,9 @@ def test_refine_goes_on_from_it(scan, second, tmp_path, capsys):
     after, (_, _, whole) = labels_of(folder), part_and_whole()
     assert after.sum() > before.sum() and dice(after, whole) > dice(before, whole)
     assert RunConfig.from_toml(folder / "scan_run.toml").answer == 2
-    result = accelsurf.segment(accelsurf.read(scan), config=RunConfig.from_toml(second / "scan_run.toml"))
+    result = accelsurf.segment(
+        accelsurf.read(scan), config=RunConfig.from_toml(second / "scan_run.toml")
+    )
     assert np.array_equal(accelsurf.refine(result, inside=BEYOND).labels > 0, after)
 
 
@@ -104,7 +108,9 @@ cli.execute(sys.argv[1:])
 def test_a_killed_run_of_it_goes_on(scan, second, tmp_path):
     folder = tmp_path / "out"
     words = [str(word) for word in ("segment", scan, "-o", folder, *WORDS, "--answer", 2)]
-    program = subprocess.run([sys.executable, "-c", KILLED, *words, "--checkpoint", "1"], check=False)
+    program = subprocess.run(
+        [sys.executable, "-c", KILLED, *words, "--checkpoint", "1"], check=False
+    )
     assert program.returncode == 9 and (folder / "scan_checkpoint.npz").exists()
     assert run("segment", scan, "-o", folder, *WORDS, "--answer", 2, "--resume") == 0
     for name in SAME:
@@ -115,7 +121,10 @@ def test_without_a_model_of_clicks_it_has_no_effect_and_that_is_said(scan, tmp_p
     words = ("--start", CLICK, "--levels", "1", "--max-steps", "2")
     assert run("segment", scan, "-o", tmp_path / "out", *words, "--answer", 2) == 0
     said = capsys.readouterr()
-    assert "answer was given, but has no effect on" in said.out + said.err and "may also mean" not in said.out
+    assert (
+        "answer was given, but has no effect on" in said.out + said.err
+        and "may also mean" not in said.out
+    )
     assert answers_of(tmp_path / "out") == []
 
 

@@ -21,8 +21,10 @@ from accelsurf.viewer.window import display
 
 @pytest.fixture
 def scan(tmp_path):
-    io.write(Volume.from_array(np.random.default_rng(0).integers(0, 99, (6, 7, 8)).astype(np.int16)),
-             tmp_path / "scan.nii.gz")
+    io.write(
+        Volume.from_array(np.random.default_rng(0).integers(0, 99, (6, 7, 8)).astype(np.int16)),
+        tmp_path / "scan.nii.gz",
+    )
     return tmp_path / "scan.nii.gz"
 
 
@@ -58,7 +60,9 @@ def test_what_is_wrong_with_it_is_raised_where_it_is_waited_for(scan):
         wait()
 
 
-@pytest.mark.parametrize(("content", "message"), [(None, "no such file"), (b"x" * 400, "not gzip-compressed")])
+@pytest.mark.parametrize(
+    ("content", "message"), [(None, "no such file"), (b"x" * 400, "not gzip-compressed")]
+)
 def test_the_command_says_it_in_one_line(content, message, tmp_path, monkeypatch, capsys):
     if content is not None:
         (tmp_path / "scan.nii.gz").write_bytes(content)

@@ -19,7 +19,9 @@ def scans(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scans")
     z, y, x = np.indices((24, 24, 24))
     ball = ((z - 12) ** 2 + (y - 12) ** 2 + (x - 12) ** 2 < 49) * 100.0
-    volume = Volume.from_array((ball + np.random.default_rng(0).normal(0, 5, ball.shape)).astype(np.float32))
+    volume = Volume.from_array(
+        (ball + np.random.default_rng(0).normal(0, 5, ball.shape)).astype(np.float32)
+    )
     io.write(volume, folder / "a.ome.zarr")
     io.write(volume, folder / "b.nii.gz")
     return folder
@@ -33,7 +35,9 @@ def test_a_folder_goes_in_and_comes_out(scans, tmp_path):
     assert run("segment", scans / "a.ome.zarr", *START, "-o", tmp_path) == 0
     assert run("segment", scans / "b.nii.gz", *START, "-o", tmp_path) == 0
     labels = io.read(tmp_path / "a_seg.ome.zarr")
-    np.testing.assert_array_equal(labels.array, io.read(tmp_path / "b_seg.nii.gz").array, strict=True)
+    np.testing.assert_array_equal(
+        labels.array, io.read(tmp_path / "b_seg.nii.gz").array, strict=True
+    )
     report = json.loads((tmp_path / "a_report.json").read_text())
     assert report["input"]["sha256"] == io.sha256(scans / "a.ome.zarr")
     listed = {entry["kind"]: entry["sha256"] for entry in report["outputs"]}
@@ -49,7 +53,11 @@ def test_a_label_map_that_is_a_folder_is_replaced_and_goes_as_files_do(scans, tm
     assert run(*words, "--overwrite") == 0
     after = contents(tmp_path)
     same = [name for name in before if "a_seg" in name]
-    assert len(same) > 2 and all(after[name] == before[name] for name in same) and set(after) == set(before)
+    assert (
+        len(same) > 2
+        and all(after[name] == before[name] for name in same)
+        and set(after) == set(before)
+    )
     assert run(*words, "--overwrite", "--format", "nii.gz") == 0
     assert not (tmp_path / "a_seg.ome.zarr").exists() and (tmp_path / "a_seg.nii.gz").is_file()
 
@@ -64,7 +72,10 @@ def test_a_changed_store_has_another_hash(scans, tmp_path):
 
 def test_a_folder_of_images_has_those_that_are_folders(scans):
     assert ids(scans) == ["a", "b"] and ids(scans / "*") == ["a", "b"]
-    assert ids(scans / "a.ome.zarr") == ["a"] and ids(scans / "a.ome.zarr", scans / "b.nii.gz") == ["a", "b"]
+    assert ids(scans / "a.ome.zarr") == ["a"] and ids(scans / "a.ome.zarr", scans / "b.nii.gz") == [
+        "a",
+        "b",
+    ]
 
 
 def ids(*given):

@@ -47,11 +47,17 @@ def options():
     for command in COMMANDS:
         function = getattr(importlib.import_module(f"accelsurf.cli.{command}"), command)
         for name, parameter in inspect.signature(function).parameters.items():
-            takes_file = re.search("Path|File", str(parameter.annotation)) and parameter.kind is parameter.KEYWORD_ONLY
+            takes_file = (
+                re.search("Path|File", str(parameter.annotation))
+                and parameter.kind is parameter.KEYWORD_ONLY
+            )
             if takes_file and name not in OUTPUTS:
                 names = re.findall(r"'(--[a-z-]+)'", str(parameter.annotation))
                 suffix = {"config": ".toml", "pairs": ".csv", "names": ".csv"}.get(name, ".nii")
-                yield command, (names[0] if names else "--" + name.replace("_", "-"), f"PIPE{suffix}")
+                yield (
+                    command,
+                    (names[0] if names else "--" + name.replace("_", "-"), f"PIPE{suffix}"),
+                )
 
 
 ALL = list(dict.fromkeys(options()))
@@ -60,14 +66,25 @@ FIRST = [(command, suffix) for command in COMMANDS for suffix in (".nii", ".zip"
 
 def test_options_are_found():
     said = {words[0] for _, words in ALL} | {words[1].partition("PIPE")[0] for _, words in ALL}
-    assert {"--config", "--objects", "--labels", "--mask", "--channel", "--label-table", "--reference"} <= said
+    assert {
+        "--config",
+        "--objects",
+        "--labels",
+        "--mask",
+        "--channel",
+        "--label-table",
+        "--reference",
+    } <= said
     assert {"--pairs", "--image", "--start", "--inside", "label:", "mesh:", "stroke:"} <= said
 
 
 @pytest.fixture(scope="module")
 def image(tmp_path_factory):
     path = tmp_path_factory.mktemp("image") / "image.nii"
-    io.write(Volume.from_array(np.random.default_rng(0).normal(size=(6, 7, 8)).astype(np.float32), 1.0), path)
+    io.write(
+        Volume.from_array(np.random.default_rng(0).normal(size=(6, 7, 8)).astype(np.float32), 1.0),
+        path,
+    )
     return path
 
 
@@ -122,7 +139,9 @@ def refused(words, capfd, what):
 
 @pytest.mark.sampled(16)
 @pytest.mark.parametrize("kind", ["pipe", "device", "socket", "folder"])
-@pytest.mark.parametrize(("command", "words"), ALL, ids=lambda value: value if value in COMMANDS else " ".join(value))
+@pytest.mark.parametrize(
+    ("command", "words"), ALL, ids=lambda value: value if value in COMMANDS else " ".join(value)
+)
 def test_options_refuse_what_is_no_file(command, words, kind, image, tmp_path, capfd):
     suffix = words[1].partition("PIPE")[2]
     path = tmp_path / f"given{suffix}"
@@ -133,14 +152,20 @@ def test_options_refuse_what_is_no_file(command, words, kind, image, tmp_path, c
     if words[0] == "--pairs":
         given = [command]
     refused([*given, words[0], words[1].replace(f"PIPE{suffix}", str(path))], capfd, kind)
-    left = {path.name for path in (tmp_path / "out").iterdir()} if (tmp_path / "out").exists() else set()
+    left = (
+        {path.name for path in (tmp_path / "out").iterdir()}
+        if (tmp_path / "out").exists()
+        else set()
+    )
     assert all(name.endswith("_report.json") for name in left), left
 
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("kind", ["pipe", "device", "socket"])
 @pytest.mark.parametrize(("command", "suffix"), FIRST)
-def test_commands_refuse_it_in_the_place_of_their_input(command, suffix, kind, image, tmp_path, capfd):
+def test_commands_refuse_it_in_the_place_of_their_input(
+    command, suffix, kind, image, tmp_path, capfd
+):
     path = tmp_path / f"given{suffix}"
     made(kind, path)
     words = [word.replace("{image}", str(path)) for word in COMMANDS[command]]
@@ -158,5 +183,13 @@ def test_a_pipe_as_report_or_state_or_recipe(kind, image, tmp_path, capfd):
         recipe_files.read_recipe(tmp_path / "recipe.toml")
     (tmp_path / "out2").mkdir()
     made(kind, tmp_path / "out2" / "image_checkpoint.npz")
-    words = ["segment", str(image), "-o", str(tmp_path / "out2"), "--start", "ball:3,3,3,2", "--resume"]
+    words = [
+        "segment",
+        str(image),
+        "-o",
+        str(tmp_path / "out2"),
+        "--start",
+        "ball:3,3,3,2",
+        "--resume",
+    ]
     refused([*words, "--checkpoint", "1"], capfd, kind)

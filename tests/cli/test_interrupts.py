@@ -28,14 +28,20 @@ def test_a_signal_raises_and_decides_the_exit_code(interrupts, capsys):
     assert interrupts.exit_code(0) == 143
     interrupts.report("error: ")
     interrupts.report()
-    assert capsys.readouterr().err == "error: interrupted: no result is written; what was there before is as it was\n"
+    assert (
+        capsys.readouterr().err
+        == "error: interrupted: no result is written; what was there before is as it was\n"
+    )
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_first_signal_only_asks_while_there_is_something_to_save(interrupts, capsys, number):
     with interrupts.patience("finishing the files"):
         send(number)
-    assert "finishing the files (" in capsys.readouterr().err and interrupts.exit_code(0) == 128 + number
+    assert (
+        "finishing the files (" in capsys.readouterr().err
+        and interrupts.exit_code(0) == 128 + number
+    )
     with pytest.raises(KeyboardInterrupt), interrupts.patience("finishing the files"):
         send()
 

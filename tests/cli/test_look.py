@@ -36,7 +36,10 @@ def test_it_writes_one_picture_and_says_what_the_image_is(tmp_path, capsys, monk
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scan.nii.gz", "scan_look.png"]
     assert run("look", scan) == 7  # it exists
     assert run("look", scan, "--overwrite") == 0
-    assert run("look", scan, "-o", tmp_path / "folder") == 0 and (tmp_path / "folder" / "scan_look.png").is_file()
+    assert (
+        run("look", scan, "-o", tmp_path / "folder") == 0
+        and (tmp_path / "folder" / "scan_look.png").is_file()
+    )
     assert run("look", scan, "-o", tmp_path / "own.png") == 0 and (tmp_path / "own.png").is_file()
     assert run("look", scan, "-o", tmp_path / "own.jpg") == 2
 
@@ -62,10 +65,21 @@ def test_window_sets_the_greys_of_the_preview_of_a_run(tmp_path):
     z, y, x = np.indices((12, 40, 50))
     array = (100.0 * ((x - 30) ** 2 + (y - 16) ** 2 < 100)).astype(np.float32)
     io.write(Volume(array, Geometry(array.shape, (2.0, 1.0, 1.0))), tmp_path / "scan.nii.gz")
-    words = ("--start", "ball:30,16,12,6", "--max-steps", 3, "--threads", 1, "--overwrite", "--quiet")
+    words = (
+        "--start",
+        "ball:30,16,12,6",
+        "--max-steps",
+        3,
+        "--threads",
+        1,
+        "--overwrite",
+        "--quiet",
+    )
 
     def greys(*window):
-        assert run("segment", tmp_path / "scan.nii.gz", "-o", tmp_path / "out", *words, *window) == 0
+        assert (
+            run("segment", tmp_path / "scan.nii.gz", "-o", tmp_path / "out", *words, *window) == 0
+        )
         picture = 255 * picture_of(tmp_path / "out" / "scan_preview.png")
         return [float((np.abs(picture - grey).max(axis=2) <= 2).mean()) for grey in (64, 191)]
 
@@ -79,7 +93,10 @@ def test_window_sets_the_greys_of_the_preview_of_a_run(tmp_path):
         (("--at", "900,0,0"), "lies outside of the image"),
         (("--at", "nan,0,0"), "expected X,Y,Z in mm"),
         (("--window", "soft"), "expected auto, soft-tissue, bone, lung, brain, or level and width"),
-        (("--window", "40,-400"), "expected auto, soft-tissue, bone, lung, brain, or level and width"),
+        (
+            ("--window", "40,-400"),
+            "expected auto, soft-tissue, bone, lung, brain, or level and width",
+        ),
     ],
 )
 def test_what_it_cannot_show_is_one_line(tmp_path, capsys, words, message):
@@ -90,7 +107,7 @@ def test_what_it_cannot_show_is_one_line(tmp_path, capsys, words, message):
 def test_labels_of_this_image_are_drawn_others_refused(tmp_path, capsys):
     scan = saved(tmp_path / "scan.nii.gz")
     z, y, x = np.indices((6, 40, 50))
-    labels = Volume((((x - 30) ** 2 + (y - 12) ** 2 < 49)).astype(np.uint8), io.read(scan).geometry)
+    labels = Volume(((x - 30) ** 2 + (y - 12) ** 2 < 49).astype(np.uint8), io.read(scan).geometry)
     io.write_labels(labels, tmp_path / "labels.nii.gz")
     assert run("look", scan, "-o", tmp_path / "a.png", "--labels", tmp_path / "labels.nii.gz") == 0
     drawn = np.abs(picture_of(tmp_path / "a.png") - [0xE6 / 255, 0x9F / 255, 0]).max(axis=2) < 0.02
@@ -131,5 +148,7 @@ def test_look_says_what_a_reader_should_know_of_the_file(tmp_path, capsys):
     (path / "0/c/0/0/0").unlink()
     assert run("look", path, "-o", tmp_path / "a.png") == 0
     said = capsys.readouterr().err
-    assert said.startswith("warning: 1 of 18 chunks of the array 0 are not in the store, and 0 stands there")
+    assert said.startswith(
+        "warning: 1 of 18 chunks of the array 0 are not in the store, and 0 stands there"
+    )
     assert said.count("\n") == 1

@@ -67,11 +67,17 @@ def test_leaving_early_keeps_what_is_finished(scans, tmp_path):  # noqa: F811
     hanging.mkdir()
     (hanging / "a.nii.gz").symlink_to(scans / "a.nii.gz")
     os.mkfifo(hanging / "b.nii.gz")
-    with pytest.raises(KeyboardInterrupt), accelsurf.segment_many(hanging, tmp_path / "out", jobs=1, **START) as many:
+    with (
+        pytest.raises(KeyboardInterrupt),
+        accelsurf.segment_many(hanging, tmp_path / "out", jobs=1, **START) as many,
+    ):
         assert many["a"].result(timeout=120).status == "ok"
         raise KeyboardInterrupt
     assert many["b"].cancelled()
-    assert report(tmp_path / "out")["status"] == "interrupted" and table(tmp_path / "out")["a"]["status"] == "ok"
+    assert (
+        report(tmp_path / "out")["status"] == "interrupted"
+        and table(tmp_path / "out")["a"]["status"] == "ok"
+    )
 
 
 @pytest.mark.slow
@@ -95,7 +101,12 @@ def test_a_cluster_that_loses_a_worker_leaves_the_same_files(done, scans, tmp_pa
 
 def test_what_a_cluster_decides_is_refused(scans, tmp_path, capsys):  # noqa: F811
     for words in (("--jobs", "2"), ("--case-timeout", "5"), ("--max-memory", "1GB")):
-        assert cli.execute(["batch", str(scans), "-o", str(tmp_path), "--scheduler", "tcp://x:1", *words]) == 2
+        assert (
+            cli.execute(
+                ["batch", str(scans), "-o", str(tmp_path), "--scheduler", "tcp://x:1", *words]
+            )
+            == 2
+        )
         assert f"{words[0]}: was given with --scheduler" in capsys.readouterr().err
     with pytest.raises(UsageError, match="--jobs"):
         accelsurf.segment_many(scans, tmp_path, scheduler="tcp://x:1", jobs=2)

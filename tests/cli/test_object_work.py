@@ -28,10 +28,20 @@ def folder(tmp_path_factory):
 
 def segment(folder, output, *words, objects="seeds.nii", out=None, steps=12):
     where = folder if out is None else out
-    return cli.execute([
-        "segment", str(folder / "big.nii"), "--objects", str(folder / objects), "-o", str(where / output),
-        "--max-steps", str(steps), *WORDS, *words,
-    ])
+    return cli.execute(
+        [
+            "segment",
+            str(folder / "big.nii"),
+            "--objects",
+            str(folder / objects),
+            "-o",
+            str(where / output),
+            "--max-steps",
+            str(steps),
+            *WORDS,
+            *words,
+        ]
+    )
 
 
 def rows(path):
@@ -42,11 +52,18 @@ def rows(path):
 def assert_as_in_memory(folder, path, labels="big_seg.nii"):
     """Labels, meshes and table are those of the run in memory."""
     names = sorted(one.name for one in (folder / "memory").glob("big_surface_*"))
-    assert sorted(one.name for one in path.glob("big_surface_*")) == names and len(names) == len(BALLS)
+    assert sorted(one.name for one in path.glob("big_surface_*")) == names and len(names) == len(
+        BALLS
+    )
     for name in (*([labels] if labels == "big_seg.nii" else []), *names):
         assert (path / name).read_bytes() == (folder / "memory" / name).read_bytes(), name
-    for one, want in zip(rows(path / "big_objects.csv"), rows(folder / "memory" / "big_objects.csv"), strict=True):
-        assert {key: one[key] for key in want} == want and (one["status"], one["failure"]) == ("ok", "")
+    for one, want in zip(
+        rows(path / "big_objects.csv"), rows(folder / "memory" / "big_objects.csv"), strict=True
+    ):
+        assert {key: one[key] for key in want} == want and (one["status"], one["failure"]) == (
+            "ok",
+            "",
+        )
     assert sorted(one.name for one in path.iterdir()) == sorted(
         ["big_objects.csv", "big_report.json", labels, *names]
     )
@@ -57,7 +74,10 @@ def test_one_process(folder, tmp_path, capsys):
     assert_as_in_memory(folder, tmp_path / "out")
     lines = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
     assert lines[-1]["done"] == lines[-1]["objects"] == len(BALLS) and lines[-1]["failed"] == 0
-    report, want = (json.loads((one / "big_report.json").read_text()) for one in (tmp_path / "out", folder / "memory"))
+    report, want = (
+        json.loads((one / "big_report.json").read_text())
+        for one in (tmp_path / "out", folder / "memory")
+    )
     assert report["status"] == "ok" and report["exit_code"] == 0
     for key in ("components", "touches_border", "resolved_settings"):
         assert report[key] == want[key], key
@@ -79,7 +99,9 @@ def test_two_processes_and_a_store_of_labels(folder, tmp_path):
 
 @pytest.mark.slow
 def test_a_cluster(folder, tmp_path):
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True) as cluster:
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True
+    ) as cluster:
         assert segment(folder, "out", "--scheduler", cluster.scheduler_address, out=tmp_path) == 0
     assert_as_in_memory(folder, tmp_path / "out")
 
@@ -147,7 +169,20 @@ def test_other_settings_or_starts_begin_anew(folder, tmp_path, ran):
     assert same <= set(done)
     for words, objects in ((("--cfl", "0.4"), "seeds.nii"), ((), "seeds.csv")):
         done.clear()
-        assert segment(folder, "out", "--resume", "--jobs", "1", *words, objects=objects, out=tmp_path, steps=4) == 130
+        assert (
+            segment(
+                folder,
+                "out",
+                "--resume",
+                "--jobs",
+                "1",
+                *words,
+                objects=objects,
+                out=tmp_path,
+                steps=4,
+            )
+            == 130
+        )
         assert same <= set(done), "nothing of the other run counts"
 
 
@@ -158,12 +193,19 @@ def test_failures_are_named_and_tried_again(folder, tmp_path, ran, capsys):
     assert "failed: object 9: RuntimeError: a kernel" in capsys.readouterr().err
     table = {row["id"]: row for row in rows(tmp_path / "out" / "big_objects.csv")}
     assert list(table) == [str(own) for own in sorted(BALLS)]
-    assert table["9"]["status"] == "failed" and table["9"]["failure"] == "RuntimeError: a kernel\nfailed"
+    assert (
+        table["9"]["status"] == "failed"
+        and table["9"]["failure"] == "RuntimeError: a kernel\nfailed"
+    )
     assert table["9"]["volume_mm3"] == "" and table["20"]["status"] == "ok"
     labels = io.read(tmp_path / "out" / "big_seg.nii").array
     assert not (labels == 9).any() and (labels == 20).any()
     report = json.loads((tmp_path / "out" / "big_report.json").read_text())
-    assert report["status"] == "failed" and report["exit_code"] == 9 and "object 9" in report["error"]["message"]
+    assert (
+        report["status"] == "failed"
+        and report["exit_code"] == 9
+        and "object 9" in report["error"]["message"]
+    )
     done.clear()
     instead.clear()
     assert segment(folder, "out", "--jobs", "1", "--resume", out=tmp_path) == 0
@@ -171,9 +213,13 @@ def test_failures_are_named_and_tried_again(folder, tmp_path, ran, capsys):
     assert_as_in_memory(folder, tmp_path / "out")
 
 
-def test_groups_that_need_more_than_their_part_of_the_memory_run_alone(folder, tmp_path, monkeypatch):
+def test_groups_that_need_more_than_their_part_of_the_memory_run_alone(
+    folder, tmp_path, monkeypatch
+):
     """Half of 700 MB holds no process that runs one."""
-    monkeypatch.setattr("accelsurf.batch.pool.LocalPool", lambda run, jobs, prepare: InlinePool(run))
+    monkeypatch.setattr(
+        "accelsurf.batch.pool.LocalPool", lambda run, jobs, prepare: InlinePool(run)
+    )
     assert segment(folder, "out", "--jobs", "2", "--max-memory", "700MB", out=tmp_path) == 0
     assert_as_in_memory(folder, tmp_path / "out")
 
@@ -182,7 +228,10 @@ def test_an_image_that_does_not_fit_is_read_in_parts(folder, tmp_path, capsys):
     """No --jobs: the memory alone decides, and every group needs less than the image."""
     assert segment(folder, "out", "--max-memory", "480MB", out=tmp_path, steps=4) == 9
     table = {row["id"]: row for row in rows(tmp_path / "out" / "big_objects.csv")}
-    assert table["20"]["status"] == "failed" and "3 objects that may meet need a window" in table["20"]["failure"]
+    assert (
+        table["20"]["status"] == "failed"
+        and "3 objects that may meet need a window" in table["20"]["failure"]
+    )
     assert table["9"]["status"] == "ok"
 
 
@@ -212,6 +261,10 @@ def test_clicks_and_single_objects_are_refused(folder, tmp_path, capsys):
     assert segment(folder, "out", "--jobs", "1", objects=table, out=tmp_path) == 2
     assert "column side" in capsys.readouterr().err
     image = str(folder / "big.nii")
-    assert cli.execute(["segment", image, "-o", str(tmp_path / "one"), "--start", "center", "--jobs", "2"]) == 2
+    assert (
+        cli.execute(
+            ["segment", image, "-o", str(tmp_path / "one"), "--start", "center", "--jobs", "2"]
+        )
+        == 2
+    )
     assert "without --objects" in capsys.readouterr().err
-

@@ -20,8 +20,12 @@ MODULES = {
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("parts", [(), ("load",), ("load", "start", "evolve", "mesh", "write"), ("evolve", "write")])
-@pytest.mark.parametrize("names", [(), ("find_feet", "kick"), ("find_feet", "classify_feet", "kick", "not_known_here")])
+@pytest.mark.parametrize(
+    "parts", [(), ("load",), ("load", "start", "evolve", "mesh", "write"), ("evolve", "write")]
+)
+@pytest.mark.parametrize(
+    "names", [(), ("find_feet", "kick"), ("find_feet", "classify_feet", "kick", "not_known_here")]
+)
 def test_stages_add_up_to_the_total(parts, names):
     rng = np.random.default_rng(len(parts) + len(names))
     seconds = {part: float(rng.uniform(5, 9)) for part in parts} | {"total": 60.0}
@@ -53,7 +57,9 @@ def kernels_handed_over(path):
     return {
         (aliases[arg.value.id], arg.attr)
         for arg in given
-        if isinstance(arg, ast.Attribute) and isinstance(arg.value, ast.Name) and arg.value.id in aliases
+        if isinstance(arg, ast.Attribute)
+        and isinstance(arg.value, ast.Name)
+        and arg.value.id in aliases
         if callable(getattr(MODULES[aliases[arg.value.id]], arg.attr))
     }
 
@@ -69,7 +75,9 @@ def test_every_kernel_that_workers_are_given_has_a_stage():
 
 
 def test_what_a_run_counts_has_a_stage():
-    surface = accelsurf.levelset.LevelSet(np.linalg.norm(np.indices((9, 9, 9)) - 4.0, axis=0) - 3, (1, 1, 1))
+    surface = accelsurf.levelset.LevelSet(
+        np.linalg.norm(np.indices((9, 9, 9)) - 4.0, axis=0) - 3, (1, 1, 1)
+    )
     surface.curvature(surface.front())
     assert len(surface.workers.seconds) > 10
     assert set(surface.workers.seconds) <= set(STAGE_OF_KERNEL)
@@ -79,5 +87,7 @@ def test_one_name_has_one_stage():
     def kick():
         """As a kernel of the flows is called."""
 
-    with pytest.raises(ValueError, match="kernel kick has stage Stage.FLOW elsewhere, Stage.BAND was given"):
+    with pytest.raises(
+        ValueError, match="kernel kick has stage Stage.FLOW elsewhere, Stage.BAND was given"
+    ):
         kernels._jit.kernel(stage=Stage.BAND)(kick)

@@ -23,13 +23,17 @@ def run(*words):
 def image(path, offset=0.0):
     z, y, x = np.indices((11, 12, 13)) - 5.0
     path.parent.mkdir(parents=True, exist_ok=True)
-    io.write(Volume.from_array((100.0 * (z * z + y * y + x * x < 14) + offset).astype(np.float32)), path)
+    io.write(
+        Volume.from_array((100.0 * (z * z + y * y + x * x < 14) + offset).astype(np.float32)), path
+    )
     return path
 
 
 def contents(folder):
     return {
-        str(path.relative_to(folder)): os.readlink(path) if path.is_symlink() else path.is_file() and path.read_bytes()
+        str(path.relative_to(folder)): os.readlink(path)
+        if path.is_symlink()
+        else path.is_file() and path.read_bytes()
         for path in sorted(folder.rglob("*"))
     }
 
@@ -53,7 +57,11 @@ def journal(hidden, home, linked=("new", "old")):
     for part in ("new", "old"):
         (hidden / part).symlink_to(home) if part in linked else (hidden / part).mkdir()
     (hidden / "lock").write_bytes(b"")
-    said = {"files": ["id_rsa"], "remove": ["authorized_keys", "thesis.docx", "scan.nii"], "last": None}
+    said = {
+        "files": ["id_rsa"],
+        "remove": ["authorized_keys", "thesis.docx", "scan.nii"],
+        "last": None,
+    }
     (hidden / "journal.json").write_text(json.dumps(said))
 
 
@@ -74,7 +82,10 @@ LINKED = [(), ("new",), ("old",), ("new", "old")]
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("command", "linked"),
-    [*(("look", linked) for linked in LINKED), *zip(list(COMMANDS)[1:], [*LINKED[::-1], LINKED[3]], strict=True)],
+    [
+        *(("look", linked) for linked in LINKED),
+        *zip(list(COMMANDS)[1:], [*LINKED[::-1], LINKED[3]], strict=True),
+    ],
 )
 def test_what_looks_like_a_killed_run_is_named_and_not_obeyed(command, linked, received, capfd):
     top, home, data, scan = received
@@ -96,8 +107,14 @@ LINKS = {
     "a folder above it": ("out", ("segment", "scan.nii", "-o", "out/new", *BALL)),
     "the folder of a picture": ("out", ("look", "scan.nii", "-o", "out/a.png")),
     "the folder of a case": ("scan", ("batch", "scan.nii", "-o", ".", "--jobs", "1", *BALL)),
-    "the frames of a tracking": ("frames_frames", ("track", "frames", "-o", ".", "--overwrite", *BALL)),
-    "the frames of one that goes on": ("frames_frames", ("track", "frames", "-o", ".", "--resume", *BALL)),
+    "the frames of a tracking": (
+        "frames_frames",
+        ("track", "frames", "-o", ".", "--overwrite", *BALL),
+    ),
+    "the frames of one that goes on": (
+        "frames_frames",
+        ("track", "frames", "-o", ".", "--resume", *BALL),
+    ),
     "phantoms": ("out", ("synth", "ball_small", "-o", "out")),
 }
 
@@ -113,7 +130,9 @@ def test_nothing_is_written_or_removed_through_a_link(what, received, capfd):
     before = contents(home)
     assert run(*words) in (7, 9)
     said = capfd.readouterr()
-    told = said.err + said.out + "".join(path.read_text() for path in data.glob("batch_report.json"))
+    told = (
+        said.err + said.out + "".join(path.read_text() for path in data.glob("batch_report.json"))
+    )
     assert "is a link to" in told and str(home) in told
     assert contents(home) == before
 
@@ -153,7 +172,10 @@ INPUTS = {
     "mesh": ("scan_surface.ply", ("--start", "mesh:out/scan_surface.ply")),
     "mask": ("scan_seg.nii", ("--mask", "out/scan_seg.nii")),
     "objects": ("scan_seg.nii", ("--objects", "out/scan_seg.nii")),
-    "foreground": ("scan_seg.nii", ("--energy", "likelihood", "--foreground", "label:out/scan_seg.nii")),
+    "foreground": (
+        "scan_seg.nii",
+        ("--energy", "likelihood", "--foreground", "label:out/scan_seg.nii"),
+    ),
     "settings": ("scan_run.toml", ("--config", "out/scan_run.toml")),
     "removed": ("scan_seg.nii", ("--channel", "out/scan_seg.nii", "--format", "nrrd")),
     "detached": ("scan_seg.mhd", ("--channel", "out/scan_seg.mhd", "--format", "mhd")),
@@ -164,29 +186,47 @@ INPUTS = {
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("option", "how"),
-    [*((option, "by its name") for option in INPUTS), ("channel", "by a link"), ("mesh", "by a hard link")],
+    [
+        *((option, "by its name") for option in INPUTS),
+        ("channel", "by a link"),
+        ("mesh", "by a hard link"),
+    ],
 )
 def test_an_output_that_is_an_input_is_refused(option, how, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     image(tmp_path / "scan.nii")
     name, words = INPUTS[option]
     form = ("--format", "mhd") if name.endswith("mhd") else ()
-    assert run("segment", "scan.nii", "-o", "out", "--keep-state", "yes", "--mesh", "ply", *form, *BALL) == 0
+    assert (
+        run(
+            "segment", "scan.nii", "-o", "out", "--keep-state", "yes", "--mesh", "ply", *form, *BALL
+        )
+        == 0
+    )
     if how != "by its name":
-        other = tmp_path / f"other{name[name.index('.'):]}"
-        other.symlink_to(f"out/{name}") if how == "by a link" else os.link(tmp_path / "out" / name, other)
+        other = tmp_path / f"other{name[name.index('.') :]}"
+        other.symlink_to(f"out/{name}") if how == "by a link" else os.link(
+            tmp_path / "out" / name, other
+        )
         words = [word.replace(f"out/{name}", other.name) for word in words]
     before = contents(tmp_path / "out")
     start = () if "--start" in words or "--objects" in words or "--config" in words else BALL[2:4]
     capfd.readouterr()
-    assert run("segment", "scan.nii", "-o", "out", "--overwrite", "--keep-state", "yes", *words, *start) == 7
+    assert (
+        run(
+            "segment", "scan.nii", "-o", "out", "--overwrite", "--keep-state", "yes", *words, *start
+        )
+        == 7
+    )
     assert "is read by this command" in capfd.readouterr().err
     assert contents(tmp_path / "out") == before
 
 
 def test_pictures_tables_and_movies_do_not_replace_what_they_show(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
-    plane = Volume.from_array(np.random.default_rng(0).integers(0, 255, (1, 24, 26)).astype(np.uint8))
+    plane = Volume.from_array(
+        np.random.default_rng(0).integers(0, 255, (1, 24, 26)).astype(np.uint8)
+    )
     io.write(plane, tmp_path / "a.png")
     labels(tmp_path / "a.nii")
     (tmp_path / "pairs.csv").write_text("pred,ref\na.nii,a.nii\n")
@@ -201,7 +241,9 @@ def test_pictures_tables_and_movies_do_not_replace_what_they_show(tmp_path, monk
     ):
         assert run(*words, "--overwrite") == 7, words
         assert "is read by this command" in capfd.readouterr().err
-    assert {name: content for name, content in contents(tmp_path).items() if name in before} == before
+    assert {
+        name: content for name, content in contents(tmp_path).items() if name in before
+    } == before
 
 
 @pytest.mark.slow
@@ -213,14 +255,38 @@ def test_a_case_of_a_batch_does_not_replace_what_another_one_reads(tmp_path, mon
     (tmp_path / "cases.csv").write_text("image,channel\na.nii,\nb.nii,out/a/a_seg.nii\n")
     before = contents(tmp_path / "out")
     for form in ("nii", "nrrd"):  # replaced, or removed as of the earlier run
-        assert run("batch", "cases.csv", "-o", "out", "--jobs", "1", "--overwrite", "--format", form, *BALL) == 7
+        assert (
+            run(
+                "batch",
+                "cases.csv",
+                "-o",
+                "out",
+                "--jobs",
+                "1",
+                "--overwrite",
+                "--format",
+                form,
+                *BALL,
+            )
+            == 7
+        )
         assert "is read by this command" in capfd.readouterr().err
     assert contents(tmp_path / "out") == before
 
 
 #: Commands, after which a folder has their outputs.
 WRITERS = {
-    "segment": ("segment", "scan.nii", "-o", "out", "--checkpoint", "1", "--keep-state", "yes", *BALL),
+    "segment": (
+        "segment",
+        "scan.nii",
+        "-o",
+        "out",
+        "--checkpoint",
+        "1",
+        "--keep-state",
+        "yes",
+        *BALL,
+    ),
     "segment again": ("segment", "scan.nii", "-o", "out", "--overwrite", *BALL),
     "refine": ("refine", "out", "--outside", "ball:9,5,5,1", "--progress", "none"),
     "track": ("track", "frames", "-o", "out", *BALL),
@@ -231,7 +297,9 @@ WRITERS = {
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("command", WRITERS)
-def test_an_output_folder_that_goes_away_during_a_command_is_a_documented_error(command, received, monkeypatch, capfd):
+def test_an_output_folder_that_goes_away_during_a_command_is_a_documented_error(
+    command, received, monkeypatch, capfd
+):
     """Somebody removes it before the n-th change that the command makes to files."""
     top, home, data, scan = received
     for number in range(2):
@@ -264,14 +332,22 @@ def test_an_output_folder_that_goes_away_during_a_command_is_a_documented_error(
             codes.add(run(*WRITERS[command]))
         said = capfd.readouterr().err
         assert "bug in accelsurf" not in said and "Traceback" not in said, said
-        assert {name: content for name, content in contents(data).items() if name in inputs} == inputs
+        assert {
+            name: content for name, content in contents(data).items() if name in inputs
+        } == inputs
     assert codes <= {0, 3, 7, 9} and codes & {7, 9}
 
 
 def report_of(name, status, *files):
     """A planted report of a case that lists files with their checksums."""
     listed = [{"path": file.name, "kind": "labels", "sha256": io.sha256(file)} for file in files]
-    said = {"status": status, "exit_code": 0, "outputs": listed, "objects": [1], "input": {"path": "x", "sha256": "0"}}
+    said = {
+        "status": status,
+        "exit_code": 0,
+        "outputs": listed,
+        "objects": [1],
+        "input": {"path": "x", "sha256": "0"},
+    }
     (files[0].parent / f"{name}_report.json").write_text(json.dumps(said))
 
 
@@ -326,14 +402,18 @@ def test_frames_of_a_tracking_that_goes_on_bring_no_other_files(received, monkey
     assert (data / "frames_checkpoint.npz").exists() and meshes.is_dir()
     (meshes / "thesis.docx").write_bytes(b"evil")
     (meshes / "frames_surface_1_t009.ply").symlink_to(home / "id_rsa")
-    before = {name: content for name, content in contents(data).items() if not name.startswith("frames_")}
+    before = {
+        name: content for name, content in contents(data).items() if not name.startswith("frames_")
+    }
     assert run(*words, "--resume") == 0
     after = contents(data)
     assert {name: after.get(name) for name in before} == before
     assert not (data / "frames_surface_1_t009.ply").exists()
 
 
-@pytest.mark.parametrize("where", ["frame_000000.npz", "meshes/thesis.docx", "meshes/mine/thesis.docx"])
+@pytest.mark.parametrize(
+    "where", ["frame_000000.npz", "meshes/thesis.docx", "meshes/mine/thesis.docx"]
+)
 @pytest.mark.parametrize("word", ["--resume", "--overwrite"])
 def test_files_among_frames_that_no_tracking_wrote_stay(where, word, received, capfd):
     top, home, data, scan = received
@@ -365,7 +445,9 @@ def test_label_maps_in_an_output_are_not_lost_with_it(received, capfd):
     ):
         capfd.readouterr()
         code = run("segment", "scan.nii", "-o", "out", "--overwrite", *words)
-        if code != 0:  # in another format the store with the label maps may stay beside the new files
+        if (
+            code != 0
+        ):  # in another format the store with the label maps may stay beside the new files
             assert code == 7 and said in capfd.readouterr().err
         assert contents(store) == before
 
@@ -385,12 +467,22 @@ def test_a_record_of_a_group_that_was_planted_brings_no_file(plant, tmp_path):
     folder = tmp_path / ".scan_objects" / "group-1-0123"
     real = folder.parent / "real" if plant == "a link" else folder
     real.mkdir(parents=True)
-    names = {"a link": "scan_surface_1.ply", "a name elsewhere": "../../bashrc", "a name of another image": "bashrc"}
+    names = {
+        "a link": "scan_surface_1.ply",
+        "a name elsewhere": "../../bashrc",
+        "a name of another image": "bashrc",
+    }
     name = names[plant]
     (tmp_path / "bashrc").write_bytes(b"mine")
     if plant != "a name elsewhere":
         (real / name).write_bytes(b"evil")
-    record = {"near": [], "rows": [{"id": 1}], "boxes": [[[0, 1]] * 3], "low": [[0] * 3], "high": [[1] * 3]}
+    record = {
+        "near": [],
+        "rows": [{"id": 1}],
+        "boxes": [[[0, 1]] * 3],
+        "low": [[0] * 3],
+        "high": [[1] * 3],
+    }
     record |= {"stops": [], "meshes": [{"surface-ply": name}], "facts": {}}
     (real / "record.json").write_text(json.dumps(record))
     if plant == "a link":

@@ -59,9 +59,30 @@ def content(folder):
 def test_the_state_is_written_with_clicks_or_when_asked(scan, finished, tmp_path):
     report = json.loads((finished / "ball_report.json").read_text())
     assert {"state", "config"} <= {entry["kind"] for entry in report["outputs"]}
-    assert run("segment", scan, "-o", tmp_path / "plain", "--start", "ball:14,14,12,5vox", "--max-steps", "2") == 0
+    assert (
+        run(
+            "segment",
+            scan,
+            "-o",
+            tmp_path / "plain",
+            "--start",
+            "ball:14,14,12,5vox",
+            "--max-steps",
+            "2",
+        )
+        == 0
+    )
     assert not list((tmp_path / "plain").glob("*state*"))
-    words = ("--inside", "point:14,14,12vox", "--max-steps", "2", "--energy", "chan-vese", "--start", "center")
+    words = (
+        "--inside",
+        "point:14,14,12vox",
+        "--max-steps",
+        "2",
+        "--energy",
+        "chan-vese",
+        "--start",
+        "center",
+    )
     assert run("segment", scan, "-o", tmp_path / "clicked", *words) == 0
     assert (tmp_path / "clicked" / "ball_state.npz").is_file()
 
@@ -72,13 +93,20 @@ def test_a_table_of_clicks_has_a_state_and_one_of_balls_has_none(scan, tmp_path)
     balls.write_text("id,x,y,z,r\n2,14,14,18,4\n")
     words = ("--max-steps", "2", "--threads", "1")
     assert run("segment", scan, "-o", tmp_path / "clicks", "--objects", clicks, *words) == 0
-    assert {"ball_state.npz", "ball_run.toml"} <= {path.name for path in (tmp_path / "clicks").iterdir()}
-    assert run("refine", tmp_path / "clicks", "--object", "2", "--outside", "point:20,14,12vox") == 0
+    assert {"ball_state.npz", "ball_run.toml"} <= {
+        path.name for path in (tmp_path / "clicks").iterdir()
+    }
+    assert (
+        run("refine", tmp_path / "clicks", "--object", "2", "--outside", "point:20,14,12vox") == 0
+    )
     labels = io.read(tmp_path / "clicks" / "ball_seg.nii.gz").array
     assert labels[12, 14, 14] == 2 and labels[12, 14, 20] == 0
     assert run("segment", scan, "-o", tmp_path / "balls", "--objects", balls, *words) == 0
     assert not list((tmp_path / "balls").glob("*state*"))
-    assert run("segment", scan, "-o", tmp_path / "absent", "--objects", tmp_path / "no.csv", *words) == 3
+    assert (
+        run("segment", scan, "-o", tmp_path / "absent", "--objects", tmp_path / "no.csv", *words)
+        == 3
+    )
     assert (tmp_path / "absent" / "ball_report.json").is_file()
 
 
@@ -97,7 +125,9 @@ def test_command_python_and_configuration_make_the_same_bytes(scan, finished, tm
     assert run("refine", finished, *CLICK, "--near", 6, "-o", first) == 0
     assert run("refine", first, "--inside", "point:23,14,12vox", "-o", second) == 0
     assert run("segment", scan, "-o", repeated, "--config", second / "ball_run.toml") == 0
-    result = accelsurf.segment(accelsurf.read(scan), config=RunConfig.from_toml(finished / "ball_run.toml"))
+    result = accelsurf.segment(
+        accelsurf.read(scan), config=RunConfig.from_toml(finished / "ball_run.toml")
+    )
     result = accelsurf.refine(result, outside=CLICK[1], near=6)
     result = accelsurf.refine(result, inside="point:23,14,12vox")
     for name in ("ball_seg.nii.gz", "ball_surface.ply", "ball_run.toml", "ball_preview.png"):
@@ -113,7 +143,10 @@ def test_in_place_all_files_are_replaced_at_once(folder, capsys):
     assert run("refine", folder, *CLICK, "--near", 6) == 0
     after = content(folder)
     assert after.keys() == before.keys()
-    assert all(after[name] != before[name] for name in ("ball_seg.nii.gz", "ball_state.npz", "ball_run.toml"))
+    assert all(
+        after[name] != before[name]
+        for name in ("ball_seg.nii.gz", "ball_state.npz", "ball_run.toml")
+    )
     assert "moved" in capsys.readouterr().out
     assert io.read_labels(folder / "ball_seg.nii.gz").array[12, 14, 21] == 0
 
@@ -127,21 +160,36 @@ def test_a_correction_that_changes_nothing_says_so(folder, capsys):
 
 def test_a_failed_correction_leaves_the_result(folder):
     before = content(folder)
-    assert run("refine", folder, "--outside", "ball:14,14,12,40vox", "--inside", "point:14,14,12vox") == 3
+    assert (
+        run("refine", folder, "--outside", "ball:14,14,12,40vox", "--inside", "point:14,14,12vox")
+        == 3
+    )
     after = content(folder)
     assert {name: after[name] for name in before} == before
-    assert run("refine", folder, "--outside", "ball:14,14,12,16vox", "--near", "60") == 5  # nothing is left
+    assert (
+        run("refine", folder, "--outside", "ball:14,14,12,16vox", "--near", "60") == 5
+    )  # nothing is left
     after = content(folder)
     assert {name: after[name] for name in before} == before
 
 
-@pytest.mark.parametrize(("number", "mends"), [(signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGINT, True)])
-def test_an_interrupted_correction_leaves_every_byte_and_names_the_command(folder, scan, tmp_path, number, mends):
+@pytest.mark.parametrize(
+    ("number", "mends"), [(signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGINT, True)]
+)
+def test_an_interrupted_correction_leaves_every_byte_and_names_the_command(
+    folder, scan, tmp_path, number, mends
+):
     before = content(folder)
-    target = ("--labels", str(folder / "ball_seg.nii.gz"), "-o", str(tmp_path / "mended")) if mends else ()
+    target = (
+        ("--labels", str(folder / "ball_seg.nii.gz"), "-o", str(tmp_path / "mended"))
+        if mends
+        else ()
+    )
     words = ("refine", str(scan if mends else folder), *target, *CLICK)
     program = subprocess.Popen(
-        [sys.executable, "-m", "accelsurf", *words, "--progress", "json"], stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "accelsurf", *words, "--progress", "json"],
+        stderr=subprocess.PIPE,
+        text=True,
     )
     for line in program.stderr:
         if line.startswith("{") and json.loads(line)["event"] == "step":
@@ -150,7 +198,9 @@ def test_an_interrupted_correction_leaves_every_byte_and_names_the_command(folde
     _, error = program.communicate(timeout=60)
     assert program.returncode == 128 + number, error
     assert content(folder) == before and not list((tmp_path / "mended").glob("*"))
-    again = error.splitlines()[-1].partition("interrupted: no file is changed; to begin again: accelsurf ")[2]
+    again = error.splitlines()[-1].partition(
+        "interrupted: no file is changed; to begin again: accelsurf "
+    )[2]
     assert shlex.split(again) == [*words, "--progress", "json"]
     assert run(*shlex.split(again)) == 0
     assert (content(folder) == before) == mends
@@ -197,7 +247,11 @@ def test_a_moved_image_is_named_and_a_changed_one_refused(folder, scan, tmp_path
         lambda data: b"",
         lambda data: b"not a state",
         lambda data: data[:-100] + bytes(100),
-        lambda data: data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 255]) + data[len(data) // 2 + 1 :],
+        lambda data: (
+            data[: len(data) // 2]
+            + bytes([data[len(data) // 2] ^ 255])
+            + data[len(data) // 2 + 1 :]
+        ),
     ],
     ids=["short", "empty", "foreign", "zeros", "flipped"],
 )
@@ -223,12 +277,16 @@ def test_a_state_of_another_version_or_size_is_refused(finished, tmp_path, monke
     path.write_bytes(to_bytes(({"accelsurf": "9", "state": 99}, state), state_file.TYPES))
     with pytest.raises(InputError, match="version 99, expected 2"):
         read_state(path)
-    path.write_bytes(to_bytes(({"state": state_file.VERSION}, state._replace(shape=(4, 4, 4))), state_file.TYPES))
+    path.write_bytes(
+        to_bytes(({"state": state_file.VERSION}, state._replace(shape=(4, 4, 4))), state_file.TYPES)
+    )
     with pytest.raises(InputError, match="beyond the image"):
         read_state(path)
     bomb = state.objects[0].surface.values._replace(shape=(1 << 40,))
     one = state.objects[0]._replace(surface=state.objects[0].surface._replace(values=bomb))
-    path.write_bytes(to_bytes(({"state": state_file.VERSION}, state._replace(objects=(one,))), state_file.TYPES))
+    path.write_bytes(
+        to_bytes(({"state": state_file.VERSION}, state._replace(objects=(one,))), state_file.TYPES)
+    )
     with pytest.raises((InputError, ValueError)):
         surface_of(read_state(path).objects[0])
 

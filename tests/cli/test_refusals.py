@@ -6,7 +6,9 @@ import pytest
 from accelsurf import Volume, cli, io
 
 GARBAGE = "q" * 100_000
-NOISE = "".join(chr(c) for c in np.random.default_rng(0).integers(33, 0x2FF, 100_000)).replace("\x7f", "")
+NOISE = "".join(chr(c) for c in np.random.default_rng(0).integers(33, 0x2FF, 100_000)).replace(
+    "\x7f", ""
+)
 #: Options of ``segment``, and what message and hint must say of them.
 OPTIONS = [
     # Values that are names
@@ -102,7 +104,19 @@ LINES = [
     ("smoothness = 1\nsmoothness = 2", "not a TOML file"),
 ]
 #: Settings that take a text or a number, to be given garbage.
-KEYS = ("flow", "preset", "energy", "start", "levels", "smoothness", "mesh", "format", "roi", "edit", "threads")
+KEYS = (
+    "flow",
+    "preset",
+    "energy",
+    "start",
+    "levels",
+    "smoothness",
+    "mesh",
+    "format",
+    "roi",
+    "edit",
+    "threads",
+)
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +143,9 @@ def refused(capsys, image, *words, codes=(2,)):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"), OPTIONS, ids=lambda value: " ".join(value) if isinstance(value, tuple) else ""
+    ("words", "said"),
+    OPTIONS,
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
 def test_wrong_options(capsys, image, words, said):
     assert said in " ".join(refused(capsys, image, *words))
@@ -145,7 +161,9 @@ def test_wrong_lines_of_a_configuration(capsys, image, tmp_path, line, said):
 
 @pytest.mark.sampled(11)
 @pytest.mark.parametrize(
-    "garbage", [GARBAGE, NOISE, "\x1b[31m\x07red\x00", "\u202eabc\x85d"], ids=["q", "noise", "esc", "bidi"]
+    "garbage",
+    [GARBAGE, NOISE, "\x1b[31m\x07red\x00", "\u202eabc\x85d"],
+    ids=["q", "noise", "esc", "bidi"],
 )
 @pytest.mark.parametrize("key", KEYS)
 def test_garbage_is_not_repeated(capsys, image, key, garbage):
@@ -154,7 +172,8 @@ def test_garbage_is_not_repeated(capsys, image, key, garbage):
 
 
 @pytest.mark.parametrize(
-    "words", [(f"--{GARBAGE}", "1"), (f"--{GARBAGE}=1",), (GARBAGE, GARBAGE), ("--progress", GARBAGE)]
+    "words",
+    [(f"--{GARBAGE}", "1"), (f"--{GARBAGE}=1",), (GARBAGE, GARBAGE), ("--progress", GARBAGE)],
 )
 def test_garbage_in_place_of_options(capsys, image, words):
     error, _ = refused(capsys, image, *words)

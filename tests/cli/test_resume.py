@@ -20,7 +20,17 @@ from tests.support.batch_jobs import InlinePool
 pytestmark = pytest.mark.pictures
 
 PROGRAM = (sys.executable, "-m", "accelsurf")
-WORDS = ("--start", "ball:14,14,12,4", "--levels", "1", "--threads", "1", "--max-steps", "40", "--save-sdf")
+WORDS = (
+    "--start",
+    "ball:14,14,12,4",
+    "--levels",
+    "1",
+    "--threads",
+    "1",
+    "--max-steps",
+    "40",
+    "--save-sdf",
+)
 SAME = ("ball_seg.nii.gz", "ball_surface.ply", "ball_sdf.nii.gz", "ball_preview.png")
 
 
@@ -55,7 +65,9 @@ def started(scan, folder, *words):
     """A command in a process of its own, once its first state is written."""
     program = subprocess.Popen(
         [*PROGRAM, "segment", str(scan), "-o", str(folder), *WORDS, "--checkpoint", "1", *words],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     while program.poll() is None and not (folder / "ball_checkpoint.npz").exists():
         time.sleep(0.005)
@@ -75,10 +87,14 @@ def test_a_killed_command_goes_on(scan, whole, tmp_path, capsys):
     assert not (tmp_path / "out" / "ball_checkpoint.npz").exists()
 
 
-@pytest.mark.parametrize(("number", "step"), [(signal.SIGINT, 1), (signal.SIGTERM, 4), (signal.SIGINT, 9)])
+@pytest.mark.parametrize(
+    ("number", "step"), [(signal.SIGINT, 1), (signal.SIGTERM, 4), (signal.SIGINT, 9)]
+)
 def test_a_signal_leaves_no_result_but_a_state_that_goes_on(scan, whole, tmp_path, number, step):
     out, words = tmp_path / "out", ("segment", str(scan), "-o", str(tmp_path / "out"), *WORDS)
-    program = subprocess.Popen([*PROGRAM, *words, "--progress", "json"], stderr=subprocess.PIPE, text=True)
+    program = subprocess.Popen(
+        [*PROGRAM, *words, "--progress", "json"], stderr=subprocess.PIPE, text=True
+    )
     for line in program.stderr:
         if line.startswith("{") and json.loads(line).get("step") == step:
             program.send_signal(number)
@@ -87,9 +103,15 @@ def test_a_signal_leaves_no_result_but_a_state_that_goes_on(scan, whole, tmp_pat
     assert program.returncode == 128 + number, error
     assert {path.name for path in out.iterdir()} == {"ball_report.json", "ball_checkpoint.npz"}
     report = json.loads((out / "ball_report.json").read_text())
-    assert report["status"] == "interrupted" and report["exit_code"] == 128 + number and not report["outputs"]
+    assert (
+        report["status"] == "interrupted"
+        and report["exit_code"] == 128 + number
+        and not report["outputs"]
+    )
     (said,) = (line for line in error.splitlines() if "to go on: accelsurf " in line)
-    assert run(*shlex.split(said.partition("to go on: accelsurf ")[2])[:-1]) == 7  # the state is not lost
+    assert (
+        run(*shlex.split(said.partition("to go on: accelsurf ")[2])[:-1]) == 7
+    )  # the state is not lost
     assert run(*shlex.split(said.partition("to go on: accelsurf ")[2])) == 0
     assert content(out) == whole
     assert json.loads((out / "ball_report.json").read_text())["status"] == "ok"
@@ -144,9 +166,16 @@ def test_a_full_disk_ends_the_run_and_keeps_the_last_state(scan, whole, tmp_path
 
     program = subprocess.run(
         [*PROGRAM, "segment", str(scan), "-o", str(tmp_path / "out"), *WORDS, "--checkpoint", "1"],
-        capture_output=True, text=True, preexec_fn=limited, check=False,
+        capture_output=True,
+        text=True,
+        preexec_fn=limited,
+        check=False,
     )
-    assert program.returncode == 7 and "ball_checkpoint.npz" in program.stderr and "Traceback" not in program.stderr
+    assert (
+        program.returncode == 7
+        and "ball_checkpoint.npz" in program.stderr
+        and "Traceback" not in program.stderr
+    )
     assert run("segment", scan, "-o", tmp_path / "out", *WORDS, "--resume") == 0
     assert content(tmp_path / "out") == whole
 

@@ -21,13 +21,20 @@ def test_help_is_one_screen_and_all_of_it_is_there_when_asked_for(capsys, monkey
     short, full = (helped(capsys, command, word) for word in ("--help", "--help-all"))
     assert len(short.splitlines()) <= 55 and "--help-all" in short and "--out" in short
     options = {word for word in full.split() if word.startswith("--")}
-    assert len(options) > 3 * len({word for word in short.split() if word.startswith("--")}) or command == "refine"
+    assert (
+        len(options) > 3 * len({word for word in short.split() if word.startswith("--")})
+        or command == "refine"
+    )
     assert helped(capsys, command, "-h") == short
 
 
 def test_no_option_of_help_is_lost(capsys):
     full = helped(capsys, "segment", "--help-all")
-    assert "--half-width" in full and "--checkpoint" in full and "--inside" in helped(capsys, "segment", "--help")
+    assert (
+        "--half-width" in full
+        and "--checkpoint" in full
+        and "--inside" in helped(capsys, "segment", "--help")
+    )
 
 
 @pytest.mark.parametrize(
@@ -36,7 +43,10 @@ def test_no_option_of_help_is_lost(capsys):
         (["look", "a.nii", "--at", "-1,2,3"], ["look", "a.nii", "--at=-1,2,3"]),
         (["segment", "--balloon", "-.5", "-o", "x"], ["segment", "--balloon=-.5", "-o", "x"]),
         (["segment", "--start=ball:1,1,1,2", "-5"], ["segment", "--start=ball:1,1,1,2", "-5"]),
-        (["segment", "--inside", "-1,-2,-3", "--box", "-4,5"], ["segment", "--inside=-1,-2,-3", "--box=-4,5"]),
+        (
+            ["segment", "--inside", "-1,-2,-3", "--box", "-4,5"],
+            ["segment", "--inside=-1,-2,-3", "--box=-4,5"],
+        ),
         (["look", "--", "-1"], ["look", "--", "-1"]),
         (["look", "--help-all"], ["look", "--help"]),
         (["no such file"], ["no such file"]),
@@ -57,7 +67,13 @@ def test_every_option_with_a_number_takes_a_minus_sign(capsys):
 
 def test_a_negative_place_is_looked_at(tmp_path, capsys):
     scan = tmp_path / "scan.nii"
-    io.write(Volume(np.zeros((4, 5, 6), np.float32), Geometry((4, 5, 6), (1.0, 1.0, 1.0), (-6.0, -5.0, -4.0))), scan)
+    io.write(
+        Volume(
+            np.zeros((4, 5, 6), np.float32),
+            Geometry((4, 5, 6), (1.0, 1.0, 1.0), (-6.0, -5.0, -4.0)),
+        ),
+        scan,
+    )
     assert cli.execute(["look", str(scan), "--at", "-3,-2,-1", "-o", str(tmp_path / "a.png")]) == 0
 
 

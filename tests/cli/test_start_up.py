@@ -14,7 +14,16 @@ from accelsurf.phantoms import recipes
 #: What only a run needs: compiled code, numerics, readers of images, drawing.
 OF_A_RUN = {"numba", "scipy", "skimage", "SimpleITK", "nibabel", "PIL"}
 #: What only studies, other formats and the viewer need.
-OF_OTHERS = {"matplotlib", "pandas", "pyvista", "vtkmodules", "trame", "trimesh", "IPython", "pytest"}
+OF_OTHERS = {
+    "matplotlib",
+    "pandas",
+    "pyvista",
+    "vtkmodules",
+    "trame",
+    "trimesh",
+    "IPython",
+    "pytest",
+}
 #: What reads DICOM, and what that imports; nibabel would import it for every NIfTI.
 OF_DICOM = {"pydicom", "highdicom", "requests", "urllib3"}
 #: Kernels that a run calls, each loaded from the disk in 3 ms: 49 and 55 when this was written.
@@ -39,7 +48,9 @@ print(json.dumps([code, sorted(sys.modules), kernels]))
 
 def loaded(*words):
     """Exit code of a command in a process of its own, modules that it loaded, and kernels that it called."""
-    ended = subprocess.run([sys.executable, "-c", CODE, *map(str, words)], capture_output=True, text=True)
+    ended = subprocess.run(
+        [sys.executable, "-c", CODE, *map(str, words)], capture_output=True, text=True
+    )
     assert ended.returncode == 0, ended.stderr
     code, modules, kernels = json.loads(ended.stdout.splitlines()[-1])
     return code, set(modules), kernels
@@ -85,7 +96,14 @@ def test_a_look_at_an_image_does_without_compiled_code_and_numerics(ball):
     code, modules, _ = loaded("look", ball, "-o", ball.parent / "look.png")
     assert code == 0
     # nibabel loads scipy's first module to see whether it is there, which takes 5 ms.
-    assert not modules & {"numba", "skimage", "scipy.ndimage", "scipy.special", "scipy.spatial", "scipy.linalg"}
+    assert not modules & {
+        "numba",
+        "skimage",
+        "scipy.ndimage",
+        "scipy.special",
+        "scipy.spatial",
+        "scipy.linalg",
+    }
     assert not packages_of(modules) & (OF_OTHERS - {"matplotlib"} | OF_DICOM)
     assert "matplotlib.pyplot" not in modules
 
@@ -148,11 +166,15 @@ def test_the_program_starts_no_threads_for_linear_algebra(given, expected):
     )
     environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
     environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment
+    )
     assert ended.stdout.splitlines()[-1] == expected
 
 
-@pytest.mark.parametrize(("started", "expected"), [("accelsurf.__main__", False), ("accelsurf.cli", True)])
+@pytest.mark.parametrize(
+    ("started", "expected"), [("accelsurf.__main__", False), ("accelsurf.cli", True)]
+)
 def test_the_program_alone_looks_for_cycles_less_often(started, expected):
     code = (
         "import atexit, gc; before = gc.get_threshold(); "
@@ -164,7 +186,16 @@ def test_the_program_alone_looks_for_cycles_less_often(started, expected):
 
 
 def test_no_time_of_a_run_goes_into_looking_for_cycles(ball):
-    words = ["segment", str(ball), "-o", str(ball.parent / "out"), "--max-steps", "5", "--start", "ball:0,0,0,4"]
+    words = [
+        "segment",
+        str(ball),
+        "-o",
+        str(ball.parent / "out"),
+        "--max-steps",
+        "5",
+        "--start",
+        "ball:0,0,0,4",
+    ]
     assert execute(words) == 0  # compiles what nobody has compiled before
     code = (
         "import atexit, gc, sys; from accelsurf.__main__ import main; before = gc.get_stats()[0]['collections']; "
@@ -185,12 +216,16 @@ def test_the_viewer_loads_nothing_of_scipy_that_its_first_picture_does_not_need(
     assert ended.stdout.strip() == "[]", ended.stderr
 
 
-@pytest.mark.parametrize(("command", "threshold"), [("segment", 500_000), ("batch", 50_000), ("serve", 50_000)])
+@pytest.mark.parametrize(
+    ("command", "threshold"), [("segment", 500_000), ("batch", 50_000), ("serve", 50_000)]
+)
 def test_what_goes_on_for_long_looks_for_cycles_sooner(command, threshold):
     """An image in a cycle would stay for the next cases."""
     code = (
         f"import atexit, gc, sys; sys.argv[1:] = ['{command}', '--help']; from accelsurf.__main__ import main; "
         "atexit.register(lambda: print('threshold', gc.get_threshold()[0], flush=True)); main()"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    ).stdout
     assert f"threshold {threshold}" in said

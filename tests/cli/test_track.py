@@ -34,13 +34,27 @@ def cells(tmp_path: Path) -> Path:
 def files_of(folder: Path) -> dict[str, bytes]:
     """What is in the files, without what differs from run to run: seconds and dates."""
     return {
-        path.name: path.read_bytes() for path in sorted(folder.rglob("*"))
+        path.name: path.read_bytes()
+        for path in sorted(folder.rglob("*"))
         if path.is_file() and not path.name.endswith(("report.json", "run.toml"))
     }
 
 
 def tracked(cells: Path, out: Path, *options: str) -> int:
-    return execute(["track", str(cells), "-o", str(out), "--start", "otsu", "--threads", "1", "--quiet", *options])
+    return execute(
+        [
+            "track",
+            str(cells),
+            "-o",
+            str(out),
+            "--start",
+            "otsu",
+            "--threads",
+            "1",
+            "--quiet",
+            *options,
+        ]
+    )
 
 
 def test_a_tracking_leaves_labels_tracks_and_a_report(cells: Path, tmp_path: Path) -> None:
@@ -49,7 +63,8 @@ def test_a_tracking_leaves_labels_tracks_and_a_report(cells: Path, tmp_path: Pat
     rows = list(csv.DictReader((out / "cells_tracks.csv").read_text().splitlines()))
     assert [row["id"] for row in rows] == ["1", "2"] * 5
     assert [float(row["x_mm"]) for row in rows if row["id"] == rows[0]["id"]] == pytest.approx(
-        [5 + n for n in range(5)] if float(rows[0]["x_mm"]) < 14 else [23 - n for n in range(5)], abs=0.15
+        [5 + n for n in range(5)] if float(rows[0]["x_mm"]) < 14 else [23 - n for n in range(5)],
+        abs=0.15,
     )
     assert abs(float(rows[-1]["vx"])) == pytest.approx(0.5, abs=0.05)  # mm per second
     labels = io.read_sequence(out / "cells_labels.nii.gz")
@@ -58,7 +73,20 @@ def test_a_tracking_leaves_labels_tracks_and_a_report(cells: Path, tmp_path: Pat
     assert report["status"] == "ok" and report["exit_code"] == 0
     assert not (out / "cells_checkpoint.npz").exists() and not (out / "cells_frames").exists()
     again = tmp_path / "again"
-    assert execute(["track", str(cells), "-o", str(again), "--config", str(out / "cells_run.toml"), "--quiet"]) == 0
+    assert (
+        execute(
+            [
+                "track",
+                str(cells),
+                "-o",
+                str(again),
+                "--config",
+                str(out / "cells_run.toml"),
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     assert files_of(again) == files_of(out)
     assert tracked(cells, out) == 7  # there are files
 
@@ -91,11 +119,26 @@ def test_a_run_that_was_killed_goes_on_to_the_same_bytes(
 
 
 @pytest.mark.parametrize(("number", "event"), [(signal.SIGTERM, "frame"), (signal.SIGINT, "step")])
-def test_a_signal_leaves_no_tracks_but_a_state(cells: Path, tmp_path: Path, number: int, event: str) -> None:
+def test_a_signal_leaves_no_tracks_but_a_state(
+    cells: Path, tmp_path: Path, number: int, event: str
+) -> None:
     whole, out = tmp_path / "whole", tmp_path / "out"
     assert tracked(cells, whole) == 0
-    words = ("track", str(cells), "-o", str(out), "--start", "otsu", "--threads", "1", "--progress", "json")
-    program = subprocess.Popen([sys.executable, "-m", "accelsurf", *words], stderr=subprocess.PIPE, text=True)
+    words = (
+        "track",
+        str(cells),
+        "-o",
+        str(out),
+        "--start",
+        "otsu",
+        "--threads",
+        "1",
+        "--progress",
+        "json",
+    )
+    program = subprocess.Popen(
+        [sys.executable, "-m", "accelsurf", *words], stderr=subprocess.PIPE, text=True
+    )
     assert program.stderr is not None
     for line in program.stderr:
         if line.startswith("{") and json.loads(line)["event"] == event:
@@ -118,8 +161,11 @@ def test_what_cannot_be_tracked_is_refused_in_a_line(cells: Path, tmp_path: Path
         (("--model", "magic"), 2, "model: magic was given"),
         (("--observer", "2,1"), 2, "observer: 2,1 was given"),
         (("--correct", "frame=1"), 2, "correct:"),
-        (("--correct", "frame=0 inside=point:5,8,0", "--frame", "2", "--direction", "forward"), 2,
-         "correct: frame 0 was given"),
+        (
+            ("--correct", "frame=0 inside=point:5,8,0", "--frame", "2", "--direction", "forward"),
+            2,
+            "correct: frame 0 was given",
+        ),
         (("--max-gap", "-1"), 2, "max_gap: -1 was given"),
     ):
         assert tracked(cells, out, *options) == code
@@ -128,16 +174,32 @@ def test_what_cannot_be_tracked_is_refused_in_a_line(cells: Path, tmp_path: Path
     single = tmp_path / "single.nii.gz"
     io.write(io.read_sequence(cells).frame(0), single)
     assert tracked(single, out) == 3
-    assert execute(["track", str(cells), "-o", str(out), "--energy", "threshold:500,", "--start", "ball:5,8,0,2"]) == 5
+    assert (
+        execute(
+            [
+                "track",
+                str(cells),
+                "-o",
+                str(out),
+                "--energy",
+                "threshold:500,",
+                "--start",
+                "ball:5,8,0,2",
+            ]
+        )
+        == 5
+    )
 
 
 def test_dump_config_has_a_table_of_tracking(cells: Path, capsys) -> None:
     assert execute(["track", "--dump-config", "--observer", "1,0.5", "--smoothness", "0.2"]) == 0
     text = capsys.readouterr().out
-    assert "smoothness = 0.2" in text and '[track]\n' in text and 'observer = "1,0.5"' in text
+    assert "smoothness = 0.2" in text and "[track]\n" in text and 'observer = "1,0.5"' in text
 
 
-def test_a_failure_has_a_report_and_does_not_stand_in_the_way(cells: Path, tmp_path: Path, capsys) -> None:
+def test_a_failure_has_a_report_and_does_not_stand_in_the_way(
+    cells: Path, tmp_path: Path, capsys
+) -> None:
     out = tmp_path / "out"
     for options, message in ((("--frame", "9"), "frame 9"), (("--energy", "threshold:500,"), "")):
         assert tracked(cells, out, *options) in (2, 5)
@@ -147,8 +209,13 @@ def test_a_failure_has_a_report_and_does_not_stand_in_the_way(cells: Path, tmp_p
     assert tracked(cells, out) == 0  # without --overwrite: there was no result
     before = files_of(out)
     assert tracked(cells, out, "--frame", "9") == 2
-    assert json.loads((out / "cells_report.json").read_text())["status"] == "ok" and files_of(out) == before
+    assert (
+        json.loads((out / "cells_report.json").read_text())["status"] == "ok"
+        and files_of(out) == before
+    )
     assert json.loads((out / "cells_failed_report.json").read_text())["status"] == "failed"
     (tmp_path / "torn.nii.gz").write_bytes(cells.read_bytes()[:100])
     assert tracked(tmp_path / "torn.nii.gz", out) == 3
-    assert json.loads((out / "torn_report.json").read_text())["input"]["path"] == str(tmp_path / "torn.nii.gz")
+    assert json.loads((out / "torn_report.json").read_text())["input"]["path"] == str(
+        tmp_path / "torn.nii.gz"
+    )

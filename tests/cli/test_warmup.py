@@ -74,10 +74,16 @@ def test_the_small_runs_call_every_kernel_that_python_calls():
 def test_it_says_how_many_were_compiled_and_where_they_are(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(storage, "STORAGE", tmp_path)
     (tmp_path / "old.nbc").touch()
-    monkeypatch.setattr(warmup, "small_runs", lambda: {"one": (tmp_path / "new.nbc").touch, "two": list})
+    monkeypatch.setattr(
+        warmup, "small_runs", lambda: {"one": (tmp_path / "new.nbc").touch, "two": list}
+    )
     assert cli.execute(["warmup"]) == 0
     out = capsys.readouterr().out
-    assert "1 kernels compiled and stored, 1 were there" in out and str(tmp_path) in out and "two" in out
+    assert (
+        "1 kernels compiled and stored, 1 were there" in out
+        and str(tmp_path) in out
+        and "two" in out
+    )
     assert cli.execute(["warmup", "--quiet"]) == 0
     assert capsys.readouterr().out == ""
 
@@ -112,27 +118,57 @@ def representative_commands(folder):
     grey = 100 * ball + np.random.default_rng(0).normal(50, 8, ball.shape)
     starts = np.zeros(ball.shape, np.uint8)
     starts[10:15, 12:17, 10:14], starts[10:15, 12:17, 18:22] = 2, 6
-    for name, values in (("f.nii.gz", grey.astype(np.float32)), ("t.nii.gz", ball.astype(np.uint8)),
-                         ("l.nii.gz", starts), ("i.ome.zarr", grey.astype(np.int16)),
-                         ("u.ome.zarr", grey.astype(np.uint16)), ("b.nii.gz", np.clip(grey, 0, 255).astype(np.uint8)),
-                         ("c.tif", np.clip(grey[12:13], 0, 255).astype(np.uint8))):
-        io.write(Volume.from_array(values, (1.0, 1.0, 1.0) if name == "c.tif" else (1.5, 1.0, 1.0)), folder / name)
+    for name, values in (
+        ("f.nii.gz", grey.astype(np.float32)),
+        ("t.nii.gz", ball.astype(np.uint8)),
+        ("l.nii.gz", starts),
+        ("i.ome.zarr", grey.astype(np.int16)),
+        ("u.ome.zarr", grey.astype(np.uint16)),
+        ("b.nii.gz", np.clip(grey, 0, 255).astype(np.uint8)),
+        ("c.tif", np.clip(grey[12:13], 0, 255).astype(np.uint8)),
+    ):
+        io.write(
+            Volume.from_array(values, (1.0, 1.0, 1.0) if name == "c.tif" else (1.5, 1.0, 1.0)),
+            folder / name,
+        )
     (folder / "balls.csv").write_text("id,x,y,z,r\n1,12,14,18,4\n2,20,14,18,4\n")
-    ball, flat, few = "--start ball:16,14,12,5vox", "--start ball:16,14,0,5vox", "--max-steps 12 --quiet"
-    lines = [f"f.nii.gz {ball}", f"b.nii.gz {ball}", "f.nii.gz --start otsu --levels 2", f"c.tif {flat}",
-             "f.nii.gz --start label:t.nii.gz", "f.nii.gz --start seed:16,14,12,4vox",
-             "f.nii.gz --inside point:16,14,18", "f.nii.gz --inside label:l.nii.gz@2", "c.tif --inside point:16,14,0",
-             "f.nii.gz --inside point:16,14,18 --outside point:29,14,18", "f.nii.gz --objects l.nii.gz",
-             "f.nii.gz --inside point:16,14,18 --outside point:29,14,18 --energy partition",
-             "f.nii.gz --objects balls.csv --extension fast-marching", f"f.nii.gz --channel b.nii.gz {ball}",
-             f"f.nii.gz {ball} --noise 0.2 --seed 1", f"i.ome.zarr {ball} --max-memory 600MiB",
-             *(f"{name}.ome.zarr --objects balls.csv --jobs 1" for name in "iu"),
-             *(f"f.nii.gz {ball} --flow {flow}" for flow in FLOWS), *(f"c.tif {flat} --flow {flow}" for flow in FLOWS),
-             *(f"f.nii.gz {ball} --energy {term}" for term in ("local-region", "geodesic", "likelihood"))]
+    ball, flat, few = (
+        "--start ball:16,14,12,5vox",
+        "--start ball:16,14,0,5vox",
+        "--max-steps 12 --quiet",
+    )
+    lines = [
+        f"f.nii.gz {ball}",
+        f"b.nii.gz {ball}",
+        "f.nii.gz --start otsu --levels 2",
+        f"c.tif {flat}",
+        "f.nii.gz --start label:t.nii.gz",
+        "f.nii.gz --start seed:16,14,12,4vox",
+        "f.nii.gz --inside point:16,14,18",
+        "f.nii.gz --inside label:l.nii.gz@2",
+        "c.tif --inside point:16,14,0",
+        "f.nii.gz --inside point:16,14,18 --outside point:29,14,18",
+        "f.nii.gz --objects l.nii.gz",
+        "f.nii.gz --inside point:16,14,18 --outside point:29,14,18 --energy partition",
+        "f.nii.gz --objects balls.csv --extension fast-marching",
+        f"f.nii.gz --channel b.nii.gz {ball}",
+        f"f.nii.gz {ball} --noise 0.2 --seed 1",
+        f"i.ome.zarr {ball} --max-memory 600MiB",
+        *(f"{name}.ome.zarr --objects balls.csv --jobs 1" for name in "iu"),
+        *(f"f.nii.gz {ball} --flow {flow}" for flow in FLOWS),
+        *(f"c.tif {flat} --flow {flow}" for flow in FLOWS),
+        *(
+            f"f.nii.gz {ball} --energy {term}"
+            for term in ("local-region", "geodesic", "likelihood")
+        ),
+    ]
     commands = [f"segment {line} -o out{number} {few}" for number, line in enumerate(lines)]
     commands.insert(1, f"segment f.nii.gz --start mesh:out0/f_surface.ply -o outm {few}")
-    commands += ["refine out6 --outside point:16,24,18 --quiet", "refine out8 --inside point:16,20,0 --quiet",
-                 "evaluate out0/f_seg.nii.gz t.nii.gz --labels all --tolerance 1"]
+    commands += [
+        "refine out6 --outside point:16,24,18 --quiet",
+        "refine out8 --inside point:16,20,0 --quiet",
+        "evaluate out0/f_seg.nii.gz t.nii.gz --labels all --tolerance 1",
+    ]
     return [command.split() for command in commands]
 
 
@@ -140,10 +176,16 @@ def representative_commands(folder):
 @pytest.mark.timeout(1800)
 def test_after_it_no_way_of_running_compiles(tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
-    subprocess.run([sys.executable, "-m", "accelsurf", "warmup", "--quiet"], env=environment, check=True)
+    subprocess.run(
+        [sys.executable, "-m", "accelsurf", "warmup", "--quiet"], env=environment, check=True
+    )
     words = json.dumps(representative_commands(tmp_path))
     done = subprocess.run(
-        [sys.executable, "-c", RUNS, words], env=environment, cwd=tmp_path, capture_output=True, text=True
+        [sys.executable, "-c", RUNS, words],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1]) == {}
@@ -156,7 +198,10 @@ def test_after_it_no_command_compiles(tmp_path):
 
     def compiled_by(*words):
         subprocess.run(
-            [sys.executable, "-m", "accelsurf", *map(str, words)], env=environment, check=True, capture_output=True
+            [sys.executable, "-m", "accelsurf", *map(str, words)],
+            env=environment,
+            check=True,
+            capture_output=True,
         )
         return {path.name for path in (tmp_path / "kernels").rglob("*.nbc")}
 
@@ -165,8 +210,27 @@ def test_after_it_no_command_compiles(tmp_path):
     io.write(recipes.make(recipes.load_recipe("cube_noisy")).image, tmp_path / "cube.nii.gz")
     out = tmp_path / "out"
     for words in (
-        ("segment", tmp_path / "cube.nii.gz", "-o", out, "--start", "ball:2,1,-1,10", "--max-steps", "30"),
-        ("segment", tmp_path / "cube.nii.gz", "-o", out, "--inside", "point:0,0,0", "--max-steps", "30", "--overwrite"),
+        (
+            "segment",
+            tmp_path / "cube.nii.gz",
+            "-o",
+            out,
+            "--start",
+            "ball:2,1,-1,10",
+            "--max-steps",
+            "30",
+        ),
+        (
+            "segment",
+            tmp_path / "cube.nii.gz",
+            "-o",
+            out,
+            "--inside",
+            "point:0,0,0",
+            "--max-steps",
+            "30",
+            "--overwrite",
+        ),
         ("refine", out, "--outside", "point:35,0,0"),
     ):
         assert compiled_by(*words) == stored

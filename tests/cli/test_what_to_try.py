@@ -44,39 +44,61 @@ def test_other_answers_are_named_with_the_option_that_takes_one(step, tmp_path, 
     (line,) = (line for line in said.splitlines() if "the first click may also mean" in line)
     first, other, alike = (answer["volume_mm3"] for answer in report(path)["quality"]["answers"])
     rest = "all that is alike and connected (--answer 3)"
-    assert line.endswith(f"may also mean {volume_text(other)} (--answer 2) or {rest}") and alike is None
+    assert (
+        line.endswith(f"may also mean {volume_text(other)} (--answer 2) or {rest}")
+        and alike is None
+    )
     assert first > 1.5 * other
     # A place in micrometres has the digits to be typed again.
     place = said.split("most doubtful near ")[1].split()[0]
     assert run(path, "--inside", click, "--outside", f"point:{place}") in (0, 5)
     capsys.readouterr()
     assert run(path, "--inside", click, "--answer", "2") == 0
-    assert "the first click may also mean" in (said := capsys.readouterr().out) and "--answer 1" in said
+    assert (
+        "the first click may also mean" in (said := capsys.readouterr().out)
+        and "--answer 1" in said
+    )
     assert report(path)["volume_mm3"] == pytest.approx(other, rel=0.2)
     assert report(path)["quality"]["answers"][0]["volume_mm3"] == pytest.approx(other)
     size = f"{other:.0f}mm3" if step == 1.0 else f"{1e9 * other:.0f}um3"
     assert run(path, "--inside", click, "--size", size) == 0
     assert "may also mean" not in capsys.readouterr().out
-    assert report(path)["volume_mm3"] == pytest.approx(other, rel=0.3) and len(report(path)["quality"]["answers"]) == 1
+    assert (
+        report(path)["volume_mm3"] == pytest.approx(other, rel=0.3)
+        and len(report(path)["quality"]["answers"]) == 1
+    )
 
 
 @pytest.mark.parametrize(
     ("words", "reason", "hint"),
     [
-        (("--start", "ball:20,20,12,3vox", "--energy", "threshold:226,"), "vanished",
-         "try --energy threshold:learned,learned"),
-        (("--start", "ball:20,20,12,3vox", "--energy", "threshold:-99,", "--smoothness", "0"), "filled",
-         "try --inside ball:"),
-        (("--start", "ball:20,20,12,3vox", "--energy", "threshold:-99,", "--smoothness", "500"), "vanished",
-         "try --smoothness "),
+        (
+            ("--start", "ball:20,20,12,3vox", "--energy", "threshold:226,"),
+            "vanished",
+            "try --energy threshold:learned,learned",
+        ),
+        (
+            ("--start", "ball:20,20,12,3vox", "--energy", "threshold:-99,", "--smoothness", "0"),
+            "filled",
+            "try --inside ball:",
+        ),
+        (
+            ("--start", "ball:20,20,12,3vox", "--energy", "threshold:-99,", "--smoothness", "500"),
+            "vanished",
+            "try --smoothness ",
+        ),
     ],
 )
-def test_an_empty_result_names_what_was_seen_before_the_first_step(words, reason, hint, tmp_path, capsys):
+def test_an_empty_result_names_what_was_seen_before_the_first_step(
+    words, reason, hint, tmp_path, capsys
+):
     path = two_shells(tmp_path / "scan.nii.gz")
     assert run(path, *words) == 5
     (last,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("hint: "))
     assert last.startswith(f"hint: {hint}") and "start closer" not in last and last.count("--") <= 3
-    assert report(path)["stop"]["reason"] == reason and report(path)["error"]["hint"] == last.removeprefix("hint: ")
+    assert report(path)["stop"]["reason"] == reason and report(path)["error"][
+        "hint"
+    ] == last.removeprefix("hint: ")
 
 
 @pytest.mark.slow
@@ -92,7 +114,10 @@ def test_a_rest_during_the_run_has_its_file_which_is_the_object_then(tmp_path):
     names = [one["path"].rpartition("/")[2] for one in listed if one["kind"] == "rest1"]
     assert names == ["balls_rest1_seg.nii.gz"]
     labels = io.read(path.parent / "out" / "balls_rest1_seg.nii.gz").array
-    assert labels.sum() == pytest.approx(rest["volume_mm3"], rel=0.02) and leaked["volume_mm3"] > 1.8 * labels.sum()
+    assert (
+        labels.sum() == pytest.approx(rest["volume_mm3"], rel=0.02)
+        and leaked["volume_mm3"] > 1.8 * labels.sum()
+    )
     # The state of that step: what a run to it has.
     assert run(path, *words, "--max-steps", rest["step"], "--end", "present") == 0
     np.testing.assert_array_equal(io.read(path.parent / "out" / "balls_seg.nii.gz").array, labels)

@@ -15,12 +15,16 @@ SPACING = (3.0, 1.0, 0.5)
 
 @pytest.fixture
 def volume():
-    return Volume.from_array(np.random.default_rng(0).normal(size=(10, 20, 30)).astype(np.float32), SPACING)
+    return Volume.from_array(
+        np.random.default_rng(0).normal(size=(10, 20, 30)).astype(np.float32), SPACING
+    )
 
 
 def voxels(clicks, side="inside", id=1):
     shape = (10, 20, 30)
-    return {tuple(int(i) for i in v) for v in np.argwhere(Clicks(tuple(clicks), shape).mask(side, id))}
+    return {
+        tuple(int(i) for i in v) for v in np.argwhere(Clicks(tuple(clicks), shape).mask(side, id))
+    }
 
 
 def test_a_point_is_the_voxel_that_it_lies_in(volume):
@@ -28,7 +32,9 @@ def test_a_point_is_the_voxel_that_it_lies_in(volume):
     assert voxels(read_clicks(["point:4,7,3vox"], "outside", volume), "outside") == {(3, 7, 4)}
 
 
-@pytest.mark.parametrize("text", ["ball:6,8,12,2.5", "ball:12,8,4,3vox", "box:2,2,3,6,6,12", "seed:6,8,12,2"])
+@pytest.mark.parametrize(
+    "text", ["ball:6,8,12,2.5", "ball:12,8,4,3vox", "box:2,2,3,6,6,12", "seed:6,8,12,2"]
+)
 def test_other_clicks_are_as_starts(volume, text):
     from accelsurf.starts import starts
 
@@ -43,14 +49,20 @@ def test_other_clicks_are_as_starts(volume, text):
 @pytest.mark.parametrize(("radius", "count"), [(0.4, 1), (1.0, 7), (2.0, 33)])
 def test_a_ball_and_a_pen_have_the_voxels_on_their_rim(radius, count):
     image = Volume.from_array(np.zeros((9, 9, 9), np.float32), 0.1)
-    for text in (f"ball:.4,.4,.4,{0.1 * radius}", f"ball:4,4,4,{radius}vox", f"path:4,4,4,{radius}vox"):
+    for text in (
+        f"ball:.4,.4,.4,{0.1 * radius}",
+        f"ball:4,4,4,{radius}vox",
+        f"path:4,4,4,{radius}vox",
+    ):
         (click,) = read_clicks([text], "inside", image)
         assert click.mask.sum() == count, text
 
 
 def test_a_stroke_of_points_balls_and_sides(volume, tmp_path):
     file = tmp_path / "stroke.csv"
-    file.write_text("# a stroke\nx_vox, y_vox, z_vox, r_vox, side\n3,4,5,,\n4,4,5,,inside\n20,10,5,3,outside\n")
+    file.write_text(
+        "# a stroke\nx_vox, y_vox, z_vox, r_vox, side\n3,4,5,,\n4,4,5,,inside\n20,10,5,3,outside\n"
+    )
     clicks = read_clicks([f"stroke:{file}"], "inside", volume)
     assert voxels(clicks) == {(5, 4, 3), (5, 4, 4)}
     ball = read_clicks(["ball:20,10,5,3vox"], "outside", volume)
@@ -66,14 +78,18 @@ def test_a_stroke_of_labels_says_both_sides(volume, tmp_path):
     io.write(Volume(labels, volume.geometry), file)
     for side in ("inside", "outside"):
         clicks = read_clicks([f"stroke:{file}"], side, volume)
-        assert voxels(clicks) == {(1, 2, 3), (1, 2, 4)} and voxels(clicks, "outside") == {(8, 9, 10)}
+        assert voxels(clicks) == {(1, 2, 3), (1, 2, 4)} and voxels(clicks, "outside") == {
+            (8, 9, 10)
+        }
     labels[8, 9, 10] = 0
     io.write(Volume(labels, volume.geometry), file)
     with pytest.raises(InputError, match="outside stroke.*no voxel has its label"):
         read_clicks([f"stroke:{file}"], "outside", volume)
     labels[0, 0, 0] = 3
     io.write(Volume(labels, volume.geometry), file)
-    with pytest.raises(InputError, match=r"label 3 was given, expected 1 \(inside\), 2 \(outside\)"):
+    with pytest.raises(
+        InputError, match=r"label 3 was given, expected 1 \(inside\), 2 \(outside\)"
+    ):
         read_clicks([f"stroke:{file}"], "inside", volume)
     io.write(Volume.from_array(labels[:5], SPACING), file)
     with pytest.raises(GeometryError, match="on another grid"):
@@ -112,9 +128,14 @@ def test_a_path_is_all_voxels_near_its_line(volume):
     index = np.indices((10, 20, 30)).reshape(3, -1).T * np.array(SPACING)
     ends = np.array([[9, 5, 3], [18, 12, 9], [18, 4, 9]], float)
     want = np.zeros(len(index), bool)
-    for (a, b), (r, s) in zip(zip(ends, ends[1:], strict=False), ((1, 2.5), (2.5, 2.5)), strict=True):
+    for (a, b), (r, s) in zip(
+        zip(ends, ends[1:], strict=False), ((1, 2.5), (2.5, 2.5)), strict=True
+    ):
         share = np.clip((index - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
-        want |= np.linalg.norm(index - a - share[:, None] * (b - a), axis=1) < r + share * (s - r) + 1e-6
+        want |= (
+            np.linalg.norm(index - a - share[:, None] * (b - a), axis=1)
+            < r + share * (s - r) + 1e-6
+        )
     got = Clicks((click,), (10, 20, 30)).mask("inside").ravel()
     assert got[want].all() and want.sum() > 100
     extra = index[got & ~want]  # what the line passes where it is thinner than the voxels are thick
@@ -128,7 +149,10 @@ def test_a_path_without_a_width_is_a_line_of_voxels(volume):
     (click,) = read_clicks(["path:3,5,4,0;20,5,4,0vox"], "outside", volume)
     assert voxels([click], "outside") == {(4, 5, x) for x in range(3, 21)}
     # Beyond the volume it is cut off.
-    assert voxels(read_clicks(["path:28,5,4,0;90,5,4,0vox"], "inside", volume)) == {(4, 5, 28), (4, 5, 29)}
+    assert voxels(read_clicks(["path:28,5,4,0;90,5,4,0vox"], "inside", volume)) == {
+        (4, 5, 28),
+        (4, 5, 29),
+    }
 
 
 @pytest.mark.parametrize(
@@ -150,10 +174,16 @@ def test_damaged_strokes_are_refused(volume, tmp_path, content, message):
 
 
 def test_a_voxel_on_both_sides_is_named(volume):
-    clicks = read_clicks(["ball:6,8,12,2"], "inside", volume) + read_clicks(["point:6,8,12"], "outside", volume)
-    with pytest.raises(InputError, match=r"voxel 12,8,4 \(x,y,z; 6,8,12 mm\) is clicked both inside and outside\n"):
+    clicks = read_clicks(["ball:6,8,12,2"], "inside", volume) + read_clicks(
+        ["point:6,8,12"], "outside", volume
+    )
+    with pytest.raises(
+        InputError, match=r"voxel 12,8,4 \(x,y,z; 6,8,12 mm\) is clicked both inside and outside\n"
+    ):
         check_contradictions(Clicks(tuple(clicks), volume.array.shape), volume.geometry)
-    two = read_clicks(["point:6,8,12"], "inside", volume, id=3) + read_clicks(["point:6,8,12"], "inside", volume, id=5)
+    two = read_clicks(["point:6,8,12"], "inside", volume, id=3) + read_clicks(
+        ["point:6,8,12"], "inside", volume, id=5
+    )
     with pytest.raises(InputError, match="of object 3\n"):
         check_contradictions(Clicks(tuple(two), volume.array.shape), volume.geometry)
     fine = [two[0], *read_clicks(["point:6,8,12"], "outside", volume, id=5)]
@@ -171,10 +201,16 @@ def test_a_table_of_objects_with_sides(volume, tmp_path):
     content = f"id,x_vox,y_vox,z_vox,r_vox,side\n{rows}"
     clicks = tables.read(table(tmp_path, content), volume.geometry)
     assert clicks.ids() == (0, 2, 7)
-    assert voxels(clicks.clicks, "inside", 2) == {(5, 5, 5)} and voxels(clicks.clicks, "outside", 2) == {(5, 5, 9)}
+    assert voxels(clicks.clicks, "inside", 2) == {(5, 5, 5)} and voxels(
+        clicks.clicks, "outside", 2
+    ) == {(5, 5, 9)}
     starts = tables.starts_of(clicks, volume.geometry, 2)
     assert [one.id for one in starts] == [0, 2, 7]
-    assert int((starts[1].psi < 0).sum()) == 1 and starts[1].psi.shape == (5, 5, 5) and starts[1].corner == (3, 3, 3)
+    assert (
+        int((starts[1].psi < 0).sum()) == 1
+        and starts[1].psi.shape == (5, 5, 5)
+        and starts[1].corner == (3, 3, 3)
+    )
     assert tables.read(table(tmp_path, "id,x,y,z,r\n1,5,5,5,2\n"), volume.geometry) is None
     assert tables.read(np.ones((10, 20, 30), int), volume.geometry) is None
 

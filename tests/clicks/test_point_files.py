@@ -17,14 +17,18 @@ GRID = Geometry((12, 16, 20), (2.0, 1.0, 0.5), (-30.0, 10.0, 5.0))
 #: Two voxels (z, y, x) and their places in world mm, LPS.
 VOXELS = [[3, 4, 6], [7, 9, 12]]
 PLACES = [GRID.index_to_world(np.array(voxel, float)).tolist() for voxel in VOXELS]
-FCSV = "# Markups fiducial file version = 4.11\n# CoordinateSystem = {}\n" \
+FCSV = (
+    "# Markups fiducial file version = 4.11\n# CoordinateSystem = {}\n"
     "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
+)
 
 
 def read_points(file, grid=GRID):
     """Voxels of the points of a file, as clicks."""
     clicks = read_clicks([file], "inside", Volume(np.zeros(grid.shape, np.float32), grid))
-    return [(np.argwhere(click.mask)[0] + [s.start for s in click.box]).tolist() for click in clicks]
+    return [
+        (np.argwhere(click.mask)[0] + [s.start for s in click.box]).tolist() for click in clicks
+    ]
 
 
 def lps(point):
@@ -39,26 +43,41 @@ def markups(system, turn, **changes):
     """A file as 3D Slicer 5 writes it."""
     points = [
         {
-            "id": str(number), "label": f"F-{number}", "description": "",
+            "id": str(number),
+            "label": f"F-{number}",
+            "description": "",
             "associatedNodeID": "vtkMRMLScalarVolumeNode1",
-            "position": turn(place), "orientation": [-1.0, -0.0, -0.0, -0.0, -1.0, -0.0, 0.0, 0.0, 1.0],
-            "selected": True, "locked": False, "visibility": True, "positionStatus": "defined",
+            "position": turn(place),
+            "orientation": [-1.0, -0.0, -0.0, -0.0, -1.0, -0.0, 0.0, 0.0, 1.0],
+            "selected": True,
+            "locked": False,
+            "visibility": True,
+            "positionStatus": "defined",
         }
         for number, place in enumerate(PLACES, 1)
     ]
-    schema = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/" \
+    schema = (
+        "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
         "markups-schema-v1.0.3.json#"
+    )
     markup = {
-        "type": "Fiducial", "coordinateSystem": system, "coordinateUnits": "mm", "locked": False,
-        "fixedNumberOfControlPoints": False, "labelFormat": "%N-%d", "lastUsedControlPointNumber": 2,
-        "controlPoints": points, "measurements": [], "display": {"visibility": False, "opacity": 1.0},
+        "type": "Fiducial",
+        "coordinateSystem": system,
+        "coordinateUnits": "mm",
+        "locked": False,
+        "fixedNumberOfControlPoints": False,
+        "labelFormat": "%N-%d",
+        "lastUsedControlPointNumber": 2,
+        "controlPoints": points,
+        "measurements": [],
+        "display": {"visibility": False, "opacity": 1.0},
     }
     return {"@schema": schema, "markups": [{**markup, **changes}]}
 
 
 def fcsv(system, turn):
     rows = [
-        f"vtkMRMLMarkupsFiducialNode_{number},{','.join(map(str, turn(place)))},0,0,0,1,1,1,0,\"F-{number}, left\",,"
+        f'vtkMRMLMarkupsFiducialNode_{number},{",".join(map(str, turn(place)))},0,0,0,1,1,1,0,"F-{number}, left",,'
         for number, place in enumerate(PLACES)
     ]
     return FCSV.format(system) + "\n".join(rows) + "\n"
@@ -71,7 +90,9 @@ def table(head, rows):
 FILES = {
     "lps.mrk.json": json.dumps(markups("LPS", lps)),
     "ras.mrk.json": json.dumps(markups("RAS", ras)),
-    "um.mrk.json": json.dumps(markups("LPS", lambda p: [1000 * v for v in p], coordinateUnits="um")),
+    "um.mrk.json": json.dumps(
+        markups("LPS", lambda p: [1000 * v for v in p], coordinateUnits="um")
+    ),
     "coded.mrk.json": json.dumps(markups("LPS", lps, coordinateUnits=["mm", "UCUM", "millimeter"])),
     "curve.mrk.json": json.dumps(markups("LPS", lps, type="Curve")),
     "lps.fcsv": fcsv("LPS", lps),
@@ -87,7 +108,9 @@ FILES = {
         "label,l,p,s,defined,selected,visible,locked,description",
         [(f"F-{n}", *p, 1, 1, 1, 0, "") for n, p in enumerate(PLACES)],
     ),
-    "napari.csv": table("index,axis-0,axis-1,axis-2", [(float(n), *map(float, v)) for n, v in enumerate(VOXELS)]),
+    "napari.csv": table(
+        "index,axis-0,axis-1,axis-2", [(float(n), *map(float, v)) for n, v in enumerate(VOXELS)]
+    ),
     "c3d.txt": "".join("{} {} {} 1\n".format(*ras(place)) for place in PLACES),
     "own.csv": table("x,y,z", PLACES),
 }
@@ -102,7 +125,9 @@ def test_points_lie_where_their_program_has_put_them(name, tmp_path):
         (np.argwhere(click.mask) + [s.start for s in click.box]).tolist() for click in clicks
     )
     assert sorted(sum(found, [])) == VOXELS
-    assert len(clicks) == (1 if name == "own.csv" else 2)  # each point is a click; a stroke of its own is one
+    assert len(clicks) == (
+        1 if name == "own.csv" else 2
+    )  # each point is a click; a stroke of its own is one
 
 
 def test_points_of_one_slice_have_two_numbers(tmp_path):
@@ -117,7 +142,10 @@ def deep(levels):
 
 def without(point, **changes):
     document = markups("LPS", lps)
-    document["markups"][0]["controlPoints"][0] = {**document["markups"][0]["controlPoints"][0], **changes}
+    document["markups"][0]["controlPoints"][0] = {
+        **document["markups"][0]["controlPoints"][0],
+        **changes,
+    }
     return json.dumps(document)
 
 
@@ -126,10 +154,16 @@ HOSTILE = {
     "list.mrk.json": ("[1, 2]", "no list of markups"),
     "cut.mrk.json": (FILES["lps.mrk.json"][:200], "not JSON"),
     "hfs.mrk.json": (json.dumps(markups("HFS", lps)), "coordinate system HFS"),
-    "inch.mrk.json": (json.dumps(markups("LPS", lps, coordinateUnits="inch")), "coordinates in inch"),
+    "inch.mrk.json": (
+        json.dumps(markups("LPS", lps, coordinateUnits="inch")),
+        "coordinates in inch",
+    ),
     "roi.mrk.json": (json.dumps(markups("LPS", lps, type="ROI")), "markups of the type ROI"),
     "none.mrk.json": (json.dumps(markups("LPS", lps, controlPoints=[])), "no point"),
-    "points.mrk.json": (json.dumps(markups("LPS", lps, controlPoints={"a": 1})), "no list of points"),
+    "points.mrk.json": (
+        json.dumps(markups("LPS", lps, controlPoints={"a": 1})),
+        "no list of points",
+    ),
     "text.mrk.json": (without(0, position=["a", 1, 2]), "expected three numbers"),
     "truth.mrk.json": (without(0, position=[True, 1, 2]), "expected three numbers"),
     "two.mrk.json": (without(0, position=[1, 2]), "expected three numbers"),
@@ -137,13 +171,17 @@ HOSTILE = {
     "huge.mrk.json": (without(0, position=[10**400, 1, 2]), "too large"),
     "far.mrk.json": (without(0, position=[1e6, 1, 2]), "outside of the volume"),
     "many.mrk.json": (
-        json.dumps(markups("LPS", lps, controlPoints=[{"position": PLACES[0]}] * 1001)), "at most 1000 expected"
+        json.dumps(markups("LPS", lps, controlPoints=[{"position": PLACES[0]}] * 1001)),
+        "at most 1000 expected",
     ),
     "system.fcsv": (fcsv("7", lps), "coordinate system 7"),
     "short.fcsv": (FCSV.format("LPS") + "1,2\n", "point 1 has no 3 numbers"),
     "columns.fcsv": (FCSV.format("LPS").replace("x,y,z", "u,v,w") + "1,2,3,4\n", "without x,y,z"),
     "head.csv": ("a,b,c\n1,2,3\n", "was given as the first line"),
-    "shapes.csv": ("index,shape-type,vertex-index,axis-0,axis-1,axis-2\n0,polygon,0,1,2,3\n", "table of shapes"),
+    "shapes.csv": (
+        "index,shape-type,vertex-index,axis-0,axis-1,axis-2\n0,polygon,0,1,2,3\n",
+        "table of shapes",
+    ),
     "four.csv": ("index,axis-0,axis-1,axis-2,axis-3\n0,1,1,2,3\n", "was given as the first line"),
     "words.txt": ("one two three\n", "point 1 has no 3 numbers"),
     "inf.txt": ("inf 1 2 1\n", "no finite number"),
@@ -190,7 +228,9 @@ def test_places_in_other_units_and_in_ras_are_the_same_voxels(text, same):
     x, y, z = PLACES[0]
     words = dict(x=x, y=y, z=z, r=-x, a=-y, x1=x + 2, y1=y + 3, z1=z + 4, r1=-x - 2, a1=-y - 3)
     words |= dict(cx=x / 10, cy=y / 10, cz=z / 10, ux=1000 * x, uy=1000 * y, uz=1000 * z)
-    (one,), (other,) = (read_clicks([each.format(**words)], "inside", volume) for each in (text, same))
+    (one,), (other,) = (
+        read_clicks([each.format(**words)], "inside", volume) for each in (text, same)
+    )
     assert one.box == other.box and np.array_equal(one.mask, other.mask)
 
 
@@ -202,7 +242,9 @@ def test_the_end_of_a_place():
     assert box_of("0,0,0") is None and box_of("a,0,0,1,1,1") is None
 
 
-@pytest.mark.parametrize("text", ["ball:1,2,3,4km", "ball:1,2,3vox", "box:0,0,0,1,1ras", "seed:1,2,3,0um"])
+@pytest.mark.parametrize(
+    "text", ["ball:1,2,3,4km", "ball:1,2,3vox", "box:0,0,0,1,1ras", "seed:1,2,3,0um"]
+)
 def test_places_that_are_none_are_refused(text):
     with pytest.raises(UsageError):
         starts.parse(text)

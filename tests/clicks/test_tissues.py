@@ -10,12 +10,15 @@ from tests.support import tissues
 from tests.support.tissue_scan import SPACING, grid, noisy
 
 #: The model takes a small neighbour that is a third as far from the object as the rest is for a part of it.
-TAKEN = pytest.mark.xfail(strict=True, reason="the muscle is taken, though five times the noise darker")
+TAKEN = pytest.mark.xfail(
+    strict=True, reason="the muscle is taken, though five times the noise darker"
+)
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(
-    ("value", "clicks"), [(60, {"outside": "point:43,22,15vox"}), pytest.param(110, {}, marks=TAKEN)]
+    ("value", "clicks"),
+    [(60, {"outside": "point:43,22,15vox"}), pytest.param(110, {}, marks=TAKEN)],
 )
 def test_organ_beside_muscle_and_fat(value, clicks):
     """Muscle at 30 HU: from an organ without contrast agent, as bright within the noise, a click outside parts it."""
@@ -40,7 +43,11 @@ def test_one_bone_with_its_marrow_from_a_click():
     bone = ndimage.binary_fill_holes(noisy(values, 0) > 150) & (x < 3)
     image, click = noisy(values, 15), "ball:15,22,15,2vox"
     labels = segment(image, spacing=SPACING, closing=6.0, clip=",250", inside=click).labels
-    assert dice(labels, bone) > 0.92 and labels[marrow & body].mean() > 0.95 and labels[other].mean() < 0.05
+    assert (
+        dice(labels, bone) > 0.92
+        and labels[marrow & body].mean() > 0.95
+        and labels[other].mean() < 0.05
+    )
     alone = segment(image, spacing=SPACING, clip=",250", inside=click).labels
     assert dice(alone, bone) < 0.5
 

@@ -78,12 +78,18 @@ def test_a_map_without_a_correction_is_the_result_byte_for_byte(scene, tmp_path)
     found = accelsurf.segment(image, labels=str(tmp_path / "labels.nii.gz"), threads=1)
     assert np.array_equal(found.labels, labels) and found.labels.dtype == labels.dtype
     assert [(each.id, each.stop.reason) for each in found.objects] == [
-        (LEFT, "given"), (OTHER, "given"), (RIGHT, "given"),
+        (LEFT, "given"),
+        (OTHER, "given"),
+        (RIGHT, "given"),
     ]
-    assert found.stop.reason == "given" and [each.confidence for each in found.objects] == [None] * 3
+    assert (
+        found.stop.reason == "given" and [each.confidence for each in found.objects] == [None] * 3
+    )
 
 
-def test_a_click_moves_the_surface_near_it_and_every_other_voxel_and_label_stays(scene, bitten, files):
+def test_a_click_moves_the_surface_near_it_and_every_other_voxel_and_label_stays(
+    scene, bitten, files
+):
     (image, truth), (labels, piece) = scene, bitten
     refiner = Refiner(accelsurf.segment(image, labels=f"{files[1]}@{LEFT}", threads=1))
     (change,) = refiner.apply(corrections_of(f"inside={CLICK} object={LEFT}")[0])
@@ -142,7 +148,9 @@ def test_the_border_comes_to_the_edges_within_the_band_and_holes_and_islands_go(
     far = np.abs(mask_distance(given == LEFT, SPACING)) > 3 + 1.5
     far[16, 24, 5] = far[9:12, 13:16, 12:15] = False
     assert np.array_equal(after[far], given[far])
-    assert np.array_equal(after == RIGHT, given == RIGHT) and np.array_equal(after == OTHER, given == OTHER)
+    assert np.array_equal(after == RIGHT, given == RIGHT) and np.array_equal(
+        after == OTHER, given == OTHER
+    )
     (segmented,) = (each for each in result.objects if each.id == LEFT)
     assert segmented.stop.reason == "converged"
     assert segmented.volume_mm3 == pytest.approx((after == LEFT).sum() * 1.5, rel=0.05)
@@ -180,7 +188,9 @@ def test_the_border_stays_where_both_sides_look_alike():
 
 
 def test_the_order_of_corrections_is_the_whole_and_then_clicks():
-    both = corrections_in_order({"to_edges": 2.0, "inside": ("point:1,2,3",), "object": 4, "near": "auto"})
+    both = corrections_in_order(
+        {"to_edges": 2.0, "inside": ("point:1,2,3",), "object": 4, "near": "auto"}
+    )
     assert [(each.kind, each.object) for each in both] == [("mend", 4), ("clicks", 4)]
     assert str(both[0]) == "object=4 to_edges=2.0"
     assert corrections_of(str(both[0])) == both[:1]
@@ -208,7 +218,9 @@ def test_a_state_of_a_map_that_was_mended_is_read_again(files, tmp_path):
     again = ("segment", scan, "--config", tmp_path / "out" / "balls_run.toml", "--quiet", "-o")
     assert run(*again, tmp_path / "again") == 0
     assert (tmp_path / "again" / "balls_seg.nii.gz").read_bytes() == first
-    labels, given = (io.read_labels(path).array for path in (tmp_path / "out" / "balls_seg.nii.gz", mask))
+    labels, given = (
+        io.read_labels(path).array for path in (tmp_path / "out" / "balls_seg.nii.gz", mask)
+    )
     assert all(np.array_equal(labels == other, given == other) for other in (RIGHT, OTHER))
     further = ("--outside", "ball:13,21,14,1.5", "--object", LEFT, "--quiet")
     assert run("refine", tmp_path / "out", *further) == 0
@@ -235,7 +247,20 @@ def test_a_map_that_cannot_be_used_is_refused_in_a_line(scene, files, tmp_path, 
     before = mask.read_bytes()
     clash = mask.with_name("balls_seg.nii.gz")
     clash.write_bytes(before)
-    assert run("refine", scan, "--labels", f"{clash}@3", "-o", mask.parent, "--overwrite", "--inside", CLICK) != 0
+    assert (
+        run(
+            "refine",
+            scan,
+            "--labels",
+            f"{clash}@3",
+            "-o",
+            mask.parent,
+            "--overwrite",
+            "--inside",
+            CLICK,
+        )
+        != 0
+    )
     assert clash.read_bytes() == before
     clash.unlink()
     with pytest.raises(GeometryError, match="an array of shape"):
@@ -254,7 +279,9 @@ def test_a_map_that_cannot_be_used_is_refused_in_a_line(scene, files, tmp_path, 
 def test_the_model_of_a_mask_is_the_mask_and_a_click_on_its_side_changes_its_voxels_alone():
     mask = np.zeros((9, 12, 14), bool)
     mask[3:6, 4:9, 4:10] = True
-    image = mask.astype(np.float32) + np.random.default_rng(0).normal(0, 0.1, mask.shape).astype(np.float32)
+    image = mask.astype(np.float32) + np.random.default_rng(0).normal(0, 0.1, mask.shape).astype(
+        np.float32
+    )
     given, whole = GivenMask(whole_box(mask.shape), mask), whole_box(mask.shape)
     model = model_of_mask(given, mask.shape, (1.0, 1.0, 1.0))
     assert np.array_equal(model.inside_on(whole), mask) and model.field.min() >= -1.0
@@ -263,7 +290,9 @@ def test_the_model_of_a_mask_is_the_mask_and_a_click_on_its_side_changes_its_vox
     scene = Scene((image,), (1.0, 1.0, 1.0))
     after = corrected_model(scene, given, Clicks((inside,), mask.shape))
     changed = after.field_on(whole) != model.field_on(whole)
-    assert np.argwhere(changed).tolist() == [[4, 6, 6]] and np.array_equal(after.inside_on(whole), mask)
+    assert np.argwhere(changed).tolist() == [[4, 6, 6]] and np.array_equal(
+        after.inside_on(whole), mask
+    )
     empty = model_of_mask(GivenMask(whole, np.zeros_like(mask)), mask.shape, (1.0, 1.0, 1.0))
     assert empty.count == 0
 
@@ -271,7 +300,9 @@ def test_the_model_of_a_mask_is_the_mask_and_a_click_on_its_side_changes_its_vox
 def test_a_session_opens_a_map_and_a_click_mends_the_nearest_object(files):
     scan, mask = files
     image, given = io.read(scan), io.read_labels(mask).array
-    with Session(image, RunConfig(labels=str(mask), threads=1), source=scan, name="balls") as session:
+    with Session(
+        image, RunConfig(labels=str(mask), threads=1), source=scan, name="balls"
+    ) as session:
         session.ready.result(60)
         assert session.status.stop.reason == "given"
         with pytest.raises(UsageError, match="label map"):

@@ -19,7 +19,9 @@ SHAPE, SPACING = (20, 24, 50), (1.0, 1.0, 1.0)
 
 
 def distance_from(centre, shape=SHAPE):
-    return np.sqrt(sum((i - c) ** 2 for i, c in zip(np.indices(shape), centre, strict=True))).astype(np.float32)
+    return np.sqrt(
+        sum((i - c) ** 2 for i, c in zip(np.indices(shape), centre, strict=True))
+    ).astype(np.float32)
 
 
 def bounds_for(sides):
@@ -80,10 +82,20 @@ def test_bounds_are_united_cell_by_cell():
     assert both.high.tolist() == [-1, 1, 1, -2]
 
 
-@pytest.mark.parametrize("shape, spacing", [((24, 26, 22), (1.5, 1.0, 1.0)), ((1, 40, 40), (3.0, 1.0, 1.0))])
+@pytest.mark.parametrize(
+    "shape, spacing", [((24, 26, 22), (1.5, 1.0, 1.0)), ((1, 40, 40), (3.0, 1.0, 1.0))]
+)
 def test_a_known_distance_is_measured_without_solving_it_again(shape, spacing):
     middle = [(n - 1) / 2 for n in shape]
-    psi = np.sqrt(sum(((i - c) * h) ** 2 for i, c, h in zip(np.indices(shape), middle, spacing, strict=True))) - 8.3
+    psi = (
+        np.sqrt(
+            sum(
+                ((i - c) * h) ** 2
+                for i, c, h in zip(np.indices(shape), middle, spacing, strict=True)
+            )
+        )
+        - 8.3
+    )
     first = LevelSet(psi.astype(np.float32), spacing)
     again = LevelSet(np.ones(shape, np.float32), spacing)
     _restore(again, first.psi.copy())
@@ -122,7 +134,9 @@ def test_a_correction_has_the_same_bytes_with_any_number_of_threads():
     image, _, _ = two_balls()
     result, found = first_run(image, "seeded"), []
     for threads in (1, 3):
-        refiner = Refiner(dataclasses.replace(result, config=result.config.replace(threads=threads)))
+        refiner = Refiner(
+            dataclasses.replace(result, config=result.config.replace(threads=threads))
+        )
         refiner.apply(Correction(inside=(f"ball:{world(12, 14, 48)},3",)))
         refiner.apply(Correction(outside=(f"ball:{world(12, 14, 21)},1.5",)))
         found.append(refiner.surfaces[0].psi.tobytes())

@@ -72,7 +72,9 @@ def test_a_new_object_leaves_every_byte_of_the_others(first, three):
     assert three.by_id[1].psi.tobytes() == first.psi.tobytes()
     for own in BALLS:
         assert dice(three.labels == own, truth(own)) > 0.9, own
-        assert three.by_id[own].volume_mm3 == pytest.approx((three.labels == own).sum() * 1.5, rel=0.08)
+        assert three.by_id[own].volume_mm3 == pytest.approx(
+            (three.labels == own).sum() * 1.5, rel=0.08
+        )
 
 
 def test_where_a_new_object_meets_another_they_share_no_voxel(three):
@@ -88,7 +90,13 @@ def test_where_a_new_object_meets_another_they_share_no_voxel(three):
 
 
 def test_a_new_object_that_is_clicked_in_another_takes_from_that_one_alone(volume):
-    given = {"start": press(2), "energy": "threshold:50,", "smoothness": 0.5, "threads": 1, "keep_state": "yes"}
+    given = {
+        "start": press(2),
+        "energy": "threshold:50,",
+        "smoothness": 0.5,
+        "threads": 1,
+        "keep_state": "yes",
+    }
     both = accelsurf.segment(volume, **given)
     assert dice(both.labels > 0, truth(2) | truth(3)) > 0.9
     both = refine(both, new=5, inside=press(1))
@@ -104,7 +112,9 @@ def test_merged_objects_are_the_union_of_their_voxels(three):
     assert [one.id for one in after.objects] == [1, 3]
     assert np.array_equal(after.labels == 3, (three.labels == 2) | (three.labels == 3))
     assert after.by_id[1].psi.tobytes() == three.by_id[1].psi.tobytes()
-    assert after.by_id[3].volume_mm3 == pytest.approx(three.by_id[2].volume_mm3 + three.by_id[3].volume_mm3, rel=0.02)
+    assert after.by_id[3].volume_mm3 == pytest.approx(
+        three.by_id[2].volume_mm3 + three.by_id[3].volume_mm3, rel=0.02
+    )
 
 
 def test_what_is_split_off_is_the_component_under_the_click_and_merging_brings_it_back(three):
@@ -164,7 +174,9 @@ def test_undo_brings_back_every_byte(first):
         assert now.labels.tobytes() == before.labels.tobytes()
         for one, other in zip(now.objects, before.objects, strict=True):
             assert one.psi.tobytes() == other.psi.tobytes() and one.history == other.history
-        assert [len(click.mask) for click in (now.clicks.clicks)] == [len(c.mask) for c in before.clicks.clicks]
+        assert [len(click.mask) for click in (now.clicks.clicks)] == [
+            len(c.mask) for c in before.clicks.clicks
+        ]
     for text, after in zip(STEPS, states[1:], strict=True):
         refiner.apply(corrections_of(text)[0])
         assert refiner.result().labels.tobytes() == after.labels.tobytes()
@@ -175,20 +187,46 @@ def test_undo_brings_back_every_byte(first):
 def test_command_line_and_one_configuration_make_the_same_bytes(volume, tmp_path, energy):
     image, out, whole = tmp_path / "scan.nii.gz", tmp_path / "out", tmp_path / "whole"
     io.write(volume, image)
-    begin = ["--inside", press(1)] if energy == "seeded" else ["--start", press(1), "--energy", "local-region:R=6"]
+    begin = (
+        ["--inside", press(1)]
+        if energy == "seeded"
+        else ["--start", press(1), "--energy", "local-region:R=6"]
+    )
     quiet = ["--quiet", "--threads", "1"]
-    assert cli.execute(["segment", str(image), "-o", str(out), "--keep-state", "yes", *begin, *quiet]) == 0
+    assert (
+        cli.execute(["segment", str(image), "-o", str(out), "--keep-state", "yes", *begin, *quiet])
+        == 0
+    )
     assert (out / "scan_surface.stl").exists() or list(out.glob("scan_surface.*"))
     for text in STEPS:
-        words = [word for part in text.split() for word in ("--" + part.partition("=")[0], part.partition("=")[2])]
+        words = [
+            word
+            for part in text.split()
+            for word in ("--" + part.partition("=")[0], part.partition("=")[2])
+        ]
         assert cli.execute(["refine", str(out), *words, "--quiet"]) == 0, text
     config = RunConfig.from_toml(out / "scan_run.toml")
-    assert [one.kind for one in config.refine] == ["new", "new", "merge", "split", "clicks", "new", "clicks", "remove"]
+    assert [one.kind for one in config.refine] == [
+        "new",
+        "new",
+        "merge",
+        "split",
+        "clicks",
+        "new",
+        "clicks",
+        "remove",
+    ]
     again = ["--config", str(out / "scan_run.toml"), "--quiet"]
     assert cli.execute(["segment", str(image), "-o", str(whole), *again]) == 0
-    names = sorted(path.name for path in out.iterdir() if path.suffix in (".gz", ".stl", ".vtp", ".ply"))
-    assert names == sorted(path.name for path in whole.iterdir() if path.suffix in (".gz", ".stl", ".vtp", ".ply"))
-    assert any("_3." in name for name in names) and not any(name.startswith("scan_surface.") for name in names)
+    names = sorted(
+        path.name for path in out.iterdir() if path.suffix in (".gz", ".stl", ".vtp", ".ply")
+    )
+    assert names == sorted(
+        path.name for path in whole.iterdir() if path.suffix in (".gz", ".stl", ".vtp", ".ply")
+    )
+    assert any("_3." in name for name in names) and not any(
+        name.startswith("scan_surface.") for name in names
+    )
     for name in names:
         assert (out / name).read_bytes() == (whole / name).read_bytes(), name
     report = json.loads((out / "scan_report.json").read_text())
@@ -196,18 +234,21 @@ def test_command_line_and_one_configuration_make_the_same_bytes(volume, tmp_path
     assert (out / "scan_objects.csv").read_text() == (whole / "scan_objects.csv").read_text()
 
 
-@pytest.mark.parametrize("text, said", [
-    ("merge=1,7", "merge 7"),
-    ("remove=7", "remove 7"),
-    ("split=point:1,1,1", "lies in no object"),
-    ("split=point:12,15,17", "object 1 is in one piece"),
-    ("split=point:12,15,17 object=2", "lies in object 1"),
-    ("split=point:12,15,17 new=2", "new 2"),
-    ("split=point:1,2", "point:X,Y,Z"),
-    ("split=point:900,1,1", "outside of the volume"),
-    ("inside=point:1,1,1", "without object"),
-    (f"new=4 inside={press(3)} outside={press(3)}", "both inside and outside"),
-])
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("merge=1,7", "merge 7"),
+        ("remove=7", "remove 7"),
+        ("split=point:1,1,1", "lies in no object"),
+        ("split=point:12,15,17", "object 1 is in one piece"),
+        ("split=point:12,15,17 object=2", "lies in object 1"),
+        ("split=point:12,15,17 new=2", "new 2"),
+        ("split=point:1,2", "point:X,Y,Z"),
+        ("split=point:900,1,1", "outside of the volume"),
+        ("inside=point:1,1,1", "without object"),
+        (f"new=4 inside={press(3)} outside={press(3)}", "both inside and outside"),
+    ],
+)
 def test_what_cannot_be_is_refused_and_changes_nothing(three, text, said):
     refiner = Refiner(three)
     before = refiner.result()
@@ -215,16 +256,24 @@ def test_what_cannot_be_is_refused_and_changes_nothing(three, text, said):
         refiner.apply(corrections_of(text)[0])
     after = refiner.result()
     assert after.config == before.config and after.labels.tobytes() == before.labels.tobytes()
-    assert [one.psi.tobytes() for one in after.objects] == [one.psi.tobytes() for one in before.objects]
+    assert [one.psi.tobytes() for one in after.objects] == [
+        one.psi.tobytes() for one in before.objects
+    ]
 
 
 def test_an_image_of_one_slice():
     y, x = np.indices((40, 64))
     image = np.where((y - 20) ** 2 + (x - 16) ** 2 < 81, 100.0, 0.0)
-    image = np.maximum(image, np.where((y - 20) ** 2 + (x - 46) ** 2 < 81, 90.0, 0.0)).astype(np.float32)
+    image = np.maximum(image, np.where((y - 20) ** 2 + (x - 46) ** 2 < 81, 90.0, 0.0)).astype(
+        np.float32
+    )
     one = accelsurf.segment(accelsurf.Volume.from_array(image), inside="ball:16,20,0,3", threads=1)
     two = refine(one, new=2, inside="ball:46,20,0,3")
-    assert [part.id for part in two.objects] == [1, 2] and np.array_equal(two.labels == 1, one.labels == 1)
+    assert [part.id for part in two.objects] == [1, 2] and np.array_equal(
+        two.labels == 1, one.labels == 1
+    )
     assert dice((two.labels == 2)[0], image == 90.0) > 0.9
     back = refine(refine(two, merge=(1, 2)), split="point:46,20,0")
-    assert np.array_equal(back.labels == 1, two.labels == 1) and np.array_equal(back.labels == 2, two.labels == 2)
+    assert np.array_equal(back.labels == 1, two.labels == 1) and np.array_equal(
+        back.labels == 2, two.labels == 2
+    )

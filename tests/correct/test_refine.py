@@ -54,7 +54,14 @@ def first_run(image, energy="chan-vese", **options):
     if energy == "seeded":
         start["inside"] = f"ball:{world(12, 14, 14)},3"
     return accelsurf.segment(
-        image, spacing=SPACING, energy=energy, smoothness=0.3, threads=1, keep_state="yes", **start, **options
+        image,
+        spacing=SPACING,
+        energy=energy,
+        smoothness=0.3,
+        threads=1,
+        keep_state="yes",
+        **start,
+        **options,
     )
 
 
@@ -66,7 +73,9 @@ def result(image):
 def far_from(points, near, shape=SHAPE, spacing=SPACING):
     """Voxels farther than ``near`` mm from some voxels."""
     index = np.indices(shape).reshape(3, -1).T * np.array(spacing)
-    distance = np.min([np.linalg.norm(index - np.array(p) * spacing, axis=1) for p in points], axis=0)
+    distance = np.min(
+        [np.linalg.norm(index - np.array(p) * spacing, axis=1) for p in points], axis=0
+    )
     return (distance > near).reshape(shape)
 
 
@@ -102,7 +111,11 @@ def test_beyond_the_automatic_region_every_byte_stays(image, energy, click):
         assert after.psi[beyond].tobytes() == psi[beyond].tobytes()
         # It is a part of the image and of the surface, and there the surface has moved.
         surface = np.abs(psi) < 1.0
-        assert beyond.mean() > 0.3 and (surface & beyond).any() and ((after.psi < 0) != (psi < 0))[~beyond].any()
+        assert (
+            beyond.mean() > 0.3
+            and (surface & beyond).any()
+            and ((after.psi < 0) != (psi < 0))[~beyond].any()
+        )
         regions.clear()
     refiner.undo()
     refiner.undo()
@@ -114,7 +127,10 @@ def test_vertices_away_from_the_region_are_the_same(result):
     after = refine(both, outside=f"ball:{world(12, 14, 21)},2", near=6)
     before, now = both.surface.vertices, after.surface.vertices
     # A vertex depends on psi two voxels around it, and on its neighbours' displacements in four rounds.
-    far = [np.linalg.norm(v - np.array([21.0, 14.0, 18.0]), axis=1) > 6 + 6 * 1.5 for v in (before, now)]
+    far = [
+        np.linalg.norm(v - np.array([21.0, 14.0, 18.0]), axis=1) > 6 + 6 * 1.5
+        for v in (before, now)
+    ]
     assert {v.tobytes() for v in before[far[0]]} == {v.tobytes() for v in now[far[1]]}
     assert len(before[far[0]]) > 100
 
@@ -137,7 +153,10 @@ def test_what_is_missing_is_added_whole(image, energy):
 def test_the_energy_in_the_report_is_that_of_the_run_alone(image, edits):
     """That of a correction is of its box, which compares with no other."""
     before = first_run(image, edit=edits)
-    assert before.run_history == before.history and before.report["energy"]["steps_of_corrections"] == 0
+    assert (
+        before.run_history == before.history
+        and before.report["energy"]["steps_of_corrections"] == 0
+    )
     once = refine(before, inside=f"ball:{world(12, 14, 48)},3")
     for after in (once, refine(once, outside=f"point:{world(12, 14, 21)}", near=6)):
         assert after.run_history == before.history[:-1]
@@ -159,14 +178,18 @@ def test_a_click_that_changes_nothing_changes_nothing(image):
 
 def test_the_means_count_the_whole_object(image):
     """A correction on a small box has the means of one on the whole image, which the box alone does not have."""
-    shade = image + np.linspace(0, 60, SHAPE[2], dtype=np.float32)  # brighter to the right, everywhere
+    shade = image + np.linspace(
+        0, 60, SHAPE[2], dtype=np.float32
+    )  # brighter to the right, everywhere
     before = first_run(shade)
     click = {"outside": f"ball:{world(12, 14, 22)},1.5"}
     found = {}
     for near in (9, 200):
         refiner = Refiner(before)
         original = refiner._problem
-        refiner._problem = lambda *args, make=original, near=near: found.setdefault(near, make(*args))
+        refiner._problem = lambda *args, make=original, near=near: found.setdefault(
+            near, make(*args)
+        )
         refiner.apply(*corrections_of({**click, "near": near}))
     # 200 mm is the whole image.
     assert found[200].region.box == box_at((0, 0, 0), SHAPE) != found[9].region.box
@@ -183,7 +206,9 @@ def test_the_field_of_the_clicks_on_a_box_is_that_on_the_whole_image(image):
     for near in (9, 200):
         refiner = Refiner(before)
         original = refiner._problem
-        refiner._problem = lambda *args, make=original, near=near: found.setdefault(near, make(*args))
+        refiner._problem = lambda *args, make=original, near=near: found.setdefault(
+            near, make(*args)
+        )
         refiner.apply(*corrections_of({"outside": f"ball:{world(12, 14, 22)},1.5", "near": near}))
     part = found[9].region.box
     assert found[200].region.box == box_at((0, 0, 0), SHAPE) != part
@@ -249,7 +274,9 @@ def test_no_crease_at_the_seam(image, energy):
     assert jump.max() < 0.35
 
 
-@pytest.mark.parametrize("shape, spacing", [((1, 40, 48), (5.0, 1.0, 1.0)), ((9, 40, 48), (5.0, 0.8, 0.8))])
+@pytest.mark.parametrize(
+    "shape, spacing", [((1, 40, 48), (5.0, 1.0, 1.0)), ((9, 40, 48), (5.0, 0.8, 0.8))]
+)
 def test_two_dimensions_and_thick_slices(shape, spacing):
     z, y, x = np.indices(shape)
     inside = ((y - 20) ** 2 + (x - 16) ** 2 < 9**2) & (abs(z - shape[0] // 2) < 3)
@@ -273,7 +300,9 @@ def test_several_objects_never_overlap_and_the_named_one_is_corrected():
     starts[10:14, 12:16, 12:16], starts[10:14, 12:16, 46:50] = 3, 7
     before = accelsurf.segment_objects(image, starts, spacing=SPACING, threads=1)
     after = refine(before, outside=f"ball:{world(12, 14, 53)},2", object=7, near=8)
-    assert not (after.labels[12, 13:16, 53] == 7).any() and (before.labels[12, 13:16, 53] == 7).all()
+    assert (
+        not (after.labels[12, 13:16, 53] == 7).any() and (before.labels[12, 13:16, 53] == 7).all()
+    )
     assert after.by_id[3].psi.tobytes() == before.by_id[3].psi.tobytes()
     far = far_from([(12, 14, 53)], 10.5)
     np.testing.assert_array_equal(after.labels[far], before.labels[far])
@@ -293,7 +322,10 @@ def test_several_objects_never_overlap_and_the_named_one_is_corrected():
 def test_a_later_stroke_takes_the_voxels_of_an_earlier_one(result):
     """For every energy; undo gives the earlier stroke back, and made at once the two make the same bytes."""
     refiner = Refiner(result)
-    first, later = {"inside": f"ball:{world(12, 14, 24)},3"}, {"outside": f"ball:{world(12, 14, 25)},2.5"}
+    first, later = (
+        {"inside": f"ball:{world(12, 14, 24)},3"},
+        {"outside": f"ball:{world(12, 14, 25)},2.5"},
+    )
     refiner.apply(*corrections_of(first))
     before = refiner.result()
     refiner.apply(*corrections_of(later))
@@ -324,7 +356,9 @@ def test_what_contradicts_itself_or_leaves_nothing_is_refused_and_changes_nothin
     assert refiner.result().psi.tobytes() == psi.tobytes() and refiner.config == config
     # What was refused is no correction: undo takes back the one before it.
     refiner.undo()
-    assert refiner.result().psi.tobytes() == result.psi.tobytes() and refiner.config == result.config
+    assert (
+        refiner.result().psi.tobytes() == result.psi.tobytes() and refiner.config == result.config
+    )
 
 
 def test_a_correction_that_fails_leaves_nothing_behind(result):
@@ -337,7 +371,9 @@ def test_a_correction_that_fails_leaves_nothing_behind(result):
         raise RuntimeError("stopped")
 
     with pytest.raises(RuntimeError, match="stopped"):
-        refiner.apply(*corrections_of({"outside": f"ball:{world(12, 14, 6)},2", "near": 6}), on_step=fail)
+        refiner.apply(
+            *corrections_of({"outside": f"ball:{world(12, 14, 6)},2", "near": 6}), on_step=fail
+        )
     now = refiner.result()
     assert now.psi.tobytes() == before.psi.tobytes() and now.config == before.config
     assert len(now.clicks) == len(before.clicks) == 1
@@ -351,8 +387,12 @@ def test_the_result_has_all_clicks_in_order(image):
     after = refine(after, inside=f"point:{world(11, 14, 14)}")
     at = [("inside", (12, 14, 14)), ("outside", (12, 14, 24)), ("inside", (11, 14, 14))]
     assert [(one.side, tuple(s.start for s in one.box)) for one in after.clicks.clicks] == at
-    assert after.clicks.shape == SHAPE and after.objects[0].clicked.shape == after.objects[0].psi.shape
-    assert sorted(map(tuple, np.argwhere(after.objects[0].clicked).tolist())) == sorted(place for _, place in at)
+    assert (
+        after.clicks.shape == SHAPE and after.objects[0].clicked.shape == after.objects[0].psi.shape
+    )
+    assert sorted(map(tuple, np.argwhere(after.objects[0].clicked).tolist())) == sorted(
+        place for _, place in at
+    )
 
 
 def test_objects_that_the_region_cuts_end_half_a_voxel_beyond_it():
@@ -365,7 +405,9 @@ def test_objects_that_the_region_cuts_end_half_a_voxel_beyond_it():
     assert not np.array_equal(after.labels, before.labels) and new.box == old.box
     assert not new.labels[:, : 14 - new.box[1].start].any()
     # Where the region ends, to a part of a voxel that vertices move by; without what lies beyond it would be 14.
-    assert [one.surface.vertices[:, 1].min() for one in (old, new)] == pytest.approx([13.5, 13.5], abs=0.05)
+    assert [one.surface.vertices[:, 1].min() for one in (old, new)] == pytest.approx(
+        [13.5, 13.5], abs=0.05
+    )
     far = far_from([(12, 16, 53)], 6.0 + 2.0)
     far[:, :14] = False  # no surface there: the values next to it, turned outside
     far = far[new.box]
@@ -383,10 +425,17 @@ def test_a_result_without_state_is_refused(image):
 def in_thick_slices(energy):
     """A result of a ball in slices of 5 mm."""
     shape, spacing = (9, 40, 48), (5.0, 0.8, 0.8)
-    z, y, x = (np.indices(shape) - np.array([4, 20, 18])[:, None, None, None]) * np.array(spacing)[:, None, None, None]
+    z, y, x = (np.indices(shape) - np.array([4, 20, 18])[:, None, None, None]) * np.array(spacing)[
+        :, None, None, None
+    ]
     image = 100.0 * (z**2 + y**2 + x**2 < 11**2) + np.random.default_rng(2).normal(0, 8, shape)
     start = f"ball:{world(4, 20, 18, spacing=spacing)},5"
-    given = {"inside" if energy == "seeded" else "start": start, "energy": energy, "keep_state": "yes", "threads": 1}
+    given = {
+        "inside" if energy == "seeded" else "start": start,
+        "energy": energy,
+        "keep_state": "yes",
+        "threads": 1,
+    }
     return accelsurf.segment(image.astype(np.float32), spacing=spacing, **given)
 
 
@@ -426,11 +475,22 @@ def test_random_clicks_after_random_corrections_hold(image, result, energy, thic
 
 
 def test_refinements_are_read_from_texts_and_tables():
-    (one,) = corrections_of("inside=point:1,2,3 inside=point:4,5,6 outside=ball:1,1,1,2 near=7 object=2")
-    assert one == Correction(inside=("point:1,2,3", "point:4,5,6"), outside=("ball:1,1,1,2",), near=7.0, object=2)
+    (one,) = corrections_of(
+        "inside=point:1,2,3 inside=point:4,5,6 outside=ball:1,1,1,2 near=7 object=2"
+    )
+    assert one == Correction(
+        inside=("point:1,2,3", "point:4,5,6"), outside=("ball:1,1,1,2",), near=7.0, object=2
+    )
     assert corrections_of(str(one)) == (one,)
-    for text in ("inside=ball:1,1,1,2 new=3 size=4ml", "merge=1,3,2", "new=5 split=point:1,2,3", "remove=4"):
-        assert [str(one) for one in corrections_of(text)] == [text] and corrections_of(text)[0].kind in text
+    for text in (
+        "inside=ball:1,1,1,2 new=3 size=4ml",
+        "merge=1,3,2",
+        "new=5 split=point:1,2,3",
+        "remove=4",
+    ):
+        assert [str(one) for one in corrections_of(text)] == [text] and corrections_of(text)[
+            0
+        ].kind in text
     for wrong, said in (
         ("merge=1", "at least two"),
         ("merge=2,2", "at least two"),
@@ -464,7 +524,9 @@ def test_the_mesh_of_the_result_is_that_of_its_psi(result):
 
 
 def model_of(images, clicks, previous=None):
-    return click_model(Scene(tuple(images), SPACING), Clicks(tuple(clicks), SHAPE), previous=previous)
+    return click_model(
+        Scene(tuple(images), SPACING), Clicks(tuple(clicks), SHAPE), previous=previous
+    )
 
 
 def going_on(images, clicks):
@@ -492,7 +554,12 @@ def test_the_model_click_by_click_is_the_model_of_all_clicks(image):
     images = first_run(image, "seeded").state.prepared.images
     clicks = [ball("inside", (12, 14, 14), 3.0, SHAPE, SPACING)]
     local = going_on(images, clicks)
-    places = ("outside", (12, 14, 20)), ("inside", (12, 14, 48)), ("outside", (12, 14, 40)), ("inside", (6, 14, 14))
+    places = (
+        ("outside", (12, 14, 20)),
+        ("inside", (12, 14, 48)),
+        ("outside", (12, 14, 40)),
+        ("inside", (6, 14, 14)),
+    )
     for side, at in places:
         clicks.append(row(side, at))
         before, change = local.state, local.add(clicks[-1])
@@ -501,7 +568,9 @@ def test_the_model_click_by_click_is_the_model_of_all_clicks(image):
         assert after.inside_on(after.box).sum() == after.count == made.count
         changed = np.zeros(SHAPE, bool)
         changed[change.box] = change.mask
-        assert np.array_equal(changed, before.inside_on(whole_box(SHAPE)) != after.inside_on(whole_box(SHAPE)))
+        assert np.array_equal(
+            changed, before.inside_on(whole_box(SHAPE)) != after.inside_on(whole_box(SHAPE))
+        )
         local.undo(change)
         assert local.state is before
         local.add(clicks[-1])
@@ -511,10 +580,17 @@ def test_the_model_click_by_click_is_the_model_of_all_clicks(image):
 def test_what_a_click_leaves_of_others_keeps_what_they_have_said(image):
     """Where it takes voxels of an earlier click: the model changes to its side alone, from what was there before."""
     images, whole = first_run(image, "seeded").state.prepared.images, whole_box(SHAPE)
-    rows = (row("inside", (12, 14, 14), 3), row("outside", (12, 14, 30)), row("inside", (12, 14, 46), 3))
+    rows = (
+        row("inside", (12, 14, 14), 3),
+        row("outside", (12, 14, 30)),
+        row("inside", (12, 14, 46), 3),
+    )
     local = going_on(images, rows)
     before = local.state
-    for taker in (row("outside", (12, 14, 48), 2), row("outside", (12, 14, 45), 6)):  # a part, and all of a click
+    for taker in (
+        row("outside", (12, 14, 48), 2),
+        row("outside", (12, 14, 45), 6),
+    ):  # a part, and all of a click
         change = local.add(taker)
         was, now = before.inside_on(whole), local.state.inside_on(whole)
         assert not now[taker.box].any() and not (now & ~was).any() and now[12, 14, 14:17].all()
@@ -536,9 +612,15 @@ def test_what_a_click_leaves_of_others_keeps_what_they_have_said(image):
 def test_a_model_of_several_clicks_goes_on_from_its_first_ones(image):
     """Of which the first is outside."""
     images = first_run(image, "seeded").state.prepared.images
-    rows = [row("outside", (12, 14, 30)), row("inside", (12, 14, 14), 3), row("inside", (12, 14, 46), 3)]
+    rows = [
+        row("outside", (12, 14, 30)),
+        row("inside", (12, 14, 14), 3),
+        row("inside", (12, 14, 46), 3),
+    ]
     whole = model_of(images, rows)
-    assert field_and_object(model_of(images, rows, model_of(images, rows[:2]))) == field_and_object(whole)
+    assert field_and_object(model_of(images, rows, model_of(images, rows[:2]))) == field_and_object(
+        whole
+    )
     # One of other clicks is none to go on from.
     other = model_of(images, [row("inside", (12, 14, 46), 3)])
     assert field_and_object(model_of(images, rows, other)) == field_and_object(whole)
@@ -552,7 +634,9 @@ def test_what_an_outside_click_cuts_off_is_won_by_it():
     leak[8:18, 8:20, 22:60] = True
     local = LocalModel(state, SPACING, never)
     click = Click("outside", box_at((12, 14, 21), (1, 1, 1)), np.ones((1, 1, 1), bool))
-    one = CorrectedSurface(1, (0, 0, 0), np.where(leak, -1.0, 1.0).astype(np.float32), int(leak.sum()), [], None)
+    one = CorrectedSurface(
+        1, (0, 0, 0), np.where(leak, -1.0, 1.0).astype(np.float32), int(leak.sum()), [], None
+    )
     won = basin_of(click, ModelChange(state.box, leak, state), local, one)
     found = np.zeros(SHAPE, bool)
     found[won.box] = won.mask

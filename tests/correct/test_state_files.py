@@ -82,17 +82,24 @@ def test_two_runs_leave_the_same_state(scan, finished, tmp_path):
 
 
 @pytest.mark.slow
-def test_two_runs_leave_the_same_checkpoint_and_a_resumed_one_the_same_state(scan, checkpoint, tmp_path):
+def test_two_runs_leave_the_same_checkpoint_and_a_resumed_one_the_same_state(
+    scan, checkpoint, tmp_path
+):
     (tmp_path / "out").mkdir()
     other = stopped(scan, tmp_path / "out")
     assert other.read_bytes() == checkpoint.read_bytes()
     whole = runs(scan, tmp_path / "whole", "--checkpoint", "3")
     runs(scan, tmp_path / "out", "--checkpoint", "3", "--resume")
-    assert (tmp_path / "out" / "ball_state.npz").read_bytes() == (whole / "ball_state.npz").read_bytes()
+    assert (tmp_path / "out" / "ball_state.npz").read_bytes() == (
+        whole / "ball_state.npz"
+    ).read_bytes()
 
 
 def test_states_do_not_say_what_steps_took(finished, checkpoint):
-    assert all(record.seconds == 0 for record in state_file.read_state(finished / "ball_state.npz").objects[0].history)
+    assert all(
+        record.seconds == 0
+        for record in state_file.read_state(finished / "ball_state.npz").objects[0].history
+    )
     (one,) = run_checkpoint.read_checkpoint(checkpoint)[1].objects
     assert len(one.evolution.loop.history) >= 6
     assert all(record.seconds == 0 for record in one.evolution.loop.history)
@@ -141,11 +148,17 @@ def objects(value):
 #: What comes in the place of a member, of its array.
 CHANGES = {
     "one number": lambda array: npy(np.float32(1.0)),
-    "one number of its own": lambda array: npy(array.reshape(-1)[0] if array.size else array.dtype.type(0)),
-    "other numbers": lambda array: npy(np.zeros(array.shape, array.dtype) + (0 if array.any() else 1)),
+    "one number of its own": lambda array: npy(
+        array.reshape(-1)[0] if array.size else array.dtype.type(0)
+    ),
+    "other numbers": lambda array: npy(
+        np.zeros(array.shape, array.dtype) + (0 if array.any() else 1)
+    ),
     "other type": lambda array: npy(array.astype(np.complex64)),
     "text": lambda array: npy(np.array(["a"] * 3)),
-    "longer": lambda array: npy(np.concatenate([array.reshape(-1), array.reshape(-1), array.reshape(-1)[:1]])),
+    "longer": lambda array: npy(
+        np.concatenate([array.reshape(-1), array.reshape(-1), array.reshape(-1)[:1]])
+    ),
     "empty": lambda array: npy(np.empty(0, array.dtype)),
     "of other axes": lambda array: npy(array[None, None]),
     "huge": lambda array: npy(np.zeros(1, np.uint8), (10**12,)),
@@ -181,7 +194,11 @@ def members(path):
 def refused(read, path):
     with pytest.raises(InputError) as caught:
         read(path)
-    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value) and caught.value.hint
+    assert (
+        str(caught.value).startswith(f"{path}: ")
+        and "\n" not in str(caught.value)
+        and caught.value.hint
+    )
     assert len(str(caught.value)) < 1000 and not Evil.ran
 
 
@@ -205,9 +222,16 @@ def test_missing_double_and_packed_members_are_refused(which, finished, checkpoi
     read(path)
     for number, name in enumerate(members(path)):
         refused(read, rewritten(path, tmp_path / f"a{number}.npz", name, None))
-        refused(read, rewritten(path, tmp_path / f"b{number}.npz", name, lambda array: npy(array), twice=True))
+        refused(
+            read,
+            rewritten(
+                path, tmp_path / f"b{number}.npz", name, lambda array: npy(array), twice=True
+            ),
+        )
     for kind in (zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
-        packed = rewritten(path, tmp_path / f"c{kind}.npz", "tree.npy", lambda array: npy(array), kind)
+        packed = rewritten(
+            path, tmp_path / f"c{kind}.npz", "tree.npy", lambda array: npy(array), kind
+        )
         refused(read, packed)
         content = bytearray(packed.read_bytes())
         content[len(content) // 3] ^= 0xFF
@@ -255,14 +279,23 @@ def signed(path, target, types, change):
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("which", ["state", "checkpoint"])
-@pytest.mark.parametrize("value", [None, -1, "a", 1.5, [], {"list": []}, {"array": "none"}, {"dict": [[1, 2]]}])
-def test_a_field_of_another_type_is_refused_even_with_a_digest(which, value, finished, checkpoint, tmp_path):
+@pytest.mark.parametrize(
+    "value", [None, -1, "a", 1.5, [], {"list": []}, {"array": "none"}, {"dict": [[1, 2]]}]
+)
+def test_a_field_of_another_type_is_refused_even_with_a_digest(
+    which, value, finished, checkpoint, tmp_path
+):
     """One field of one record at a time; what still fits its type may be read."""
     path, read = both(finished, checkpoint)[which]
     types = {"state": state_file.TYPES, "checkpoint": run_checkpoint.TYPES}[which]
-    places = [(name, n) for name, fields in serialization._layout(types).items() for n in range(len(fields))]
+    places = [
+        (name, n)
+        for name, fields in serialization._layout(types).items()
+        for n in range(len(fields))
+    ]
     count = 0
     for name, number in places:
+
         def put(about, arrays, name=name, number=number):
             record = next(records(about["state"], name), None)
             if record is not None:
@@ -317,7 +350,9 @@ def test_refine_and_resume_say_it_in_one_line(change, scan, finished, checkpoint
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize("value", [None, 5, "a", [], [5], {}, {"path": 5}, [{"kind": "state"}], 10**30, float("nan")])
+@pytest.mark.parametrize(
+    "value", [None, 5, "a", [], [5], {}, {"path": 5}, [{"kind": "state"}], 10**30, float("nan")]
+)
 def test_reports_that_somebody_has_changed_are_no_fault(value, scan, finished, tmp_path, capfd):
     """A value of any kind in the place of each one of a report; no outputs mean that all are there."""
     folder = tmp_path / "out"

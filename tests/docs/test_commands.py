@@ -41,8 +41,14 @@ METRIC = re.compile(r"^(dice|\w+_mm3?) +([\d.]+)$", re.MULTILINE)
 
 def commands(page):
     """The commands of a page, in order; a prompt begins each."""
-    lines = [line for block in CONSOLE.findall(page.read_text(encoding="utf-8")) for line in block.splitlines()]
-    assert all(line.startswith("$ ") for line in lines), f"{page.name}: a console block has a line without '$ '"
+    lines = [
+        line
+        for block in CONSOLE.findall(page.read_text(encoding="utf-8"))
+        for line in block.splitlines()
+    ]
+    assert all(line.startswith("$ ") for line in lines), (
+        f"{page.name}: a console block has a line without '$ '"
+    )
     return [shlex.split(line[2:], comments=True) for line in lines]
 
 
@@ -67,7 +73,9 @@ def can_draw():
     return True
 
 
-@pytest.mark.parametrize("page", [PAGES[0], pytest.param(PAGES[1], marks=pytest.mark.slow)], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", [PAGES[0], pytest.param(PAGES[1], marks=pytest.mark.slow)], ids=lambda page: page.name
+)
 def test_every_command_of_the_page_succeeds(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, text in FILE.findall(page.read_text(encoding="utf-8")):
@@ -91,7 +99,9 @@ def test_every_command_of_the_page_succeeds(page, tmp_path, monkeypatch, capsys)
 def test_commands_on_public_scans_lack_nothing_but_the_scans(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     typed = [words for words in commands(ON_SCANS) if words[0] == "accelsurf"]
-    assert {words[2] for words in typed if words[1] == "fetch"} <= set(tomllib.loads(TABLE.read_text()))
+    assert {words[2] for words in typed if words[1] == "fetch"} <= set(
+        tomllib.loads(TABLE.read_text())
+    )
     typed = [words for words in typed if words[1] != "fetch"]
     assert {words[1] for words in typed} == {"look", "segment", "refine", "evaluate"}
     for words in typed:
@@ -109,7 +119,9 @@ def check_figures(text, printed):
         found = {row["id"]: f"{float(row['dice']):.3f}" for row in csv.DictReader(table)}
     told = re.search(r"has (0\.\d+) for descent and (0\.\d+) for momentum", text)
     assert told and told.groups() == (found["descent"], found["momentum"])
-    measured = {f"{float(value):.3f}" for value in re.findall(r"^dice +(\S+)", printed, re.MULTILINE)}
+    measured = {
+        f"{float(value):.3f}" for value in re.findall(r"^dice +(\S+)", printed, re.MULTILINE)
+    }
     said = set(re.findall(r"Dice is (0\.\d+)", text))
     assert said and said <= measured
 
@@ -117,7 +129,9 @@ def check_figures(text, printed):
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name)
 def test_every_script_of_the_page_exists_and_has_help(page):
     named = sorted({words[0] for words in commands(page) if words[0].startswith("scripts/")})
-    named += sorted(set(re.findall(r"`(scripts/\w+)", page.read_text(encoding="utf-8"))) - set(named))
+    named += sorted(
+        set(re.findall(r"`(scripts/\w+)", page.read_text(encoding="utf-8"))) - set(named)
+    )
     for name in named:
         script = ROOT / name
         assert os.access(script, os.X_OK), name
@@ -147,7 +161,10 @@ def folder_of_a_reader():
     io.write(Volume(organs, grid()), "organs.nii.gz")
     points_of_other_programs()
     y, x = np.indices((160, 200))
-    io.write(Volume((200 * ((x - 120) ** 2 + (y - 80) ** 2 < 30**2)).astype(np.uint8)[None], PLANE), "cell.png")
+    io.write(
+        Volume((200 * ((x - 120) ** 2 + (y - 80) ** 2 < 30**2)).astype(np.uint8)[None], PLANE),
+        "cell.png",
+    )
     for folder in ("predicted", "reference"):
         Path(folder).mkdir()
         for name in ("anna", "bert"):
@@ -157,7 +174,9 @@ def folder_of_a_reader():
         scan_in_place_of(path)
     z, y, x = np.indices((96, 96, 96)) - 47.5
     store = Geometry((96, 96, 96), (1.0, 1.0, 1.0), origin=(-47.5, -47.5, -47.5))
-    io.write(Volume((100.0 * (x**2 + y**2 + z**2 < 30**2)).astype(np.float32), store), "ct.ome.zarr")
+    io.write(
+        Volume((100.0 * (x**2 + y**2 + z**2 < 30**2)).astype(np.float32), store), "ct.ome.zarr"
+    )
     study_of_a_reader(Path("study"))
     of_a_microscope()
     tracked_cells()
@@ -170,7 +189,11 @@ def folder_of_a_reader():
 
 def points_of_other_programs():
     """Points in the middle, inside, and far from it, outside."""
-    markup = {"type": "Fiducial", "coordinateSystem": "RAS", "controlPoints": [{"position": [1.0, -2.0, 3.0]}]}
+    markup = {
+        "type": "Fiducial",
+        "coordinateSystem": "RAS",
+        "controlPoints": [{"position": [1.0, -2.0, 3.0]}],
+    }
     Path("F.mrk.json").write_text(json.dumps({"markups": [markup]}))
     Path("G.fcsv").write_text("# CoordinateSystem = LPS\n# columns = id,x,y,z\n1,40,40,0\n")
     Path("points.csv").write_text("index,axis-0,axis-1,axis-2\n0,24,24,24\n")
@@ -221,7 +244,9 @@ def of_a_microscope():
     ball = np.where(x**2 + y**2 + z**2 < 12**2, 200, 20).astype(np.uint8)
     sizes = {f"PhysicalSize{axis}": 1.0 for axis in "XYZ"}
     tifffile.imwrite(
-        "cells.ome.tif", np.stack([[ball, 255 - ball]] * 2), photometric="minisblack",
+        "cells.ome.tif",
+        np.stack([[ball, 255 - ball]] * 2),
+        photometric="minisblack",
         metadata={"axes": "TCZYX", "TimeIncrement": 2.0, **sizes},
     )
     Path("slices").mkdir(exist_ok=True)
@@ -244,7 +269,9 @@ HOW_TO = [
 
 
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.name)
-def test_every_command_of_a_how_to_page_is_accepted(page, readers_folder, tmp_path, monkeypatch, capsys):
+def test_every_command_of_a_how_to_page_is_accepted(
+    page, readers_folder, tmp_path, monkeypatch, capsys
+):
     """Each runs for two steps, in place of X,Y,Z with the middle; windows, pages and servers have tests of their own.
 
     Cases of a batch run in this process.
@@ -258,7 +285,11 @@ def test_every_command_of_a_how_to_page_is_accepted(page, readers_folder, tmp_pa
         words = [word.replace("X,Y,Z", "0,0,0") for word in words]
         target = words.pop(words.index(">") + 1) if ">" in words else None
         words = [word for word in words if word != ">"]
-        if words[0] != "accelsurf" or words[1] in ("view", "serve") or (words[1] == "movie" and not can_draw()):
+        if (
+            words[0] != "accelsurf"
+            or words[1] in ("view", "serve")
+            or (words[1] == "movie" and not can_draw())
+        ):
             continue
         if words[1] != "info" and "--resume" not in words:
             words += ["--overwrite"]
@@ -273,7 +304,10 @@ def test_every_command_of_a_how_to_page_is_accepted(page, readers_folder, tmp_pa
             Path(target).write_text(capsys.readouterr().out)
 
 
-PYTHON = ["README.md", *(f"docs/how-to/{name}.md" for name in ("notebooks", "several-objects", "starts-and-regions"))]
+PYTHON = [
+    "README.md",
+    *(f"docs/how-to/{name}.md" for name in ("notebooks", "several-objects", "starts-and-regions")),
+]
 
 
 @pytest.mark.parametrize("page", PYTHON)
@@ -282,7 +316,9 @@ def test_the_python_of_the_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     scan_in_place_of(Path("scan.nii.gz"))
     names = {}
-    for block in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL):
+    for block in re.findall(
+        r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL
+    ):
         if "plot(" not in block:
             exec(compile(block, page, "exec"), names)
     assert names["result"].stop.reason == "converged"

@@ -62,7 +62,11 @@ def functions_of(example: str, right: str = "", wrong: str = "") -> dict[str, An
     source = (GALLERY / example).read_text(encoding="utf-8")
     assert not right or source.count(right) == 1
     tree = ast.parse(source.replace(right, wrong) if right else source)
-    tree.body = [node for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom, ast.FunctionDef))]
+    tree.body = [
+        node
+        for node in tree.body
+        if isinstance(node, (ast.Import, ast.ImportFrom, ast.FunctionDef))
+    ]
     names: dict[str, Any] = {}
     exec(compile(tree, example, "exec"), names)
     return names
@@ -106,12 +110,16 @@ def test_the_system_as_the_gallery_writes_it_is_the_flow(example: str) -> None:
     """Constant density: .12 dt, and half of it at half the step. Flowable mass: .15 and .10 voxel, of .18 and .12."""
     names, system = functions_of(example), SYSTEMS[example]
     coarse, fine = misfit(example, names, 0.02), misfit(example, names, 0.01)
-    print(f"\n{example}: {coarse:.5f} mm at dt = .02, {fine:.5f} mm at .01; a voxel is {WIDTH / N:.3f} mm")
+    print(
+        f"\n{example}: {coarse:.5f} mm at dt = .02, {fine:.5f} mm at .01; a voxel is {WIDTH / N:.3f} mm"
+    )
     assert coarse < system.tolerance(0.02) and fine < system.tolerance(0.01)
     assert fine < (0.55 if system.of_h == 0.0 else 0.75) * coarse
 
 
-@pytest.mark.parametrize(("example", "right", "wrong"), [(name, *slip) for name in SLIPS for slip in SLIPS[name]])
+@pytest.mark.parametrize(
+    ("example", "right", "wrong"), [(name, *slip) for name in SLIPS for slip in SLIPS[name]]
+)
 def test_a_slip_in_the_system_is_not_the_flow(example: str, right: str, wrong: str) -> None:
     """Each is off by more than five times the tolerance, or breaks."""
     found = misfit(example, functions_of(example, right, wrong), 0.02)

@@ -12,7 +12,10 @@ import accelsurf
 ROOT = Path(__file__).parents[2]
 BUILT = ("_build", "examples", "generated")
 PAGES = [
-    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "benchmarks/README.md")),
+    *(
+        ROOT / name
+        for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "benchmarks/README.md")
+    ),
     *(ROOT / name for name in ("SECURITY.md", "CODE_OF_CONDUCT.md")),
     *(path for path in sorted((ROOT / "docs").rglob("*.md")) if not set(path.parts) & set(BUILT)),
 ]
@@ -21,7 +24,17 @@ RECORDS = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
 NOTES = sorted((ROOT / "benchmarks" / "notes").glob("*.md"))
 LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 #: Folders that exist only after a command was run.
-LEFT_BY_COMMANDS = ("out/", "ring/", "first/", "both/", "volumes/", "dist/", "docs/_build", "results/", "benchmarks/r")
+LEFT_BY_COMMANDS = (
+    "out/",
+    "ring/",
+    "first/",
+    "both/",
+    "volumes/",
+    "dist/",
+    "docs/_build",
+    "results/",
+    "benchmarks/r",
+)
 CODE = re.compile(r"^(`{3,}).*?^\1", re.DOTALL | re.MULTILINE)
 
 
@@ -38,7 +51,9 @@ def anchors(page):
 def code_of_tests():
     """The names of the modules of tests, and their text."""
     paths = list((ROOT / "tests").rglob("*.py"))
-    return {path.name for path in paths}, "\n".join(path.read_text(encoding="utf-8") for path in paths)
+    return {path.name for path in paths}, "\n".join(
+        path.read_text(encoding="utf-8") for path in paths
+    )
 
 
 @pytest.mark.parametrize("page", [*PAGES, *NOTES], ids=lambda page: str(page.relative_to(ROOT)))
@@ -56,7 +71,9 @@ def test_links_lead_to_files_and_headings(page):
 def test_files_and_tests_that_are_named_exist(page):
     if page.name == "CHANGELOG.md":
         return  # names what was, too
-    named = re.findall(r"`([\w/.-]+)`", page.read_text(encoding="utf-8").replace("NNNN-title.md", ""))
+    named = re.findall(
+        r"`([\w/.-]+)`", page.read_text(encoding="utf-8").replace("NNNN-title.md", "")
+    )
     modules, tests = code_of_tests()
     for name in named:
         if re.fullmatch(r"test_\w+", name):
@@ -65,12 +82,18 @@ def test_files_and_tests_that_are_named_exist(page):
             assert name in modules, name
         elif re.fullmatch(r"(?:[\w-]+/)+[\w-]*(?:\.(?:py|md|toml|json))?", name):
             places = (ROOT, ROOT / "accelsurf", ROOT / "benchmarks", page.parent)
-            assert any((place / name).exists() for place in places) or name.startswith(LEFT_BY_COMMANDS), name
+            assert any((place / name).exists() for place in places) or name.startswith(
+                LEFT_BY_COMMANDS
+            ), name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_code_of_pages_imports_public_names_alone(page):
-    code = "\n".join(re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE))
+    code = "\n".join(
+        re.findall(
+            r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+        )
+    )
     assert not re.findall(r"^ *(?:from|import) +accelsurf\..*", code, re.MULTILINE)
 
 
@@ -80,7 +103,9 @@ def test_a_record_has_its_form(record):
     status = r"Date: \d{4}-\d\d-\d\d\n\nStatus: (?:accepted|superseded (?:in part )?by (\d{4}))\n"
     form = re.match(rf"# {record.stem[:4]}: \S.*\n\n{status}", text)
     assert form
-    assert form[1] is None or form[1] in {path.stem[:4] for path in RECORDS if path.stem > record.stem}
+    assert form[1] is None or form[1] in {
+        path.stem[:4] for path in RECORDS if path.stem > record.stem
+    }
     headings = re.findall(r"^## (.*)$", CODE.sub("", text), re.MULTILINE)
     assert headings == ["Context", "Options", "Decision", "Consequence"]
 
@@ -106,4 +131,7 @@ def test_the_reference_lists_every_public_name():
 
 
 def test_a_function_of_the_name_of_its_room_stays_a_function():
-    assert callable(accelsurf.track) and import_module("accelsurf.track.track").track is accelsurf.track
+    assert (
+        callable(accelsurf.track)
+        and import_module("accelsurf.track.track").track is accelsurf.track
+    )

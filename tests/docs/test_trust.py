@@ -10,7 +10,11 @@ PAGE = (ROOT / "docs" / "explanation" / "trust.md").read_text(encoding="utf-8")
 
 
 def test_every_trial_exists():
-    rows = [line for line in PAGE.splitlines() if line.startswith("| ") and not line.startswith("| promise")]
+    rows = [
+        line
+        for line in PAGE.splitlines()
+        if line.startswith("| ") and not line.startswith("| promise")
+    ]
     assert len(rows) > 20
     for row in rows:
         _, promise, trials, longer, _ = (part.strip() for part in row.split("|"))

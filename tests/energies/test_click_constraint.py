@@ -18,7 +18,9 @@ SHAPE = (24, 24, 24)
 
 
 def constraint(energy, shape=SHAPE, spacing=(1.0, 1.0, 1.0), **sides):
-    clicks = tuple(Click(side, bounding_box(mask), mask[bounding_box(mask)]) for side, mask in sides.items())
+    clicks = tuple(
+        Click(side, bounding_box(mask), mask[bounding_box(mask)]) for side, mask in sides.items()
+    )
     grid = pyramid.levels(shape, spacing, 1)[0]
     return ClickConstraint(energy, click_bounds(Clicks(clicks, shape), grid))
 
@@ -47,11 +49,17 @@ def pushing(sign):
 
 def sides(surface, **masks):
     inside = surface.labels.astype(bool)
-    return inside[masks["inside"]].all() if "inside" in masks else not inside[masks["outside"]].any()
+    return (
+        inside[masks["inside"]].all() if "inside" in masks else not inside[masks["outside"]].any()
+    )
 
 
-@pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient, HeavyBall], ids=lambda flow: flow.name)
-@pytest.mark.parametrize(("sign", "side", "place"), [(1, "inside", (11, 11, 17)), (-1, "outside", (11, 11, 20))])
+@pytest.mark.parametrize(
+    "flow", [ConstantDensity, FlowableMass, Gradient, HeavyBall], ids=lambda flow: flow.name
+)
+@pytest.mark.parametrize(
+    ("sign", "side", "place"), [(1, "inside", (11, 11, 17)), (-1, "outside", (11, 11, 20))]
+)
 def test_the_surface_does_not_cross_a_click(flow, sign, side, place):
     mask = voxel(*place)
     energy = constraint(pushing(sign), **{side: mask})
@@ -59,13 +67,17 @@ def test_the_surface_does_not_cross_a_click(flow, sign, side, place):
     crossed = [step.record.step for step in evolution if not sides(step.surface, **{side: mask})]
     assert not crossed and len(evolution.history) == 25
     free = Evolution(ball(7.0), pushing(sign), flow(), max_steps=24)
-    assert [step.record.step for step in free if not sides(step.surface, **{side: mask})], "the test shows nothing"
+    assert [step.record.step for step in free if not sides(step.surface, **{side: mask})], (
+        "the test shows nothing"
+    )
     if sign > 0:
         # Its own component lives on after the rest has vanished: that is no convergence to nothing.
         assert evolution.surface.size and evolution.stop.reason != "vanished"
 
 
-@pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, HeavyBall], ids=lambda flow: flow.name)
+@pytest.mark.parametrize(
+    "flow", [ConstantDensity, FlowableMass, HeavyBall], ids=lambda flow: flow.name
+)
 def test_no_force_and_no_momentum_acts_into_a_click_and_the_budget_has_the_loss(flow, monkeypatch):
     energy, flow = constraint(pushing(-1), outside=voxel(11, 11, 20)), flow()
     evolution = Evolution(ball(7.0), energy, flow, max_steps=24)
@@ -84,10 +96,14 @@ def test_no_force_and_no_momentum_acts_into_a_click_and_the_budget_has_the_loss(
         slots, _, keeps_out = energy._touched(now.surface)
         held = slots[keeps_out & now.front[slots]]
         acted += held.size
-        assert (now.force[held] >= 0).all() and (flow.normal_velocity(now.surface)[held] >= -1e-5).all()
+        assert (now.force[held] >= 0).all() and (
+            flow.normal_velocity(now.surface)[held] >= -1e-5
+        ).all()
         return move(now, limits)
 
-    monkeypatch.setattr(evolution.state.budget, "record_jump", lambda lost: (jumps.append(lost), record(lost)))
+    monkeypatch.setattr(
+        evolution.state.budget, "record_jump", lambda lost: (jumps.append(lost), record(lost))
+    )
     monkeypatch.setattr(flow, "add_velocity", added)
     monkeypatch.setattr(flow, "move", moved)
     for _ in evolution:
@@ -119,7 +135,10 @@ def test_only_held_components_stay():
 def test_the_constraint_changes_nothing_where_it_does_not_act():
     image = (distance() < 7).astype(np.float32)
     runs = []
-    for energy in (ChanVese(image, alpha=0.3), constraint(ChanVese(image, alpha=0.3), inside=distance() < 1.2)):
+    for energy in (
+        ChanVese(image, alpha=0.3),
+        constraint(ChanVese(image, alpha=0.3), inside=distance() < 1.2),
+    ):
         evolution = Evolution(ball(5.0), energy, ConstantDensity(), max_steps=20)
         for _ in evolution:
             pass

@@ -16,9 +16,12 @@ from tests.support.gradient_check import (
 GRID = "3D"
 SHAPE, SPACING = GRIDS[GRID]
 
+
 def image():
     z, y, x = coordinates(GRID)
-    return np.tanh((8.0 - np.sqrt(1.2 * z**2 + y**2 + 0.8 * x**2)) / 3) + 0.3 * smooth_field(GRID, 1)
+    return np.tanh((8.0 - np.sqrt(1.2 * z**2 + y**2 + 0.8 * x**2)) / 3) + 0.3 * smooth_field(
+        GRID, 1
+    )
 
 
 ENERGIES = {
@@ -55,7 +58,9 @@ def test_value_of_a_known_region():
     z, y, x = coordinates(GRID)
     surface_psi = np.sqrt(z**2 + y**2 + x**2) - RADIUS
     field = np.ones(SHAPE)
-    assert value(RegionField(field), surface_psi, GRID)[0] == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.01)
+    assert value(RegionField(field), surface_psi, GRID)[0] == pytest.approx(
+        4 / 3 * np.pi * RADIUS**3, rel=0.01
+    )
     both = value(RegionField(field, alpha=2.0), surface_psi, GRID)[0]
     assert both == pytest.approx(4 / 3 * np.pi * RADIUS**3 + 8 * np.pi * RADIUS**2, rel=0.01)
 

@@ -79,7 +79,9 @@ def test_value_and_force_must_be_given():
         lambda inner: MaskConstraint(inner, np.full(SHAPE, -5, np.float32)),
         lambda inner: NonOverlap(inner, (0, 0, 0)),
         CheckedEnergy,
-        lambda inner: NonOverlap(MaskConstraint(CheckedEnergy(inner), np.full(SHAPE, -5, np.float32)), (0, 0, 0)),
+        lambda inner: NonOverlap(
+            MaskConstraint(CheckedEnergy(inner), np.full(SHAPE, -5, np.float32)), (0, 0, 0)
+        ),
     ],
 )
 def test_every_call_reaches_the_inner_energy(made_of):
@@ -123,8 +125,15 @@ def test_an_energy_without_a_base_may_keep_the_surface_out_of_a_half_space():
         def project(self, surface):
             cells = surface.band.cells
             x = np.unravel_index(cells, surface.shape)[2]
-            surface.dense.psi[cells] = np.maximum(surface.dense.psi[cells], np.float32(5.5) - x.astype(np.float32))
+            surface.dense.psi[cells] = np.maximum(
+                surface.dense.psi[cells], np.float32(5.5) - x.astype(np.float32)
+            )
 
-    result = segment(np.arange(16**3.0).reshape(16, 16, 16), energy=HalfSpace(), start="ball:10,8,8,3vox", max_steps=25)
+    result = segment(
+        np.arange(16**3.0).reshape(16, 16, 16),
+        energy=HalfSpace(),
+        start="ball:10,8,8,3vox",
+        max_steps=25,
+    )
     inside = np.argwhere(result.labels)
     assert inside[:, 2].min() == 6 and inside[:, 1].min() < 3

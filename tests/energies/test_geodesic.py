@@ -46,7 +46,9 @@ class WrongAdvection(Geodesic):
 @pytest.mark.parametrize("seed", [2, 3])
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize(
-    "options", [{}, {"balloon": -0.5}, {"alpha": 0.8, "balloon": 0.3}], ids=["plain", "balloon", "area"]
+    "options",
+    [{}, {"balloon": -0.5}, {"alpha": 0.8, "balloon": 0.3}],
+    ids=["plain", "balloon", "area"],
 )
 def test_the_force_is_the_derivative_of_the_discrete_energy(grid, options, seed):
     """dU/d(epsilon) under a smooth normal perturbation eta (outward) is +int f eta dA, within 2 %."""
@@ -105,7 +107,9 @@ def test_alpha_bounds_the_factor_of_the_curvature():
 
 def test_gradients_are_per_mm_at_any_scale():
     """Of a ramp: exact inside, whatever the spacings, also for a Gaussian far narrower than a voxel."""
-    z, y, x = np.meshgrid(np.arange(12) * 3.0, np.arange(30) * 1.0, np.arange(40) * 0.5, indexing="ij")
+    z, y, x = np.meshgrid(
+        np.arange(12) * 3.0, np.arange(30) * 1.0, np.arange(40) * 0.5, indexing="ij"
+    )
     for scale in (0.3, 1.0):
         got = gradient_magnitude(0.2 * z - 0.1 * y + 0.05 * x, (3.0, 1.0, 0.5), scale)
         np.testing.assert_allclose(got[2:-2, 5:-5, 9:-9], np.sqrt(0.04 + 0.01 + 0.0025), rtol=1e-4)
@@ -128,7 +132,8 @@ def test_an_edge_looks_alike_along_every_axis_by_default():
         gradient = gradient_magnitude(image, spacing, 3.0)
         low.append(gradient.max())
         np.testing.assert_array_equal(
-            edge_indicator(image, spacing), edge_indicator(image, spacing, 3.0, edge_contrast(gradient))
+            edge_indicator(image, spacing),
+            edge_indicator(image, spacing, 3.0, edge_contrast(gradient)),
         )
     assert low[0] == pytest.approx(low[1], rel=0.25)
 
@@ -186,7 +191,9 @@ def test_a_ball_from_around_it_and_from_inside(noise, start, flow):
     """The area alone pulls a start around the ball onto it; from inside it takes a balloon beyond 2/r of the start."""
     image, truth, _ = ball(noise)
     result = segment(image, energy="geodesic", flow=flow, **STARTS[start])
-    print(f"\n{start} {noise} {flow}: Dice {dice(result.labels, truth):.4f}, {result.stop.steps} steps")
+    print(
+        f"\n{start} {noise} {flow}: Dice {dice(result.labels, truth):.4f}, {result.stop.steps} steps"
+    )
     assert result.stop.reason == "converged" and result.components == 1
     assert dice(result.labels, truth) > 0.97
     assert result.history[-1].potential < result.history[0].potential
@@ -199,7 +206,9 @@ def test_thick_slices_and_a_single_one(flow):
     spacing = (2.0, 1.0, 1.0)
     image, truth, _ = ball(0.0, (22, 42, 44), spacing)
     options = {"energy": "geodesic", "flow": flow}
-    result = segment(image, spacing=spacing, start="ball:22,20,10,17.5vox", edge_scale=1.0, **options)
+    result = segment(
+        image, spacing=spacing, start="ball:22,20,10,17.5vox", edge_scale=1.0, **options
+    )
     assert dice(result.labels, truth) > 0.97
     y, x = np.indices((48, 52))
     circle = np.hypot(y - 23, x - 26)
@@ -219,7 +228,10 @@ def test_the_minimum_lies_inside_of_the_edge(scale):
 
 def exact_minimum(scale):
     """Radius at which r^2 phi(r) is least: phi of the exact smoothed ball, its slope by differences of a voxel."""
-    sigma, r = np.sqrt(scale**2 + 1 / 12), np.linspace(10, 14, 40_001)  # the edge of the image is a ramp of one voxel
+    sigma, r = (
+        np.sqrt(scale**2 + 1 / 12),
+        np.linspace(10, 14, 40_001),
+    )  # the edge of the image is a ramp of one voxel
 
     def smoothed(r):
         a, b = ((12.3 + sign * r) / (np.sqrt(2) * sigma) for sign in (-1, 1))
@@ -232,7 +244,9 @@ def exact_minimum(scale):
 
 def test_the_configuration_reaches_the_energy():
     image = ball(0.2)[0].astype(np.float32)
-    config = RunConfig(energy="geodesic", smoothness=0.3, edge_scale=2.0, edge_contrast=0.05, balloon=-0.2)
+    config = RunConfig(
+        energy="geodesic", smoothness=0.3, edge_scale=2.0, edge_contrast=0.05, balloon=-0.2
+    )
     energy = make_energy(config, image, (1.0, 1.0, 1.0)).energy
     assert isinstance(energy, Geodesic) and energy.balloon == -0.2
     phi = edge_indicator(image, (1, 1, 1), 2.0, 0.05)
@@ -246,7 +260,9 @@ def test_the_configuration_reaches_the_energy():
 def test_smoothness_keeps_the_surface_off_noise():
     image, _, _ = ball(0.4)
     rough, smooth = (
-        segment(image, energy="geodesic", flow="gradient", start="ball:22,20,20,17.5vox", smoothness=a)
+        segment(
+            image, energy="geodesic", flow="gradient", start="ball:22,20,20,17.5vox", smoothness=a
+        )
         for a in (0.0, 0.2)
     )
     assert smooth.area_mm2 < 0.99 * rough.area_mm2
@@ -255,7 +271,15 @@ def test_smoothness_keeps_the_surface_off_noise():
 def test_from_the_command_line(tmp_path):
     image, truth, _ = ball(0.0)
     io.write(Volume.from_array(image.astype(np.float32)), tmp_path / "ball.nii.gz")
-    words = ["segment", tmp_path / "ball.nii.gz", "-o", tmp_path / "out", "--quiet", "--energy", "geodesic"]
+    words = [
+        "segment",
+        tmp_path / "ball.nii.gz",
+        "-o",
+        tmp_path / "out",
+        "--quiet",
+        "--energy",
+        "geodesic",
+    ]
     assert cli.execute([str(w) for w in (*words, "--start", "ball:22,20,20,17.5vox")]) == 0
     report = json.loads((tmp_path / "out" / "ball_report.json").read_text())
     assert report["energy"]["name"] == report["config"]["energy"] == "geodesic"

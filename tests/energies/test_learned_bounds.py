@@ -18,7 +18,11 @@ def test_vessel_of_any_phase_beside_bone(lumen):
     vessel = (x - 4 * np.sin(z / 12)) ** 2 + y**2 < 4**2
     bone = (x - 4 * np.sin(z / 12) + 11) ** 2 + y**2 < 6**2
     values = 50.0 + (lumen - 50) * vessel + 850 * bone
-    image = ndimage.gaussian_filter(values, [0.7 / h for h in SPACING]) + np.random.default_rng(1).normal(0, 15, SHAPE)
+    image = ndimage.gaussian_filter(values, [0.7 / h for h in SPACING]) + np.random.default_rng(
+        1
+    ).normal(0, 15, SHAPE)
     settings = {"energy": "threshold:half:50,learned", "presmooth": 0.5, "smoothness": 0.5}
-    result = segment(image.astype(np.float32), spacing=SPACING, start="ball:24,22,15,3vox", **settings)
+    result = segment(
+        image.astype(np.float32), spacing=SPACING, start="ball:24,22,15,3vox", **settings
+    )
     assert result.stop.reason == "converged" and dice(result.labels, vessel) > 0.9

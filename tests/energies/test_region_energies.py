@@ -38,13 +38,20 @@ from tests.support.gradient_check import (
 #: Perturbation of the surface, mm.
 STEP = 0.3
 
+
 def image(grid):
     """A soft ball with a drift of brightness across it, between about -1 and 2."""
     z, y, x = coordinates(grid)
-    return np.tanh((9.0 - np.sqrt(1.2 * z**2 + y**2 + 0.8 * x**2)) / 3) + 0.3 * smooth_field(grid, 1) + 0.02 * x
+    return (
+        np.tanh((9.0 - np.sqrt(1.2 * z**2 + y**2 + 0.8 * x**2)) / 3)
+        + 0.3 * smooth_field(grid, 1)
+        + 0.02 * x
+    )
 
 
-SAMPLES = tuple(np.random.default_rng(seed).normal(mean, 0.5, 4000) for seed, mean in ((1, 0.7), (2, -0.8)))
+SAMPLES = tuple(
+    np.random.default_rng(seed).normal(mean, 0.5, 4000) for seed, mean in ((1, 0.7), (2, -0.8))
+)
 PARZEN = Parzen(-1.2, 2.1)
 COUNTS = tuple(PARZEN.histogram(values) for values in SAMPLES)
 ENERGIES = {
@@ -56,8 +63,12 @@ ENERGIES = {
         image(grid), models=(Gaussian(0.7, 0.2), Gaussian(-0.8, 0.4))
     ),
     "histogram": lambda grid: HistogramLikelihood(image(grid)),
-    "histogram, smeared, area": lambda grid: HistogramLikelihood(image(grid), alpha=0.7, epsilon=1.5),
-    "histogram, fixed": lambda grid: HistogramLikelihood(image(grid), learned=COUNTS, parzen=PARZEN),
+    "histogram, smeared, area": lambda grid: HistogramLikelihood(
+        image(grid), alpha=0.7, epsilon=1.5
+    ),
+    "histogram, fixed": lambda grid: HistogramLikelihood(
+        image(grid), learned=COUNTS, parzen=PARZEN
+    ),
     "threshold": lambda grid: Threshold(image(grid), low=0.2),
     "threshold, window, area": lambda grid: Threshold(image(grid), -0.2, 0.9, soft=0.4, alpha=0.8),
     "sum": lambda grid: WeightedSum(
@@ -99,7 +110,9 @@ def test_local_energy_is_the_sum_over_all_windows(radius):
     """Against the reference that sums every window by its formula, with voxels cut by the surface in part."""
     shape, spacing = (13, 17, 15), (1.3, 1.0, 0.9)
     values = np.random.default_rng(1).normal(size=shape)
-    z, y, x = np.meshgrid(*(np.arange(n) * h for n, h in zip(shape, spacing, strict=True)), indexing="ij")
+    z, y, x = np.meshgrid(
+        *(np.arange(n) * h for n, h in zip(shape, spacing, strict=True)), indexing="ij"
+    )
     psi = np.sqrt((z - 7) ** 2 + (y - 5) ** 2 + (x - 6) ** 2) - 6.0  # runs out of the volume
     surface, energy = LevelSet(psi, spacing), LocalRegion(values, radius)
     energy.start(surface)
@@ -121,7 +134,9 @@ def test_local_energy_is_the_sum_over_all_windows(radius):
 def test_the_window_has_the_variance_of_the_ball(radius):
     """Along an axis, R^2/5, however the nodes lie."""
     count, distance, before, half_width = chan_vese._layout(201, radius)
-    window = reference.node_weights(201, distance, before, half_width, count)[round(before + 100 / distance)]
+    window = reference.node_weights(201, distance, before, half_width, count)[
+        round(before + 100 / distance)
+    ]
     away = np.arange(201) - np.average(np.arange(201), weights=window)
     assert np.average(away**2, weights=window) == pytest.approx(radius**2 / 5, rel=0.03)
 
@@ -152,9 +167,13 @@ def test_a_local_region_finds_what_one_pair_of_means_cannot():
     """A ball in a brightness that drifts by more than its contrast."""
     z, y, x = np.indices((40, 40, 40)) - 19.5
     truth = z**2 + y**2 + x**2 < 11**2
-    scan = (truth + 0.08 * x).astype(np.float32) + np.random.default_rng(1).normal(0, 0.1, truth.shape)
+    scan = (truth + 0.08 * x).astype(np.float32) + np.random.default_rng(1).normal(
+        0, 0.1, truth.shape
+    )
     found = {
-        name: dice(segment(scan, start="ball:19,20,19,8vox", energy=name, max_steps=300).labels, truth)
+        name: dice(
+            segment(scan, start="ball:19,20,19,8vox", energy=name, max_steps=300).labels, truth
+        )
         for name in ("chan-vese", "local-region:R=5")
     }
     print(f"\n{found}")
@@ -167,7 +186,13 @@ def test_likelihood_tells_regions_of_one_mean_by_their_variance():
     truth = z**2 + y**2 + x**2 < 12**2
     scan = rng.normal(0, np.where(truth, 0.2, 1.0))
     for model in ("gauss", "histogram"):
-        result = segment(scan, start="ball:19,20,19,7vox", energy=f"likelihood:{model}", smoothness=1.0, max_steps=300)
+        result = segment(
+            scan,
+            start="ball:19,20,19,7vox",
+            energy=f"likelihood:{model}",
+            smoothness=1.0,
+            max_steps=300,
+        )
         print(f"\n{model}: Dice {dice(result.labels, truth):.3f}")
         assert dice(result.labels, truth) > 0.93
 
@@ -179,13 +204,25 @@ def test_likelihood_learns_from_foreground_and_background(model, background):
     """The start is in the wrong object; what is learned decides. Values are told in the image's own unit."""
     z, y, x = np.indices((30, 30, 60)).astype(float)
     balls = [(x - c) ** 2 + (y - 15) ** 2 + (z - 15) ** 2 < 9**2 for c in (15, 44)]
-    scan = 100.0 + 50.0 * balls[0] + 120.0 * balls[1] + np.random.default_rng(1).normal(0, 5, balls[0].shape)
-    words = dict(start="box:3,3,3,56,26,26vox", foreground="ball:15,15,15,5vox", smoothness=0.3, max_steps=300)
+    scan = (
+        100.0
+        + 50.0 * balls[0]
+        + 120.0 * balls[1]
+        + np.random.default_rng(1).normal(0, 5, balls[0].shape)
+    )
+    words = dict(
+        start="box:3,3,3,56,26,26vox",
+        foreground="ball:15,15,15,5vox",
+        smoothness=0.3,
+        max_steps=300,
+    )
     result = segment(scan, energy=f"likelihood:{model}", background=background, **words)
     assert dice(result.labels, balls[0]) > 0.95
     if model == "gauss":
         inside = result.terms[0]["inside"]
-        assert inside["mean"] == pytest.approx(150, abs=1) and inside["deviation"] == pytest.approx(5, rel=0.4)
+        assert inside["mean"] == pytest.approx(150, abs=1) and inside["deviation"] == pytest.approx(
+            5, rel=0.4
+        )
     with pytest.raises(UsageError, match="update=yes"):
         segment(scan, energy="likelihood:update=yes", **words)
 
@@ -223,18 +260,28 @@ def test_soft_edges_are_antisymmetric_about_the_thresholds():
 
 def test_weighted_sum_adds_values_forces_and_alphas():
     grid = "3D"
-    parts = [Geodesic(1.0 + 0.4 * smooth_field(grid, 3), alpha=0.2), Area(), ChanVese(image(grid), alpha=0.3)]
+    parts = [
+        Geodesic(1.0 + 0.4 * smooth_field(grid, 3), alpha=0.2),
+        Area(),
+        ChanVese(image(grid), alpha=0.3),
+    ]
     weights = [0.5, 2.0, 1.5]
     total = WeightedSum(list(zip(weights, parts, strict=True)))
-    assert total.alpha == pytest.approx(sum(w * p.alpha for w, p in zip(weights, parts, strict=True)))
+    assert total.alpha == pytest.approx(
+        sum(w * p.alpha for w, p in zip(weights, parts, strict=True))
+    )
     z, y, x = coordinates(grid)
     got, surface, area = value(total, np.sqrt(z**2 + y**2 + x**2) - 12, grid)
     fraction, _ = surface.fraction_and_area()
     front = surface.front()
     curvature = surface.curvature(front)
-    assert got == pytest.approx(sum(w * p.value(surface, fraction, area) for w, p in zip(weights, parts, strict=True)))
+    assert got == pytest.approx(
+        sum(w * p.value(surface, fraction, area) for w, p in zip(weights, parts, strict=True))
+    )
     want = sum(w * p.force(surface, front, curvature) for w, p in zip(weights, parts, strict=True))
-    np.testing.assert_allclose(total.force(surface, front, curvature)[front], want[front], rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(
+        total.force(surface, front, curvature)[front], want[front], rtol=1e-4, atol=1e-6
+    )
 
 
 def test_nothing_to_learn_from_is_told():
@@ -247,7 +294,9 @@ def test_nothing_to_learn_from_is_told():
 def test_any_number_of_threads_gives_the_same_bytes():
     scan = image("3D").astype(np.float32)
     text = "local-region:R=5 + 0.4*likelihood:histogram + 0.2*likelihood + 0.3*threshold:0.2, + 0.1*area"
-    words = dict(spacing=GRIDS["3D"][1], start="ball:20,21,19,8vox", energy=text, max_steps=40, levels=1)
+    words = dict(
+        spacing=GRIDS["3D"][1], start="ball:20,21,19,8vox", energy=text, max_steps=40, levels=1
+    )
     one, three = (segment(scan, threads=threads, **words) for threads in (1, 3))
     np.testing.assert_array_equal(one.psi, three.psi)
     assert [row.potential for row in one.history] == [row.potential for row in three.history]

@@ -29,7 +29,9 @@ MARK = "<!-- run by tests/energies/test_user_energy.py -->"
 
 def example():
     """The names that the guide's example leaves, after it was run as printed."""
-    code = re.search(re.escape(MARK) + r"\n```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
+    code = re.search(
+        re.escape(MARK) + r"\n```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL
+    )
     assert code is not None, "the page has lost its example, or the mark above it"
     names = {}
     exec(compile(code[1], "the example in docs/how-to/own-energy.md", "exec"), names)
@@ -106,7 +108,9 @@ def test_an_object_and_a_maker_run_as_the_named_energy_does():
     words = {"start": "ball:17,14,13,5vox", "presmooth": 0.7}
     named = segment(image, energy="chan-vese:area=0", smoothness=0.05, **words)
     made = segment(image, energy=two_means, start="ball:17,14,13,5vox", presmooth=0.7)
-    given = segment(image, energy=two_means(named.image, None), start="ball:17,14,13,5vox", presmooth=0.7)
+    given = segment(
+        image, energy=two_means(named.image, None), start="ball:17,14,13,5vox", presmooth=0.7
+    )
     for run in (made, given):
         np.testing.assert_array_equal(run.psi, named.psi)
         assert [r.potential for r in run.history] == [r.potential for r in named.history]
@@ -124,7 +128,9 @@ def test_a_class_is_made_with_the_scaled_image_and_the_spacing():
             super().__init__(0.5 - image)
 
     image, truth = noisy_ball()
-    result = segment(image, spacing=(1.0, 0.9, 1.1), energy=Bright, start="ball:18,13,13,5", max_steps=400)
+    result = segment(
+        image, spacing=(1.0, 0.9, 1.1), energy=Bright, start="ball:18,13,13,5", max_steps=400
+    )
     ((scaled, spacing),) = seen
     assert spacing == (1.0, 0.9, 1.1) and scaled.dtype == np.float32
     assert [float(v) for v in np.percentile(scaled, (0.5, 99.5))] == pytest.approx([0, 1], abs=1e-5)
@@ -133,23 +139,38 @@ def test_a_class_is_made_with_the_scaled_image_and_the_spacing():
 
 def test_the_same_object_may_run_twice():
     energy = two_means(noisy_ball()[0], None)
-    one, two = (segment(noisy_ball()[0], energy=energy, start="ball:17,14,13,5vox") for _ in range(2))
+    one, two = (
+        segment(noisy_ball()[0], energy=energy, start="ball:17,14,13,5vox") for _ in range(2)
+    )
     np.testing.assert_array_equal(one.psi, two.psi)
 
 
 def test_the_report_says_whose_energy_it_was():
     image, _ = noisy_ball()
     own = segment(image, energy=two_means, max_steps=2, **START)
-    assert own.energy == own.report["energy"]["name"] == own.report["config"]["energy"] == "custom: ChanVese"
-    with pytest.raises(UsageError, match="custom: ChanVese was given, expected chan-vese, .* in place of 'custom'"):
+    assert (
+        own.energy
+        == own.report["energy"]["name"]
+        == own.report["config"]["energy"]
+        == "custom: ChanVese"
+    )
+    with pytest.raises(
+        UsageError, match="custom: ChanVese was given, expected chan-vese, .* in place of 'custom'"
+    ):
         RunConfig(**own.report["config"])  # no settings make this run again
     named = segment(image, energy="chan-vese", max_steps=2, **START)
-    assert named.energy == named.report["energy"]["name"] == named.report["config"]["energy"] == "chan-vese"
+    assert (
+        named.energy
+        == named.report["energy"]["name"]
+        == named.report["config"]["energy"]
+        == "chan-vese"
+    )
     assert RunConfig(**named.report["config"]) == named.config
 
 
 @pytest.mark.parametrize(
-    ("key", "setting"), [("smoothness", 0.1), ("balance", 2), ("epsilon", 0), ("edge_scale", 1), ("balloon", -1)]
+    ("key", "setting"),
+    [("smoothness", 0.1), ("balance", 2), ("epsilon", 0), ("edge_scale", 1), ("balloon", -1)],
 )
 def test_settings_that_it_would_not_see_are_refused(key, setting):
     with pytest.raises(UsageError, match=f"^{key}: .* one of your own"):
@@ -179,7 +200,9 @@ class Fine:
 
 def test_a_class_without_a_base_is_enough():
     """The area alone: a cube becomes round and smaller."""
-    result = segment(noisy_ball()[0], energy=Fine(), start="box:6,6,6,22,22,22vox", flow="gradient", max_steps=60)
+    result = segment(
+        noisy_ball()[0], energy=Fine(), start="box:6,6,6,22,22,22vox", flow="gradient", max_steps=60
+    )
     assert result.energy == "custom: Fine"
     assert result.area_mm2 < 0.8 * 6 * 17**2
     roundness = 36 * np.pi * result.volume_mm3**2 / result.area_mm2**3
@@ -189,7 +212,9 @@ def test_a_class_without_a_base_is_enough():
 @pytest.mark.parametrize("method", ["start", "follow", "value", "force"])
 def test_an_object_that_lacks_a_method(method):
     lacking = type("Lacking", (Fine,), {method: None})()
-    with pytest.raises(UsageError, match=f"a Lacking was given, which has no {method}\\b") as caught:
+    with pytest.raises(
+        UsageError, match=f"a Lacking was given, which has no {method}\\b"
+    ) as caught:
         segment(noisy_ball()[0], energy=lacking, **START)
     assert "accelsurf.energies.Energy" in caught.value.hint
 
@@ -222,7 +247,10 @@ def test_a_name_that_is_none():
         (lambda f: None, "a NoneType, expected"),
         (lambda f: f > 0, "array of bool"),
         (lambda f: f * 1j, "array of complex"),
-        (lambda f: np.where(np.arange(f.size) % 7 == 0, np.nan, f), "not finite, the first nan at index x="),
+        (
+            lambda f: np.where(np.arange(f.size) % 7 == 0, np.nan, f),
+            "not finite, the first nan at index x=",
+        ),
         (lambda f: f.astype(float) + 1e300, r"not finite, the first 1e\+300 at index x="),
     ],
 )
@@ -242,7 +270,9 @@ def test_off_the_front_anything_goes():
             return np.where(front, curvature, np.nan)
 
     options = {"start": "ball:15,15,15,9vox", "max_steps": 5}
-    one, other = (segment(noisy_ball()[0], energy=energy, **options) for energy in (Careless(), Fine()))
+    one, other = (
+        segment(noisy_ball()[0], energy=energy, **options) for energy in (Careless(), Fine())
+    )
     np.testing.assert_array_equal(one.psi, other.psi)
 
 
@@ -265,7 +295,9 @@ def test_a_value_that_is_infinite_ends_the_run():
 
 
 def test_an_image_on_another_grid():
-    with pytest.raises(InputError, match=r"shape \(4, 4, 4\) was given to an energy, expected \(30, 30, 30\)"):
+    with pytest.raises(
+        InputError, match=r"shape \(4, 4, 4\) was given to an energy, expected \(30, 30, 30\)"
+    ):
         segment(noisy_ball()[0], energy=RegionField(np.zeros((4, 4, 4))), **START)
     turned = np.zeros((30, 28, 32))
     surface = LevelSet(sphere(shape=(28, 30, 32))[0], (1.0, 1.2, 0.9))

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from accelsurf.energies import ChanVese, GaussianLikelihood, HistogramLikelihood, Parzen, RegionMoments
+from accelsurf.energies import (
+    ChanVese,
+    GaussianLikelihood,
+    HistogramLikelihood,
+    Parzen,
+    RegionMoments,
+)
 from accelsurf.energies.likelihood import least_variance
 from accelsurf.energies.region_sums import moments_of, sums_by_plane
 from accelsurf.grid.boxes import box_at
@@ -62,7 +68,9 @@ def test_a_window_has_the_bytes_of_the_whole(name, window):
     box, make = box_at(*window), makers(image)[name]
     with Workers(1) as one, Workers(3) as three:
         want, surface = evolved(make(image), psi, one)
-        got, part = evolved(make(np.ascontiguousarray(image[box])), np.ascontiguousarray(psi[box]), three)
+        got, part = evolved(
+            make(np.ascontiguousarray(image[box])), np.ascontiguousarray(psi[box]), three
+        )
     assert got == want
     assert surface[box].tobytes() == part.tobytes()
 
@@ -72,7 +80,11 @@ def test_by_default_the_whole_is_the_image_at_hand():
     part = box_at(*WINDOWS["all around"])
     values = np.ascontiguousarray(image[part])
     with Workers(1) as workers:
-        for name, bare in (("chan-vese", ChanVese), ("gauss", GaussianLikelihood), ("histogram", HistogramLikelihood)):
+        for name, bare in (
+            ("chan-vese", ChanVese),
+            ("gauss", GaussianLikelihood),
+            ("histogram", HistogramLikelihood),
+        ):
             own, _ = evolved(bare(values, 0.1), psi[part], workers)
             assert own == evolved(makers(values)[name](values), psi[part], workers)[0]
             assert own != evolved(makers(image)[name](values), psi[part], workers)[0]

@@ -77,7 +77,11 @@ def test_the_wrong_sign_of_the_transport_term_misses_the_reference() -> None:
     """- 1/2 beta^2 H, as the paper prints it for surfaces: off by more than 20 times what is allowed."""
     problem = PLANE["no area weight"]
     on, h = problem.grid(48), WIDTH / 47
-    run = Run(set_up(problem.start, problem.force, on, problem.frame), problem.law, BentWrongly(diffusion=0.0))
+    run = Run(
+        set_up(problem.start, problem.force, on, problem.frame),
+        problem.law,
+        BentWrongly(diffusion=0.0),
+    )
     run.until(1.5, 0.5 * h)
     curve = solve(problem.start, problem.force, problem.law, (1.5,))[0]
     assert compare(run.surface, on, problem.frame, curve).point > 0.4 * h
@@ -100,8 +104,12 @@ def test_descent_of_a_curve() -> None:
         ("flowable, oblique, 2:1:1", 32, 0.06, 0.015),
     ],
 )
-def test_surfaces_of_revolution_about_an_oblique_axis(name: str, n: int, point: float, mean: float) -> None:
+def test_surfaces_of_revolution_about_an_oblique_axis(
+    name: str, n: int, point: float, mean: float
+) -> None:
     misfit = SPACE[name].misfit(n)
-    print(f"\n{name}, {n}: mean {misfit.mean:.4f} h, worst {misfit.point:.4f} h, density {misfit.density:.4f}")
+    print(
+        f"\n{name}, {n}: mean {misfit.mean:.4f} h, worst {misfit.point:.4f} h, density {misfit.density:.4f}"
+    )
     assert misfit.point <= point and misfit.mean <= mean
     assert misfit.density <= 0.06

@@ -45,7 +45,9 @@ class Box(NamedTuple):
 
 def box(shape: tuple[int, int, int], spacing: Triple, at: Triple) -> Box:
     """A grid whose origin lies at the parts ``at`` of its edges: 0 and 1 are the border's faces."""
-    axes = [(np.arange(n) + 0.5 - part * n) * h for n, h, part in zip(shape, spacing, at, strict=True)]
+    axes = [
+        (np.arange(n) + 0.5 - part * n) * h for n, h, part in zip(shape, spacing, at, strict=True)
+    ]
     return Box(spacing, np.stack(np.meshgrid(*axes, indexing="ij")))
 
 
@@ -75,7 +77,11 @@ def radial_error(case: Case, flow: str, on: Box, dt: float) -> float:
     radius = np.maximum(on.radius, 1e-9)
     area_part = case.alpha * (case.dim - 1) / radius
     image = np.vectorize(case.force)(radius) - area_part
-    surface, path, worst = LevelSet(on.radius - case.r0, on.spacing, wide), radius_of(case, flow), 0.0
+    surface, path, worst = (
+        LevelSet(on.radius - case.r0, on.spacing, wide),
+        radius_of(case, flow),
+        0.0,
+    )
     for t, _ in steps(surface, RegionField(image, case.alpha), FLOWS[flow](), dt, case.t_end):
         found = np.linalg.norm(points_within(surface, on), axis=1)
         worst = max(worst, float(np.abs(found - path(t)).max()))
@@ -87,7 +93,15 @@ ALPHA = 0.02
 
 def only_area(flow: str, dim: int, r0: float, t_end: float) -> Case:
     """Only the area, of weight `ALPHA`."""
-    return Case("area", r0, lambda r: ALPHA * (dim - 1) / r, ALPHA, t_end, dim, flowable=flow == "flowable-mass")
+    return Case(
+        "area",
+        r0,
+        lambda r: ALPHA * (dim - 1) / r,
+        ALPHA,
+        t_end,
+        dim,
+        flowable=flow == "flowable-mass",
+    )
 
 
 # ------------------------------------------------------------------------------------------------ exact solutions
@@ -98,7 +112,10 @@ def only_area(flow: str, dim: int, r0: float, t_end: float) -> Case:
 def test_a_half_circle_at_the_border_shrinks_as_the_whole_one(flow: str) -> None:
     """Before, the contact line felt no force: 3.3 h off at n = 64, 6.7 h at 128."""
     case = only_area(flow, 2, 0.35, 1.2)
-    errors = [radial_error(case, flow, slice_of(n), (2.0 if flow == "gradient" else 0.4) / n) for n in (32, 64)]
+    errors = [
+        radial_error(case, flow, slice_of(n), (2.0 if flow == "gradient" else 0.4) / n)
+        for n in (32, 64)
+    ]
     print(f"\nhalf circle, {flow}: {errors[0]:.4f} h, {errors[1]:.4f} h")
     assert errors[1] < errors[0] < 0.01
 
@@ -114,7 +131,15 @@ def test_the_closed_form_of_the_half_circle_under_descent() -> None:
 def test_a_half_disc_comes_to_rest_at_the_border(flow: str) -> None:
     """F = 5 (r - 0.3) and the area: at rest where F + alpha/r = 0. Before: 5 h off at n = 32, 10 h at 64."""
     alpha = 0.03
-    case = Case("disc", 0.36, lambda r: 5 * (r - 0.3) + alpha / r, alpha, 1.5, 2, flowable=flow == "flowable-mass")
+    case = Case(
+        "disc",
+        0.36,
+        lambda r: 5 * (r - 0.3) + alpha / r,
+        alpha,
+        1.5,
+        2,
+        flowable=flow == "flowable-mass",
+    )
     errors = [radial_error(case, flow, slice_of(n), 0.4 / n) for n in (32, 64)]
     print(f"\nhalf disc, {flow}: {errors[0]:.4f} h, {errors[1]:.4f} h")
     assert errors[1] < errors[0] < 0.03
@@ -140,14 +165,25 @@ def test_a_capillary_wave_that_ends_at_the_border(flow: str) -> None:
 
 
 #: Faces, edges and corners: where the centre lies along each axis, 0 and 1 at the border.
-FACES: list[Triple] = [(0, 0.5, 0.5), (1, 0.5, 0.5), (0.5, 0, 0.5), (0.5, 1, 0.5), (0.5, 0.5, 0), (0.5, 0.5, 1)]
+FACES: list[Triple] = [
+    (0, 0.5, 0.5),
+    (1, 0.5, 0.5),
+    (0.5, 0, 0.5),
+    (0.5, 1, 0.5),
+    (0.5, 0.5, 0),
+    (0.5, 0.5, 1),
+]
 
 
 def ball_on(at: Triple, spacing: Triple, flow: str, n: int = 16, t_end: float = 0.8) -> float:
     """`radial_error` of a part of a ball of radius 0.5 that shrinks by its area, the volume 1 mm long from its face."""
-    shape = tuple(round((1.3 if part == 0.5 else 0.8) * n / h) for h, part in zip(spacing, at, strict=True))
+    shape = tuple(
+        round((1.3 if part == 0.5 else 0.8) * n / h) for h, part in zip(spacing, at, strict=True)
+    )
     on = box((shape[0], shape[1], shape[2]), (spacing[0] / n, spacing[1] / n, spacing[2] / n), at)
-    return radial_error(only_area(flow, 3, 0.5, t_end), flow, on, (1.0 if flow == "gradient" else 0.4) / n)
+    return radial_error(
+        only_area(flow, 3, 0.5, t_end), flow, on, (1.0 if flow == "gradient" else 0.4) / n
+    )
 
 
 @pytest.mark.parametrize("at", FACES)
@@ -156,7 +192,9 @@ def test_half_a_ball_on_each_face(at: Triple) -> None:
 
 
 @pytest.mark.parametrize("flow", FLOWS)
-@pytest.mark.parametrize("at", [(0, 1, 0.5), (1, 0, 1)], ids=["quarter on an edge", "eighth in a corner"])
+@pytest.mark.parametrize(
+    "at", [(0, 1, 0.5), (1, 0, 1)], ids=["quarter on an edge", "eighth in a corner"]
+)
 def test_parts_of_a_ball_on_an_edge_and_in_a_corner(at: Triple, flow: str) -> None:
     assert ball_on(at, (1, 1, 1), flow) < 0.015
 
@@ -182,11 +220,19 @@ MIRRORED: dict[str, tuple[Callable[[], Flow], float]] = {
 }
 
 
-def evolved(flow: Flow, psi: np.ndarray, force: np.ndarray, h: float, t_end: float = 0.8) -> LevelSet:
+def evolved(
+    flow: Flow, psi: np.ndarray, force: np.ndarray, h: float, t_end: float = 0.8
+) -> LevelSet:
     """The surface of ``psi`` at ``t_end``, in steps of h/4 (descent h/10), under a force field and the area."""
     surface = LevelSet(psi, (h, h, h), 4.0)
     # Below the bounds of descent, which depend on the surface.
-    for _ in steps(surface, RegionField(force, 0.04), flow, (0.1 if isinstance(flow, Descent) else 0.25) * h, t_end):
+    for _ in steps(
+        surface,
+        RegionField(force, 0.04),
+        flow,
+        (0.1 if isinstance(flow, Descent) else 0.25) * h,
+        t_end,
+    ):
         pass
     return surface
 
@@ -202,7 +248,9 @@ def test_half_a_volume_is_as_the_mirrored_whole(name: str) -> None:
 
     def run(on: Box) -> LevelSet:
         y, x = on.points[1], on.points[2]
-        return evolved(make(), np.hypot(y, 1.3 * x) - 0.32, 3 * (np.hypot(1.2 * (y + 0.03), x) - 0.25), 1.0 / n)
+        return evolved(
+            make(), np.hypot(y, 1.3 * x) - 0.32, 3 * (np.hypot(1.2 * (y + 0.03), x) - 0.25), 1.0 / n
+        )
 
     one, other = run(half), run(whole)
     near = np.abs(one.psi) < 1.5 / n
@@ -213,7 +261,9 @@ def test_half_a_volume_is_as_the_mirrored_whole(name: str) -> None:
         areas.append(float(area.sum()))
         volumes.append(surface.volume(fraction))
     shares = areas[0] / areas[1], volumes[0] / volumes[1]
-    print(f"\n{name}: {difference:.4f} h, area {2 * shares[0] - 1:.1e}, volume {2 * shares[1] - 1:.1e}")
+    print(
+        f"\n{name}: {difference:.4f} h, area {2 * shares[0] - 1:.1e}, volume {2 * shares[1] - 1:.1e}"
+    )
     assert difference < most
     assert shares == pytest.approx((0.5, 0.5), rel=2e-3)
 
@@ -233,7 +283,9 @@ def test_half_a_volume_of_three_dimensions_is_as_the_mirrored_whole(axis: int, e
         across = np.abs(on.points[axis])
         away = np.delete(on.points, axis, axis=0)
         force = 3 * (np.sqrt(across**2 + (away[0] - 0.02) ** 2 + 1.2 * away[1] ** 2) - 0.27)
-        return evolved(ConstantDensity(diffusion=0.0), np.sqrt((scaled**2).sum(axis=0)) - 0.32, force, h, 0.5)
+        return evolved(
+            ConstantDensity(diffusion=0.0), np.sqrt((scaled**2).sum(axis=0)) - 0.32, force, h, 0.5
+        )
 
     one = run(box((shape[0], shape[1], shape[2]), (h, h, h), (at[0], at[1], at[2])))
     other = run(box((wide[0], wide[1], wide[2]), (h, h, h), (middle[0], middle[1], middle[2])))
@@ -268,7 +320,10 @@ def test_the_force_on_the_contact_line_is_the_derivative_of_the_area(angle: floa
     _, area = surface.fraction_and_area()
     near = front & (on.points[2].ravel()[surface.band.cells] < 0.5)
     # At single cells at the band's edge psi two voxels further in is not known.
-    assert np.abs(curvature[near & surface.front(0.75)]).max() < 0.01 and np.abs(curvature[near]).max() < 0.1 * n
+    assert (
+        np.abs(curvature[near & surface.front(0.75)]).max() < 0.01
+        and np.abs(curvature[near]).max() < 0.1 * n
+    )
     # N points inward: N . n_border = sin a at x = 0, where the border's normal is -x.
     got = float((variation * area)[near].sum()) * n
     print(f"\n{angle} degrees: {got / slope:.3f}")
@@ -317,7 +372,9 @@ def oblique_plane(flow: str, n: int) -> Iterator[tuple[float, LevelSet, Box, np.
     on = slice_of(n)
     normal = np.array([0.0, math.cos(math.radians(30)), math.sin(math.radians(30))])
     surface = LevelSet(np.tensordot(normal, on.points, 1) - 0.2, on.spacing, 4.0)
-    for t, _ in steps(surface, RegionField(np.full(on.radius.shape, 0.5)), FLOWS[flow](), 0.25 / n, 0.5):
+    for t, _ in steps(
+        surface, RegionField(np.full(on.radius.shape, 0.5)), FLOWS[flow](), 0.25 / n, 0.5
+    ):
         yield t, surface, on, normal
 
 

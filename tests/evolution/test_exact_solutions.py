@@ -112,13 +112,17 @@ def test_sphere_and_circle_follow_the_exact_solution(name: str, sizes: Triple) -
     four times smaller and orders above 2; but upwinding is what smooths noise, so the flow keeps it.
     """
     case, (tolerance, least) = exact.CASES[name], WANTED[name]
-    misfits = [follow(case, lattice(n, flat=case.dim == 2), STEP[name] * WIDTH / (n - 1)) for n in sizes]
+    misfits = [
+        follow(case, lattice(n, flat=case.dim == 2), STEP[name] * WIDTH / (n - 1)) for n in sizes
+    ]
     means, points = ([getattr(m, kind) for m in misfits] for kind in Misfit._fields)
     table = "  ".join(
         f"{n}: {(n - 1) * m.mean / WIDTH:.4f} h, {(n - 1) * m.point / WIDTH:.4f} h"
         for n, m in zip(sizes, misfits, strict=True)
     )
-    print(f"\n{name} (mean, worst point)  {table}  order {order(means, sizes):.2f}, {order(points, sizes):.2f}")
+    print(
+        f"\n{name} (mean, worst point)  {table}  order {order(means, sizes):.2f}, {order(points, sizes):.2f}"
+    )
     h = WIDTH / (sizes[-1] - 1)
     assert points[-1] <= tolerance * h
     # Where the error is down to what float32 and the sampling of the surface leave there is no order to see.
@@ -130,7 +134,9 @@ def test_sphere_and_circle_follow_the_exact_solution(name: str, sizes: Triple) -
     ("name", "coarser", "mean", "point"),
     [("B", (2, 1, 1), 0.015, 0.02), ("B", (1, 3, 1), 0.02, 0.04), ("C", (1, 1, 2), 0.03, 0.08)],
 )
-def test_exact_solutions_on_an_anisotropic_grid(name: str, coarser: Triple, mean: float, point: float) -> None:
+def test_exact_solutions_on_an_anisotropic_grid(
+    name: str, coarser: Triple, mean: float, point: float
+) -> None:
     """Spacings 2:1:1 and 3:1:1; errors in h, the finer one.
 
     At its smallest (r = 0.39) case C is 3.5 of the coarse voxels in radius, and its image rises within one of them:
@@ -189,7 +195,9 @@ def test_spheroid_follows_the_spectral_solution(k: float) -> None:
     n = 48
     h, on = WIDTH / (n - 1), lattice(n)
     energy, surface = energy_of(exact.B, on.radius), spheroid(on)
-    evolution = Evolution(surface, energy, ConstantDensity(k, diffusion=0.0), StepLimits(0.5, 100.0), max_steps=10_000)
+    evolution = Evolution(
+        surface, energy, ConstantDensity(k, diffusion=0.0), StepLimits(0.5, 100.0), max_steps=10_000
+    )
     rows, times = iter(evolution), sorted(exact.SPHEROID)
     time = 0.0
     for mark in times:
@@ -308,7 +316,9 @@ def test_lambda_and_rho_only_rescale_time() -> None:
         surface = spheroid(on)
         energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, 0.05)
         # The automatic diffusion on: it has to scale too.
-        evolution = Evolution(surface, energy, ConstantDensity(2.0, lambda_, rho), StepLimits(0.5, 95.0, dt), 40)
+        evolution = Evolution(
+            surface, energy, ConstantDensity(2.0, lambda_, rho), StepLimits(0.5, 95.0, dt), 40
+        )
         times = [step.record.t for step in evolution]
         return times, surface.psi.copy()
 
@@ -329,7 +339,9 @@ def test_time_dilation() -> None:
         surface = LevelSet(on.radius - case.r0, on.spacing)
         samples = [(0.0, case.r0)]
         for t, _ in steps(surface, energy_of(case, on.radius), flow_of(case), 0.25 * h, case.t_end):
-            samples.append((t ** (0.5 * k), float(np.linalg.norm(surface_points(surface, on), axis=1).mean())))
+            samples.append(
+                (t ** (0.5 * k), float(np.linalg.norm(surface_points(surface, on), axis=1).mean()))
+            )
         radii[k] = np.array(samples).T
     at = np.linspace(0.1, 1.15, 40)
     two, three = (CubicSpline(*radii[k])(at) for k in (2.0, 3.0))
@@ -342,7 +354,9 @@ def test_time_dilation() -> None:
 
 def balance(rows: list[StepRecord], friction: float | None) -> tuple[float, float]:
     """d(T + w U) over a run, and what friction took: -(6/t) T (k = 2, w = 4), or -2 a T (w = 1)."""
-    t, kinetic, potential = (np.array([getattr(r, key) for r in rows]) for key in ("t", "kinetic", "potential"))
+    t, kinetic, potential = (
+        np.array([getattr(r, key) for r in rows]) for key in ("t", "kinetic", "potential")
+    )
     if friction is None:
         total, rate = kinetic + 4.0 * potential, 6.0 * kinetic / np.maximum(t, 1e-9)
     else:
@@ -361,13 +375,17 @@ def test_energy_is_lost_to_friction_only(alpha: float, friction: float | None) -
     flow = ConstantDensity(friction=friction, diffusion=0.0)
     rows = [row for _, row in steps(surface, energy, flow, 0.5 * h, 2.5)]
     change, lost = balance(rows, friction)
-    print(f"\nalpha {alpha}, friction {friction}: d(T + w U) = {change:.5f}, lost {lost:.5f}: {change / lost - 1:+.2%}")
+    print(
+        f"\nalpha {alpha}, friction {friction}: d(T + w U) = {change:.5f}, lost {lost:.5f}: {change / lost - 1:+.2%}"
+    )
     assert change == pytest.approx(lost, rel=0.02)
     if friction is None:
         # The spectral solver's -0.780946 and -1.771917, from t = 0.5 to 2.5.
         late = [row for row in rows if row.t >= 0.5]
         change, _ = balance(late, friction)
-        short = 0.5 * (late[0].t - 0.5 + 2.5 - late[-1].t) / 2.0  # the sampled interval is a little shorter
+        short = (
+            0.5 * (late[0].t - 0.5 + 2.5 - late[-1].t) / 2.0
+        )  # the sampled interval is a little shorter
         true = -0.780946298 if alpha == 0 else -1.771916799
         assert change == pytest.approx(true, rel=0.02 + 3 * short)
 
@@ -392,7 +410,11 @@ def drop(on: Lattice) -> LevelSet:
     psi = np.where(
         beside < 0,
         np.hypot(off, along) - 0.55,
-        np.where(beside > 0.8 * cosine, np.hypot(off, along - 0.8) - 0.22, off * cosine + along * sine - 0.55),
+        np.where(
+            beside > 0.8 * cosine,
+            np.hypot(off, along - 0.8) - 0.22,
+            off * cosine + along * sine - 0.55,
+        ),
     )
     return LevelSet(psi.reshape(on.points.shape[1:]), on.spacing)
 
@@ -404,7 +426,9 @@ def stray_momentum(flow: ConstantDensity, force: Callable[[np.ndarray], Energy])
     for _ in steps(surface, force(on.radius), flow, 0.5 * h, 1.0):
         _, area = surface.fraction_and_area()
         cut = np.flatnonzero(area)
-        slope = np.stack(np.gradient(surface.psi, *on.spacing)).reshape(3, -1)[:, surface.band.cells[cut]]
+        slope = np.stack(np.gradient(surface.psi, *on.spacing)).reshape(3, -1)[
+            :, surface.band.cells[cut]
+        ]
         weight = area[cut] * flow.beta[cut]
         total = (slope / np.linalg.norm(slope, axis=0)) @ weight
         worst = max(worst, float(np.linalg.norm(total) / np.abs(weight).sum()))

@@ -18,7 +18,10 @@ def test_spheres_follow_the_exact_solution(name: str) -> None:
     """The mean radius as with closest points; single points err two to five times as much, where psi is less smooth."""
     case, (mean, point, least) = exact.CASES[name], WANTED[name]
     sizes = (32, 48)
-    runs = [follow(case, lattice(n), STEP[name] * WIDTH / (n - 1), extension="fast-marching") for n in sizes]
+    runs = [
+        follow(case, lattice(n), STEP[name] * WIDTH / (n - 1), extension="fast-marching")
+        for n in sizes
+    ]
     per = (sizes[-1] - 1) / WIDTH
     assert runs[-1].mean * per < mean and runs[-1].point * per < point
     assert order([run.mean for run in runs], sizes) > least

@@ -54,7 +54,9 @@ def test_circles_and_spheres_follow_their_equation(name: str) -> None:
             np.testing.assert_allclose(np.hypot(*curve.points.T), path(t), atol=1e-9)
             np.testing.assert_allclose(curve.speed(), path.beta(t), atol=1e-9)
             if case.flowable:
-                np.testing.assert_allclose(curve.density, (case.r0 / path(t)) ** (case.dim - 1) * case.rho, rtol=1e-8)
+                np.testing.assert_allclose(
+                    curve.density, (case.r0 / path(t)) ** (case.dim - 1) * case.rho, rtol=1e-8
+                )
 
 
 def test_descent_of_circle_and_sphere() -> None:
@@ -62,7 +64,9 @@ def test_descent_of_circle_and_sphere() -> None:
     for revolved in (False, True):
         start = ellipse(1.0, 1.0, 32, revolved=revolved)
         law = Law("descent", alpha=0.05)
-        for t, curve in zip(TIMES, solve(start, lambda p: np.zeros(len(p)), law, TIMES), strict=True):
+        for t, curve in zip(
+            TIMES, solve(start, lambda p: np.zeros(len(p)), law, TIMES), strict=True
+        ):
             r = math.sqrt(1.0 - 2.0 * (2 if revolved else 1) * 0.05 * t)
             np.testing.assert_allclose(np.hypot(*curve.points.T), r, atol=1e-9)
 
@@ -88,17 +92,23 @@ def test_flowable_spheroid_under_a_constant_force_stays_one() -> None:
     density = mass / (4 * math.pi * a * a * c * np.hypot(np.cos(p) / a, np.sin(p) / c))
     start = ellipse(a, c, 64, revolved=True)
     start = Curve(start.points, True, density=density)
-    curve = solve(start, lambda points: np.full(len(points), force), Law("flowable-mass"), (1.0,))[0]
+    curve = solve(start, lambda points: np.full(len(points), force), Law("flowable-mass"), (1.0,))[
+        0
+    ]
 
     def rates(t: float, d: np.ndarray) -> np.ndarray:
         product = d[0] ** 2 * d[1]
-        return np.concatenate([d[2:], -3.0 / t * d[2:] - 4.0 * force * product / d[:2] * 4.0 * math.pi / mass])
+        return np.concatenate(
+            [d[2:], -3.0 / t * d[2:] - 4.0 * force * product / d[:2] * 4.0 * math.pi / mass]
+        )
 
     pull = -force * a * a * c / np.array([a, c]) * 4.0 * math.pi / mass
     first = np.concatenate([(a, c) + 0.5 * pull * 1e-6, pull * 1e-3])
     axes = solve_ivp(rates, (1e-3, 1.0), first, method="DOP853", rtol=1e-12, atol=1e-14).y[:2, -1]
     assert abs(axes[0] - a) > 0.05
-    np.testing.assert_allclose(curve.points, axes * np.stack([np.cos(p), np.sin(p)], axis=1), atol=1e-8)
+    np.testing.assert_allclose(
+        curve.points, axes * np.stack([np.cos(p), np.sin(p)], axis=1), atol=1e-8
+    )
     assert curve.mass == pytest.approx(start.mass, rel=1e-9)
 
 
@@ -115,9 +125,13 @@ def test_flowable_mass_without_area_weight_is_ill_posed() -> None:
     start = Curve(start.points, density=1.0 / start.geometry().stretch)
     modes = {}
     for alpha in (0.0, 0.2):
-        curve = solve(start, lambda x: np.full(len(x), f), Law("flowable-mass", alpha=alpha), (t,))[0]
+        curve = solve(start, lambda x: np.full(len(x), f), Law("flowable-mass", alpha=alpha), (t,))[
+            0
+        ]
         spectrum = np.fft.fft(curve.points @ (1.0, 1j)) / 128
-        modes[alpha] = (spectrum * np.exp(-1j * np.fft.fftfreq(128, 1 / 128) * np.pi / 128))[[1, m, -m]]
+        modes[alpha] = (spectrum * np.exp(-1j * np.fft.fftfreq(128, 1 / 128) * np.pi / 128))[
+            [1, m, -m]
+        ]
     x = math.sqrt(4.0 * abs(f)) * t
     grown = 2.0 * i1(x * math.sqrt(m)) / (x * math.sqrt(m))
     assert modes[0.0][0] == pytest.approx(2.0 * i1(x) / x, abs=1e-8)
@@ -130,9 +144,18 @@ def test_flowable_mass_without_area_weight_is_ill_posed() -> None:
 @pytest.mark.parametrize("friction", [None, 0.7])
 def test_both_forms_of_constant_density_agree(revolved: bool, friction: float | None) -> None:
     """On a shape and under a force without symmetry; from rest the motion stays normal."""
-    start = star(lambda angle: 0.75 + (0.05 * np.sin(angle) if revolved else 0.06 * np.cos(3 * angle)), 192, revolved)
+    start = star(
+        lambda angle: 0.75 + (0.05 * np.sin(angle) if revolved else 0.06 * np.cos(3 * angle)),
+        192,
+        revolved,
+    )
     normal, general = (
-        solve(start, uneven if revolved else lopsided, Law(model, friction=friction, alpha=0.03), TIMES)
+        solve(
+            start,
+            uneven if revolved else lopsided,
+            Law(model, friction=friction, alpha=0.03),
+            TIMES,
+        )
         for model in ("constant-density", "general")
     )
     for one, other in zip(normal, general, strict=True):
@@ -150,7 +173,9 @@ def test_twice_the_points_give_the_same_curve(model: str) -> None:
         assert np.abs(one.refined(512).points - other.refined(512).points).max() < 1e-6
 
 
-@pytest.mark.parametrize(("k", "lambda_", "rho"), [(1.5, 1.0, 1.0), (2.0, 2.0, 0.5), (3.0, 1.0, 2.0)])
+@pytest.mark.parametrize(
+    ("k", "lambda_", "rho"), [(1.5, 1.0, 1.0), (2.0, 2.0, 0.5), (3.0, 1.0, 2.0)]
+)
 @pytest.mark.parametrize("model", ["constant-density", "flowable-mass"])
 def test_energy_is_lost_to_friction_only(model: str, k: float, lambda_: float, rho: float) -> None:
     """d(T/w + U)/dt = -(3 k/t) T/w for a force without symmetry and an area weight; the total mass stays."""
@@ -184,9 +209,13 @@ def test_a_capillary_wave_swings_as_it_must() -> None:
     p, alpha, height = parameter(64), 0.05, 1e-4
     start = Curve(np.stack([p, height * np.cos(2 * p)], axis=1), period=(2.0 * np.pi, 0.0))
     times = (1.0, 3.0, 6.0)
-    for t, curve in zip(times, solve(start, lambda x: np.zeros(len(x)), Law(alpha=alpha), times), strict=True):
+    for t, curve in zip(
+        times, solve(start, lambda x: np.zeros(len(x)), Law(alpha=alpha), times), strict=True
+    ):
         x, y = curve.points.T
-        assert y @ np.cos(2 * x) / 32 == pytest.approx(height * jinc(math.sqrt(4 * alpha) * 2 * t), abs=1e-3 * height)
+        assert y @ np.cos(2 * x) / 32 == pytest.approx(
+            height * jinc(math.sqrt(4 * alpha) * 2 * t), abs=1e-3 * height
+        )
     assert np.abs(curve.refined(512).points[:, 1]).max() < height
 
 
@@ -208,11 +237,17 @@ def test_series_and_measures() -> None:
     np.testing.assert_allclose(derivative(np.sin(3 * p)), 3 * np.cos(3 * p), atol=1e-12)
     plane, ball = ellipse(0.9, 0.7, 96), ellipse(0.9, 0.9, 32, (0.0, 0.3), revolved=True)
     assert plane.content == pytest.approx(np.pi * 0.63, rel=1e-12)
-    assert (ball.size, ball.content) == pytest.approx((4 * np.pi * 0.81, 4 / 3 * np.pi * 0.729), rel=1e-12)
+    assert (ball.size, ball.content) == pytest.approx(
+        (4 * np.pi * 0.81, 4 / 3 * np.pi * 0.729), rel=1e-12
+    )
     fine = plane.refined(512)
     np.testing.assert_allclose(fine.points, ellipse(0.9, 0.7, 512).points, atol=1e-12)
     torus = ellipse(0.2, 0.2, 64, (0.8, 0.0), revolved=True)
-    assert (torus.size, torus.content) == pytest.approx((4 * np.pi**2 * 0.16, 2 * np.pi**2 * 0.032), rel=1e-9)
+    assert (torus.size, torus.content) == pytest.approx(
+        (4 * np.pi**2 * 0.16, 2 * np.pi**2 * 0.032), rel=1e-9
+    )
     np.testing.assert_allclose(
-        torus.geometry().curvature, 1 / 0.2 + np.cos(parameter(64)) / (0.8 + 0.2 * np.cos(parameter(64))), rtol=1e-9
+        torus.geometry().curvature,
+        1 / 0.2 + np.cos(parameter(64)) / (0.8 + 0.2 * np.cos(parameter(64))),
+        rtol=1e-9,
     )

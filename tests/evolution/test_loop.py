@@ -45,7 +45,9 @@ def test_converged(flow):
 
 
 def test_max_steps_and_the_ledger():
-    evolution = Evolution(ball(4), ChanVese(smooth_image()), ConstantDensity(), max_steps=7, rule=StopRule())
+    evolution = Evolution(
+        ball(4), ChanVese(smooth_image()), ConstantDensity(), max_steps=7, rule=StopRule()
+    )
     stop = run(evolution)
     assert stop.reason == "max-steps" and stop.steps == 7
     rows = evolution.history
@@ -62,24 +64,32 @@ def test_max_steps_and_the_ledger():
 
 
 def test_vanished():
-    evolution = Evolution(ball(4), RegionField(np.ones((N, N, N))), ConstantDensity(), max_steps=200)
+    evolution = Evolution(
+        ball(4), RegionField(np.ones((N, N, N))), ConstantDensity(), max_steps=200
+    )
     assert run(evolution).reason == "vanished"
     assert not evolution.surface.labels.any()
     assert evolution.history[-1].volume_mm3 == 0
     # The last voxels were removed, not chased with ever smaller steps.
     assert sum(row.removed_components for row in evolution.history) == 1
-    assert min(row.dt for row in evolution.history[:-1]) > 1e-2 * max(row.dt for row in evolution.history)
+    assert min(row.dt for row in evolution.history[:-1]) > 1e-2 * max(
+        row.dt for row in evolution.history
+    )
 
 
 def test_filled():
-    evolution = Evolution(ball(9), RegionField(-np.ones((N, N, N))), ConstantDensity(), max_steps=200)
+    evolution = Evolution(
+        ball(9), RegionField(-np.ones((N, N, N))), ConstantDensity(), max_steps=200
+    )
     assert run(evolution).reason == "filled"
     assert evolution.surface.labels.all()
     assert evolution.history[-1].volume_mm3 == N**3
 
 
 def test_no_force_at_all_has_converged():
-    assert run(Evolution(ball(6), RegionField(np.zeros((N, N, N))), Gradient())).reason == "converged"
+    assert (
+        run(Evolution(ball(6), RegionField(np.zeros((N, N, N))), Gradient())).reason == "converged"
+    )
 
 
 def test_interrupted_leaves_a_valid_surface():
@@ -130,10 +140,20 @@ def test_stalled():
 @pytest.mark.parametrize("flow", [Gradient, ConstantDensity, FlowableMass])
 def test_short_steps_are_no_rest(flow):
     """A diffusion that makes the steps a thousand and more times too short: the surface has not moved, nor arrived."""
-    stop = run(Evolution(ball(6), ChanVese(smooth_image()), flow(diffusion=1e5), rule=StopRule(), max_steps=100))
-    assert stop.reason == "stalled" and stop.steps < 40 and "times shorter than the forces allow" in stop.message
+    stop = run(
+        Evolution(
+            ball(6), ChanVese(smooth_image()), flow(diffusion=1e5), rule=StopRule(), max_steps=100
+        )
+    )
+    assert (
+        stop.reason == "stalled"
+        and stop.steps < 40
+        and "times shorter than the forces allow" in stop.message
+    )
     # Some hundred times too short: 20 of them move it by less than the tolerance, and prove nothing.
-    evolution = Evolution(ball(4), ChanVese(smooth_image()), flow(diffusion=1000.0), rule=StopRule(), max_steps=60)
+    evolution = Evolution(
+        ball(4), ChanVese(smooth_image()), flow(diffusion=1000.0), rule=StopRule(), max_steps=60
+    )
     assert run(evolution).reason == "max-steps"
     assert sum(row.motion_voxels for row in evolution.history) < 0.5
     assert all(20 < row.cfl_dt / row.dt < 200 for row in evolution.history[:-1])
@@ -145,8 +165,11 @@ def test_a_small_part_on_its_way_is_no_rest():
     r = np.sqrt(z**2 + y**2 + x**2)
     rod = (z**2 + y**2 < 3.5**2) & (x > 0) & (x < 26)
     evolution = Evolution(
-        LevelSet(r - 14, (1.0, 1.0, 1.0)), RegionField(np.where(rod, -1.0, np.clip(r - 14, -1, 1))), Gradient(),
-        max_steps=200, rule=StopRule(6),
+        LevelSet(r - 14, (1.0, 1.0, 1.0)),
+        RegionField(np.where(rod, -1.0, np.clip(r - 14, -1, 1))),
+        Gradient(),
+        max_steps=200,
+        rule=StopRule(6),
     )
     assert run(evolution).reason == "converged"
     assert np.flatnonzero(evolution.surface.labels.any(axis=(0, 1)))[-1] >= 43
@@ -155,7 +178,11 @@ def test_a_small_part_on_its_way_is_no_rest():
 def test_restart_when_the_potential_rises_after_travel():
     def restarts(restart):
         evolution = Evolution(
-            ball(4), ChanVese(smooth_image()), ConstantDensity(diffusion=0), max_steps=80, restart=restart
+            ball(4),
+            ChanVese(smooth_image()),
+            ConstantDensity(diffusion=0),
+            max_steps=80,
+            restart=restart,
         )
         run(evolution)
         return evolution.history
@@ -191,7 +218,9 @@ def test_restart_converges_where_plain_friction_oscillates():
 
 def test_the_limits_are_the_same_for_every_flow():
     for flow in (ConstantDensity(), Gradient()):
-        evolution = Evolution(ball(4), ChanVese(smooth_image()), flow, StepLimits(cfl=0.25, dt_max=0.3), max_steps=10)
+        evolution = Evolution(
+            ball(4), ChanVese(smooth_image()), flow, StepLimits(cfl=0.25, dt_max=0.3), max_steps=10
+        )
         run(evolution)
         assert all(row.dt <= 0.3 and row.motion_voxels <= 0.25 + 1e-6 for row in evolution.history)
 
@@ -227,7 +256,15 @@ def test_the_strongest_force_is_remembered_in_mm_when_the_grid_changes(flow):
 def test_the_step_becomes_shorter_where_the_surface_turns_around_twice_running():
     flow = ConstantDensity()
     flow.start(ball(7))
-    for kinetic, steeper in ((1.0, 1), (-1.0, 1), (1.0, 1), (-1.0, 1), (-1.0, 1.5), (-1.0, 2.25), (2.0, 2.25)):
+    for kinetic, steeper in (
+        (1.0, 1),
+        (-1.0, 1),
+        (1.0, 1),
+        (-1.0, 1),
+        (-1.0, 1.5),
+        (-1.0, 2.25),
+        (2.0, 2.25),
+    ):
         flow._detect_oscillation(kinetic)
         assert flow._force_stiffness(2.0, ball(7)) == pytest.approx(2.0 * steeper)
     for _ in range(30):
@@ -244,14 +281,23 @@ def test_a_start_that_is_the_end_has_converged(flow):
     assert run(evolution).reason == "converged"
 
 
-@pytest.mark.parametrize(("moved", "before", "twice", "low", "high"), [
-    (0.03, 0.5, 0.52, 0.0, 0.015),  # falls fast
-    (0.04, 0.04, 0.042, 0.03, 0.05),  # oscillates about one place
-    (0.017, 0.017, 0.034, 0.16, 0.18),  # creeps: the stop rule took 0.017 voxels in 20 steps for rest
-    (0.02, 0.025, 0.03, 0.05, 0.1),  # creeps, ever more slowly
-    (0.0, 0.0, 0.0, 0.0, 0.0),
-    (0.02, math.nan, math.nan, 0.2, 0.2),  # nothing is known: as fast as now
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("moved", "before", "twice", "low", "high"),
+    [
+        (0.03, 0.5, 0.52, 0.0, 0.015),  # falls fast
+        (0.04, 0.04, 0.042, 0.03, 0.05),  # oscillates about one place
+        (
+            0.017,
+            0.017,
+            0.034,
+            0.16,
+            0.18,
+        ),  # creeps: the stop rule took 0.017 voxels in 20 steps for rest
+        (0.02, 0.025, 0.03, 0.05, 0.1),  # creeps, ever more slowly
+        (0.0, 0.0, 0.0, 0.0, 0.0),
+        (0.02, math.nan, math.nan, 0.2, 0.2),  # nothing is known: as fast as now
+    ],
+)
 def test_the_trend_tells_creep_from_oscillation(moved, before, twice, low, high):
     assert low <= forecast(moved, before, twice, 10.0) <= high + 1e-12
 

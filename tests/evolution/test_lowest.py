@@ -17,7 +17,9 @@ N = 20
 
 
 def radius(spacing=(1.0, 1.0, 1.0), shape=(N, N, N)):
-    z, y, x = ((np.indices(shape)[axis] - 0.5 * (shape[axis] - 1)) * spacing[axis] for axis in range(3))
+    z, y, x = (
+        (np.indices(shape)[axis] - 0.5 * (shape[axis] - 1)) * spacing[axis] for axis in range(3)
+    )
     return np.sqrt(z**2 + y**2 + x**2)
 
 
@@ -44,8 +46,12 @@ ENERGIES = {
 @pytest.mark.parametrize("energy", ENERGIES)
 def test_a_run_never_ends_above_the_lowest_energy(energy, flow, max_steps):
     evolution = Evolution(
-        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), ENERGIES[energy](), flow(), max_steps=max_steps,
-        restart=Restart(), rule=StopRule(),
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
+        ENERGIES[energy](),
+        flow(),
+        max_steps=max_steps,
+        restart=Restart(),
+        rule=StopRule(),
     )
     potential = run(evolution)
     assert potential[-1] <= potential.min() + 1e-9 * abs(potential.min())
@@ -87,23 +93,40 @@ def test_a_surface_that_is_driven_up_goes_back_and_ends_at_the_lowest_state(flow
 
 
 def test_a_run_that_begins_near_its_end_and_finds_nothing_lower_ends_where_it_began():
-    surface, limits, rule = LevelSet(radius() - 6.0, (1.0, 1.0, 1.0)), StepLimits(0.1, 100.0), StopRule(patience=3)
+    surface, limits, rule = (
+        LevelSet(radius() - 6.0, (1.0, 1.0, 1.0)),
+        StepLimits(0.1, 100.0),
+        StopRule(patience=3),
+    )
     evolution = Evolution(surface, misled(), Gradient(), limits, max_steps=400, rule=rule)
     potential = run(evolution)
-    assert evolution.stop.reason == "stalled" and str(lowest.PATIENCE_AT_START) in evolution.stop.message
+    assert (
+        evolution.stop.reason == "stalled"
+        and str(lowest.PATIENCE_AT_START) in evolution.stop.message
+    )
     assert evolution.stop.steps == lowest.PATIENCE_AT_START and evolution.history[-1].returned
-    assert potential[-1] == pytest.approx(potential[0], rel=1e-9) and potential[-1] == potential.min()
+    assert (
+        potential[-1] == pytest.approx(potential[0], rel=1e-9) and potential[-1] == potential.min()
+    )
 
 
 def test_motion_without_a_stop_rule_is_left_alone():
-    evolution = Evolution(LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=12)
+    evolution = Evolution(
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=12
+    )
     potential = run(evolution)
-    assert potential[-1] > potential.min() and not any(record.returned for record in evolution.history)
+    assert potential[-1] > potential.min() and not any(
+        record.returned for record in evolution.history
+    )
 
 
 def test_an_interrupted_run_stays_where_it_was():
     evolution = Evolution(
-        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=40, rule=StopRule()
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
+        misled(),
+        Gradient(),
+        max_steps=40,
+        rule=StopRule(),
     )
     for step in evolution:
         if step.record.step == 11:
@@ -117,10 +140,16 @@ def test_objects_beside_it_make_a_rise_no_error():
         is_disturbed = True
 
     evolution = Evolution(
-        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), Pushed(radius() - 6.0), Gradient(), max_steps=12, rule=StopRule()
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
+        Pushed(radius() - 6.0),
+        Gradient(),
+        max_steps=12,
+        rule=StopRule(),
     )
     run(evolution)
-    assert evolution.state.lowest is None and not any(record.returned for record in evolution.history)
+    assert evolution.state.lowest is None and not any(
+        record.returned for record in evolution.history
+    )
     assert not Energy.is_disturbed.fget(misled())
 
 
@@ -148,7 +177,10 @@ def test_the_lowest_state_is_kept_by_reference_and_completed_a_step_later(flow, 
 def test_a_checkpoint_has_the_lowest_state():
     def made():
         return Evolution(
-            LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), ChanVese(noisy()), ConstantDensity(), max_steps=60,
+            LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
+            ChanVese(noisy()),
+            ConstantDensity(),
+            max_steps=60,
             rule=StopRule(),
         )
 
@@ -156,7 +188,9 @@ def test_a_checkpoint_has_the_lowest_state():
     for _ in range(31):
         one.step()
     kept = one.checkpoint()
-    assert kept.loop.lowest is not None and kept.nbytes > kept.surface.nbytes + kept.loop.lowest.nbytes
+    assert (
+        kept.loop.lowest is not None and kept.nbytes > kept.surface.nbytes + kept.loop.lowest.nbytes
+    )
     want = run(one)
     other.restore(kept)
     assert np.array_equal(run(other), want) and np.array_equal(one.surface.psi, other.surface.psi)
@@ -167,7 +201,11 @@ def test_the_last_record_has_the_mass_of_the_surface_that_it_went_back_to():
     z, y, x = np.indices((N, N, N)) - 9.5
     psi = np.sqrt(z**2 + y**2 + (x + 7.0) ** 2)
     evolution = Evolution(
-        LevelSet(psi - 4.0, (1.0, 1.0, 1.0)), Misled(psi - 6.0), FlowableMass(), max_steps=45, rule=StopRule()
+        LevelSet(psi - 4.0, (1.0, 1.0, 1.0)),
+        Misled(psi - 6.0),
+        FlowableMass(),
+        max_steps=45,
+        rule=StopRule(),
     )
     run(evolution)
     last, steps = evolution.history[-1], evolution.history[:-1]
@@ -179,7 +217,11 @@ def test_the_last_record_has_the_mass_of_the_surface_that_it_went_back_to():
 
 def test_the_memory_of_a_checkpoint_counts_both_snapshots_of_the_stop_rule():
     evolution = Evolution(
-        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=60, rule=StopRule(window=4)
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
+        misled(),
+        Gradient(),
+        max_steps=60,
+        rule=StopRule(window=4),
     )
     for _ in range(10):
         evolution.step()
@@ -194,7 +236,10 @@ def near_its_end(rule):
     """A ball that is a little too small, with momentum."""
     image = 0.5 * (1 - np.tanh((radius() - 6.0) / 2))
     return Evolution(
-        LevelSet(radius() - 5.5, (1.0, 1.0, 1.0)), ChanVese(image, means=(1.0, 0.0)), ConstantDensity(), max_steps=80,
+        LevelSet(radius() - 5.5, (1.0, 1.0, 1.0)),
+        ChanVese(image, means=(1.0, 0.0)),
+        ConstantDensity(),
+        max_steps=80,
         rule=rule,
     )
 
@@ -220,7 +265,10 @@ def test_patience_does_not_end_what_creeps_or_is_elsewhere():
             return super().move(now, limits)._replace(dt=1.0, cfl_dt=1.0, speed=speed)
 
     creeping = Evolution(
-        LevelSet(radius() - 6.0, (1.0, 1.0, 1.0)), RegionField(np.full((N, N, N), 0.5)), Creeping(), max_steps=60,
+        LevelSet(radius() - 6.0, (1.0, 1.0, 1.0)),
+        RegionField(np.full((N, N, N), 0.5)),
+        Creeping(),
+        max_steps=60,
         rule=StopRule(patience=1),
     )
     run(creeping)
@@ -228,7 +276,10 @@ def test_patience_does_not_end_what_creeps_or_is_elsewhere():
     # Driven away from its lowest state faster than a tolerance in so many steps: back to it, as without patience.
     plain, patient = (
         Evolution(
-            LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=400,
+            LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
+            misled(),
+            Gradient(),
+            max_steps=400,
             rule=StopRule(patience=patience),
         )
         for patience in (None, 3)

@@ -42,7 +42,12 @@ class TravellingField(Energy):
 
 
 def evolve_to(
-    surface: LevelSet, energy: Energy, flow: Accelerated, end: float, dt: float, at_rest: bool = False
+    surface: LevelSet,
+    energy: Energy,
+    flow: Accelerated,
+    end: float,
+    dt: float,
+    at_rest: bool = False,
 ) -> list[StepRecord]:
     """Evolve a surface in motion, by the flow's own fields, to a time, in equal steps."""
     count = math.ceil(end / dt - 1e-9)
@@ -57,7 +62,9 @@ def well(places: np.ndarray) -> np.ndarray:
     return np.asarray(0.6 * (x**2 + 1.6 * y**2 - 0.3 * x * y + 0.5 * x**3 - 0.2))
 
 
-def moving_pair(n: int, frames: int, speed: float, made: Callable[..., Accelerated] = FlowableMass) -> float:
+def moving_pair(
+    n: int, frames: int, speed: float, made: Callable[..., Accelerated] = FlowableMass
+) -> float:
     """The largest distance, voxels, between a run in a travelling well and the same at rest, shifted by whole voxels.
 
     Per frame the well goes ``speed`` voxels along x.
@@ -81,7 +88,9 @@ def moving_pair(n: int, frames: int, speed: float, made: Callable[..., Accelerat
         flow = made(friction=0.0, diffusion=0.0)
         velocity = np.zeros((surface.size, 3), np.float32)
         velocity[:, 2] = first
-        flow.start_moving(surface, [*(velocity[:, a].copy() for a in range(3)), np.ones(surface.size, np.float32)])
+        flow.start_moving(
+            surface, [*(velocity[:, a].copy() for a in range(3)), np.ones(surface.size, np.float32)]
+        )
         evolve_to(surface, TravellingField(on, law, 0.03), flow, duration, duration / frames)
         ends.append(surface)
     band = ends[0].front(1.0)
@@ -150,7 +159,9 @@ def test_the_energy_of_a_static_well_is_conserved(made: Callable[..., Accelerate
         total = np.array([one.potential + one.kinetic for one in records])
         kinetic = np.array([one.kinetic for one in records])
         drifts.append(float(np.abs(total - total[1]).max() / np.ptp(kinetic)))
-    print(f"\n{made.__name__}: T + U drifts by {drifts} of T, order {math.log2(drifts[0] / drifts[1]):.2f}")
+    print(
+        f"\n{made.__name__}: T + U drifts by {drifts} of T, order {math.log2(drifts[0] / drifts[1]):.2f}"
+    )
     assert drifts[1] < (0.02 if made is ConstantDensity else 0.006) and drifts[1] < 0.5 * drifts[0]
 
 
@@ -169,7 +180,9 @@ def test_time_reversal() -> None:
     front = surface.front(flow.stencil_width(surface))
     curvature = surface.curvature(front)
     force = energy.force(surface, front, curvature)
-    flow.synchronize(StepInput(surface, front, force, curvature, surface.fraction_and_area()[1], energy.alpha))
+    flow.synchronize(
+        StepInput(surface, front, force, curvature, surface.fraction_and_area()[1], energy.alpha)
+    )
     *velocity, density = flow.fields
     flow.start_moving(surface, [*(-v for v in velocity), density])
     evolve_to(surface, energy, flow, 1.0, 0.4 * h)
@@ -191,7 +204,9 @@ def test_between_two_frames_the_energy_is_linear_in_time() -> None:
         energy.set_time(surface, time)
         same = RegionField(fields[0] + added, 0.1)
         same.start(surface)
-        assert energy.value(surface, fraction, area) == pytest.approx(same.value(surface, fraction, area), rel=1e-5)
+        assert energy.value(surface, fraction, area) == pytest.approx(
+            same.value(surface, fraction, area), rel=1e-5
+        )
         both = energy.force(surface, front, curvature), same.force(surface, front, curvature)
         np.testing.assert_allclose(both[0][front], both[1][front], atol=1e-5)
     again = BetweenFrames([0.0, 1.0, 2.0], [RegionField(f, 0.1) for f in fields])

@@ -21,7 +21,14 @@ from accelsurf.run.energy import make_energy
 from accelsurf.run.setup import half_width, make_flow
 from accelsurf.starts import starts
 
-NOISY = {"kind": "cube", "shape": [64, 64, 64], "spacing": [1.0, 1.0, 1.0], "side": 32.0, "noise": 0.6, "seed": 3}
+NOISY = {
+    "kind": "cube",
+    "shape": [64, 64, 64],
+    "spacing": [1.0, 1.0, 1.0],
+    "side": 32.0,
+    "noise": 0.6,
+    "seed": 3,
+}
 START = {"start": "ball:5,-4,4,9"}
 
 
@@ -66,7 +73,9 @@ def test_one_ledger(cube):
     levels = [row.level for row in history]
     assert levels == sorted(levels, reverse=True) and set(levels) == {0, 1}
     times = [row.t for row in history]
-    assert times == pytest.approx(np.concatenate(([0.0], np.cumsum([row.dt for row in history])))[:-1])
+    assert times == pytest.approx(
+        np.concatenate(([0.0], np.cumsum([row.dt for row in history])))[:-1]
+    )
     # Only the very last row has no step.
     assert all(row.dt > 0 for row in history[:-1]) and history[-1].dt == 0
     assert result.stop.steps == len(history) - 1
@@ -75,7 +84,10 @@ def test_one_ledger(cube):
     assert coarse.steps == levels.count(1) and fine.steps == levels.count(0) - 1
     assert coarse.reason == "converged" and fine.reason == result.stop.reason
     # Volume and area go on where they were.
-    last, first = [row for row in history if row.level][-1], next(row for row in history if not row.level)
+    last, first = (
+        [row for row in history if row.level][-1],
+        next(row for row in history if not row.level),
+    )
     assert first.volume_mm3 == pytest.approx(last.volume_mm3, rel=0.02)
     assert first.area_mm2 == pytest.approx(last.area_mm2, rel=0.05)
 
@@ -83,7 +95,10 @@ def test_one_ledger(cube):
 def test_the_account_of_the_energy_goes_on(cube):
     history = segment(cube.image, levels=2, smoothness=0.3, presmooth=1.5, **START).history
     total = np.array(
-        [row.potential + row.kinetic / row.weight + row.friction_work + row.smoothing_work for row in history[:-1]]
+        [
+            row.potential + row.kinetic / row.weight + row.friction_work + row.smoothing_work
+            for row in history[:-1]
+        ]
     )
     change = next(row.step for row in history if row.level == 0)
     won = history[0].potential - min(row.potential for row in history if row.level == 1)
@@ -94,7 +109,12 @@ def test_the_account_of_the_energy_goes_on(cube):
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass"])
 def test_momentum_goes_on(cube, flow, monkeypatch):
     # The coarse level ends in full motion. The weight of k = 3 tells the time on the clock of w and gamma.
-    for name, value in (("COARSE_WINDOW", 8), ("COARSE_MOTION", 1e9), ("COARSE_KINETIC", 1e9), ("COARSE_FAR", 1.0)):
+    for name, value in (
+        ("COARSE_WINDOW", 8),
+        ("COARSE_MOTION", 1e9),
+        ("COARSE_KINETIC", 1e9),
+        ("COARSE_FAR", 1.0),
+    ):
         monkeypatch.setattr(multilevel, name, value)
     options = {**START, "presmooth": 2.0, "restart": "off", "k": 3, "max_steps": 24, "flow": flow}
     rows = segment(cube.image, levels=2, **options).history
@@ -111,7 +131,9 @@ def test_momentum_goes_on(cube, flow, monkeypatch):
 
 
 def test_steps_have_the_grid_of_their_level(cube):
-    shapes = {step.record.level: step.surface.shape for step in evolve(cube.image, levels=2, **START)}
+    shapes = {
+        step.record.level: step.surface.shape for step in evolve(cube.image, levels=2, **START)
+    }
     assert shapes == {1: (32, 32, 32), 0: (64, 64, 64)}
 
 
@@ -133,7 +155,9 @@ def test_the_same_bytes_for_any_number_of_threads(cube):
     runs = [segment(cube.image, levels=2, threads=threads, **START) for threads in (1, 1, 2, 3)]
     for other in runs[1:]:
         assert other.psi.tobytes() == runs[0].psi.tobytes()
-        assert [row.potential for row in other.history] == [row.potential for row in runs[0].history]
+        assert [row.potential for row in other.history] == [
+            row.potential for row in runs[0].history
+        ]
 
 
 def test_one_level_is_the_plain_evolution(cube):
@@ -166,7 +190,9 @@ def test_thick_slices_and_odd_sizes():
 
 def test_a_slice():
     inside, image = disk()
-    one, auto = (segment(image, start="ball:40,55,0,12vox", levels=levels) for levels in (1, "auto"))
+    one, auto = (
+        segment(image, start="ball:40,55,0,12vox", levels=levels) for levels in (1, "auto")
+    )
     assert [p.level.shape for p in auto.levels] == [(1, 24, 26), (1, 48, 52), (1, 96, 103)]
     assert dice(auto.labels[0], inside) > dice(one.labels[0], inside) - 0.002
     assert auto.start is not None and auto.start.shape == (1, 96, 103)
@@ -223,7 +249,14 @@ def test_a_start_that_no_coarse_voxel_sees(cube):
 @pytest.mark.slow
 def test_levels_on_the_command_line_and_in_the_report(cube, tmp_path, capsys):
     write(Volume(cube.image.array, cube.image.geometry), tmp_path / "cube.nii.gz")
-    call = ["segment", str(tmp_path / "cube.nii.gz"), "-o", str(tmp_path / "out"), "--start", START["start"]]
+    call = [
+        "segment",
+        str(tmp_path / "cube.nii.gz"),
+        "-o",
+        str(tmp_path / "out"),
+        "--start",
+        START["start"],
+    ]
     assert execute([*call, "--levels", "2"]) == 0
     assert "steps on 2 levels" in capsys.readouterr().out
     report = json.loads((tmp_path / "out" / "cube_report.json").read_text())
@@ -234,4 +267,7 @@ def test_levels_on_the_command_line_and_in_the_report(cube, tmp_path, capsys):
     assert sum(entry["steps"] for entry in report["levels"]) == report["stop"]["steps"]
     assert (tmp_path / "out" / "cube_trace.csv").read_text().startswith("step,level,t,")
     assert execute([*call, "--levels", "none", "--overwrite"]) == 2
-    assert "levels: none was given, expected a whole number at least 1 or auto" in capsys.readouterr().err
+    assert (
+        "levels: none was given, expected a whole number at least 1 or auto"
+        in capsys.readouterr().err
+    )

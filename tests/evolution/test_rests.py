@@ -25,7 +25,9 @@ def watch_over(volumes, level=0, **last):
     watch, records = RestWatch(), []
     for n, volume in enumerate(volumes):
         watch = watched(watch, records, Moment(n, level, volume, 10.0, (0, 0, 0)), surface, fields)
-        records.append(step_record(n, dt=1.0, volume_mm3=volume, area_mm2=10.0, **last.get(f"at{n}", {})))
+        records.append(
+            step_record(n, dt=1.0, volume_mm3=volume, area_mm2=10.0, **last.get(f"at{n}", {}))
+        )
     return watch
 
 
@@ -43,11 +45,14 @@ def test_a_front_that_slows_down_and_breaks_through_has_rested_in_between():
     assert 24 < rest.left_at < 32
 
 
-@pytest.mark.parametrize("speeds", [
-    [*FAST, *SLOW],  # comes to rest
-    [*FAST, *[6.0] * 12, *AGAIN],  # never below half its peak
-    [*FAST, *SLOW, *[1.5] * 60],  # creeps on
-])
+@pytest.mark.parametrize(
+    "speeds",
+    [
+        [*FAST, *SLOW],  # comes to rest
+        [*FAST, *[6.0] * 12, *AGAIN],  # never below half its peak
+        [*FAST, *SLOW, *[1.5] * 60],  # creeps on
+    ],
+)
 def test_a_front_that_converges_or_never_slows_has_no_rest(speeds):
     assert watch_over(grown(*speeds)).found == ()
 
@@ -70,9 +75,16 @@ def test_no_more_rests_are_kept_than_wanted_and_another_level_begins_its_own():
     watch = watch_over(grown(*FAST, *SLOW))
     surface = ball()
     fields = StepFields(surface.band.cells, surface.band.psi, -np.ones(surface.size, np.float32))
-    records = [step_record(n, dt=1.0, volume_mm3=v, area_mm2=10.0) for n, v in enumerate(grown(*AGAIN, first=500.0))]
-    assert watched(watch, records, Moment(13, 0, 620.0, 10.0, (0, 0, 0)), surface, fields).found != ()
-    assert watched(watch, records, Moment(13, 1, 620.0, 10.0, (0, 0, 0)), surface, fields).found == ()
+    records = [
+        step_record(n, dt=1.0, volume_mm3=v, area_mm2=10.0)
+        for n, v in enumerate(grown(*AGAIN, first=500.0))
+    ]
+    assert (
+        watched(watch, records, Moment(13, 0, 620.0, 10.0, (0, 0, 0)), surface, fields).found != ()
+    )
+    assert (
+        watched(watch, records, Moment(13, 1, 620.0, 10.0, (0, 0, 0)), surface, fields).found == ()
+    )
 
 
 def test_the_fastest_place_lies_in_the_largest_fast_part():
@@ -80,13 +92,17 @@ def test_the_fastest_place_lies_in_the_largest_fast_part():
     index = np.stack(np.unravel_index(surface.band.cells, surface.shape), axis=1)
     speed = np.where(index[:, 2] > 16, -5.0, -1.0).astype(np.float32)
     speed[0] = -5.0  # a single cell elsewhere
-    z, y, x = fastest_place(StepFields(surface.band.cells, speed, speed), surface.shape, (100, 0, 0))
+    z, y, x = fastest_place(
+        StepFields(surface.band.cells, speed, speed), surface.shape, (100, 0, 0)
+    )
     assert x > 16 and abs(y - 11.5) < 6 and abs(z - 111.5) < 6
 
 
 def test_psi_of_a_state_is_that_of_its_surface():
     surface = ball((10, 14, 12), 3.0)
-    np.testing.assert_array_equal(psi_of(checkpoint_surface(surface), surface.shape, surface.gamma), surface.psi)
+    np.testing.assert_array_equal(
+        psi_of(checkpoint_surface(surface), surface.shape, surface.gamma), surface.psi
+    )
 
 
 def joined_balls():
@@ -98,7 +114,12 @@ def joined_balls():
     return (first | second | neck) * 100.0, first
 
 
-LEAK = {"start": "ball:18,17.5,17.5,4vox", "energy": "threshold:50,", "smoothness": 0.3, "max_steps": 400}
+LEAK = {
+    "start": "ball:18,17.5,17.5,4vox",
+    "energy": "threshold:50,",
+    "smoothness": 0.3,
+    "max_steps": 400,
+}
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +128,9 @@ def leaked():
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("options", [{"levels": 1, "threads": 1}, {"levels": 1, "threads": 2}, {"levels": 2}])
+@pytest.mark.parametrize(
+    "options", [{"levels": 1, "threads": 1}, {"levels": 1, "threads": 2}, {"levels": 2}]
+)
 def test_the_run_can_end_at_its_rest(options, leaked):
     image, first = joined_balls()
     assert leaked.labels.sum() > 1.8 * first.sum() and len(leaked.objects[0].plateaus) == 1

@@ -51,7 +51,9 @@ def shocks(p: float) -> Shocks:
     return Shocks(at, 1.0 + 0.5 * sine / at, alone)
 
 
-def coasting(flow: Accelerated, height: np.ndarray, n: int, t_end: float) -> Iterator[tuple[float, np.ndarray]]:
+def coasting(
+    flow: Accelerated, height: np.ndarray, n: int, t_end: float
+) -> Iterator[tuple[float, np.ndarray]]:
     """Time and points (m, 2), x y mm, of a front y = ``height`` (n,) that starts at speed 1 along its normals."""
     h = 1.0 / n
     y = (np.arange(n) + 0.5)[:, None] * h
@@ -60,7 +62,9 @@ def coasting(flow: Accelerated, height: np.ndarray, n: int, t_end: float) -> Ite
     if isinstance(flow, FlowableMass):
         speeds = [*np.ascontiguousarray(surface.normals().T, np.float32), *speeds]
     flow.start_moving(surface, speeds)
-    evolution = Evolution(surface, RegionField(np.zeros(surface.shape)), flow, max_steps=10_000, fields=flow.fields)
+    evolution = Evolution(
+        surface, RegionField(np.zeros(surface.shape)), flow, max_steps=10_000, fields=flow.fields
+    )
     now = 0.0
     while t_end - now > 1e-9:
         # Speeds grow at shocks: the limiter would hold them at those of the step before.
@@ -74,10 +78,19 @@ def coasting(flow: Accelerated, height: np.ndarray, n: int, t_end: float) -> Ite
         yield now, np.stack([(column + 0.5) * h + foot[:, 2], (row + 0.5) * h + foot[:, 1]], axis=1)
 
 
-@pytest.mark.parametrize(("n", "p", "seed", "tolerance"), [
-    (64, 0.15, 1, 0.01), (64, 0.25, 2, 0.015), (128, 0.25, 3, 0.015), (64, 0.5, 4, 0.04), (96, 1.0, 5, 0.09),
-])
-def test_a_corner_that_coasts_becomes_two_shocks(n: int, p: float, seed: int, tolerance: float) -> None:
+@pytest.mark.parametrize(
+    ("n", "p", "seed", "tolerance"),
+    [
+        (64, 0.15, 1, 0.01),
+        (64, 0.25, 2, 0.015),
+        (128, 0.25, 3, 0.015),
+        (64, 0.5, 4, 0.04),
+        (96, 1.0, 5, 0.09),
+    ],
+)
+def test_a_corner_that_coasts_becomes_two_shocks(
+    n: int, p: float, seed: int, tolerance: float
+) -> None:
     """The plane between has the speed of the entropy solution within .5, .7, 3 and 8 % (slopes .15, .25, .5, 1).
 
     Too low, whatever the grid: the form without fluxes errs by a power of the jump. A kink would be 9 to 23 % off.
@@ -85,7 +98,9 @@ def test_a_corner_that_coasts_becomes_two_shocks(n: int, p: float, seed: int, to
     rng, want, t_end = np.random.default_rng(seed), shocks(p), 0.2
     middle = 0.5 + rng.uniform(-0.5, 0.5) / n
     x = (np.arange(n) + 0.5) / n
-    *_, (_, points) = coasting(ConstantDensity(friction=0.0, diffusion=0.0), FLOOR + p * np.abs(x - middle), n, t_end)
+    *_, (_, points) = coasting(
+        ConstantDensity(friction=0.0, diffusion=0.0), FLOOR + p * np.abs(x - middle), n, t_end
+    )
     off = np.abs(points[:, 0] - middle)
     found = float(np.median(points[off < 0.4 * want.at * t_end, 1]) - FLOOR) / t_end
     print(f"\n{n}, slope {p}: {found:.4f}, exactly {want.middle:.4f}, a kink {want.alone:.4f}")

@@ -50,7 +50,9 @@ def test_topology_changes_and_the_volume_is_right(
 
 def within(points: np.ndarray, on: Lattice) -> np.ndarray:
     """The points (n, 3) that lie between the outermost voxels' centres."""
-    return points[(np.abs(points) <= np.abs(on.points).reshape(3, -1).max(axis=1) + 1e-9).all(axis=1)]
+    return points[
+        (np.abs(points) <= np.abs(on.points).reshape(3, -1).max(axis=1) + 1e-9).all(axis=1)
+    ]
 
 
 @pytest.mark.parametrize("model", ["descent", "constant-density"])

@@ -16,13 +16,18 @@ from accelsurf.levelset import LevelSet
 
 def sphere(r: float, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> LevelSet:
     shape = [2 * round((r + 5) / h) for h in spacing]
-    z, y, x = (np.indices(shape).T - (np.array(shape) - 1) / 2).T * np.reshape(spacing, (3, 1, 1, 1))
+    z, y, x = (np.indices(shape).T - (np.array(shape) - 1) / 2).T * np.reshape(
+        spacing, (3, 1, 1, 1)
+    )
     return LevelSet(np.sqrt(z**2 + y**2 + x**2) - r, spacing)
 
 
 def harmonic(surface: LevelSet, degree: int) -> np.ndarray:
     h = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])
-    where = np.array(np.unravel_index(surface.band.cells, surface.shape)).T - (np.array(surface.shape) - 1) / 2
+    where = (
+        np.array(np.unravel_index(surface.band.cells, surface.shape)).T
+        - (np.array(surface.shape) - 1) / 2
+    )
     z, y, x = (where * h + surface.band.to_closest).T
     r = np.sqrt(z**2 + y**2 + x**2)
     return np.real(sph_harm_y(degree, 1, np.arccos(z / r), np.arctan2(y, x))).astype(np.float32)
@@ -49,7 +54,10 @@ def test_h1_gradient_of_a_harmonic(degree: int, spacing: tuple[float, float, flo
     print(f"\nl = {degree}, {spacing}: {got / true - 1:+.4f}")
     assert got == pytest.approx(true, rel=0.015 if spacing[0] == 1.0 else 0.06)
     # A surface Laplacian with the wrong sign, or of the wrong radius, is far off.
-    assert abs(got / (1.0 + length**2 * degree * (degree + 1) / (r + 1) ** 2) - true) > 0.02 * true * degree / 4
+    assert (
+        abs(got / (1.0 + length**2 * degree * (degree + 1) / (r + 1) ** 2) - true)
+        > 0.02 * true * degree / 4
+    )
 
 
 def test_the_error_of_the_h1_gradient_falls_with_the_voxel() -> None:
@@ -71,7 +79,9 @@ def test_the_operator_is_symmetric_and_a_constant_is_left_alone() -> None:
     def product(field: np.ndarray) -> np.ndarray:
         out = np.empty(n)
         slot, cells = surface.dense.slot, surface.band.cells
-        surface.workers.parallel(tube.tube_product, n, slot, surface.grid, cells, (eta, 3.0), field, out)
+        surface.workers.parallel(
+            tube.tube_product, n, slot, surface.grid, cells, (eta, 3.0), field, out
+        )
         return out
 
     rng = np.random.default_rng(1)
@@ -93,7 +103,7 @@ def test_a_warm_start_makes_the_solve_cheaper() -> None:
 
 
 def test_sobolev_descent_lowers_the_energy_and_steps_beyond_the_curvature_bound() -> None:
-    z, y, x = (np.indices((36, 36, 36)) - 17.5)
+    z, y, x = np.indices((36, 36, 36)) - 17.5
     field = np.sqrt(z**2 + y**2 + x**2) / 9.0 - 1.0
     histories = {}
     for flow in (Gradient(), Sobolev()):
@@ -113,7 +123,9 @@ def test_momentum_blends_the_last_step_with_the_force() -> None:
     z, _, _ = np.indices((40, 8, 8))
     surface = LevelSet(z - 30.3, (1.0, 1.0, 1.0))
     flow, steps = HeavyBall(0.6), []
-    evolution = Evolution(surface, RegionField(np.full(z.shape, 0.5)), flow, StepLimits(0.5, 100.0), 8)
+    evolution = Evolution(
+        surface, RegionField(np.full(z.shape, 0.5)), flow, StepLimits(0.5, 100.0), 8
+    )
     for step in evolution:
         if step.record.dt:
             steps.append(step.record.motion_voxels)
@@ -125,11 +137,13 @@ def test_momentum_blends_the_last_step_with_the_force() -> None:
     area = surface.fraction_and_area()[1]
     force = np.where(front, np.float32(0.5), np.float32(0.0))
     now = StepInput(surface, front, force, np.zeros_like(force), area, 0.0)
-    assert flow.move(now, StepLimits(0.5, 100.0)).speed[front].max() == pytest.approx(0.4 * 0.5, rel=1e-5)
+    assert flow.move(now, StepLimits(0.5, 100.0)).speed[front].max() == pytest.approx(
+        0.4 * 0.5, rel=1e-5
+    )
 
 
 def test_momentum_without_a_blend_is_descent() -> None:
-    z, y, x = (np.indices((24, 24, 24)) - 11.5)
+    z, y, x = np.indices((24, 24, 24)) - 11.5
     field = np.sqrt(z**2 + y**2 + x**2) / 6.0 - 1.0
     surfaces = []
     for flow in (HeavyBall(0.0), Gradient()):

@@ -71,7 +71,9 @@ def ellipsoid_axes(t_end: float) -> Callable[[float], np.ndarray]:
     first = 1e-4
     pull = -0.3 * (4.0 * math.pi / 3.0 * AXES.prod() / VOLUME - 1.0) * AXES.prod() / AXES
     start = np.concatenate([AXES + 0.5 * pull * first**2, pull * first])
-    solved = solve_ivp(rates, (first, t_end), start, method="DOP853", rtol=1e-11, atol=1e-13, dense_output=True)
+    solved = solve_ivp(
+        rates, (first, t_end), start, method="DOP853", rtol=1e-11, atol=1e-13, dense_output=True
+    )
     return lambda t: np.asarray(solved.sol(t)[:3])
 
 
@@ -81,11 +83,15 @@ def test_the_ellipsoid_solver_gives_the_table() -> None:
         np.testing.assert_allclose(axes(t), (z, y, x), atol=1e-7)
 
 
-def ellipsoid_misfit(n: int, t_end: float, flow: Given | None = None) -> tuple[float, float, StepRecord]:
+def ellipsoid_misfit(
+    n: int, t_end: float, flow: Given | None = None
+) -> tuple[float, float, StepRecord]:
     """Largest distance of any point from the exact ellipsoid (mm), of the density from the exact one (relative)."""
     h, on = WIDTH / (n - 1), lattice(n)
     z, y, x = on.points
-    surface = LevelSet(np.sqrt((x / AXES[2]) ** 2 + (y / AXES[1]) ** 2 + (z / AXES[0]) ** 2) - 1.0, on.spacing, 4.0)
+    surface = LevelSet(
+        np.sqrt((x / AXES[2]) ** 2 + (y / AXES[1]) ** 2 + (z / AXES[0]) ** 2) - 1.0, on.spacing, 4.0
+    )
     flow = flow or Given(diffusion=0.0)
     flow.on = on
 
@@ -96,7 +102,9 @@ def ellipsoid_misfit(n: int, t_end: float, flow: Given | None = None) -> tuple[f
 
     flow.density_at = uniform_on_the_sphere
     axes, worst, density = ellipsoid_axes(t_end), 0.0, 0.0
-    evolution = Evolution(surface, QuadraticInVolume(), flow, StepLimits(0.5, 100.0, 0.5 * h), 10_000)
+    evolution = Evolution(
+        surface, QuadraticInVolume(), flow, StepLimits(0.5, 100.0, 0.5 * h), 10_000
+    )
     for step in evolution:
         t = step.record.t + step.record.dt
         if t > t_end:
@@ -118,7 +126,9 @@ def test_triaxial_ellipsoid() -> None:
     worst, density, last = zip(*(ellipsoid_misfit(n, 1.0) for n in sizes), strict=True)
     h = [WIDTH / (n - 1) for n in sizes]
     order = float(np.polyfit(np.log(h), np.log(worst), 1)[0])
-    print(f"\nI: {[round(w / s, 4) for w, s in zip(worst, h, strict=True)]} h, order {order:.2f}, density {density}")
+    print(
+        f"\nI: {[round(w / s, 4) for w, s in zip(worst, h, strict=True)]} h, order {order:.2f}, density {density}"
+    )
     assert worst[-1] <= 0.02 * h[-1]
     assert order >= 1.8
     assert density[-1] <= 0.01
@@ -150,7 +160,10 @@ def density_mode(n: int, degree: int, amplitude: float, flow: Given) -> float:
 
     def mode(points: np.ndarray) -> np.ndarray:
         unit = points / np.linalg.norm(points, axis=1)[:, None]
-        polar, azimuth = np.arccos(np.clip(unit[:, 0], -1.0, 1.0)), np.arctan2(unit[:, 1], unit[:, 2])
+        polar, azimuth = (
+            np.arccos(np.clip(unit[:, 0], -1.0, 1.0)),
+            np.arctan2(unit[:, 1], unit[:, 2]),
+        )
         return np.asarray(np.real(sph_harm_y(degree, 0, polar, azimuth)))
 
     flow.on, flow.density_at = on, lambda points: 1.0 + amplitude * mode(points)
@@ -187,7 +200,9 @@ def test_the_mass_potential_is_inert_at_uniform_density() -> None:
         surface = LevelSet(on.radius - 0.9, on.spacing, 4.0)
         flow = FlowableMass(gravity, diffusion=0.0)
         limits = StepLimits(0.5, 100.0, 0.2 * WIDTH / 31)
-        rows[gravity] = [s.record for s in Evolution(surface, energy_of(exact.E, on.radius), flow, limits, 40)]
+        rows[gravity] = [
+            s.record for s in Evolution(surface, energy_of(exact.E, on.radius), flow, limits, 40)
+        ]
         surfaces[gravity] = surface.psi.copy()
     assert np.abs(surfaces[0.02] - surfaces[0.0]).max() < 0.01 * WIDTH / 31
     # g A int 1/2 rho^2 dA = g M^2/2 for any uniform density.
@@ -220,7 +235,12 @@ def test_negative_tension_is_clamped_and_told() -> None:
     surface = LevelSet(on.radius - 1.0, on.spacing, 4.0)
     flow = Given(gravity=0.01, support=0.1, diffusion=0.0)
     flow.on, flow.density_at = on, bumpy
-    rows = [s.record for s in Evolution(surface, RegionField(np.zeros_like(on.radius), 0.1), flow, StepLimits(), 5)]
+    rows = [
+        s.record
+        for s in Evolution(
+            surface, RegionField(np.zeros_like(on.radius), 0.1), flow, StepLimits(), 5
+        )
+    ]
     assert all(row.clamped_fraction == 0.0 for row in rows)
 
 
@@ -228,7 +248,12 @@ def test_negative_tension_is_clamped_and_told() -> None:
 
 
 def mass_through(surface: LevelSet, field: np.ndarray, n_steps: int) -> list[StepRecord]:
-    return [s.record for s in Evolution(surface, RegionField(field), FlowableMass(), StepLimits(0.5, 95.0), n_steps)]
+    return [
+        s.record
+        for s in Evolution(
+            surface, RegionField(field), FlowableMass(), StepLimits(0.5, 95.0), n_steps
+        )
+    ]
 
 
 def components(surface: LevelSet) -> int:
@@ -244,7 +269,10 @@ def test_mass_is_conserved_through_split_and_merge() -> None:
     h = on.spacing[0]
     z, y, x = on.points
     # Two balls that grow into each other.
-    two = np.minimum(np.sqrt((x - 0.5) ** 2 + y**2 + z**2), np.sqrt((x + 0.5) ** 2 + y**2 + z**2)) - 0.3
+    two = (
+        np.minimum(np.sqrt((x - 0.5) ** 2 + y**2 + z**2), np.sqrt((x + 0.5) ** 2 + y**2 + z**2))
+        - 0.3
+    )
     surface = LevelSet(two, on.spacing, 4.0)
     assert components(surface) == 2
     rows = mass_through(surface, np.full(on.radius.shape, -0.5), 17)  # in 18 they reach the border
@@ -271,11 +299,18 @@ def test_mass_is_conserved_through_large_deformation() -> None:
     z, y, x = on.points
     field = 0.6 * (np.sqrt((x / 1.1) ** 2 + (y / 0.35) ** 2 + (z / 0.35) ** 2) - 1.0)
     surface = LevelSet(on.radius - 0.4, on.spacing, 4.0)
-    rows = [s.record for s in Evolution(surface, RegionField(field, 0.01), FlowableMass(), StepLimits(0.5, 95.0), 120)]
+    rows = [
+        s.record
+        for s in Evolution(
+            surface, RegionField(field, 0.01), FlowableMass(), StepLimits(0.5, 95.0), 120
+        )
+    ]
     inside = np.argwhere(surface.labels)
     extent = np.ptp(inside, axis=0) * on.spacing[0]
     assert extent[2] > 2.0 * 0.8 and extent[2] > 2.0 * extent[0]
-    print(f"\ncorrection {rows[-1].mass_correction:+.4f}, largest {max(abs(r.mass_correction) for r in rows):.4f}")
+    print(
+        f"\ncorrection {rows[-1].mass_correction:+.4f}, largest {max(abs(r.mass_correction) for r in rows):.4f}"
+    )
     assert all(abs(row.mass_correction) < 0.01 for row in rows)
 
 
@@ -283,16 +318,23 @@ def test_momentum_stays_zero_where_the_energy_does_not_depend_on_place() -> None
     """Area and volume pull a lopsided body from rest: int rho V dA stays 0."""
     on = lattice(48)
     z, y, x = on.points
-    body = np.sqrt((x / 0.9) ** 2 + ((y - 0.2 * x**2) / 0.7) ** 2 + ((z + 0.15 * x) / 0.5) ** 2) - 1.0
+    body = (
+        np.sqrt((x / 0.9) ** 2 + ((y - 0.2 * x**2) / 0.7) ** 2 + ((z + 0.15 * x) / 0.5) ** 2) - 1.0
+    )
     surface = LevelSet(body, on.spacing, 4.0)
     flow, worst = FlowableMass(diffusion=0.0), 0.0
     limits = StepLimits(0.5, 100.0, 0.5 * on.spacing[0])
-    for step in Evolution(surface, RegionField(np.full(on.radius.shape, 0.3), 0.05), flow, limits, 10_000):
+    for step in Evolution(
+        surface, RegionField(np.full(on.radius.shape, 0.3), 0.05), flow, limits, 10_000
+    ):
         if step.record.t > 0.8:
             break
         weight = surface.fraction_and_area()[1] * flow.density
         total = (weight[:, None] * flow.velocity).sum(axis=0)
-        worst = max(worst, float(np.linalg.norm(total) / (weight * np.linalg.norm(flow.velocity, axis=1)).sum()))
+        worst = max(
+            worst,
+            float(np.linalg.norm(total) / (weight * np.linalg.norm(flow.velocity, axis=1)).sum()),
+        )
     print(f"\nstray momentum {worst:.5f}")
     assert worst < 0.005
 
@@ -308,7 +350,10 @@ def test_lambda_and_rho_only_rescale_time() -> None:
         surface = LevelSet(surface.psi, on.spacing, 4.0)
         energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, 0.05)
         flow = FlowableMass(0.125 / rho**2, 0.05, lambda_=lambda_, rho=rho)
-        times = [step.record.t for step in Evolution(surface, energy, flow, StepLimits(0.5, 95.0, dt), 30)]
+        times = [
+            step.record.t
+            for step in Evolution(surface, energy, flow, StepLimits(0.5, 95.0, dt), 30)
+        ]
         return times, surface.psi.copy()
 
     times, psi = run(1.0, 1.0, h)

@@ -3,7 +3,13 @@ import pytest
 from scipy.special import sph_harm_y
 
 from accelsurf.flows import ConstantDensity, Gradient, StepInput, StepLimits
-from accelsurf.flows.diffusion import SAFETY, STAGES, diffuse, largest_diffusion, one_stage_diffusion
+from accelsurf.flows.diffusion import (
+    SAFETY,
+    STAGES,
+    diffuse,
+    largest_diffusion,
+    one_stage_diffusion,
+)
 from accelsurf.flows.protocol import clip_speed, percentile, voxel_rates
 from accelsurf.levelset import LevelSet
 
@@ -17,7 +23,9 @@ def sphere(n=36, spacing=(1.0, 1.0, 1.0), r=R):
 
 def angles(surface):
     n = surface.shape[0]
-    z, y, x = (np.array(np.unravel_index(surface.band.cells, surface.shape)) - 0.5 * (n - 1)).astype(float)
+    z, y, x = (
+        np.array(np.unravel_index(surface.band.cells, surface.shape)) - 0.5 * (n - 1)
+    ).astype(float)
     return np.arccos(z / np.sqrt(z**2 + y**2 + x**2)), np.arctan2(y, x)
 
 
@@ -111,7 +119,9 @@ def test_diffusion_is_stable_at_its_bound_in_noise():
 
 
 def test_the_diffusion_bound_counts_only_axes_with_slices():
-    assert one_stage_diffusion(sphere(16, (1.0, 1.0, 2.0), 5.0)) == pytest.approx(0.5 / (1 + 1 + 0.25))
+    assert one_stage_diffusion(sphere(16, (1.0, 1.0, 2.0), 5.0)) == pytest.approx(
+        0.5 / (1 + 1 + 0.25)
+    )
     y, x = np.indices((20, 20)) - 9.5
     flat = LevelSet((np.sqrt(y**2 + x**2) - 5)[None], (3.0, 0.5, 0.5))
     assert one_stage_diffusion(flat) == pytest.approx(0.5 / 8)
@@ -129,7 +139,9 @@ def test_no_front_cell_moves_further_than_the_limit():
         # What was clipped is reported: 40 % of the cells are faster than the percentile.
         assert 0.3 < move.clipped < 0.45
         assert np.isclose(rates, 0.4, rtol=1e-4).mean() == pytest.approx(move.clipped, abs=0.02)
-        free, front = moved(flow.__class__(), surface, force, limits=limits._replace(percentile=100.0))
+        free, front = moved(
+            flow.__class__(), surface, force, limits=limits._replace(percentile=100.0)
+        )
         assert free.clipped == 0 and free.dt < move.dt
 
 
@@ -144,7 +156,9 @@ def test_rates_are_in_voxels_along_the_normal():
     front = surface.front()
     rates = voxel_rates(surface, front, np.full(surface.size, -2.0, np.float32))
     off = np.abs(surface.band.psi) > 0.2  # where the direction to the foot is well known
-    z, y, x = (np.array(np.unravel_index(surface.band.cells, surface.shape)) - 19.5) * np.array([[3.0], [1.0], [1.0]])
+    z, y, x = (np.array(np.unravel_index(surface.band.cells, surface.shape)) - 19.5) * np.array(
+        [[3.0], [1.0], [1.0]]
+    )
     r = np.sqrt(z**2 + y**2 + x**2)
     exact = 2 * np.sqrt((z / r / 3) ** 2 + (y / r) ** 2 + (x / r) ** 2)
     np.testing.assert_allclose(rates[front & off], exact[front & off], rtol=0.01)
@@ -165,7 +179,9 @@ def test_gradient_is_the_force_with_its_two_bounds():
     assert move.dt == pytest.approx(0.5 / 0.25, rel=1e-3)
     assert moved(Gradient(), surface, 0.25, limits=StepLimits(dt_max=0.1))[0].dt == 0.1
     # Explicit curvature flow: dt <= h^2/(4 alpha); the rates of both add.
-    assert moved(Gradient(), surface, 0.25, alpha=2.0)[0].dt == pytest.approx(1 / (8 + 0.5), rel=1e-3)
+    assert moved(Gradient(), surface, 0.25, alpha=2.0)[0].dt == pytest.approx(
+        1 / (8 + 0.5), rel=1e-3
+    )
     assert moved(Gradient(), surface, 0.0)[0].dt == 0
 
 
@@ -175,7 +191,9 @@ def test_gradient_may_be_smoothed_by_the_same_diffusion():
     plain, front = moved(Gradient(), surface, force)
     smooth, _ = moved(Gradient(diffusion=0.5), surface, force)
     on = np.flatnonzero(surface.fraction_and_area()[1])
-    factor = float(np.dot(smooth.speed[on], plain.speed[on]) / np.dot(plain.speed[on], plain.speed[on]))
+    factor = float(
+        np.dot(smooth.speed[on], plain.speed[on]) / np.dot(plain.speed[on], plain.speed[on])
+    )
     assert factor == pytest.approx(np.exp(-0.5 * smooth.dt * 20 / R**2), rel=0.02)
 
 
@@ -200,7 +218,10 @@ def test_rest_forgets_the_momentum_and_the_clock():
     flow.start(surface)
     first, _ = moved(flow, surface, 0.25)
     second, _ = moved(flow, surface, 0.25)
-    assert np.abs(second.speed).max() > np.abs(first.speed[surface.front()]).min() and flow.clock.time > first.dt
+    assert (
+        np.abs(second.speed).max() > np.abs(first.speed[surface.front()]).min()
+        and flow.clock.time > first.dt
+    )
     assert flow.zero_momentum(surface.fraction_and_area()[1]) > 0
     assert flow.clock.time == 0 and flow.clock.at_rest and not flow.beta.any()
 

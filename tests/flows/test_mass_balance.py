@@ -35,7 +35,9 @@ def ball(n: int, r: float, centre: tuple[float, float, float], flat: bool = Fals
     z, y, x = [(np.arange(1 if flat and axis == 0 else n) + 0.5) * h for axis in range(3)]
     z = np.full(1, centre[0]) if flat else z
     grid = np.stack(np.meshgrid(z, y, x, indexing="ij"))
-    return LevelSet(np.sqrt(((grid - np.reshape(centre, (3, 1, 1, 1))) ** 2).sum(axis=0)) - r, (h, h, h), 4.0)
+    return LevelSet(
+        np.sqrt(((grid - np.reshape(centre, (3, 1, 1, 1))) ** 2).sum(axis=0)) - r, (h, h, h), 4.0
+    )
 
 
 @pytest.mark.slow
@@ -61,7 +63,9 @@ def test_density_stays_positive_and_the_mass_where_it_is() -> None:
 
 
 @pytest.mark.parametrize("flow", [ConstantDensity(diffusion=0.0), FlowableMass(diffusion=0.0)])
-def test_kinetic_energy_is_that_between_the_half_steps(flow: ConstantDensity | FlowableMass) -> None:
+def test_kinetic_energy_is_that_between_the_half_steps(
+    flow: ConstantDensity | FlowableMass,
+) -> None:
     """T of the mean velocity: not below 0 where a kick reverses the speed, which is still found."""
     surface = ball(24, 0.3, (0.5, 0.5, 0.5))
     front = surface.front(flow.stencil_width(surface))
@@ -70,7 +74,10 @@ def test_kinetic_energy_is_that_between_the_half_steps(flow: ConstantDensity | F
 
     def kicked(force: float) -> tuple[float, float]:
         full = np.where(front, np.float32(force), np.float32(0.0))
-        plan = flow.move(StepInput(surface, front, full, 0.0 * curvature, area, 0.0), StepLimits(100.0, 100.0, 0.02))
+        plan = flow.move(
+            StepInput(surface, front, full, 0.0 * curvature, area, 0.0),
+            StepLimits(100.0, 100.0, 0.02),
+        )
         return plan.energy_rates.kinetic, float(np.median(plan.speed[area > 0]))
 
     at_rest, first = kicked(1.0)
@@ -99,13 +106,17 @@ def growing(
     path = solve_ivp(rates, (first, 1.1), start, rtol=1e-10, atol=1e-12, dense_output=True).sol
     surface = ball(n, r0, centre, flat)
     energy, worst, rows, masses = RegionField(np.full(surface.shape, -force)), 0.0, [], []
-    evolution = Evolution(surface, energy, FlowableMass(diffusion=0.0), StepLimits(0.5, 100.0, 0.5 * h), 10_000)
+    evolution = Evolution(
+        surface, energy, FlowableMass(diffusion=0.0), StepLimits(0.5, 100.0, 0.5 * h), 10_000
+    )
     for step in evolution:
         record = step.record
         if path(record.t + record.dt)[0] > r_end:
             break
         r = path(max(record.t, first))[0]
-        low, high = np.clip(np.array([-x, 1.0 - x]) / r, -1.0, 1.0)  # of the cosine of the angle with the axis x
+        low, high = np.clip(
+            np.array([-x, 1.0 - x]) / r, -1.0, 1.0
+        )  # of the cosine of the angle with the axis x
         kept = (math.acos(low) - math.acos(high)) / math.pi if flat else 0.5 * (high - low)
         masses.append((2.0 * math.pi * r0 * h if flat else 4.0 * math.pi * r0**2) * kept)
         rows.append(record)
@@ -151,7 +162,10 @@ def test_the_border_adds_no_error_to_a_ball_that_grows(n: int, seed: int) -> Non
         centre[axes] = 1.0 - near * r_end
         errors[name] = grown(n, (centre[0], centre[1], centre[2]), r0, r_end)
     print(f"\n{n}, {r0:.3f} to {r_end:.3f}: {errors}")
-    assert max(errors["face"], errors["edge"]) < 1.15 * errors["amid"] + 0.003 and errors["amid"] < 0.15
+    assert (
+        max(errors["face"], errors["edge"]) < 1.15 * errors["amid"] + 0.003
+        and errors["amid"] < 0.15
+    )
 
 
 def grown(n: int, centre: tuple[float, float, float], r0: float, r_end: float) -> float:
@@ -159,11 +173,17 @@ def grown(n: int, centre: tuple[float, float, float], r0: float, r_end: float) -
     h, first = 1.0 / n, 1e-4
     path = solve_ivp(
         lambda t, s: (s[1], -3.0 / t * s[1] + 2.0 * (s[0] / r0) ** 2),
-        (first, 1.1), (r0 + 0.25 * first**2, 0.5 * first), rtol=1e-10, atol=1e-12, dense_output=True,
+        (first, 1.1),
+        (r0 + 0.25 * first**2, 0.5 * first),
+        rtol=1e-10,
+        atol=1e-12,
+        dense_output=True,
     ).sol
     surface, worst = ball(n, r0, centre, False), 0.0
     limits = StepLimits(0.5, 100.0, 0.5 * h)
-    for step in Evolution(surface, RegionField(np.full(surface.shape, -0.5)), FlowableMass(diffusion=0.0), limits):
+    for step in Evolution(
+        surface, RegionField(np.full(surface.shape, -0.5)), FlowableMass(diffusion=0.0), limits
+    ):
         r = path(step.record.t + step.record.dt)[0]
         if r > r_end:
             return worst / h
@@ -194,7 +214,10 @@ def test_a_component_that_vanishes_leaves_its_mass_to_the_rest_and_says_so() -> 
     small = np.sqrt((z - 0.5) ** 2 + (y - 0.5) ** 2 + (x - 0.87) ** 2) - 0.07
     surface = LevelSet(np.minimum(large, small), (h, h, h), 4.0)
     energy = RegionField(np.where(x > 0.7, 1.0, 0.0))
-    rows = [s.record for s in Evolution(surface, energy, FlowableMass(diffusion=0.0), StepLimits(0.5, 100.0), 40)]
+    rows = [
+        s.record
+        for s in Evolution(surface, energy, FlowableMass(diffusion=0.0), StepLimits(0.5, 100.0), 40)
+    ]
     gone = next(i for i, row in enumerate(rows) if row.removed_components)
     share = 0.07**2 / (0.2**2 + 0.07**2)
     print(f"\ncorrection {rows[-1].mass_correction:+.4f}, lost {share / (1 - share):.4f}")
@@ -207,7 +230,9 @@ def test_balance_restores_what_the_transport_lost_nearby_only() -> None:
     """Half of the mass of one ball is missing: it gets that back, the other ball nothing, whatever the spacing."""
     shape, spacing = (24, 24, 48), (1.0, 1.0, 0.5)
     z, y, x = np.indices(shape) * np.reshape(spacing, (3, 1, 1, 1))
-    two = np.minimum(*(np.sqrt((z - c) ** 2 + (y - c) ** 2 + (x - c) ** 2) - 3.5 for c in (5.0, 18.0)))
+    two = np.minimum(
+        *(np.sqrt((z - c) ** 2 + (y - c) ** 2 + (x - c) ** 2) - 3.5 for c in (5.0, 18.0))
+    )
     surface = LevelSet(two, spacing, 4.0)
     area = surface.fraction_and_area()[1]
     before = predict(surface, area, np.zeros((surface.size, 3), np.float32), 1.0)
@@ -216,7 +241,9 @@ def test_balance_restores_what_the_transport_lost_nearby_only() -> None:
     found = balance(surface, np.where(first, 0.5, 1.0) * area, before)
     restored = np.where(first, 0.5, 1.0) * area * found.factor
     assert restored[first].sum() == pytest.approx(area[first].sum(), rel=0.01)
-    assert restored.sum() == pytest.approx(area.sum(), rel=1e-6) and found.mass == pytest.approx(area.sum())
+    assert restored.sum() == pytest.approx(area.sum(), rel=1e-6) and found.mass == pytest.approx(
+        area.sum()
+    )
     np.testing.assert_allclose(found.factor[first & (area > 0)], 2.0, rtol=0.05)
 
 

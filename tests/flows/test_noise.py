@@ -41,7 +41,9 @@ def spread(dt: float, seed: int, t_end: float = 1.0) -> float:
     """RMS speed of a plane under noise alone after ``t_end``, almost without friction."""
     surface = plane()
     flow = ConstantDensity(friction=1e-6, diffusion=0.0, noise=Noise(0.2, 3.0, seed, until=99.0))
-    for step in Evolution(surface, RegionField(np.full(FLAT, 1e-9)), flow, StepLimits(0.5, 100.0, dt), 10_000):
+    for step in Evolution(
+        surface, RegionField(np.full(FLAT, 1e-9)), flow, StepLimits(0.5, 100.0, dt), 10_000
+    ):
         if step.record.t + step.record.dt > t_end:
             break
     area = surface.fraction_and_area()[1]
@@ -81,7 +83,9 @@ def test_none_costs_nothing() -> None:
         return [step.record for step in Evolution(surface, RegionField(field), flow, max_steps=12)]
 
     without, zero = run(None), run(Noise(0.0))
-    assert [row._replace(seconds=0.0) for row in without] == [row._replace(seconds=0.0) for row in zero]
+    assert [row._replace(seconds=0.0) for row in without] == [
+        row._replace(seconds=0.0) for row in zero
+    ]
 
 
 @pytest.mark.parametrize("model", [ConstantDensity, FlowableMass])
@@ -99,12 +103,16 @@ def test_nothing_acts_along_a_missing_axis(model: type) -> None:
 def test_noise_leaves_a_saddle() -> None:
     """A plane on the ridge of a potential: without noise no force acts and it stays; with noise it rolls off."""
     z, _, _ = np.indices((40, 14, 14))
-    ridge = -np.sin((z - 19.5) / 19.5 * np.pi)  # zero force at 19.5, growing away from it on both sides
+    ridge = -np.sin(
+        (z - 19.5) / 19.5 * np.pi
+    )  # zero force at 19.5, growing away from it on both sides
     moved = {}
     for tau in (0.0, 0.05):
         surface = LevelSet(z - 19.5, (1.0, 1.0, 1.0))
         flow = ConstantDensity(noise=Noise(tau, 6.0, seed=1, until=5.0) if tau else None)
-        evolution = Evolution(surface, RegionField(ridge.astype(np.float32)), flow, StepLimits(dt_max=0.5), 150)
+        evolution = Evolution(
+            surface, RegionField(ridge.astype(np.float32)), flow, StepLimits(dt_max=0.5), 150
+        )
         history = [step.record for step in evolution]
         moved[tau] = abs(history[-1].volume_mm3 - history[0].volume_mm3) / 14**2
     assert moved[0.0] < 0.05 and moved[0.05] > 5.0

@@ -44,9 +44,18 @@ def step_ends(evolution: Evolution) -> bool:
 def residue(rows: list[StepRecord]) -> float:
     """Largest part of the energy lost so far that the account does not explain."""
     total = np.array(
-        [r.potential + r.mass_potential + r.kinetic / r.weight + r.friction_work + r.smoothing_work for r in rows]
+        [
+            r.potential
+            + r.mass_potential
+            + r.kinetic / r.weight
+            + r.friction_work
+            + r.smoothing_work
+            for r in rows
+        ]
     )
-    return float(np.abs(total - total[0]).max() / (rows[-1].friction_work + rows[-1].smoothing_work))
+    return float(
+        np.abs(total - total[0]).max() / (rows[-1].friction_work + rows[-1].smoothing_work)
+    )
 
 
 # ------------------------------------------------------------------------------------------------ (1) the account
@@ -89,7 +98,10 @@ def drop_misfit(n: int, dim: int, t_end: float = 0.5, stiffness: float = 0.3) ->
         return PEAK[dim] * radius**-dim * np.maximum(1.0 - (on.radius / radius) ** 2, 0.0)
 
     grows = solve_ivp(
-        lambda _, y: (y[1], 2.0 * stiffness * PEAK[dim] * y[0] ** -(dim + 1)), (0, t_end), (0.6, 0.0), rtol=1e-10
+        lambda _, y: (y[1], 2.0 * stiffness * PEAK[dim] * y[0] ** -(dim + 1)),
+        (0, t_end),
+        (0.6, 0.0),
+        rtol=1e-10,
     )
     moved = transport_fluid(surface, make_fluid(density(0.6)), t_end, stiffness, 1e-6)
     exact = density(float(grows.y[0, -1]))
@@ -118,7 +130,9 @@ def mode_misfit(n: int, degree: int, root: float, periods: float = 1.0) -> float
     if degree == 1:
         shape = (np.sin(x) / x**2 - np.cos(x) / x) * on.points[0] / np.maximum(on.radius, 1e-9)
     flow = RegionPressure(g, friction=0.0)
-    evolution = Evolution(surface, RegionField(np.zeros(surface.shape)), flow, limits_on(on), 10_000)
+    evolution = Evolution(
+        surface, RegionField(np.zeros(surface.shape)), flow, limits_on(on), 10_000
+    )
     evolution.initialize()
     flow.set_fluid(1.0 + strength * shape, np.zeros((3, *surface.shape)))
     volume = 4.0 / 3.0 * math.pi * radius**3
@@ -169,7 +183,9 @@ def test_sound_modes_converge() -> None:
 # --------------------------------------------------------------------------------- (4) shells, (5) the end, (6) f = 0
 
 
-def shells(gravity: float, first: float, force: Callable[[float], float], t_end: float, count: int = 300):  # type: ignore[no-untyped-def]
+def shells(
+    gravity: float, first: float, force: Callable[[float], float], t_end: float, count: int = 300
+):  # type: ignore[no-untyped-def]
     """Radius of the outermost of shells of equal mass, w = 4 and friction 3/t, as a function of time."""
     r = first * np.cbrt(np.linspace(0.0, 1.0, count + 1))
     part = 4.0 / 3.0 * math.pi * first**3 / count
@@ -186,13 +202,21 @@ def shells(gravity: float, first: float, force: Callable[[float], float], t_end:
         return np.concatenate([v, -4.0 * math.pi * r**2 * push - 3.0 / t * v])
 
     solved = solve_ivp(
-        rates, (1e-3, t_end), np.concatenate([r, 0.0 * r]), method="DOP853", rtol=1e-7, atol=1e-9, dense_output=True
+        rates,
+        (1e-3, t_end),
+        np.concatenate([r, 0.0 * r]),
+        method="DOP853",
+        rtol=1e-7,
+        atol=1e-9,
+        dense_output=True,
     )
     return lambda t: float(solved.sol(t)[count])
 
 
 def mean_radius(surface: LevelSet) -> float:
-    return float((3.0 * surface.volume(surface.fraction_and_area()[0]) / (4.0 * math.pi)) ** (1.0 / 3.0))
+    return float(
+        (3.0 * surface.volume(surface.fraction_and_area()[0]) / (4.0 * math.pi)) ** (1.0 / 3.0)
+    )
 
 
 def shell_misfit(n: int, flow: RegionPressure, t_end: float = 3.0) -> float:
@@ -201,7 +225,9 @@ def shell_misfit(n: int, flow: RegionPressure, t_end: float = 3.0) -> float:
     surface = LevelSet(on.radius - 0.9, on.spacing, 4.0)
     exact = shells(flow.gravity, 0.9, lambda r: 0.3 * (r - 0.8), t_end + 0.1)
     worst = 0.0
-    for step in Evolution(surface, RegionField(0.3 * (on.radius - 0.8)), flow, limits_on(on), 10_000):
+    for step in Evolution(
+        surface, RegionField(0.3 * (on.radius - 0.8)), flow, limits_on(on), 10_000
+    ):
         t = step.record.t + step.record.dt
         if t > t_end:
             break
@@ -243,7 +269,9 @@ def test_a_force_of_the_wrong_sign_misses_the_shells() -> None:
 def test_the_end_is_where_the_force_is_zero(flow: RegionMass) -> None:
     on = lattice(16)
     surface = LevelSet(on.radius - 0.95, on.spacing, 4.0)
-    for step in Evolution(surface, RegionField(0.3 * (on.radius - 0.8)), flow, limits_on(on), 10_000):
+    for step in Evolution(
+        surface, RegionField(0.3 * (on.radius - 0.8)), flow, limits_on(on), 10_000
+    ):
         if step.record.t > 15.0:
             break
     off = abs(mean_radius(surface) - 0.8) / on.spacing[0]
@@ -276,7 +304,9 @@ def transported(n: int, sign: float = 1.0, t_end: float = 0.8) -> tuple[float, f
     on = lattice(n)
     surface = LevelSet(on.radius - 0.5, on.spacing, 4.0)
     flow = RegionMass(friction=0.0)
-    evolution = Evolution(surface, RegionField(np.zeros(surface.shape)), flow, limits_on(on), 10_000)
+    evolution = Evolution(
+        surface, RegionField(np.zeros(surface.shape)), flow, limits_on(on), 10_000
+    )
     evolution.initialize()
 
     def gaussian(scale: np.ndarray) -> np.ndarray:
@@ -296,7 +326,11 @@ def transported(n: int, sign: float = 1.0, t_end: float = 0.8) -> tuple[float, f
     cells = surface.front(1.0)
     feet = on.points.reshape(3, -1)[:, surface.band.cells].T + surface.band.to_closest
     off = np.abs(np.linalg.norm(feet[cells] / scale, axis=1) - 0.5).max() / on.spacing[0]
-    return float(np.abs(flow.fluid[0] - exact).sum() / exact.sum()), float(np.ptp(kinetic) / kinetic[0]), float(off)
+    return (
+        float(np.abs(flow.fluid[0] - exact).sum() / exact.sum()),
+        float(np.ptp(kinetic) / kinetic[0]),
+        float(off),
+    )
 
 
 def test_optimal_transport_between_gaussians() -> None:
@@ -339,11 +373,11 @@ def test_one_slice_and_unequal_spacing(flow: RegionMass, coarser: tuple[int, int
     on = lattice(24, coarser, flat=coarser[0] == 1)
     surface = LevelSet(on.radius - 0.8, on.spacing, 4.0)
     flow.clock.friction = 3.0
-    for step in Evolution(surface, RegionField(0.5 * (on.radius - 0.6)), flow, limits_on(on), 10_000):
+    for step in Evolution(
+        surface, RegionField(0.5 * (on.radius - 0.6)), flow, limits_on(on), 10_000
+    ):
         if step.record.t > 8.0:
             break
     points = on.points.reshape(3, -1)[:, surface.band.cells].T + surface.band.to_closest
     off = np.abs(np.linalg.norm(points[surface.front(1.0)], axis=1) - 0.6).max() / min(on.spacing)
     assert off < 0.2
-
-

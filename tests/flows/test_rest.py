@@ -55,7 +55,9 @@ def scene(kind: str, seed: int) -> Scene:
     points = np.stack(np.meshgrid(*axes, indexing="ij"))
     off = np.abs(points - rng.uniform(-0.5, 0.5, 3).reshape(3, 1, 1, 1))
     outside = (np.sqrt((off**2).sum(axis=0)) if kind == "ball" else off.max(axis=0)) - half
-    return Scene(kind, spacing, points, np.clip(0.5 - outside, 0.0, 1.0), half, alpha, rng.choice([0.0, 1.5]))
+    return Scene(
+        kind, spacing, points, np.clip(0.5 - outside, 0.0, 1.0), half, alpha, rng.choice([0.0, 1.5])
+    )
 
 
 def roughness(surface: LevelSet, on: Scene) -> float:
@@ -87,9 +89,13 @@ class End(NamedTuple):
 def end_of(flow: Flow, on: Scene, cfl: float = 0.5, steps: int = 120) -> End:
     """Where ``steps`` steps lead from a ball of about the object's size; nothing ends the run before."""
     start = np.sqrt((on.points**2).sum(axis=0)) - 1.1 * on.half
-    surface = LevelSet(start, on.spacing, 4.0 if isinstance(flow, (FlowableMass, RegionMass)) else 3.0)
+    surface = LevelSet(
+        start, on.spacing, 4.0 if isinstance(flow, (FlowableMass, RegionMass)) else 3.0
+    )
     energy = ChanVese(on.image, on.alpha, epsilon=on.epsilon)
-    rows = [step.record for step in Evolution(surface, energy, flow, StepLimits(cfl), steps, Restart())]
+    rows = [
+        step.record for step in Evolution(surface, energy, flow, StepLimits(cfl), steps, Restart())
+    ]
     motion = max(row.motion_voxels for row in rows[-11:-1])
     return End(motion, roughness(surface, on), rows[-1].area_mm2, rows[-1].potential)
 
@@ -154,7 +160,9 @@ def test_the_step_of_a_descent_adds_the_rates_of_area_and_edge() -> None:
             flow = make()
             flow.start(surface)
             rate = 0.25 / 1.5 / 0.5 + 2.0 * 0.6 * (1.0 + 1.0 / 1.5**2)
-            assert flow.move(now, limits).dt == pytest.approx(min(1.0 / rate, limits.dt_max), rel=1e-4)
+            assert flow.move(now, limits).dt == pytest.approx(
+                min(1.0 / rate, limits.dt_max), rel=1e-4
+            )
 
 
 @pytest.mark.parametrize("make", [Gradient, lambda: Sobolev(1e-3)])
@@ -167,7 +175,10 @@ def test_a_step_that_is_undone_twice_becomes_shorter(make: Callable[[], Descent]
     front, area = surface.front(2.5), surface.fraction_and_area()[1]
     for _ in range(8):
         force = np.where(front, np.float32(-stiffness * place), np.float32(0.0))
-        plan = flow.move(StepInput(surface, front, force, np.zeros_like(force), area, 0.0), StepLimits(0.4, 100.0))
+        plan = flow.move(
+            StepInput(surface, front, force, np.zeros_like(force), area, 0.0),
+            StepLimits(0.4, 100.0),
+        )
         dts.append(plan.dt)
         place += plan.dt * float(plan.speed[surface.front(0.5)].mean())
     assert dts[0] == pytest.approx(0.4 / (0.2 * stiffness), rel=0.01) and dts[1] == dts[0]
@@ -180,7 +191,9 @@ def test_the_converged_surface_of_the_public_interface_is_smooth() -> None:
     image[9:31, 9:31, 8:31] = 1.0
     ends = {}
     for flow in ("gradient", "constant-density"):
-        result = accelsurf.segment(image, start="ball:19.5,19.5,19.5,8.8", smoothness=0.5, flow=flow, levels=1)
+        result = accelsurf.segment(
+            image, start="ball:19.5,19.5,19.5,8.8", smoothness=0.5, flow=flow, levels=1
+        )
         assert result.stop.reason == "converged" and result.history[-2].motion_voxels < 0.01
         points = np.stack(np.indices(image.shape) - 19.5)
         on = Scene("box", (1.0, 1.0, 1.0), points, image, 11.0, 0.5, 1.5)

@@ -26,7 +26,15 @@ from tests.support import dicom_series
 @functools.cache
 def seeds() -> tuple[Input, ...]:
     with tempfile.TemporaryDirectory() as folder:
-        return (*_images(Path(folder)), *_meshes(), *_texts(), *_runs(), *_states(), *folders.every(), *runs.every())
+        return (
+            *_images(Path(folder)),
+            *_meshes(),
+            *_texts(),
+            *_runs(),
+            *_states(),
+            *folders.every(),
+            *runs.every(),
+        )
 
 
 def chosen_seeds(kinds: Iterable[str] = ()) -> tuple[Input, ...]:
@@ -48,7 +56,9 @@ def input_of(seed: int, number: int, among: tuple[Input, ...] = ()) -> Input:
     others = [given.content for given in some if given.suffix == chosen.suffix]
     content = chosen.content
     # A packed chunk is the input itself; of a packed file rather what is in it.
-    if (inner := _unpacked(content)) is not None and rng.random() < (0.2 if kind == "zarr" else 0.8):
+    if (inner := _unpacked(content)) is not None and rng.random() < (
+        0.2 if kind == "zarr" else 0.8
+    ):
         unpacked = [found for other in others if (found := _unpacked(other)) is not None]
         inner = mutators.mutated(inner, chosen.mode, rng, unpacked)
         return chosen._replace(content=gzip.compress(inner, 1, mtime=0))
@@ -80,12 +90,17 @@ def _slices():
 def _images(folder: Path):
     turned, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
     turned *= np.sign(np.linalg.det(turned))
-    grids = [Geometry(SHAPE, (1.0, 1.0, 1.0)), Geometry(SHAPE, (3.0, 0.5, 0.75), (-12.5, 4.0, 100.25), turned)]
+    grids = [
+        Geometry(SHAPE, (1.0, 1.0, 1.0)),
+        Geometry(SHAPE, (3.0, 0.5, 0.75), (-12.5, 4.0, 100.25), turned),
+    ]
     for suffix in files.written_suffixes():
         if suffix in (".tiff", ".ome.zarr", ".zarr", ".npy", ".npz"):
             continue
         for grid in grids:
-            for dtype in ("uint8", "int16", "float32") if suffix not in (".png",) else ("uint8", "uint16"):
+            for dtype in (
+                ("uint8", "int16", "float32") if suffix not in (".png",) else ("uint8", "uint16")
+            ):
                 values = VALUES.astype(dtype)[: 1 if suffix == ".png" else None]
                 here = Geometry(values.shape, grid.spacing, grid.origin, grid.direction)
                 path = folder / f"a{suffix}"
@@ -115,9 +130,13 @@ def _images(folder: Path):
     four = nibabel.Nifti1Image(np.stack([VALUES.T, VALUES.T], axis=-1), np.eye(4))
     yield Input("channels", ".nii", "binary", four.to_bytes())
     yield Input("channels", ".nii.gz", "binary", gzip.compress(four.to_bytes(), 1, mtime=0))
-    vector = nrrd.replace("dimension: 3\nsizes: 6", "dimension: 4\nsizes: 2 6").replace("1 2 3", "nan 1 2 3")
+    vector = nrrd.replace("dimension: 3\nsizes: 6", "dimension: 4\nsizes: 2 6").replace(
+        "1 2 3", "nan 1 2 3"
+    )
     kinds = "kinds: vector domain domain domain\n"
-    yield Input("channels", ".nrrd", "mixed", vector.format("raw", kinds).encode() + VALUES.tobytes() * 2)
+    yield Input(
+        "channels", ".nrrd", "mixed", vector.format("raw", kinds).encode() + VALUES.tobytes() * 2
+    )
 
 
 def _nifti2() -> bytes:
@@ -171,14 +190,25 @@ def _hyperstacks():
         values = full.transpose(0, 2, 1, 3, 4) if "imagej" in options else full
         tifffile.imwrite(stream, values, photometric="minisblack", **options)
         yield Input("sequence", ".tif", "mixed", stream.getvalue())
-    for dtype, options in (("u2", {"tile": (16, 16)}), ("f8", {}), ("u2", {"tile": (16, 16), "compression": "zlib"})):
+    for dtype, options in (
+        ("u2", {"tile": (16, 16)}),
+        ("f8", {}),
+        ("u2", {"tile": (16, 16), "compression": "zlib"}),
+    ):
         stream = io.BytesIO()
-        tifffile.imwrite(stream, np.resize(VALUES, (2, 20, 30)).astype(dtype), photometric="minisblack", **options)
+        tifffile.imwrite(
+            stream,
+            np.resize(VALUES, (2, 20, 30)).astype(dtype),
+            photometric="minisblack",
+            **options,
+        )
         yield Input("sequence", ".tif", "binary", stream.getvalue())
     stream = io.BytesIO()
     with tifffile.TiffWriter(stream) as out:
         out.write(np.zeros((32, 32), np.uint8), subifds=1, photometric="minisblack", metadata=None)
-        out.write(np.ones((16, 16), np.uint8), subfiletype=1, photometric="minisblack", metadata=None)
+        out.write(
+            np.ones((16, 16), np.uint8), subfiletype=1, photometric="minisblack", metadata=None
+        )
     yield Input("sequence", ".tif", "binary", stream.getvalue())
 
 
@@ -219,7 +249,9 @@ def _meshes():
     triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
     for name in ("ply", "stl", "obj"):
         content = getattr(surface_files, f"{name}_bytes")(points, triangles, "LPS")
-        yield Input("mesh", f".{name}", {"obj": "text", "ply": "mixed"}.get(name, "binary"), content)
+        yield Input(
+            "mesh", f".{name}", {"obj": "text", "ply": "mixed"}.get(name, "binary"), content
+        )
     import trimesh
 
     cube = trimesh.Trimesh(points, triangles, process=False)
@@ -254,9 +286,14 @@ def _texts():
         "step=3 flow=gradient",
         "step=0 object=2 remove=ball:1,2,3,1vox",
     )
-    config = RunConfig(smoothness=0.5, start=["ball:2,2,2,1"], edit=["step=3 cfl=0.4"], mesh="ply,stl").to_toml()
+    config = RunConfig(
+        smoothness=0.5, start=["ball:2,2,2,1"], edit=["step=3 cfl=0.4"], mesh="ply,stl"
+    ).to_toml()
     short = "energy = [{term = 'local-region', R = 8}, {term = 'geodesic', weight = 0.3}]\nsmoothness = 1\nseed = 3\n"
-    tables = ("id,x,y,z,r\n1,1,1,1,1\n2,4,3,3,1\n", "# a\nid,x_vox,y_vox,z_vox,r_vox\n7,1,1,1,1.5\n7,2,2,2,1\n")
+    tables = (
+        "id,x,y,z,r\n1,1,1,1,1\n2,4,3,3,1\n",
+        "# a\nid,x_vox,y_vox,z_vox,r_vox\n7,1,1,1,1.5\n7,2,2,2,1\n",
+    )
     for kind, suffix, some in (
         ("energy", ".txt", energies),
         ("start", ".txt", starts),
@@ -268,8 +305,11 @@ def _texts():
         for text in some:
             yield Input(kind, suffix, "text", text.encode())
     for suffix, text in (
-        (".mrk.json", '{"markups": [{"type": "Fiducial", "coordinateSystem": "RAS", "coordinateUnits": ["mm", "UCUM"], '
-         '"controlPoints": [{"position": [1, -2.5, 3e1], "positionStatus": "defined"}]}]}'),
+        (
+            ".mrk.json",
+            '{"markups": [{"type": "Fiducial", "coordinateSystem": "RAS", "coordinateUnits": ["mm", "UCUM"], '
+            '"controlPoints": [{"position": [1, -2.5, 3e1], "positionStatus": "defined"}]}]}',
+        ),
         (".fcsv", "# CoordinateSystem = 0\n# columns = id,x,y,z,ow\nF_1,1,2,3,0\nF_2,-4.5,5,6,0\n"),
         (".csv", "label,r,a,s,defined\nF-1,1,2,3,1\n"),
         (".csv", "index,axis-0,axis-1,axis-2\n0.0,1.0,2.0,3.0\n"),
@@ -294,10 +334,27 @@ def _runs():
     """Settings of a run of a few steps as JSON, with the values of its image."""
     for settings in (
         {"k": 2, "lam": 1, "rho": 1, "smoothness": 0.5, "presmooth": 0.5, "cfl": 0.5},
-        {"flow": "flowable-mass", "gravity": 0.1, "k": 2, "t0": 1, "diffusion": 1.0, "friction": 0.5},
-        {"flow": "sobolev", "sobolev_length": 3, "tolerance": 0.1, "percentile": 95, "epsilon": 1.5},
+        {
+            "flow": "flowable-mass",
+            "gravity": 0.1,
+            "k": 2,
+            "t0": 1,
+            "diffusion": 1.0,
+            "friction": 0.5,
+        },
+        {
+            "flow": "sobolev",
+            "sobolev_length": 3,
+            "tolerance": 0.1,
+            "percentile": 95,
+            "epsilon": 1.5,
+        },
         {"flow": "momentum", "blend": 0.8, "balance": 1.0, "max_volume": 1000, "half_width": 4},
-        {"energy": "0.5*geodesic:scale=1,contrast=0.5,balloon=-0.1 + chan-vese", "edge_scale": 1, "edge_contrast": 1},
+        {
+            "energy": "0.5*geodesic:scale=1,contrast=0.5,balloon=-0.1 + chan-vese",
+            "edge_scale": 1,
+            "edge_contrast": 1,
+        },
         {
             "energy": "local-region:R=3,epsilon=1 + 0.1*balloon",
             "noise": 0.1,
@@ -310,8 +367,17 @@ def _runs():
     ):
         for image in ("plain", "scaled"):
             for scale, offset, one in (("1", "0", "0"), ("1e-3", "100", "5")):
-                values = {"image": image, "scale": scale, "offset": offset, "voxel": one, "spacing": "1.5"}
-                text = json.dumps({"values": values, "settings": {k: str(v) for k, v in settings.items()}}, indent=0)
+                values = {
+                    "image": image,
+                    "scale": scale,
+                    "offset": offset,
+                    "voxel": one,
+                    "spacing": "1.5",
+                }
+                text = json.dumps(
+                    {"values": values, "settings": {k: str(v) for k, v in settings.items()}},
+                    indent=0,
+                )
                 yield Input("run", ".json", "text", text.encode())
 
 
@@ -319,5 +385,8 @@ def _states():
     from accelsurf.evolution.serialization import to_bytes
     from tests.fuzz.verdict import CHECKPOINT_TYPES, Point
 
-    state = ({"accelsurf": "0", "run": "x"}, Point(np.arange(6.0), (1, 2.5, None, "text", [np.float32(2), True])))
+    state = (
+        {"accelsurf": "0", "run": "x"},
+        Point(np.arange(6.0), (1, 2.5, None, "text", [np.float32(2), True])),
+    )
     yield Input("checkpoint", ".npz", "binary", to_bytes(state, CHECKPOINT_TYPES))

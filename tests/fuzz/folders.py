@@ -19,12 +19,27 @@ from tests.support import dicom_series
 #: The parts along z of the arrays in chunks.
 CHUNK = (2, 5, 6)
 JSON = {".json": "json", ".zattrs": "json", ".zgroup": "json", ".zarray": "json"}
-TEXT = {".csv": "text", ".tsv": "text", ".txt": "text", ".nhdr": "text", ".mhd": "text", ".toml": "text"}
+TEXT = {
+    ".csv": "text",
+    ".tsv": "text",
+    ".txt": "text",
+    ".nhdr": "text",
+    ".mhd": "text",
+    ".toml": "text",
+}
 
 
 def every() -> list[Input]:
     """All of them."""
-    return [*_paired(), *_zarrs(), *_dicoms(), *_frames(), *_label_tables(), *_evaluated(), *_batches()]
+    return [
+        *_paired(),
+        *_zarrs(),
+        *_dicoms(),
+        *_frames(),
+        *_label_tables(),
+        *_evaluated(),
+        *_batches(),
+    ]
 
 
 def _paired():
@@ -46,7 +61,9 @@ def _paired():
         ("mhd-zlib", "a.mhd", meta.format("True"), zlib.compress(raw)),
     ):
         if name.endswith(files.image_suffixes()):
-            yield from of_folder("paired", case, {name: header.encode(), DATA_FILE: data}, TEXT | {".nrrd": "text"})
+            yield from of_folder(
+                "paired", case, {name: header.encode(), DATA_FILE: data}, TEXT | {".nrrd": "text"}
+            )
 
 
 def content_of(folder: Path) -> dict[str, bytes]:
@@ -87,11 +104,19 @@ def _zarrs():
         for case, options in codecs().items():
             yield from of_folder("zarr", case, _stored(Path(base) / case, template, options), JSON)
         timed = Path(base) / "timed.ome.zarr"
-        with files.SequenceWriter(timed, VOLUME.geometry, (0.0, 1.0, 2.0), "s", VALUES.dtype) as writer:
+        with files.SequenceWriter(
+            timed, VOLUME.geometry, (0.0, 1.0, 2.0), "s", VALUES.dtype
+        ) as writer:
             for number, frame in enumerate(FRAMES):
                 writer.write(number, frame)
-        found = {name: content for name, content in content_of(timed).items() if name.startswith(("zarr", "0/"))}
-        yield from of_folder("frames", "a.ome.zarr", {f"a.ome.zarr/{n}": c for n, c in found.items()}, JSON)
+        found = {
+            name: content
+            for name, content in content_of(timed).items()
+            if name.startswith(("zarr", "0/"))
+        }
+        yield from of_folder(
+            "frames", "a.ome.zarr", {f"a.ome.zarr/{n}": c for n, c in found.items()}, JSON
+        )
 
 
 def _stored(folder: Path, template: Path, options: dict) -> dict[str, bytes]:
@@ -143,7 +168,9 @@ def _dicoms():
     plain, packed = _slices()
     yield from of_folder("dicom", "plain", plain)
     yield from of_folder("dicom", "packed", packed)
-    yield from of_folder("dicom", "segmentation", {**plain, "seg.dcm": _segmentation(plain)}, only=("seg.dcm",))
+    yield from of_folder(
+        "dicom", "segmentation", {**plain, "seg.dcm": _segmentation(plain)}, only=("seg.dcm",)
+    )
 
 
 def _segmentation(slices: dict[str, bytes]) -> bytes:
@@ -154,16 +181,30 @@ def _segmentation(slices: dict[str, bytes]) -> bytes:
 
     sources = [pydicom.dcmread(io.BytesIO(content)) for content in slices.values()]
     described = highdicom.seg.SegmentDescription(
-        1, "ball", codes.SCT.Tissue, codes.SCT.Tissue, highdicom.seg.SegmentAlgorithmTypeValues.MANUAL
+        1,
+        "ball",
+        codes.SCT.Tissue,
+        codes.SCT.Tissue,
+        highdicom.seg.SegmentAlgorithmTypeValues.MANUAL,
     )
     mask = np.zeros((len(sources), sources[0].Rows, sources[0].Columns), np.uint8)
     mask[1:3, 1:3, 2:4] = 1
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the patient has one name only
         made = highdicom.seg.Segmentation(
-            sources, mask, highdicom.seg.SegmentationTypeValues.BINARY, [described], "1.2.3.77", 7, "1.2.3.78", 1,
-            "accelsurf", "fuzz", "0", "0",
-        )  # fmt: skip
+            sources,
+            mask,
+            highdicom.seg.SegmentationTypeValues.BINARY,
+            [described],
+            "1.2.3.77",
+            7,
+            "1.2.3.78",
+            1,
+            "accelsurf",
+            "fuzz",
+            "0",
+            "0",
+        )
     content = io.BytesIO()
     made.save_as(content)
     return content.getvalue()
@@ -181,7 +222,9 @@ def _frames():
     head = "NRRD0005\ntype: short\ndimension: 4\nspace: left-posterior-superior{}\nsizes: {}\nkinds: {}\n"
     head += "space directions: {}\nspace origin: {}\nendian: little\nencoding: raw\n{}\n"
     turns = "(1,0,0,0) (0,2,0,0) (0,0,3,0) (0,0,0,1)"
-    last = head.format("-time", "6 5 4 3", "domain domain domain time", turns, "(0,0,0,0)", "").encode()
+    last = head.format(
+        "-time", "6 5 4 3", "domain domain domain time", turns, "(0,0,0,0)", ""
+    ).encode()
     turns = "none (1,0,0) (0,2,0) (0,0,3)"
     time = "axis 0 index type:=time\n"
     first = head.format("", "3 6 5 4", "list domain domain domain", turns, "(0,0,0)", time).encode()
@@ -195,29 +238,44 @@ def _frames():
     stream = io.BytesIO()
     np.save(stream, FRAMES)
     yield Input("frames", ".npy", "mixed", stream.getvalue())
-    for options in ({"ome": True, "metadata": {"axes": "TZYX"}}, {"imagej": True, "metadata": {"axes": "TZYX"}}):
+    for options in (
+        {"ome": True, "metadata": {"axes": "TZYX"}},
+        {"imagej": True, "metadata": {"axes": "TZYX"}},
+    ):
         stream = io.BytesIO()
         tifffile.imwrite(stream, FRAMES.astype(np.uint16), photometric="minisblack", **options)
         yield Input("frames", ".tif", "mixed", stream.getvalue())
-    nifti = {f"t{n}.nii": nibabel.Nifti1Image(frame.T.copy(), np.eye(4)).to_bytes() for n, frame in enumerate(FRAMES)}
-    yield from of_folder("frames", "nifti", {f"nifti/{name}": content for name, content in nifti.items()})
+    nifti = {
+        f"t{n}.nii": nibabel.Nifti1Image(frame.T.copy(), np.eye(4)).to_bytes()
+        for n, frame in enumerate(FRAMES)
+    }
+    yield from of_folder(
+        "frames", "nifti", {f"nifti/{name}": content for name, content in nifti.items()}
+    )
     pages = {}
     for number, frame in enumerate(FRAMES):
         stream = io.BytesIO()
-        tifffile.imwrite(stream, frame.astype(np.uint16), photometric="minisblack", compression="zlib")
+        tifffile.imwrite(
+            stream, frame.astype(np.uint16), photometric="minisblack", compression="zlib"
+        )
         pages[f"tiff/t{number}.tif"] = stream.getvalue()
     yield from of_folder("frames", "tiff", pages)
 
 
 def _label_tables():
     """Tables of labels in each form."""
-    entries = [LabelEntry(1, "liver", (200, 60, 60)), LabelEntry(7, 'left "big" kidney', (0, 128, 255))]
+    entries = [
+        LabelEntry(1, "liver", (200, 60, 60)),
+        LabelEntry(7, 'left "big" kidney', (0, 128, 255)),
+    ]
     yield Input("labels", ".txt", "text", label_tables.itk_snap_text(entries).encode())
     yield Input("labels", ".ctbl", "text", label_tables.color_table_text(entries).encode())
     yield Input("labels", ".tsv", "text", label_tables.bids_text(entries).encode())
     yield Input("labels", ".csv", "text", b"id,name,r,g,b\n1,liver,200,60,60\n7,kidney,0,128,255\n")
     yield Input("labels", ".csv", "text", b"name,color,label\nliver,#c83c3c,1\n")
-    head = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 1 1 1\nencoding: raw\nSegment0_Name:=liver\n"
+    head = (
+        "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 1 1 1\nencoding: raw\nSegment0_Name:=liver\n"
+    )
     head += "Segment0_LabelValue:=1\nSegment0_Color:=0.8 0.2 0.2\nSegment0_ID:=a\n\n"
     yield Input("labels", ".seg.nrrd", "mixed", head.encode() + b"\1")
     import nibabel
@@ -241,9 +299,13 @@ def _evaluated():
         maps[name] = gzip.compress(image.to_bytes(), 1, mtime=0)
     yield from of_folder("evaluate", "pair", maps, only=("pred.nii.gz",))
     table = b'case,pred,ref\na,pred.nii.gz,"ref.nii.gz@1,2-3"\nb,pred.nii.gz@2,ref.nii.gz\n'
-    yield from of_folder("evaluate", "table", {"pairs.csv": table, **maps}, TEXT, only=("pairs.csv",))
+    yield from of_folder(
+        "evaluate", "table", {"pairs.csv": table, **maps}, TEXT, only=("pairs.csv",)
+    )
     tracks = "frame,id,parent,seen\n0,1,,1\n1,1,,1\n1,2,1,1\n2,2,1,0\n"
-    labels = np.stack([(VALUES > 60), (VALUES > 60) + 1 * (VALUES > 100), (VALUES > 60)]).astype(np.uint8)
+    labels = np.stack([(VALUES > 60), (VALUES > 60) + 1 * (VALUES > 100), (VALUES > 60)]).astype(
+        np.uint8
+    )
     four = nibabel.Nifti1Image(labels.T.copy(), np.eye(4)).to_bytes()
     found = {"a_labels.nii": four, "a_tracks.csv": tracks.encode()}
     yield from of_folder("tracks", "labels", found, TEXT)
@@ -260,6 +322,9 @@ def _batches():
     image = b'image,id,preset,start,smoothness,mask\na.nii,first,mr-brain,"ball:1,2,3,4; ball:5,5,5,2",0.5,\n'
     image += b"c.nii.gz,,,otsu,1,m.nii@2\n"
     words = b'image,id,start,max_gap,correct\na.nii,cell,"ball:1,2,3,4",2,"frame=1 inside=point:1,2,3 object=1"\n'
-    for suffix, table in ((".csv", image), (".tsv", b"image\tid\tpreset\na.nii\tx\tmr-brain\nb.nii\ty\t\n")):
+    for suffix, table in (
+        (".csv", image),
+        (".tsv", b"image\tid\tpreset\na.nii\tx\tmr-brain\nb.nii\ty\t\n"),
+    ):
         yield Input("cases", suffix, "text", table)
     yield Input("sequences", ".csv", "text", words)

@@ -6,7 +6,14 @@ _NIFTI_1 = [(0, "i"), *((at, "h") for at in range(40, 56, 2)), (70, "h"), (72, "
 _NIFTI_1 += [*((at, "f") for at in range(76, 124, 4)), (123, "B"), (252, "h"), (254, "h")]
 _NIFTI_1 += [(at, "f") for at in range(256, 328, 4)]
 _NIFTI_2 = [(0, "i"), (12, "h"), (14, "h"), *((at, "q") for at in range(16, 80, 8))]
-_NIFTI_2 += [*((at, "d") for at in range(104, 168, 8)), (168, "q"), (176, "d"), (184, "d"), (344, "i"), (348, "i")]
+_NIFTI_2 += [
+    *((at, "d") for at in range(104, 168, 8)),
+    (168, "q"),
+    (176, "d"),
+    (184, "d"),
+    (344, "i"),
+    (348, "i"),
+]
 _NIFTI_2 += [*((at, "d") for at in range(352, 496, 8)), (500, "i")]
 _MGH = [*((at, "i") for at in range(0, 28, 4)), (28, "h"), *((at, "f") for at in range(30, 90, 4))]
 _STL = [(80, "I"), *((at, "f") for at in range(84, 134, 4))]
@@ -18,7 +25,9 @@ def fields(content: bytes) -> list[tuple[int, str]]:
     if content[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         found = _of_tiff(content)
     elif n > 348 and struct.unpack_from("<i", content)[0] in (348, 540):
-        found = [(at, "<" + kind) for at, kind in (_NIFTI_1 if content[:2] == b"\x5c\x01" else _NIFTI_2)]
+        found = [
+            (at, "<" + kind) for at, kind in (_NIFTI_1 if content[:2] == b"\x5c\x01" else _NIFTI_2)
+        ]
     elif n > 284 and content[:4] == b"\0\0\0\1":
         found = [(at, ">" + kind) for at, kind in _MGH]
     elif content[128:132] == b"DICM":

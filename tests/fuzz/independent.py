@@ -12,9 +12,27 @@ import zlib
 
 import numpy as np
 
-_NIFTI = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
+_NIFTI = {
+    2: "u1",
+    4: "i2",
+    8: "i4",
+    16: "f4",
+    64: "f8",
+    256: "i1",
+    512: "u2",
+    768: "u4",
+    1024: "i8",
+    1280: "u8",
+}
 _NRRD = {
-    **{"signed char": "i1", "int8": "i1", "uchar": "u1", "unsigned char": "u1", "uint8": "u1", "short": "i2"},
+    **{
+        "signed char": "i1",
+        "int8": "i1",
+        "uchar": "u1",
+        "unsigned char": "u1",
+        "uint8": "u1",
+        "short": "i2",
+    },
     **{
         "int16": "i2",
         "ushort": "u2",
@@ -27,7 +45,14 @@ _NRRD = {
     **{"int32": "i4", "uint": "u4", "unsigned int": "u4", "uint32": "u4"},
 }
 _META = {
-    **{"MET_CHAR": "i1", "MET_UCHAR": "u1", "MET_SHORT": "i2", "MET_USHORT": "u2", "MET_INT": "i4", "MET_UINT": "u4"},
+    **{
+        "MET_CHAR": "i1",
+        "MET_UCHAR": "u1",
+        "MET_SHORT": "i2",
+        "MET_USHORT": "u2",
+        "MET_INT": "i4",
+        "MET_UINT": "u4",
+    },
     **{"MET_FLOAT": "f4", "MET_DOUBLE": "f8", "MET_LONG": "i4", "MET_ULONG": "u4"},
 }
 
@@ -128,7 +153,9 @@ def _meta(content: bytes, data: bytes):
     kind = _META[fields["ElementType"]]
     msb = fields.get("BinaryDataByteOrderMSB", fields.get("ElementByteOrderMSB", "False"))
     order = ">" if msb[:1] in "Tt1" else "<"
-    spacing = tuple(float(v) for v in fields.get("ElementSpacing", fields.get("ElementSize", "1 1 1")).split())
+    spacing = tuple(
+        float(v) for v in fields.get("ElementSpacing", fields.get("ElementSize", "1 1 1")).split()
+    )
     if fields.get("CompressedData", "False")[:1] in "Tt1":
         body = zlib.decompressobj(47).decompress(body)
     skip = int(fields.get("HeaderSize", 0))
@@ -150,12 +177,20 @@ def _tiff(content: bytes, data: bytes):
 
     with tifffile.TiffFile(io.BytesIO(content)) as file:
         pages = [page for page in file.pages if not page.subfiletype & 1]
-        if len(pages[0].shape) != 2 or pages[0].photometric not in (0, 1) or pages[0].bitspersample == 1:
+        if (
+            len(pages[0].shape) != 2
+            or pages[0].photometric not in (0, 1)
+            or pages[0].bitspersample == 1
+        ):
             return None
         if pages[0].compression != 5:
             return np.stack([page.asarray() for page in pages]), None
     with Image.open(io.BytesIO(content)) as image:  # tifffile has no LZW of its own
-        return (np.asarray(image)[np.newaxis], None) if image.mode in ("L", "I;16") and len(pages) == 1 else None
+        return (
+            (np.asarray(image)[np.newaxis], None)
+            if image.mode in ("L", "I;16") and len(pages) == 1
+            else None
+        )
 
 
 def _mgh(content: bytes, data: bytes):
@@ -167,7 +202,11 @@ def _mgh(content: bytes, data: bytes):
         return None  # no place is given: accelsurf and nibabel differ in what they take for it
     image = nibabel.MGHImage.from_bytes(content)
     values = np.asanyarray(image.dataobj)
-    return (values.T, tuple(float(h) for h in image.header.get_zooms()[:3])) if values.ndim == 3 else None
+    return (
+        (values.T, tuple(float(h) for h in image.header.get_zooms()[:3]))
+        if values.ndim == 3
+        else None
+    )
 
 
 def _npy(content: bytes, data: bytes):
@@ -176,7 +215,14 @@ def _npy(content: bytes, data: bytes):
 
 
 _LOOKS = {
-    **{".nii": _nifti, ".nii.gz": _nifti, ".nrrd": _nrrd, ".nhdr": _nrrd, ".mha": _meta, ".mhd": _meta},
+    **{
+        ".nii": _nifti,
+        ".nii.gz": _nifti,
+        ".nrrd": _nrrd,
+        ".nhdr": _nrrd,
+        ".mha": _meta,
+        ".mhd": _meta,
+    },
     **{".png": _png, ".tif": _tiff},
     **{".mgh": _mgh, ".mgz": _mgh, ".npy": _npy},
 }

@@ -48,10 +48,16 @@ class Input(NamedTuple):
 
     def written(self) -> dict[str, bytes]:
         """The files to write, by their paths."""
-        return {**dict(self.files), self.name: self.content} if self.case else {f"input{self.suffix}": self.content}
+        return (
+            {**dict(self.files), self.name: self.content}
+            if self.case
+            else {f"input{self.suffix}": self.content}
+        )
 
 
-def of_folder(kind: str, case: str, files: dict[str, bytes], modes: dict[str, str] | None = None, only=None):
+def of_folder(
+    kind: str, case: str, files: dict[str, bytes], modes: dict[str, str] | None = None, only=None
+):
     """An input for each of some files that belong together.
 
     Parameters
@@ -67,6 +73,8 @@ def of_folder(kind: str, case: str, files: dict[str, bytes], modes: dict[str, st
     kept = tuple(files.items())
     for name, content in kept:
         if only is None or name in only:
-            mode = next((mode for end, mode in (modes or {}).items() if name.endswith(end)), "binary")
+            mode = next(
+                (mode for end, mode in (modes or {}).items() if name.endswith(end)), "binary"
+            )
             suffix = name[name.rfind(".") :] if "." in name else ""
             yield Input(kind, suffix, mode, content, case, name, kept)

@@ -27,8 +27,14 @@ def same(expected: np.ndarray, found: np.ndarray) -> bool:
         return np.array_equal(expected, found)
     with np.errstate(all="ignore"):
         a, b = expected.astype(np.float64), found.astype(np.float64)
-        a = np.where(np.abs(a) > np.finfo(np.float32).max, np.sign(a) * np.inf, a) if found.itemsize == 4 else a
-        near = np.isclose(a, b, rtol=1e-5, atol=1e-30 + 1e-6 * np.nanmax(np.abs(a[np.isfinite(a)]), initial=0.0))
+        a = (
+            np.where(np.abs(a) > np.finfo(np.float32).max, np.sign(a) * np.inf, a)
+            if found.itemsize == 4
+            else a
+        )
+        near = np.isclose(
+            a, b, rtol=1e-5, atol=1e-30 + 1e-6 * np.nanmax(np.abs(a[np.isfinite(a)]), initial=0.0)
+        )
     return bool((near | (np.isnan(a) & np.isnan(b)) | (a == b)).all())
 
 
@@ -49,7 +55,9 @@ def check_look(volume: Volume, seen) -> str:
         raise Wrong(f"shape {volume.array.shape}, the file says {values.shape}")
     if not same(values, volume.array):
         raise Wrong(f"values {volume.array.ravel()[:4]}, the file says {values.ravel()[:4]}")
-    if spacing is not None and not np.allclose(volume.geometry.spacing[::-1], spacing, rtol=2e-3, atol=0):
+    if spacing is not None and not np.allclose(
+        volume.geometry.spacing[::-1], spacing, rtol=2e-3, atol=0
+    ):
         raise Wrong(f"spacing {volume.geometry.spacing[::-1]}, the file says {spacing}")
     return "verified"
 
@@ -59,7 +67,11 @@ def check_boxes(path: Path, volume: Volume) -> None:
     try:
         lazy = io.open_volume(path)
     except AccelsurfError as error:
-        if "is packed or" in error.message or "are packed" in error.message or "colour" in error.message:
+        if (
+            "is packed or" in error.message
+            or "are packed" in error.message
+            or "colour" in error.message
+        ):
             return
         raise Wrong(f"read as a whole, but box by box: {error.message[:200]}") from error
     found = lazy.read(tuple(slice(0, n) for n in lazy.shape))
@@ -90,11 +102,17 @@ def zarr(given: Input, folder: Path) -> str:
     decoded = looks.chunk(given.content, given.case)
     # The chunk is the first or the second along z.
     number = int(given.name.removeprefix("0/").removeprefix("c/").partition("/")[0])
-    for at, (found, good) in enumerate(zip(looks.halves(volume.array), looks.halves(VALUES), strict=True)):
-        if np.array_equal(found, good) or (at == number and decoded is not None and np.array_equal(found, decoded)):
+    for at, (found, good) in enumerate(
+        zip(looks.halves(volume.array), looks.halves(VALUES), strict=True)
+    ):
+        if np.array_equal(found, good) or (
+            at == number and decoded is not None and np.array_equal(found, decoded)
+        ):
             continue
         if io.WARNING_KEY not in volume.metadata:
-            raise Wrong(f"a damaged chunk was read: {found.ravel()[:4]}, {good.ravel()[:4]} expected")
+            raise Wrong(
+                f"a damaged chunk was read: {found.ravel()[:4]}, {good.ravel()[:4]} expected"
+            )
     return "verified"
 
 
@@ -121,13 +139,17 @@ def dicom(given: Input, folder: Path) -> str:
     count = len(set(slices) - {"seg.dcm"})
     if len(volume.array) != count and not warning:
         raise Wrong(f"{len(volume.array)} of {count} slices without a warning")
-    indices = np.stack(np.meshgrid(*map(np.arange, volume.array.shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    indices = np.stack(
+        np.meshgrid(*map(np.arange, volume.array.shape), indexing="ij"), axis=-1
+    ).reshape(-1, 3)
     points = volume.geometry.index_to_world(indices).reshape(*volume.array.shape, 3)
     expected = points @ folders.dicom_series.WEIGHTS
     right = (np.abs(volume.array - expected) <= 1.0).all(axis=(1, 2))
     seen = [looks.slice_of(content) for content in slices.values()]
     for number in np.flatnonzero(~right):
-        if not warning and not any(values is not None and same(values, volume.array[number]) for values in seen):
+        if not warning and not any(
+            values is not None and same(values, volume.array[number]) for values in seen
+        ):
             raise Wrong(f"slice {number} has values of no file: {volume.array[number].ravel()[:4]}")
     if np.count_nonzero(~right) > 1 and not warning:
         raise Wrong(f"{np.count_nonzero(~right)} slices are not where they belong")
@@ -146,7 +168,9 @@ def frames(given: Input, folder: Path) -> str:
     for frame in read:
         check_grid(frame)
         if frame.array.shape != sequence.geometry.shape:
-            raise Wrong(f"a frame of {frame.array.shape} in a sequence of {sequence.geometry.shape}")
+            raise Wrong(
+                f"a frame of {frame.array.shape} in a sequence of {sequence.geometry.shape}"
+            )
     if given.case:
         return _frame_of(given, sequence, read)
     seen = looks.frames(given.content, given.suffix)
@@ -156,7 +180,9 @@ def frames(given: Input, folder: Path) -> str:
         raise Wrong(f"{len(sequence)} frames, the file says {len(seen)}")
     for number, frame in enumerate(read):
         if not same(seen[number], frame.array):
-            raise Wrong(f"frame {number} {frame.array.ravel()[:4]}, the file says {seen[number].ravel()[:4]}")
+            raise Wrong(
+                f"frame {number} {frame.array.ravel()[:4]}, the file says {seen[number].ravel()[:4]}"
+            )
     return "verified"
 
 
@@ -170,7 +196,9 @@ def _frame_of(given: Input, sequence: Any, read: list[Volume]) -> str:
     for number, frame in enumerate(read):
         if number != changed and not np.array_equal(frame.array, FRAMES[number]):
             raise Wrong(f"frame {number}: {frame.array.ravel()[:4]}")
-    return check_look(read[changed], independent.look(given.content, given.suffix, VALUES.tobytes()))
+    return check_look(
+        read[changed], independent.look(given.content, given.suffix, VALUES.tobytes())
+    )
 
 
 def labels(given: Input, folder: Path) -> None:
@@ -222,7 +250,9 @@ def cases(given: Input, folder: Path) -> None:
     from accelsurf.batch import case_table
     from accelsurf.batch.cases import checked_cases
 
-    checked_cases(case_table.read_cases(folder / f"input{given.suffix}", tracking=given.kind == "sequences"))
+    checked_cases(
+        case_table.read_cases(folder / f"input{given.suffix}", tracking=given.kind == "sequences")
+    )
 
 
 def state(given: Input, folder: Path) -> None:
@@ -302,13 +332,28 @@ def _is_whole(path: Path) -> bool:
     except (ValueError, RecursionError):
         return False
     kinds = {"status": str, "outputs": list, "exit_code": int}
-    return isinstance(document, dict) and all(isinstance(document.get(key), kind) for key, kind in kinds.items())
+    return isinstance(document, dict) and all(
+        isinstance(document.get(key), kind) for key, kind in kinds.items()
+    )
 
 
 #: What judges each kind; of an input and the folder that its files lie in.
 JUDGES = {
-    **{"paired": paired, "zarr": zarr, "dicom": dicom, "frames": frames, "labels": labels, "evaluate": evaluate},
-    **{"tracks": tracks, "cases": cases, "sequences": cases, "state": state, "checkpoint-file": checkpoint},
+    **{
+        "paired": paired,
+        "zarr": zarr,
+        "dicom": dicom,
+        "frames": frames,
+        "labels": labels,
+        "evaluate": evaluate,
+    },
+    **{
+        "tracks": tracks,
+        "cases": cases,
+        "sequences": cases,
+        "state": state,
+        "checkpoint-file": checkpoint,
+    },
     **{"track-state": track_state, "store": store, "track-toml": track_toml, "report": report},
 }
 assert VOLUME.array.shape == SHAPE

@@ -38,7 +38,11 @@ def _frames(content: bytes, suffix: str):
 
     if suffix in (".nii", ".nii.gz"):
         content = gzip.decompress(content) if suffix == ".nii.gz" else content
-        kind = nibabel.Nifti2Image if content[:4] in (b"\x1c\2\0\0", b"\0\0\2\x1c") else nibabel.Nifti1Image
+        kind = (
+            nibabel.Nifti2Image
+            if content[:4] in (b"\x1c\2\0\0", b"\0\0\2\x1c")
+            else nibabel.Nifti1Image
+        )
         values = np.asanyarray(kind.from_bytes(content).dataobj)
         return values.T if values.ndim == 4 else None
     if suffix == ".npy":
@@ -87,13 +91,22 @@ def spacing_of_zarr(content: dict[str, bytes]):
 
 
 def _spacing_of_zarr(content: dict[str, bytes]):
-    attributes = json.loads(content["zarr.json"])["attributes"]["ome"] if "zarr.json" in content else None
+    attributes = (
+        json.loads(content["zarr.json"])["attributes"]["ome"] if "zarr.json" in content else None
+    )
     scales = (attributes or json.loads(content[".zattrs"]))["multiscales"]
     (found,) = scales
-    if [axis["name"] for axis in found["axes"]] != ["z", "y", "x"] or found.get("coordinateTransformations"):
+    if [axis["name"] for axis in found["axes"]] != ["z", "y", "x"] or found.get(
+        "coordinateTransformations"
+    ):
         return None
-    units = [{"millimeter": 1.0, "micrometer": 1e-3, "meter": 1e3}[axis["unit"]] for axis in found["axes"]]
-    scale = next(one for one in found["datasets"][0]["coordinateTransformations"] if one["type"] == "scale")["scale"]
+    units = [
+        {"millimeter": 1.0, "micrometer": 1e-3, "meter": 1e3}[axis["unit"]]
+        for axis in found["axes"]
+    ]
+    scale = next(
+        one for one in found["datasets"][0]["coordinateTransformations"] if one["type"] == "scale"
+    )["scale"]
     return tuple(float(part) * unit for part, unit in zip(scale, units, strict=True))
 
 
@@ -110,7 +123,9 @@ def _slice_of(content: bytes):
 
     dataset = pydicom.dcmread(io.BytesIO(content))
     values = dataset.pixel_array.astype(np.float64)
-    values = values * float(dataset.get("RescaleSlope", 1)) + float(dataset.get("RescaleIntercept", 0))
+    values = values * float(dataset.get("RescaleSlope", 1)) + float(
+        dataset.get("RescaleIntercept", 0)
+    )
     return values if values.ndim == 2 else None
 
 

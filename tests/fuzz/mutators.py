@@ -10,24 +10,158 @@ import zipfile
 from tests.fuzz import headers
 
 NUMBERS = (
-    *("0", "-1", "1", "2", "255", "65536", "2147483647", "2147483648", "4294967295", "4294967296", "-2147483648"),
-    *("9223372036854775807", "18446744073709551616", "1e308", "-1e308", "1e-308", "1e400", "nan", "inf", "-inf"),
-    *("1e-42", "3.4e38", "1e39", "0.0", "-0.0", "1e15", "1e-15", "1,5", "0x10", "1_000", "9" * 400, "9" * 5000),
-    *("1.000,5", "1e3", "1E+2", "1d3", "1e", ".5", "5.", "+-1", "1e9", "1e12", "\u0663", "\u00bd", "\u22121", "1 2"),
+    *(
+        "0",
+        "-1",
+        "1",
+        "2",
+        "255",
+        "65536",
+        "2147483647",
+        "2147483648",
+        "4294967295",
+        "4294967296",
+        "-2147483648",
+    ),
+    *(
+        "9223372036854775807",
+        "18446744073709551616",
+        "1e308",
+        "-1e308",
+        "1e-308",
+        "1e400",
+        "nan",
+        "inf",
+        "-inf",
+    ),
+    *(
+        "1e-42",
+        "3.4e38",
+        "1e39",
+        "0.0",
+        "-0.0",
+        "1e15",
+        "1e-15",
+        "1,5",
+        "0x10",
+        "1_000",
+        "9" * 400,
+        "9" * 5000,
+    ),
+    *(
+        "1.000,5",
+        "1e3",
+        "1E+2",
+        "1d3",
+        "1e",
+        ".5",
+        "5.",
+        "+-1",
+        "1e9",
+        "1e12",
+        "\u0663",
+        "\u00bd",
+        "\u22121",
+        "1 2",
+    ),
 )
 #: Powers of ten and of two, and what lies beside them, for fields of whole numbers.
 WHOLE = (
-    *(0, 1, 2, 3, 7, 100, 10**4, 10**6, 10**8, 10**9, 10**12, 10**15, 10**18, 2**15, 2**16, 2**31 - 1, 2**31),
-    *(2**32 - 1, 2**32, 2**53, 2**62, 2**63 - 1, 2**63, 2**64 - 1, -1, -2, -(2**15), -(2**31), -(2**63)),
+    *(
+        0,
+        1,
+        2,
+        3,
+        7,
+        100,
+        10**4,
+        10**6,
+        10**8,
+        10**9,
+        10**12,
+        10**15,
+        10**18,
+        2**15,
+        2**16,
+        2**31 - 1,
+        2**31,
+    ),
+    *(
+        2**32 - 1,
+        2**32,
+        2**53,
+        2**62,
+        2**63 - 1,
+        2**63,
+        2**64 - 1,
+        -1,
+        -2,
+        -(2**15),
+        -(2**31),
+        -(2**63),
+    ),
 )
 REAL = (
-    *(float("nan"), float("inf"), float("-inf"), 0.0, -0.0, -1.0, 1e-42, 1e-30, 1e-9, 0.5, 1.5, 10.0, 1e3, 1e6, 1e9),
+    *(
+        float("nan"),
+        float("inf"),
+        float("-inf"),
+        0.0,
+        -0.0,
+        -1.0,
+        1e-42,
+        1e-30,
+        1e-9,
+        0.5,
+        1.5,
+        10.0,
+        1e3,
+        1e6,
+        1e9,
+    ),
     *(1e15, 1e30, 3e38, 2.0**31, 2.0**63),
 )
 #: Put in the place of a value of JSON.
 VALUES = (
-    *(None, True, False, 0, 1, -1, 2, 3, 4, 8, 10**9, 2**31, 2**63, 2**64, 10**30, 0.5, -0.5, 1e308, 1e-308, 5, 6),
-    *(float("nan"), float("inf"), "", "x", "0", "1e9", "\u65e5", "a" * 3000, "../..", [], [1], [1, 2, 3], {}, {"a": 1}),
+    *(
+        None,
+        True,
+        False,
+        0,
+        1,
+        -1,
+        2,
+        3,
+        4,
+        8,
+        10**9,
+        2**31,
+        2**63,
+        2**64,
+        10**30,
+        0.5,
+        -0.5,
+        1e308,
+        1e-308,
+        5,
+        6,
+    ),
+    *(
+        float("nan"),
+        float("inf"),
+        "",
+        "x",
+        "0",
+        "1e9",
+        "\u65e5",
+        "a" * 3000,
+        "../..",
+        [],
+        [1],
+        [1, 2, 3],
+        {},
+        {"a": 1},
+    ),
 )
 WORDS = (
     *(
@@ -47,8 +181,34 @@ WORDS = (
         ":",
         "@ras",
     ),
-    *("\u65e5\u672c\u8a9e", "\u00b2", "\uff11\uff12", "\ud800", "\U0001f600", "'", '"', "\\", "#", "=", "true", "[]"),
-    *("a" * 5000, " " * 5000, "[" * 3000, "{" * 3000, "1" * 5000 + "x", "(((", "*", "+", " + ", "-", ",,,,", "vox"),
+    *(
+        "\u65e5\u672c\u8a9e",
+        "\u00b2",
+        "\uff11\uff12",
+        "\ud800",
+        "\U0001f600",
+        "'",
+        '"',
+        "\\",
+        "#",
+        "=",
+        "true",
+        "[]",
+    ),
+    *(
+        "a" * 5000,
+        " " * 5000,
+        "[" * 3000,
+        "{" * 3000,
+        "1" * 5000 + "x",
+        "(((",
+        "*",
+        "+",
+        " + ",
+        "-",
+        ",,,,",
+        "vox",
+    ),
 )
 BYTES = (0, 1, 2, 0x7F, 0x80, 0xFE, 0xFF)
 
@@ -59,7 +219,11 @@ def mutated(content: bytes, kind: str, rng, others) -> bytes:
         return _member(content, rng, others)
     for _ in range(int(rng.integers(1, 4))):
         if kind == "json":
-            content = _of_json(content, rng) if rng.random() < 0.7 else _of_text(content, kind, rng, others)
+            content = (
+                _of_json(content, rng)
+                if rng.random() < 0.7
+                else _of_text(content, kind, rng, others)
+            )
         elif kind == "text" or (kind == "mixed" and rng.random() < 0.75):
             content = _of_text(content, kind, rng, others)
         else:
@@ -128,14 +292,27 @@ def _field(out: bytearray, field: tuple[int, str], rng) -> bytes:
     at, kind = field
     if kind[-1] in "fd":
         number = REAL[int(rng.integers(len(REAL)))]
-        number = min(max(number, -3e38), 3e38) if kind[-1] == "f" and abs(number) < float("inf") else number
+        number = (
+            min(max(number, -3e38), 3e38)
+            if kind[-1] == "f" and abs(number) < float("inf")
+            else number
+        )
         struct.pack_into(kind, out, at, number)
     else:
         bits = 8 * struct.calcsize(kind)
         before = struct.unpack_from(kind, out, at)[0]
-        change = WHOLE[int(rng.integers(len(WHOLE)))] if rng.random() < 0.6 else before + int(rng.integers(-3, 4))
+        change = (
+            WHOLE[int(rng.integers(len(WHOLE)))]
+            if rng.random() < 0.6
+            else before + int(rng.integers(-3, 4))
+        )
         change %= 1 << bits
-        struct.pack_into(kind, out, at, change - (1 << bits) if kind[-1].islower() and change >> (bits - 1) else change)
+        struct.pack_into(
+            kind,
+            out,
+            at,
+            change - (1 << bits) if kind[-1].islower() and change >> (bits - 1) else change,
+        )
     return bytes(out)
 
 
@@ -155,7 +332,10 @@ def _member(content: bytes, rng, others) -> bytes:
         members.append(members[at])
     else:
         text = item.filename.endswith((".model", ".xml", ".rels", ".json", ".txt"))
-        members[at] = (item, mutated(inner, "text" if text else "mixed", rng, [each for _, each in members]))
+        members[at] = (
+            item,
+            mutated(inner, "text" if text else "mixed", rng, [each for _, each in members]),
+        )
     packed = io.BytesIO()
     with warnings.catch_warnings(), zipfile.ZipFile(packed, "w") as archive:
         warnings.simplefilter("ignore")  # a name twice is what is wanted
@@ -180,13 +360,17 @@ def _of_json(content: bytes, rng) -> bytes:
             del holder[key]
         case 1 if isinstance(holder, dict):
             again = json.dumps(document).replace(
-                json.dumps(key) + ":", f"{json.dumps(key)}: {json.dumps(value)},\n{json.dumps(key)}:", 1
+                json.dumps(key) + ":",
+                f"{json.dumps(key)}: {json.dumps(value)},\n{json.dumps(key)}:",
+                1,
             )
             return again.encode()
         case 2 if isinstance(holder, list):
             holder.insert(key, value)
         case 3 if isinstance(holder[key], int | float) and not isinstance(holder[key], bool):
-            holder[key] = (holder[key] + 1, -holder[key], holder[key] * 1000, str(holder[key]))[int(rng.integers(4))]
+            holder[key] = (holder[key] + 1, -holder[key], holder[key] * 1000, str(holder[key]))[
+                int(rng.integers(4))
+            ]
         case _:
             holder[key] = value
     return json.dumps(document, indent=1).encode()
@@ -208,7 +392,11 @@ def _of_text(content: bytes, kind: str, rng, others) -> bytes:
             found = list(re.finditer(r"[-+]?\d[\d.eE+-]*", text))
             if found:
                 one = found[int(rng.integers(len(found)))]
-                text = text[: one.start()] + NUMBERS[int(rng.integers(len(NUMBERS)))] + text[one.end() :]
+                text = (
+                    text[: one.start()]
+                    + NUMBERS[int(rng.integers(len(NUMBERS)))]
+                    + text[one.end() :]
+                )
         case 3:  # a word goes in
             at = int(rng.integers(len(text) + 1))
             text = text[:at] + WORDS[int(rng.integers(len(WORDS)))] + text[at:]
@@ -216,7 +404,9 @@ def _of_text(content: bytes, kind: str, rng, others) -> bytes:
             found = list(re.finditer(r"[\w./-]+", text))
             if found:
                 one = found[int(rng.integers(len(found)))]
-                text = text[: one.start()] + WORDS[int(rng.integers(len(WORDS)))] + text[one.end() :]
+                text = (
+                    text[: one.start()] + WORDS[int(rng.integers(len(WORDS)))] + text[one.end() :]
+                )
         case 5 | 6:  # lines twice, away, in another order
             lines = text.splitlines(keepends=True)
             if lines:

@@ -36,14 +36,18 @@ def _of_segment():
 
     volume = Volume.from_array(image(), 1.0)
     config = RunConfig(start=["ball:5,5,5,3"], max_steps=3, threads=1, levels=1)
-    content = state_bytes(segment(volume, config=config), hashlib.sha256(volume.array.tobytes()).hexdigest())
+    content = state_bytes(
+        segment(volume, config=config), hashlib.sha256(volume.array.tobytes()).hexdigest()
+    )
     yield Input("state", ".npz", "zip", content)
     with tempfile.TemporaryDirectory() as folder, Run(volume, config) as run:
         run.step()
         path = Path(folder) / "a.npz"
         save_checkpoint(path, run.checkpoint(), checkpoint_header(run))
         yield Input("checkpoint-file", ".npz", "zip", path.read_bytes())
-    yield from of_folder("report", "folder", _result(config, content), {".json": "json"}, only=("a_report.json",))
+    yield from of_folder(
+        "report", "folder", _result(config, content), {".json": "json"}, only=("a_report.json",)
+    )
 
 
 def _result(config, state: bytes) -> dict[str, bytes]:
@@ -54,12 +58,21 @@ def _result(config, state: bytes) -> dict[str, bytes]:
         "status": "ok",
         "exit_code": 0,
         "config": config.model_dump(mode="json"),
-        "input": {"path": "a.nii", "sha256": hashlib.sha256(_IMAGE).hexdigest(), "shape": SHAPE, "spacing": [1, 1, 1]},
+        "input": {
+            "path": "a.nii",
+            "sha256": hashlib.sha256(_IMAGE).hexdigest(),
+            "shape": SHAPE,
+            "spacing": [1, 1, 1],
+        },
         "stop": {"reason": "max-steps", "steps": 3},
         "outputs": [entry, {"kind": "labels", "path": "a_seg.nii.gz", "sha256": "1" * 64}],
         "warnings": [],
     }
-    return {"a_report.json": json.dumps(report, indent=1).encode(), "a_state.npz": state, "a.nii": _IMAGE}
+    return {
+        "a_report.json": json.dumps(report, indent=1).encode(),
+        "a_state.npz": state,
+        "a.nii": _IMAGE,
+    }
 
 
 def _of_track():
@@ -74,9 +87,14 @@ def _of_track():
         folder = Path(base)
         config = TrackConfig().replace(start=["ball:5,5,5,3"], max_steps=3, threads=1, levels=1)
         store = FrameStore(folder / "frames")
-        for result in track(VolumeSequence(frames), config, checkpoint_to=folder / "a_track_state.npz"):
+        for result in track(
+            VolumeSequence(frames), config, checkpoint_to=folder / "a_track_state.npz"
+        ):
             store.put(result)
         yield Input("track-state", ".npz", "zip", (folder / "a_track_state.npz").read_bytes())
-        stored = {f"frames/{path.name}": path.read_bytes() for path in sorted((folder / "frames").glob("*.npz"))}
+        stored = {
+            f"frames/{path.name}": path.read_bytes()
+            for path in sorted((folder / "frames").glob("*.npz"))
+        }
         yield from of_folder("store", "frames", stored, {".npz": "zip"})
         yield Input("track-toml", ".toml", "text", config.to_toml().encode())

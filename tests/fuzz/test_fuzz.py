@@ -27,7 +27,11 @@ def test_mutated_inputs_are_read_as_they_are_or_refused_in_one_line():
     # Runs compile kernels, which takes longer than an input may: they belong to scripts/fuzz.
     inputs = tuple(given for given in corpus.seeds() if given.kind not in workers.COMPILED)
     judged = list(workers.judged(iter(range(COUNT)), SEED, 2, lambda: True, inputs))
-    faults = [(corpus.input_of(SEED, each.number, inputs)[:1], each) for each in judged if each.verdict.is_fault]
+    faults = [
+        (corpus.input_of(SEED, each.number, inputs)[:1], each)
+        for each in judged
+        if each.verdict.is_fault
+    ]
     assert len(judged) == COUNT and not faults, faults
     outcomes = [each.verdict.outcome for each in judged]
     assert outcomes.count("read") > COUNT // 10 and outcomes.count("refused") > COUNT // 4
@@ -45,7 +49,12 @@ def test_every_valid_input_is_read_and_is_what_the_independent_look_says(tmp_pat
         folder = tmp_path / str(number)
         folder.mkdir()
         found = verdict.judge(given, folder)
-        assert found.outcome == "read" or re.search(REFUSED, found.text), (given.kind, given.case, given.suffix, found)
+        assert found.outcome == "read" or re.search(REFUSED, found.text), (
+            given.kind,
+            given.case,
+            given.suffix,
+            found,
+        )
         verified[given.kind] += found.text == "verified"
     kinds = {given.kind for given in corpus.seeds()}
     assert set(judges.JUDGES) <= kinds
@@ -66,10 +75,14 @@ def test_a_wrong_grid_is_a_fault(tmp_path, monkeypatch):
 
 
 def first(kind, case, end):
-    return next(g for g in corpus.seeds() if (g.kind, g.case) == (kind, case) and g.name.endswith(end))
+    return next(
+        g for g in corpus.seeds() if (g.kind, g.case) == (kind, case) and g.name.endswith(end)
+    )
 
 
-@pytest.mark.parametrize("case", [case for case in folders.codecs() if case != "3-none" and case != "2-none"])
+@pytest.mark.parametrize(
+    "case", [case for case in folders.codecs() if case != "3-none" and case != "2-none"]
+)
 def test_a_chunk_with_other_values_than_its_codec_gives_is_a_fault(tmp_path, monkeypatch, case):
     given = first("zarr", case, "0/0/0")
     damaged = given._replace(content=given.content[:-1])
@@ -81,8 +94,12 @@ def test_a_chunk_with_other_values_than_its_codec_gives_is_a_fault(tmp_path, mon
         assert verdict.judge(damaged, tmp_path / str(number)).outcome == "wrong"
 
 
-@pytest.mark.parametrize(("keep", "outcome"), [(slice(0, 4), "read"), (slice(0, 3), "wrong"), (slice(1, 4), "wrong")])
-def test_a_series_that_has_lost_a_slice_without_a_word_is_a_fault(tmp_path, monkeypatch, keep, outcome):
+@pytest.mark.parametrize(
+    ("keep", "outcome"), [(slice(0, 4), "read"), (slice(0, 3), "wrong"), (slice(1, 4), "wrong")]
+)
+def test_a_series_that_has_lost_a_slice_without_a_word_is_a_fault(
+    tmp_path, monkeypatch, keep, outcome
+):
     given = first("dicom", "plain", "003.dcm")
     whole = io.read
     monkeypatch.setattr(io, "read", lambda path, **options: cropped(whole(path, **options), keep))
@@ -104,7 +121,11 @@ def test_dead_late_and_large_processes_are_faults_and_are_replaced():
     judged = workers.judged(iter(range(4)), 0, 1, lambda: True, inputs, True, limits)
     found = [each.verdict for each in sorted(judged, key=lambda each: each.number)]
     assert [each.outcome for each in found] == ["crash", "hang", "traceback", "refused"]
-    assert found[0].text == "SIGABRT" and "MemoryError" in found[2].text or "ArrayMemoryError" in found[2].text
+    assert (
+        found[0].text == "SIGABRT"
+        and "MemoryError" in found[2].text
+        or "ArrayMemoryError" in found[2].text
+    )
 
 
 @pytest.mark.parametrize("suffix", [".nii", ".tif", ".mgh", ".dcm", ".stl"])
@@ -115,8 +136,13 @@ def test_numbers_of_binary_headers_are_found(suffix):
     assert len(found) >= 4
     for number, (at, kind) in enumerate(found):
         size = struct.calcsize(kind)
-        changed = mutators._field(bytearray(given.content), (at, kind), np.random.default_rng(number))
-        assert changed[:at] == given.content[:at] and changed[at + size :] == given.content[at + size :]
+        changed = mutators._field(
+            bytearray(given.content), (at, kind), np.random.default_rng(number)
+        )
+        assert (
+            changed[:at] == given.content[:at]
+            and changed[at + size :] == given.content[at + size :]
+        )
 
 
 @pytest.mark.sampled(4)
@@ -143,7 +169,17 @@ def test_a_saved_input_is_judged_again_as_it_was(tmp_path, number):
 
 @pytest.mark.slow
 def test_the_command_line_of_the_fuzzer(tmp_path):
-    words = [sys.executable, "-m", "tests.fuzz", "--count", "50", "--seed", "1", "--output", str(tmp_path)]
+    words = [
+        sys.executable,
+        "-m",
+        "tests.fuzz",
+        "--count",
+        "50",
+        "--seed",
+        "1",
+        "--output",
+        str(tmp_path),
+    ]
     assert subprocess.run(words, timeout=200).returncode == 0
     assert (tmp_path / "result.json").is_file()
 
@@ -186,18 +222,35 @@ def test_a_voxel_offset_below_one_of_a_nifti(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "name", "change", "words"),
     [
-        ("image", ".nrrd", (b"sizes: 6 5 4", b"sizes: 6 5 4\nkinds: domain domain " + b"1" * 5000), "field of 50"),
+        (
+            "image",
+            ".nrrd",
+            (b"sizes: 6 5 4", b"sizes: 6 5 4\nkinds: domain domain " + b"1" * 5000),
+            "field of 50",
+        ),
         ("image", ".nrrd", (b"type: short", b"type: short" + b" " * 5000), "field of 50"),
         ("image", ".nrrd", (b"spacings: 1 2 3", b"spacings: 1 2_0 3"), "3 finite numbers"),
-        ("image", ".mha", (b"ElementSpacing = 1 2 3", b"ElementSpacing = 1 2 3\nElementSpacing = 1 1 1"), "twice"),
+        (
+            "image",
+            ".mha",
+            (b"ElementSpacing = 1 2 3", b"ElementSpacing = 1 2 3\nElementSpacing = 1 1 1"),
+            "twice",
+        ),
         ("image", ".nrrd", (b"spacings: 1 2 3", b"spacings: 1 1e300 3"), "at most"),
         ("image", ".mha", (b"MSB = False\nElementSp", b"MSB = \nElementSp"), "no value for"),
-        ("image", ".mha", (b"MSB = False\nElementSp", b"MSB = False\nCompressedDataSize =\nElementSp"), "damaged"),
+        (
+            "image",
+            ".mha",
+            (b"MSB = False\nElementSp", b"MSB = False\nCompressedDataSize =\nElementSp"),
+            "damaged",
+        ),
     ],
 )
 def test_headers_that_libraries_read_in_another_way(tmp_path, kind, name, change, words):
     """Long fields ended the process; of keys said twice each library took another; 2_0 is 20 for Python alone."""
-    one = next(g for g in corpus.seeds() if (g.kind, g.suffix) == (kind, name) and change[0] in g.content)
+    one = next(
+        g for g in corpus.seeds() if (g.kind, g.suffix) == (kind, name) and change[0] in g.content
+    )
     path = tmp_path / f"a{name}"
     path.write_bytes(one.content.replace(*change))
     with pytest.raises(InputError, match=words):
@@ -207,7 +260,10 @@ def test_headers_that_libraries_read_in_another_way(tmp_path, kind, name, change
 def test_a_triangle_seen_edge_on_makes_no_warning(tmp_path):
     one = next(one for one in corpus.seeds() if one.suffix == ".ply" and one.mode == "text")
     moved = one.content.replace(b"0.69999999 0.69999999 0.69999999", b"0.69999999 0.69999999 -1", 1)
-    assert verdict.judge(Input("mesh", ".ply", "text", moved), tmp_path).outcome in ("read", "refused")
+    assert verdict.judge(Input("mesh", ".ply", "text", moved), tmp_path).outcome in (
+        "read",
+        "refused",
+    )
 
 
 @pytest.mark.sampled(12)

@@ -63,7 +63,9 @@ def judge(given: Input, folder: Path) -> Verdict:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            warnings.simplefilter("ignore", ResourceWarning)  # what Python does by default; nobody sees it
+            warnings.simplefilter(
+                "ignore", ResourceWarning
+            )  # what Python does by default; nobody sees it
             if given.kind in judges.JUDGES:
                 note = judges.JUDGES[given.kind](given, where)
             else:
@@ -76,7 +78,9 @@ def judge(given: Input, folder: Path) -> Verdict:
         import traceback
 
         last = traceback.extract_tb(error.__traceback__)[-1]
-        text = f"{type(error).__name__}: {str(error)[:300]} ({Path(last.filename).name}:{last.lineno})"
+        text = (
+            f"{type(error).__name__}: {str(error)[:300]} ({Path(last.filename).name}:{last.lineno})"
+        )
         return Verdict("traceback", text)
     return Verdict("read", note or "")
 
@@ -86,7 +90,10 @@ def _of_refusal(error: AccelsurfError) -> Verdict:
     if isinstance(error.__cause__ or error.__context__, MemoryError):
         return Verdict("memory", error.message[:300])
     if "\n" in str(error) or not error.hint or len(error.message) > 1500:
-        return Verdict("unclear", f"{len(error.message)} characters, hint {error.hint[:80]!r}: {error.message[:300]}")
+        return Verdict(
+            "unclear",
+            f"{len(error.message)} characters, hint {error.hint[:80]!r}: {error.message[:300]}",
+        )
     return Verdict("refused", error.message[:300])
 
 
@@ -194,7 +201,9 @@ def _run(given: Input, path: Path) -> None:
         return
     z, y, x = np.indices((10, 10, 10)) - 4.5
     with np.errstate(all="ignore"):
-        image = (100.0 / (1 + np.exp(z * z + y * y + x * x - 9.0)) * numbers[0] + numbers[1]).astype(np.float32)
+        image = (
+            100.0 / (1 + np.exp(z * z + y * y + x * x - 9.0)) * numbers[0] + numbers[1]
+        ).astype(np.float32)
         if numbers[2]:
             image[1, 2, 3] = numbers[2]
     result = segment(image, spacing=numbers[3], **{"max_steps": 3, "threads": 1, **settings})
@@ -221,6 +230,20 @@ def _reserve(given: Input, path: Path) -> None:
 
 _JUDGES = {
     **{"crash": _crash, "sleep": _sleep, "reserve": _reserve, "sequence": _sequence},
-    **{"image": _image, "channels": _channels, "mesh": _mesh, "energy": _energy, "start": _start, "edit": _edit},
-    **{"toml": _toml, "argv": _argv, "table": _table, "points": _points, "run": _run, "checkpoint": _checkpoint},
+    **{
+        "image": _image,
+        "channels": _channels,
+        "mesh": _mesh,
+        "energy": _energy,
+        "start": _start,
+        "edit": _edit,
+    },
+    **{
+        "toml": _toml,
+        "argv": _argv,
+        "table": _table,
+        "points": _points,
+        "run": _run,
+        "checkpoint": _checkpoint,
+    },
 }

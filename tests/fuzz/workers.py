@@ -25,8 +25,25 @@ SECONDS, RSS_BYTES = 20.0, 1 << 30
 ADDRESS_BYTES = 2 << 30
 #: Libraries that readers import when they need them.
 LIBRARIES = (
-    *("SimpleITK", "nibabel", "tifffile", "zarr", "numcodecs", "pydicom", "highdicom", "trimesh", "PIL"),
-    *("PIL.Image", "scipy.ndimage", "scipy.spatial", "numba", "skimage.measure", "fast_simplification"),
+    *(
+        "SimpleITK",
+        "nibabel",
+        "tifffile",
+        "zarr",
+        "numcodecs",
+        "pydicom",
+        "highdicom",
+        "trimesh",
+        "PIL",
+    ),
+    *(
+        "PIL.Image",
+        "scipy.ndimage",
+        "scipy.spatial",
+        "numba",
+        "skimage.measure",
+        "fast_simplification",
+    ),
     *("accelsurf.api.segment", "accelsurf.track.track", "accelsurf.viewer.movie_file"),
 )
 #: Kinds whose judging compiles kernels, which takes longer than an input may.
@@ -65,7 +82,9 @@ def _limit(beyond: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
-def _work(pipe: Connection, seed: int, inputs: tuple[Input, ...], is_replay: bool, address_bytes: int) -> None:
+def _work(
+    pipe: Connection, seed: int, inputs: tuple[Input, ...], is_replay: bool, address_bytes: int
+) -> None:
     """Judge inputs as their numbers come in; of replays the number is a place in the list."""
     _limit(address_bytes)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -88,9 +107,13 @@ def _work(pipe: Connection, seed: int, inputs: tuple[Input, ...], is_replay: boo
                 os.lseek(said.fileno(), 0, os.SEEK_SET)
                 if not verdict.is_fault:
                     outcome = (
-                        "traceback" if "Traceback" in text or "Warning:" in text and ".py:" in text else verdict.outcome
+                        "traceback"
+                        if "Traceback" in text or "Warning:" in text and ".py:" in text
+                        else verdict.outcome
                     )
-                    verdict = Verdict(outcome, f"{verdict.text} (a library printed {size} bytes: {text})")
+                    verdict = Verdict(
+                        outcome, f"{verdict.text} (a library printed {size} bytes: {text})"
+                    )
             most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
             if most > RSS_BYTES:
                 pipe.send((Verdict("memory", f"{most >> 20} MiB"), True))
@@ -102,7 +125,12 @@ class _Worker:
     """One process, its pipe, and the number that it is at."""
 
     def __init__(
-        self, context: mp.context.BaseContext, seed: int, inputs: tuple[Input, ...], is_replay: bool, limits: Limits
+        self,
+        context: mp.context.BaseContext,
+        seed: int,
+        inputs: tuple[Input, ...],
+        is_replay: bool,
+        limits: Limits,
     ) -> None:
         self._seconds = limits.seconds
         self._make = lambda: self._started(context, (seed, inputs, is_replay, limits.address_bytes))

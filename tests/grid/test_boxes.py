@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from accelsurf.grid import boxes
-from accelsurf.grid.boxes import bounding_box, box_at, corner_of, meeting, shared, whole_box, widened
+from accelsurf.grid.boxes import (
+    bounding_box,
+    box_at,
+    corner_of,
+    meeting,
+    shared,
+    whole_box,
+    widened,
+)
 
 SHAPE = (7, 9, 8)
 
@@ -44,13 +52,18 @@ def test_a_margin_ends_at_the_border_of_the_grid():
     mask[0, 4, 7] = True
     assert bounding_box(mask, 2) == (slice(0, 3), slice(2, 7), slice(5, 8))
     assert widened((slice(0, 1), slice(4, 5), slice(7, 8)), SHAPE, (0, 9, 1)) == (
-        slice(0, 1), slice(0, 9), slice(6, 8)
+        slice(0, 1),
+        slice(0, 9),
+        slice(6, 8),
     )
 
 
 def test_boxes_meet_where_they_have_a_voxel_in_common():
     low, high = random_boxes(12, 1)
-    masks = [mask_of(tuple(slice(a, b) for a, b in zip(*ends, strict=True))) for ends in zip(low, high, strict=True)]
+    masks = [
+        mask_of(tuple(slice(a, b) for a, b in zip(*ends, strict=True)))
+        for ends in zip(low, high, strict=True)
+    ]
     found = meeting(low, high)
     want = [[j for j in range(12) if j != i and (masks[i] & masks[j]).any()] for i in range(12)]
     assert found == want and any(found) and not all(len(others) == 11 for others in found)
@@ -59,7 +72,10 @@ def test_boxes_meet_where_they_have_a_voxel_in_common():
 def test_shared_voxels_are_counted_from_the_first_voxel_of_each_box():
     low, high = random_boxes(12, 2)
     numbers = np.arange(np.prod(SHAPE)).reshape(SHAPE)
-    boxes = [tuple(slice(a, b) for a, b in zip(*ends, strict=True)) for ends in zip(low, high, strict=True)]
+    boxes = [
+        tuple(slice(a, b) for a, b in zip(*ends, strict=True))
+        for ends in zip(low, high, strict=True)
+    ]
     assert all(box_at(corner_of(box), numbers[box].shape) == box for box in boxes)
     compared = 0
     for i, others in enumerate(meeting(low, high)):
@@ -76,7 +92,9 @@ def test_no_boxes_meet():
     assert boxes.meeting(np.array([]), np.array([])) == []
 
 
-@pytest.mark.parametrize("sizes", [(1, 9), (0, 9), (0, 140)], ids=["alike", "some empty", "some large"])
+@pytest.mark.parametrize(
+    "sizes", [(1, 9), (0, 9), (0, 140)], ids=["alike", "some empty", "some large"]
+)
 def test_many_boxes_meet_as_few_do(sizes):
     rng = np.random.default_rng(3)
     low = rng.integers(-20, 80, (400, 3))

@@ -30,7 +30,12 @@ def test_an_object_sees_the_inside_clicks_of_others_as_outside():
     own, other = some(shape, (0, 0, 0)), some(shape, (1, 2, 3))
     none, beside = some(shape, (0, 2, 0)), some(shape, (1, 0, 1))
     clicks = Clicks(
-        (click("inside", own, 4), click("inside", other, 9), click("inside", none, 0), click("outside", beside, 9)),
+        (
+            click("inside", own, 4),
+            click("inside", other, 9),
+            click("inside", none, 0),
+            click("outside", beside, 9),
+        ),
         shape,
     )
     seen = clicks.of(4)
@@ -61,7 +66,9 @@ def test_bounds_are_the_signed_distances(spacing):
     index = np.argwhere(np.ones(shape, bool)).reshape(*shape, 3)
 
     def distance(mask):
-        to = np.linalg.norm((index[..., None, :] - np.argwhere(mask)) * np.array(spacing), axis=-1).min(axis=-1)
+        to = np.linalg.norm(
+            (index[..., None, :] - np.argwhere(mask)) * np.array(spacing), axis=-1
+        ).min(axis=-1)
         return to - 0.5 * min(spacing)
 
     high, low = bounds.high, bounds.low
@@ -104,7 +111,9 @@ def test_on_coarse_levels_a_voxel_is_on_the_side_of_the_clicks_in_it(shape):
 
 def test_bounds_on_a_box_are_those_of_the_whole():
     shape = (12, 12, 12)
-    clicks = Clicks((click("inside", some(shape, (5, 5, 5))), click("outside", some(shape, (5, 8, 5)))), shape)
+    clicks = Clicks(
+        (click("inside", some(shape, (5, 5, 5))), click("outside", some(shape, (5, 8, 5)))), shape
+    )
     bounds = click_bounds(clicks, grids(shape, (1.0, 2.0, 1.0), 1)[0])
     psi = np.random.default_rng(0).normal(size=shape).astype(np.float32)
     whole, part = psi.copy(), psi[3:9, 4:12, 2:7].copy()
@@ -122,7 +131,11 @@ def test_later_clicks_take_what_they_contradict_and_nothing_else():
     for _ in range(60):
         several = bool(rng.random() < 0.5)
         given = [
-            click(rng.choice(["inside", "outside"]), rng.random(shape) < 0.2, int(rng.integers(0, 3)) if several else 1)
+            click(
+                rng.choice(["inside", "outside"]),
+                rng.random(shape) < 0.2,
+                int(rng.integers(0, 3)) if several else 1,
+            )
             for _ in range(int(rng.integers(1, 6)))
         ]
         clicks = Clicks((), shape)
@@ -133,7 +146,9 @@ def test_later_clicks_take_what_they_contradict_and_nothing_else():
             if one.side == "inside":
                 for id in want:
                     # What was outside of another object stays so; what was inside of it is not any more.
-                    want[id][mask] = 1 if id == one.id else np.where(want[id][mask] == 1, 0, want[id][mask])
+                    want[id][mask] = (
+                        1 if id == one.id else np.where(want[id][mask] == 1, 0, want[id][mask])
+                    )
             else:
                 want[one.id][mask] = -1
         for id, sides in want.items():
@@ -141,15 +156,22 @@ def test_later_clicks_take_what_they_contradict_and_nothing_else():
             np.testing.assert_array_equal(clicks.mask("outside", id), sides == -1)
             seen = clicks.of(id)
             assert not (seen.mask("inside") & seen.mask("outside")).any()
-        assert all(one.mask.any() and bounding_box(one.mask) == tuple(slice(0, n) for n in one.mask.shape)
-                   for one in clicks.clicks)
+        assert all(
+            one.mask.any() and bounding_box(one.mask) == tuple(slice(0, n) for n in one.mask.shape)
+            for one in clicks.clicks
+        )
 
 
 def test_clicks_that_nothing_is_taken_from_stay_the_same_objects():
     shape = (1, 4, 5)
-    first, second = click("inside", some(shape, (0, 0, 0))), click("inside", some(shape, (0, 3, 4), (0, 3, 3)))
+    first, second = (
+        click("inside", some(shape, (0, 0, 0))),
+        click("inside", some(shape, (0, 3, 4), (0, 3, 3))),
+    )
     clicks = Clicks((first, second), shape)
     later = clicks.with_later([click("outside", some(shape, (0, 3, 4)))])
-    assert later.clicks[0] is first and later.clicks[1] is not second and not later.starts_with(clicks)
+    assert (
+        later.clicks[0] is first and later.clicks[1] is not second and not later.starts_with(clicks)
+    )
     assert clicks.with_later([click("outside", some(shape, (0, 2, 2)))]).starts_with(clicks)
     assert clicks.with_later([click("outside", some(shape, (0, 0, 0)))]).clicks[0] is second

@@ -6,11 +6,18 @@ import pytest
 from accelsurf.grid import boxes
 from accelsurf.grid.geometry import ball_distance
 
-BOX, SPACING, CENTRE, RADIUS = (slice(2, 9), slice(0, 11), slice(5, 13)), (2.5, 0.8, 1.1), (4.3, 5.1, 8.7), 3.3
+BOX, SPACING, CENTRE, RADIUS = (
+    (slice(2, 9), slice(0, 11), slice(5, 13)),
+    (2.5, 0.8, 1.1),
+    (4.3, 5.1, 8.7),
+    3.3,
+)
 
 
 def by_formula():
-    index = np.stack(np.meshgrid(*(np.arange(s.start, s.stop) for s in BOX), indexing="ij"), axis=-1)
+    index = np.stack(
+        np.meshgrid(*(np.arange(s.start, s.stop) for s in BOX), indexing="ij"), axis=-1
+    )
     return np.linalg.norm((index - CENTRE) * SPACING, axis=-1) - RADIUS
 
 

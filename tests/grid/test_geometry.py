@@ -59,7 +59,9 @@ def test_sizes_in_both_orders():
     assert geometry.voxel_volume == 3.0
     assert geometry.extent_mm == (15.0, 8.0, 1.5)
     np.testing.assert_array_equal(geometry.center_world(), [0.5, 3.0, 6.0])
-    np.testing.assert_array_equal(geometry.corners_world()[[0, 1, -1]], [[0, 0, 0], [1, 0, 0], [1, 6, 12]])
+    np.testing.assert_array_equal(
+        geometry.corners_world()[[0, 1, -1]], [[0, 0, 0], [1, 0, 0], [1, 6, 12]]
+    )
 
 
 def test_sequences_of_any_kind_become_plain_numbers():
@@ -128,7 +130,12 @@ def test_matching_grids():
     ],
 )
 def test_grids_that_differ_say_in_what(change, words):
-    given = {"shape": (5, 4, 3), "spacing": (2.0, 1.0, 1.0), "origin": (0.0, 0.0, 0.0), "direction": np.eye(3)}
+    given = {
+        "shape": (5, 4, 3),
+        "spacing": (2.0, 1.0, 1.0),
+        "origin": (0.0, 0.0, 0.0),
+        "direction": np.eye(3),
+    }
     a, b = Geometry(**given), Geometry(**{**given, **change})
     assert not a.matches(b) and not b.matches(a)
     assert words in a.difference(b)
@@ -142,7 +149,9 @@ def test_what_counts_is_where_voxels_lie():
     small, large = (8, 8, 8), (500, 500, 500)
     assert Geometry(small, (1, 1, 1)).matches(Geometry(small, (1, 1, 1), direction=turned))
     assert not Geometry(large, (1, 1, 1)).matches(Geometry(large, (1, 1, 1), direction=turned))
-    assert Geometry(large, (1, 1, 1)).matches(Geometry(large, (1, 1, 1), direction=turned), tolerance_mm=0.1)
+    assert Geometry(large, (1, 1, 1)).matches(
+        Geometry(large, (1, 1, 1), direction=turned), tolerance_mm=0.1
+    )
 
 
 def test_spacing_across_a_single_slice_counts():
@@ -161,7 +170,12 @@ def test_a_geometry_error_is_an_input_error():
 
 @pytest.mark.parametrize(
     ("shape", "expected"),
-    [((4, 5, 6), (3.0, 2.0, 1.0)), ((1, 5, 6), (2.0, 1.0)), ((4, 1, 1), (3.0,)), ((1, 1, 1), (3.0, 2.0, 1.0))],
+    [
+        ((4, 5, 6), (3.0, 2.0, 1.0)),
+        ((1, 5, 6), (2.0, 1.0)),
+        ((4, 1, 1), (3.0,)),
+        ((1, 1, 1), (3.0, 2.0, 1.0)),
+    ],
 )
 def test_steps_are_the_spacings_along_which_something_happens(shape, expected):
     assert axis_steps(shape, (3, 2, 1)) == expected == Geometry(shape, (3, 2, 1)).steps

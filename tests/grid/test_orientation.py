@@ -18,7 +18,9 @@ def test_anatomical_axes_are_displayed_alike_whatever_the_order_of_the_grid():
     for index in ((0, 0, 0), (4, 5, 3), (1, 2, 3)):
         place = np.argwhere(array == reoriented[index])[0]
         world = geometry.index_to_world(place)  # x, y, z
-        assert [display.coordinate(axis, index[axis]) for axis in range(3)] == pytest.approx(list(world[::-1]))
+        assert [display.coordinate(axis, index[axis]) for axis in range(3)] == pytest.approx(
+            list(world[::-1])
+        )
     assert display.names == ("z", "y", "x")
 
 

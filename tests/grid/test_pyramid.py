@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from accelsurf.grid import boxes
-from accelsurf.grid.pyramid import count_resolved_levels, levels, min_component_depth, prolong, restrict
+from accelsurf.grid.pyramid import (
+    count_resolved_levels,
+    levels,
+    min_component_depth,
+    prolong,
+    restrict,
+)
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import transfer_fields
 from tests.support.axis_orders import WAYS, permuted, restored
@@ -30,14 +36,26 @@ def positions(level, grids):
 def ball(level, grids, centre, radius):
     """Distance to a sphere (or circle: axes of one slice do not count) at the voxels of a level."""
     places = positions(level, grids)
-    squares = [(p - c) ** 2 for p, c, n in zip(places, centre, grids[0].shape, strict=True) if n > 1]
+    squares = [
+        (p - c) ** 2 for p, c, n in zip(places, centre, grids[0].shape, strict=True) if n > 1
+    ]
     return (np.sqrt(sum(squares)) - radius).astype(np.float32)
 
 
 def test_axes_of_finest_spacing_are_halved_first():
     grids = levels((30, 200, 200), (5.0, 1.0, 1.4))
-    assert [g.spacing for g in grids[:4]] == [(5.0, 1.0, 1.4), (5.0, 2.0, 2.8), (5.0, 4.0, 5.6), (10.0, 8.0, 11.2)]
-    assert [g.shape for g in grids[:4]] == [(30, 200, 200), (30, 100, 100), (30, 50, 50), (15, 25, 25)]
+    assert [g.spacing for g in grids[:4]] == [
+        (5.0, 1.0, 1.4),
+        (5.0, 2.0, 2.8),
+        (5.0, 4.0, 5.6),
+        (10.0, 8.0, 11.2),
+    ]
+    assert [g.shape for g in grids[:4]] == [
+        (30, 200, 200),
+        (30, 100, 100),
+        (30, 50, 50),
+        (15, 25, 25),
+    ]
     assert [g.number for g in grids] == list(range(len(grids)))
 
 
@@ -52,7 +70,9 @@ def test_a_single_slice_stays_and_its_thickness_does_not_count():
 def test_means_of_a_linear_image_are_its_values_at_the_centres(grid):
     grids = levels(*GRIDS[grid], min_voxels=4)
     assert len(grids) >= 3
-    image = sum((axis + 1) * p for axis, p in enumerate(positions(grids[0], grids))).astype(np.float32)
+    image = sum((axis + 1) * p for axis, p in enumerate(positions(grids[0], grids))).astype(
+        np.float32
+    )
     for fine, coarse in zip(grids, grids[1:], strict=False):
         image = restrict(image, fine, coarse)
         assert image.shape == coarse.shape and image.flags.c_contiguous
@@ -66,9 +86,13 @@ def test_all_grids_have_the_same_centre(grid):
     grids = levels(*GRIDS[grid], min_voxels=2)
     for level in grids:
         axes = zip(level.first, level.shape, level.factors, strict=True)
-        assert [first + 0.5 * (n - 1) * width for first, n, width in axes] == [0.5 * (n - 1) for n in grids[0].shape]
+        assert [first + 0.5 * (n - 1) * width for first, n, width in axes] == [
+            0.5 * (n - 1) for n in grids[0].shape
+        ]
         # No voxel of the image lies outside.
-        assert all(f <= 0.5 * (width - 1) for f, width in zip(level.first, level.factors, strict=True))
+        assert all(
+            f <= 0.5 * (width - 1) for f, width in zip(level.first, level.factors, strict=True)
+        )
 
 
 def test_means_of_a_constant_image_are_that_constant():
@@ -178,7 +202,10 @@ def test_depth_is_that_of_the_thinnest_part():
     small = np.sqrt((z - 15) ** 2 + (y - 15) ** 2 + x**2) - 2.2
     assert 8 < min_component_depth(big) <= 9
     assert min_component_depth(np.minimum(big, small)) <= 3
-    assert min_component_depth(np.ones((4, 4, 4))) == 0 and min_component_depth(-np.ones((4, 4, 4))) == 0
+    assert (
+        min_component_depth(np.ones((4, 4, 4))) == 0
+        and min_component_depth(-np.ones((4, 4, 4))) == 0
+    )
 
 
 def test_levels_that_resolve_a_start():

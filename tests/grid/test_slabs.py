@@ -33,4 +33,6 @@ def test_runs_cover_every_cell_once(monkeypatch):
 
 @pytest.mark.parametrize("shape", [(0, 4, 5), (3, 0, 5), (3, 4, 0)])
 def test_an_empty_array_has_slabs_of_its_planes(shape):
-    assert [i for run in boxes.slabs(shape) for i in range(run.start, run.stop)] == list(range(shape[0]))
+    assert [i for run in boxes.slabs(shape) for i in range(run.start, run.stop)] == list(
+        range(shape[0])
+    )

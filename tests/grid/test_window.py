@@ -16,7 +16,10 @@ def test_pyramids_of_an_aligned_window_have_the_blocks_of_the_whole():
     image = rng.normal(size=WHOLE.shape).astype(np.float32)
     grids = pyramid.levels(WHOLE.shape, WHOLE.spacing)
     box = aligned((slice(13, 50), slice(22, 71), slice(31, 90)), WHOLE, grids[-1].factors)
-    assert all(s.start <= a and s.stop >= b for s, (a, b) in zip(box, ((13, 50), (22, 71), (31, 90)), strict=True))
+    assert all(
+        s.start <= a and s.stop >= b
+        for s, (a, b) in zip(box, ((13, 50), (22, 71), (31, 90)), strict=True)
+    )
     shape = tuple(s.stop - s.start for s in box)
     mine = pyramid.levels(shape, WHOLE.spacing, len(grids), min_voxels=1)
     whole, part = image, image[box]
@@ -36,7 +39,9 @@ def test_a_window_that_is_not_aligned_has_other_blocks():
     whole = pyramid.restrict(image, fine, coarse)
     part = image[16:64, 16:64, 17:65]
     mine = pyramid.levels(part.shape, WHOLE.spacing, 2, min_voxels=1)
-    assert not np.array_equal(whole[9:30, 9:30, 9:30], pyramid.restrict(part, *mine)[1:22, 1:22, 1:22])
+    assert not np.array_equal(
+        whole[9:30, 9:30, 9:30], pyramid.restrict(part, *mine)[1:22, 1:22, 1:22]
+    )
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -30,19 +30,27 @@ def test_marrow_narrower_than_the_ball_is_filled(width):
     x = np.arange(-15.0, 15.5, 0.5)
     z, y, x = np.meshgrid(x[::4], x[::2], x, indexing="ij")
     away = np.sqrt(x**2 + y**2 + z**2)
-    image = np.where(away < 0.5 * width, 50.0, np.where(away < 0.5 * width + 2.0, 400.0, 0.0)).astype(np.float32)
+    image = np.where(
+        away < 0.5 * width, 50.0, np.where(away < 0.5 * width + 2.0, 400.0, 0.0)
+    ).astype(np.float32)
     closed = closed_mm(image, (2.0, 1.0, 0.5), 3.0)
     assert (closed[away < 0.5 * width].min() == 400.0) == (width < 6.0)
-    assert closed[away > 0.5 * width + 2.0].max() == 0.0  # a ball is convex: nothing is added around it
+    assert (
+        closed[away > 0.5 * width + 2.0].max() == 0.0
+    )  # a ball is convex: nothing is added around it
 
 
 @pytest.mark.parametrize(
-    "filters", [ImageFilters((-0.5, 1.2), 4.0, 1.3), ImageFilters(closing=3.0), ImageFilters((-np.inf, 0.3))]
+    "filters",
+    [ImageFilters((-0.5, 1.2), 4.0, 1.3), ImageFilters(closing=3.0), ImageFilters((-np.inf, 0.3))],
 )
 def test_boxes_are_those_of_the_whole(image, filters):
     before = image.copy()
     whole = filters.of_whole(image, SPACING)
-    for box in (slice(4, 9), slice(3, 20), slice(10, 31)), (slice(0, 12), slice(0, 25), slice(0, 31)):
+    for box in (
+        (slice(4, 9), slice(3, 20), slice(10, 31)),
+        (slice(0, 12), slice(0, 25), slice(0, 31)),
+    ):
         got = filters.on_box(lambda part: image[part], image.shape, SPACING, box)
         np.testing.assert_array_equal(got, whole[box])
     np.testing.assert_array_equal(image, before)

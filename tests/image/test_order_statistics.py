@@ -33,7 +33,9 @@ def test_floats(values):
     assert counts.size == array.size
     np.testing.assert_array_equal(counts.at(np.arange(array.size)), np.sort(array))
     np.testing.assert_array_equal(counts.extremes, [array.min(), array.max()])
-    assert not np.signbit(counts.at(np.arange(array.size))[np.sort(array) == 0]).any(), "there is one zero"
+    assert not np.signbit(counts.at(np.arange(array.size))[np.sort(array) == 0]).any(), (
+        "there is one zero"
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         assert_percentiles(counts, array)
 
@@ -42,12 +44,18 @@ def test_floats(values):
 def test_integers(dtype):
     dtype = np.dtype(dtype)
     rng = np.random.default_rng(4)
-    array = rng.integers(-300 if dtype.kind == "i" and dtype.itemsize == 2 else 0, 2 if dtype.kind == "b" else 90, 1234)
+    array = rng.integers(
+        -300 if dtype.kind == "i" and dtype.itemsize == 2 else 0,
+        2 if dtype.kind == "b" else 90,
+        1234,
+    )
     array = array.astype(dtype)
     counts = IntegerCounts(dtype)
     for part in parts_of(array):
         counts.add(part)
-    np.testing.assert_array_equal(counts.at(np.arange(array.size)), np.sort(array).astype(np.float32))
+    np.testing.assert_array_equal(
+        counts.at(np.arange(array.size)), np.sort(array).astype(np.float32)
+    )
     assert_percentiles(counts, array.astype(np.float32))
 
 

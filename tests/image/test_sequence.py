@@ -21,9 +21,16 @@ def test_frames_come_out_in_order_with_their_times() -> None:
 
 @pytest.mark.parametrize(
     ("volumes", "times"),
-    [([], None), ([volume(0), volume(1, 2.0)], None), ([volume(0)] * 2, [1.0, 1.0]), ([volume(0)], [1.0, 2.0])],
+    [
+        ([], None),
+        ([volume(0), volume(1, 2.0)], None),
+        ([volume(0)] * 2, [1.0, 1.0]),
+        ([volume(0)], [1.0, 2.0]),
+    ],
 )
-def test_frames_that_are_no_sequence_are_refused(volumes: list[Volume], times: list[float] | None) -> None:
+def test_frames_that_are_no_sequence_are_refused(
+    volumes: list[Volume], times: list[float] | None
+) -> None:
     with pytest.raises(InputError):
         VolumeSequence(volumes, times).frame(1)
 

@@ -47,7 +47,9 @@ def pixels_of(stack, fine=1):
 def world_of(plane, places, across):
     """World mm of places in a straight slice, by the table of how slices hang."""
     world = np.empty((*places.shape[:-1], 3))
-    for value, (axis, sign) in zip((places[..., 0], places[..., 1], across), HANGS[plane], strict=True):
+    for value, (axis, sign) in zip(
+        (places[..., 0], places[..., 1], across), HANGS[plane], strict=True
+    ):
         world[..., axis] = sign * value
     return world
 
@@ -55,12 +57,18 @@ def world_of(plane, places, across):
 @pytest.mark.parametrize("plane", [0, 1, 2])
 def test_pixels_along_voxels_are_the_voxels(geometry, plane):
     stack, image = SliceStack.along_voxels(geometry, plane), image_of(geometry)
-    assert stack.axis == DisplayOrientation.of(geometry).order[plane] and stack.count == geometry.shape[stack.axis]
+    assert (
+        stack.axis == DisplayOrientation.of(geometry).order[plane]
+        and stack.count == geometry.shape[stack.axis]
+    )
     for number in (0, 5, stack.count - 1):
         picture, patch = stack.values(image, number), stack.patch(number)
         assert picture.shape == stack.size() == (patch.rows.stop, patch.columns.stop)
         index = np.stack(np.broadcast_arrays(*patch.places), axis=-1)
-        assert np.abs(index - np.rint(index)).max() < 1e-9 and (np.rint(index[..., stack.axis]) == number).all()
+        assert (
+            np.abs(index - np.rint(index)).max() < 1e-9
+            and (np.rint(index[..., stack.axis]) == number).all()
+        )
         z, y, x = np.moveaxis(np.rint(index).astype(int), -1, 0)
         assert (image[z, y, x] == picture).all()
         # hung as one hangs them: right, up and across are the nearest world directions
@@ -73,7 +81,9 @@ def test_a_place_is_origin_and_unit_vectors_in_mm(geometry, plane):
     index = np.random.default_rng(0).uniform(-3, 20, (9, 3))
     for stack in (SliceStack.along_voxels(geometry, plane), SliceStack.straight(geometry, plane)):
         place = stack.to_place(index)
-        np.testing.assert_allclose(stack.origin + place @ stack.frame.T, geometry.index_to_world(index), atol=1e-9)
+        np.testing.assert_allclose(
+            stack.origin + place @ stack.frame.T, geometry.index_to_world(index), atol=1e-9
+        )
         np.testing.assert_allclose(stack.to_index(place), index, atol=1e-9)
         np.testing.assert_allclose(stack.frame.T @ stack.frame, np.eye(3), atol=1e-12)
 
@@ -83,9 +93,14 @@ def test_along_voxels_of_a_parallel_grid_places_are_the_world():
     index = np.random.default_rng(1).uniform(0, 13, (9, 3))
     world = geometry.index_to_world(index)
     for plane in range(3):
-        for stack in (SliceStack.along_voxels(geometry, plane), SliceStack.straight(geometry, plane)):
+        for stack in (
+            SliceStack.along_voxels(geometry, plane),
+            SliceStack.straight(geometry, plane),
+        ):
             place = stack.to_place(index)
-            np.testing.assert_allclose(world_of(plane, place[..., :2], place[..., 2]), world, atol=1e-9)
+            np.testing.assert_allclose(
+                world_of(plane, place[..., :2], place[..., 2]), world, atol=1e-9
+            )
 
 
 @pytest.mark.parametrize("plane", [0, 1, 2])
@@ -97,9 +112,13 @@ def test_a_straight_pixel_has_the_place_and_the_value_that_the_world_says(geomet
         places = pixels_of(stack)
         world = world_of(plane, places, stack.across(number))
         index = geometry.world_to_index(world)
-        np.testing.assert_allclose(np.stack(np.broadcast_arrays(*stack.patch(number).places), -1), index, atol=1e-9)
+        np.testing.assert_allclose(
+            np.stack(np.broadcast_arrays(*stack.patch(number).places), -1), index, atol=1e-9
+        )
         inside = ((index >= 0) & (index <= last)).all(axis=-1)
-        np.testing.assert_allclose(stack.values(image, number)[inside], values_of(world[inside]), rtol=1e-5, atol=1e-3)
+        np.testing.assert_allclose(
+            stack.values(image, number)[inside], values_of(world[inside]), rtol=1e-5, atol=1e-3
+        )
         seen += inside.sum()
     assert seen > 500
 
@@ -113,7 +132,11 @@ def test_without_smoothing_a_pixel_is_the_nearest_voxel(geometry, plane):
     inside = ((index > -0.5) & (index < np.array(geometry.shape) - 0.5)).all(axis=-1)
     z, y, x = np.moveaxis(np.rint(index[inside]).astype(int), -1, 0)
     picture = stack.values(names, number, smooth=False)
-    assert picture.dtype == names.dtype and (picture[inside] == names[z, y, x]).all() and inside.sum() > 300
+    assert (
+        picture.dtype == names.dtype
+        and (picture[inside] == names[z, y, x]).all()
+        and inside.sum() > 300
+    )
 
 
 @pytest.mark.parametrize("plane", [0, 1, 2])
@@ -126,7 +149,9 @@ def test_the_outline_is_where_the_image_ends(geometry, plane):
         sides = np.roll(corners, -1, axis=0) - corners
         places = pixels_of(stack, 2)
         off = places[..., None, :] - corners
-        away = (sides[:, 0] * off[..., 1] - sides[:, 1] * off[..., 0]) / np.linalg.norm(sides, axis=1)
+        away = (sides[:, 0] * off[..., 1] - sides[:, 1] * off[..., 0]) / np.linalg.norm(
+            sides, axis=1
+        )
         index = geometry.world_to_index(world_of(plane, places, stack.across(number)))
         inside = ((index >= -0.5) & (index <= np.array(geometry.shape) - 0.5)).all(axis=-1)
         clear = np.abs(away).min(axis=-1) > 1e-6
@@ -145,8 +170,12 @@ def test_each_slice_can_be_gone_to_and_the_cursor_stays_in_the_image(geometry, p
             index = stack.go_to(np.array(start), number)
             assert stack.nearest_number(index) == np.clip(number, 0, stack.count - 1)
             assert ((index >= 0) & (index <= np.array(geometry.shape) - 1)).all()
-        straight_on = stack.go_to(np.array([6.0, 10.5, 8.0]), stack.nearest_number(np.array([6.0, 10.5, 8.0])))
-        np.testing.assert_allclose(stack.to_place(straight_on)[:2], stack.to_place([6.0, 10.5, 8.0])[:2], atol=1e-9)
+        straight_on = stack.go_to(
+            np.array([6.0, 10.5, 8.0]), stack.nearest_number(np.array([6.0, 10.5, 8.0]))
+        )
+        np.testing.assert_allclose(
+            stack.to_place(straight_on)[:2], stack.to_place([6.0, 10.5, 8.0])[:2], atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("plane", [0, 1, 2])
@@ -164,7 +193,9 @@ def test_a_patch_has_all_pixels_of_a_box(geometry, plane):
             np.testing.assert_allclose(whole[at.rows, at.columns], patch, atol=1e-9)
             assert inside.sum() == inside[at.rows, at.columns].sum()
             assert stack.cuts(number, low, high) or not inside.any()
-            assert stack.cuts(number, low, high) == (len(stack.outline(stack.across(number), low, high)) > 0)
+            assert stack.cuts(number, low, high) == (
+                len(stack.outline(stack.across(number), low, high)) > 0
+            )
             cut += bool(inside.any())
         assert cut >= 4
 

@@ -15,7 +15,9 @@ def test_a_point_becomes_as_wide_as_sigma(spacing):
     assert smooth.dtype == np.float32 and smooth.sum() == pytest.approx(1, rel=1e-5)
     for axis, h in enumerate(spacing):
         profile = smooth.sum(axis=tuple(other for other in range(3) if other != axis))
-        assert (profile * ((np.arange(41) - 20) * h) ** 2).sum() == pytest.approx(sigma**2, rel=0.02)
+        assert (profile * ((np.arange(41) - 20) * h) ** 2).sum() == pytest.approx(
+            sigma**2, rel=0.02
+        )
 
 
 def test_a_single_slice_is_smoothed_within_itself():

@@ -53,7 +53,10 @@ def test_what_is_no_volume_is_refused_in_words(array, words):
     ("bad", "words"),
     [
         ([np.nan], r"1 voxel is \(first at index x=3, y=2, z=0\) not finite \(1 NaN, 0 infinite\)"),
-        ([np.nan, np.inf, -np.inf], r"3 voxels are \(first at index x=3, y=2, z=0\) not finite \(1 NaN, 2 infinite\)"),
+        (
+            [np.nan, np.inf, -np.inf],
+            r"3 voxels are \(first at index x=3, y=2, z=0\) not finite \(1 NaN, 2 infinite\)",
+        ),
     ],
 )
 @pytest.mark.parametrize("use", [Volume.as_float32, check_image])
@@ -79,7 +82,9 @@ def test_the_advice_for_values_that_are_not_finite_works():
 def test_values_beyond_float32_are_refused():
     array = np.zeros((2, 3, 4))
     array[1, 1, 1] = 1e300
-    with pytest.raises(InputError, match=r"1 voxel is \(first at index x=1, y=1, z=1\) beyond the range of 32-bit"):
+    with pytest.raises(
+        InputError, match=r"1 voxel is \(first at index x=1, y=1, z=1\) beyond the range of 32-bit"
+    ):
         Volume(array, GRID).as_float32()
 
 
@@ -148,7 +153,12 @@ def test_another_array_on_the_same_grid_keeps_the_header_and_not_the_source(tmp_
 def test_repr_is_one_short_line(tmp_path):
     volume = Volume(np.zeros((2, 3, 4), np.float32), GRID, source=tmp_path / "scan.nii")
     text = repr(volume)
-    assert "\n" not in text and "float32" in text and f"shape={GRID.shape}" in text and "scan.nii" in text
+    assert (
+        "\n" not in text
+        and "float32" in text
+        and f"shape={GRID.shape}" in text
+        and "scan.nii" in text
+    )
     assert len(repr(Volume.from_array(np.zeros((50, 60, 70))))) < 120
 
 
@@ -157,4 +167,6 @@ def test_repr_of_a_geometry_names_a_direction_only_when_it_has_one():
         "Geometry(shape=(5, 4, 3), spacing=(2.0, 1.0, 0.5), origin=(0.0, 0.0, 0.0))"
     )
     flipped = np.diag([-1.0, -1.0, 1.0])
-    assert repr(Geometry((5, 4, 3), (2, 1, 0.5), direction=flipped)).endswith(f"direction={flipped.tolist()})")
+    assert repr(Geometry((5, 4, 3), (2, 1, 0.5), direction=flipped)).endswith(
+        f"direction={flipped.tolist()})"
+    )

@@ -26,7 +26,9 @@ def scans(tmp_path_factory):
     io.write_labels(Volume.from_array(np.zeros(ball.shape, np.uint8), 1.0), folder / "empty.nii.gz")
     io.write_labels(Volume.from_array(np.ones(ball.shape, np.uint8), 1.0), folder / "full.nii.gz")
     io.write_labels(Volume.from_array(ball[1:].astype(np.uint8), 1.0), folder / "shorter.nii.gz")
-    io.write_labels(Volume.from_array(ball.astype(np.uint8), (1.0, 1.0, 1.5)), folder / "wider.nii.gz")
+    io.write_labels(
+        Volume.from_array(ball.astype(np.uint8), (1.0, 1.0, 1.5)), folder / "wider.nii.gz"
+    )
     io.write(Volume.from_array(np.full(ball.shape, 7.0), 1.0), folder / "constant.nii.gz")
     return folder
 
@@ -45,7 +47,15 @@ def called(scans, monkeypatch, capfd):
 
 
 def test_the_program_says_what_the_command_line_says(scans, called, tmp_path):
-    words = ["segment", "ball.nii.gz", "-o", str(tmp_path / "out"), "--quiet", "--start", "blob:1,2,3"]
+    words = [
+        "segment",
+        "ball.nii.gz",
+        "-o",
+        str(tmp_path / "out"),
+        "--quiet",
+        "--start",
+        "blob:1,2,3",
+    ]
     command = [sys.executable, "-m", "accelsurf", *words]
     done = subprocess.run(command, cwd=scans, capture_output=True, text=True, timeout=120)
     check(done, 2, "unknown kind")
@@ -92,9 +102,21 @@ BAD = [
     ((*START, "--roi", "500,500,500,600,600,600"), 3, "fewer than two"),
     ((*START, "--roi", "5,5,5"), 2, "X0,Y0,Z0,X1,Y1,Z1"),
     ((*START, "--roi", "0,0,0,5,5,5"), 3, "region of interest"),
-    ((*START, "--energy", "likelihood", "--foreground", "ball:500,0,0,5"), 3, "foreground 'ball:500,0,0,5': no voxel"),
-    ((*START, "--energy", "likelihood", "--background", "label:empty.nii.gz"), 3, "background 'label:empty.nii.gz'"),
-    ((*START, "--energy", "likelihood:update=yes", "--foreground", "ball:12,11,10,3"), 2, "would not use"),
+    (
+        (*START, "--energy", "likelihood", "--foreground", "ball:500,0,0,5"),
+        3,
+        "foreground 'ball:500,0,0,5': no voxel",
+    ),
+    (
+        (*START, "--energy", "likelihood", "--background", "label:empty.nii.gz"),
+        3,
+        "background 'label:empty.nii.gz'",
+    ),
+    (
+        (*START, "--energy", "likelihood:update=yes", "--foreground", "ball:12,11,10,3"),
+        2,
+        "would not use",
+    ),
     ((*START, "--channel", "wider.nii.gz"), 3, "grid"),
     ((*START, "--channel", "nowhere.nii.gz"), 3, "no such file"),
     ((*START, "--max-volume", "0"), 2, "greater than 0"),
@@ -102,7 +124,9 @@ BAD = [
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "told"), BAD, ids=lambda value: " ".join(value) if isinstance(value, tuple) else None
+    ("words", "code", "told"),
+    BAD,
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
 )
 def test_bad_words_are_one_clear_line(words, code, told, called, tmp_path):
     out = tmp_path / "out"
@@ -112,7 +136,11 @@ def test_bad_words_are_one_clear_line(words, code, told, called, tmp_path):
     assert written <= {"ball_report.json"}
     for path in out.glob("*.json"):
         report = json.loads(path.read_text())
-        assert report["status"] == "failed" and report["exit_code"] == code and told in report["error"]["message"]
+        assert (
+            report["status"] == "failed"
+            and report["exit_code"] == code
+            and told in report["error"]["message"]
+        )
 
 
 @pytest.mark.parametrize(

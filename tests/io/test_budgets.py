@@ -111,7 +111,14 @@ def bombs(folder):
 
     def shared_tags(tags):
         """Pages whose entries point to the same 4 MB."""
-        entries = [(256, 3, 1, 6), (257, 3, 1, 5), (258, 3, 1, 8), (259, 3, 1, 8), (262, 3, 1, 1), *tags]
+        entries = [
+            (256, 3, 1, 6),
+            (257, 3, 1, 5),
+            (258, 3, 1, 8),
+            (259, 3, 1, 8),
+            (262, 3, 1, 1),
+            *tags,
+        ]
         count, at, out = (
             1 << 20,
             8 + (4 << 20),
@@ -193,8 +200,14 @@ def bombs(folder):
         "energy of digits": lambda: energy_expression.parse("1" * 100_000 + "x*chan-vese"),
         "energy of blanks": lambda: RunConfig(energy="chan-vese" + " " * 100_000 + "x"),
         "start of digits": lambda: starts.parse("label:a@" + "1" * 10_000),
-        "deep TOML": lambda: (made("a.toml", b"energy = " + b"[" * 200_000), RunConfig.from_toml(toml)),
-        "long numbers in TOML": lambda: (made("a.toml", b"seed = " + b"9" * 200_000), RunConfig.from_toml(toml)),
+        "deep TOML": lambda: (
+            made("a.toml", b"energy = " + b"[" * 200_000),
+            RunConfig.from_toml(toml),
+        ),
+        "long numbers in TOML": lambda: (
+            made("a.toml", b"seed = " + b"9" * 200_000),
+            RunConfig.from_toml(toml),
+        ),
         "deep report": deep_report,
         "image as objects": lambda: segment_objects(noise.astype(np.float32), noise),
         "large triangles": triangles,
@@ -208,7 +221,9 @@ def bombs(folder):
         "text that claims much": lambda: nrrd("ascii", b"1 2 3", "600 500 400"),
         "many balls": many_balls,
         "long path": lambda: segment(noise, inside="path:" + "1,2,3,4;" * 1_000_000),
-        "wide path": lambda: read_clicks(["path:" + ";".join(["1,2,3,1e9"] * 10_000)], "inside", wide),
+        "wide path": lambda: read_clicks(
+            ["path:" + ";".join(["1,2,3,1e9"] * 10_000)], "inside", wide
+        ),
     }
 
 

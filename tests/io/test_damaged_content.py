@@ -18,8 +18,11 @@ from accelsurf.io.files import library_named
 
 ARRAY = np.random.default_rng(0).integers(0, 300, (5, 6, 7)).astype(np.int16)
 KINDS = {
-    "stored": zipfile.ZIP_STORED, "deflate": zipfile.ZIP_DEFLATED, "bzip2": zipfile.ZIP_BZIP2, "lzma": zipfile.ZIP_LZMA,
-}  # fmt: skip
+    "stored": zipfile.ZIP_STORED,
+    "deflate": zipfile.ZIP_DEFLATED,
+    "bzip2": zipfile.ZIP_BZIP2,
+    "lzma": zipfile.ZIP_LZMA,
+}
 
 
 def mgh(code=4, values=ARRAY, good=0):
@@ -45,7 +48,10 @@ def valid():
     text = "NRRD0004\ntype: short\ndimension: 3\nsizes: 7 6 5\nendian: little\nencoding: gzip\n\n"
     meta = "NDims = 3\nDimSize = 7 6 5\nElementType = MET_SHORT\nElementDataFile = LOCAL\n"
     yield from ((".mgh", mgh()), (".mgz", gzip.compress(mgh())), (".npy", npy()))
-    yield from ((".nrrd", text.encode() + gzip.compress(ARRAY.tobytes())), (".mha", meta.encode() + ARRAY.tobytes()))
+    yield from (
+        (".nrrd", text.encode() + gzip.compress(ARRAY.tobytes())),
+        (".mha", meta.encode() + ARRAY.tobytes()),
+    )
 
 
 @pytest.mark.parametrize("number", range(len(list(valid()))))
@@ -66,7 +72,9 @@ def test_flipped_and_cut_files_are_one_line(number, tmp_path, capfd):
         try:
             io.read(path)
         except AccelsurfError as error:
-            assert error.exit_code in (2, 3) and str(error).startswith(f"{path}: ") and error.hint, str(error)
+            assert (
+                error.exit_code in (2, 3) and str(error).startswith(f"{path}: ") and error.hint
+            ), str(error)
     assert capfd.readouterr() == ("", "")
 
 
@@ -99,13 +107,29 @@ def test_grids_of_mgh_that_are_none(value, tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("error", [
-    lzma.LZMAError("a"), zipfile.BadZipFile("a"), EOFError(), struct.error("a"), KeyError("a"), RecursionError(),
-    UnicodeDecodeError("utf-8", b"a", 0, 1, "a"), OverflowError("a\nb"), NotImplementedError("a"), TypeError("a"),
-    gzip.BadGzipFile("a"), AttributeError("a"), OSError("a"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "error",
+    [
+        lzma.LZMAError("a"),
+        zipfile.BadZipFile("a"),
+        EOFError(),
+        struct.error("a"),
+        KeyError("a"),
+        RecursionError(),
+        UnicodeDecodeError("utf-8", b"a", 0, 1, "a"),
+        OverflowError("a\nb"),
+        NotImplementedError("a"),
+        TypeError("a"),
+        gzip.BadGzipFile("a"),
+        AttributeError("a"),
+        OSError("a"),
+    ],
+)
 def test_what_libraries_raise_is_one_line(error):
-    with pytest.raises(InputError, match=r"^it is damaged \(") as caught, library_named("it is damaged", "copy it"):
+    with (
+        pytest.raises(InputError, match=r"^it is damaged \(") as caught,
+        library_named("it is damaged", "copy it"),
+    ):
         raise error
     assert "\n" not in str(caught.value) and caught.value.hint == "copy it"
 
@@ -116,17 +140,32 @@ def test_what_is_no_damage_passes(error):
         raise error
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".ctbl", ".seg.nrrd", ".nii", ".nii.gz"])
+@pytest.mark.parametrize(
+    "suffix", [".csv", ".tsv", ".txt", ".ctbl", ".seg.nrrd", ".nii", ".nii.gz"]
+)
 def test_damaged_label_tables_are_one_line(suffix, tmp_path, capfd):
     random, path = np.random.default_rng(5), tmp_path / f"a{suffix}"
     io.write(Volume.from_array(ARRAY), tmp_path / "b.nii")
     texts = {
-        ".csv": b"id,name,color,r\n1,a,#ff0000,2\n", ".tsv": b"index\tname\tr\tg\tb\n1\ta\t1\t2\t3\n",
+        ".csv": b"id,name,color,r\n1,a,#ff0000,2\n",
+        ".tsv": b"index\tname\tr\tg\tb\n1\ta\t1\t2\t3\n",
         ".ctbl": b"1 a 1 2 3 4\n",
-        ".txt": b'1 1 2 3 1 1 1 "a"\n', ".seg.nrrd": b"NRRD0004\nSegment0_Name:=a\nSegment0_Color:=1 0 0\n\n",
-    }  # fmt: skip
+        ".txt": b'1 1 2 3 1 1 1 "a"\n',
+        ".seg.nrrd": b"NRRD0004\nSegment0_Name:=a\nSegment0_Color:=1 0 0\n\n",
+    }
     content = texts.get(suffix, (tmp_path / "b.nii").read_bytes())
-    pieces = [b"\xc2\xb2", "\u0663".encode(), b"9" * 5000, b'"', b"\0", b"-1", b"1e999", b"nan", b"\n", b"a" * 200_000]
+    pieces = [
+        b"\xc2\xb2",
+        "\u0663".encode(),
+        b"9" * 5000,
+        b'"',
+        b"\0",
+        b"-1",
+        b"1e999",
+        b"nan",
+        b"\n",
+        b"a" * 200_000,
+    ]
     for turn in range(120):
         changed = bytearray(content)
         at = int(random.integers(len(content)))

@@ -19,8 +19,16 @@ from accelsurf.io.files import write_bytes
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are forked")
 
 REPORT = "scan_report.json"
-OLD = {"scan_seg.nii": b"old labels", "scan_surface.ply": b"old mesh", "scan_trace.csv": b"old trace"}
-NEW = {"scan_seg.nii": b"new labels", "scan_surface.stl": b"new mesh", "scan_trace.csv": b"new trace"}
+OLD = {
+    "scan_seg.nii": b"old labels",
+    "scan_surface.ply": b"old mesh",
+    "scan_trace.csv": b"old trace",
+}
+NEW = {
+    "scan_seg.nii": b"new labels",
+    "scan_surface.stl": b"new mesh",
+    "scan_trace.csv": b"new trace",
+}
 #: What changes a folder, or makes sure that a change is on the disk: the process dies before the n-th call of them.
 CALLS = ("replace", "rename", "unlink", "rmdir", "mkdir", "fsync", "open")
 
@@ -35,12 +43,16 @@ def no_journal_stays(tmp_path_factory):
 
 def report(files):
     """A report that names files by their checksums."""
-    return json.dumps({name: hashlib.sha256(content).hexdigest() for name, content in files.items()}).encode()
+    return json.dumps(
+        {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+    ).encode()
 
 
 def content(folder):
     """All that is seen in a folder."""
-    return {path.name: path.read_bytes() for path in folder.iterdir() if not path.name.startswith(".")}
+    return {
+        path.name: path.read_bytes() for path in folder.iterdir() if not path.name.startswith(".")
+    }
 
 
 def filled(folder):
@@ -95,7 +107,9 @@ def test_a_kill_at_any_point_leaves_all_old_or_all_new(tmp_path):
         if not dying_child(lambda folder=folder: write_new(folder), call):
             break
         found = content(folder)
-        if REPORT in found:  # where a report stands, its files are those that it names, without the next run
+        if (
+            REPORT in found
+        ):  # where a report stands, its files are those that it names, without the next run
             names = json.loads(found[REPORT])
             assert {name: hashlib.sha256(found[name]).hexdigest() for name in names} == names, call
         assert recover(folder) == []
@@ -161,7 +175,10 @@ def test_what_a_living_process_writes_is_left_alone(tmp_path):
     with open_set(tmp_path, "scan") as files:
         (files.staging / "a").write_bytes(b"1")
         assert recover(tmp_path) == [] and (files.staging / "a").exists()
-        with pytest.raises(OutputError, match="another run is writing there now"), open_set(tmp_path, "scan"):
+        with (
+            pytest.raises(OutputError, match="another run is writing there now"),
+            open_set(tmp_path, "scan"),
+        ):
             pytest.fail("two owners")
         with open_set(tmp_path, "other") as others:
             assert others.staging != files.staging
@@ -199,7 +216,8 @@ def test_long_names_have_a_short_hidden_folder(tmp_path):
         (files.staging / name).write_bytes(b"1")
         files.commit()
     assert content(tmp_path) == {name: b"1"} and all(
-        len(os.fsencode(set_journals.staging_name(text, "0" * 16))) < 255 for text in (name, "a" * 255, "名" * 66)
+        len(os.fsencode(set_journals.staging_name(text, "0" * 16))) < 255
+        for text in (name, "a" * 255, "名" * 66)
     )
 
 
@@ -213,7 +231,10 @@ def test_file_systems_without_locks_take_files(tmp_path, monkeypatch):
     monkeypatch.setattr(fcntl, "flock", no_locks)
     write_bytes(tmp_path / "a", b"1")
     for _ in range(2):  # the second after a kill
-        with pytest.warns(AccelsurfWarning, match="No locks available"), open_set(tmp_path, "scan") as files:
+        with (
+            pytest.warns(AccelsurfWarning, match="No locks available"),
+            open_set(tmp_path, "scan") as files,
+        ):
             write_bytes(files.staging / "b", b"2")
             write_bytes(files.staging / "c", b"3")
             files.commit(last="c")
@@ -297,7 +318,9 @@ def _linked(name):
     def plant(hidden, elsewhere, given):
         hidden.mkdir()
         for part in ("new", "old"):
-            (hidden / part).symlink_to(elsewhere) if name in (part, "both") else (hidden / part).mkdir()
+            (hidden / part).symlink_to(elsewhere) if name in (part, "both") else (
+                hidden / part
+            ).mkdir()
         journal(hidden, given)
 
     return plant
@@ -334,14 +357,31 @@ def _a_file(hidden, elsewhere, given):
     hidden.write_bytes(b"1")
 
 
-PLANTS = [_linked("new"), _linked("old"), _linked("both"), _plain, _itself_a_link, _lock_a_link, _empty, _a_file]
-NAMES = [".x.accelsurf", ".scan.accelsurf", ".scan.0123456789abcdef.accelsurf", "..accelsurf", ".a.b.c.accelsurf"]
+PLANTS = [
+    _linked("new"),
+    _linked("old"),
+    _linked("both"),
+    _plain,
+    _itself_a_link,
+    _lock_a_link,
+    _empty,
+    _a_file,
+]
+NAMES = [
+    ".x.accelsurf",
+    ".scan.accelsurf",
+    ".scan.0123456789abcdef.accelsurf",
+    "..accelsurf",
+    ".a.b.c.accelsurf",
+]
 
 
 def everything(folder):
     """All files below a folder by name, links as what they say."""
     return {
-        str(path.relative_to(folder)): os.readlink(path) if path.is_symlink() else path.is_file() and path.read_bytes()
+        str(path.relative_to(folder)): os.readlink(path)
+        if path.is_symlink()
+        else path.is_file() and path.read_bytes()
         for path in sorted(folder.rglob("*"))
     }
 
@@ -363,7 +403,10 @@ def test_nothing_in_an_output_folder_orders_a_move_or_a_deletion(plant, seed, tm
         [
             {"files": ["key"], "remove": ["thesis"], "last": None, "undo": draw.random() < 0.5},
             {"files": ["a", "key"], "remove": ["scan_seg.nii"], "last": "key"},
-            {"staging": NAMES[seed], "moves": {"files": ["key"], "remove": ["thesis"], "last": "known"}},
+            {
+                "staging": NAMES[seed],
+                "moves": {"files": ["key"], "remove": ["thesis"], "last": "known"},
+            },
             {"files": ["../stolen"], "remove": ["../home"], "last": ".."},
         ]
     )
@@ -380,7 +423,11 @@ def test_nothing_in_an_output_folder_orders_a_move_or_a_deletion(plant, seed, tm
         (files.staging / "c").write_bytes(b"3")
         files.commit(last="c")
     after = everything(tmp_path)
-    assert {key: after.pop(f"data/{key}") for key in ("new.txt", "b", "c")} == {"new.txt": b"1", "b": b"2", "c": b"3"}
+    assert {key: after.pop(f"data/{key}") for key in ("new.txt", "b", "c")} == {
+        "new.txt": b"1",
+        "b": b"2",
+        "c": b"3",
+    }
     assert after == before
 
 
@@ -408,7 +455,10 @@ def test_a_link_in_place_of_a_staging_folder_is_not_followed(part, tmp_path):
     (staging / part).rename(tmp_path / "kept")
     (staging / part).symlink_to(tmp_path / "elsewhere")
     assert recover(staging.parent) == [staging]
-    with pytest.raises(OutputError, match="only some of its files"), open_set(staging.parent, "scan"):
+    with (
+        pytest.raises(OutputError, match="only some of its files"),
+        open_set(staging.parent, "scan"),
+    ):
         pytest.fail("written over")
     assert (tmp_path / "elsewhere" / "scan_seg.nii").read_bytes() == b"mine"
     (staging / part).unlink()
@@ -427,7 +477,9 @@ def test_a_copy_of_a_folder_with_a_killed_run_is_not_that_folder(tmp_path):
     assert recover(staging.parent) == [] and content(staging.parent) == AFTER
 
 
-@pytest.mark.parametrize("how", ["others may write it", "a link", "not a journal", "a name elsewhere"])
+@pytest.mark.parametrize(
+    "how", ["others may write it", "a link", "not a journal", "a name elsewhere"]
+)
 def test_a_journal_that_is_not_the_users_alone_is_no_journal(how, tmp_path):
     staging = killed_in_mid_move(tmp_path)
     (path,) = set_journals.state_folder().glob("*.json")
@@ -438,7 +490,9 @@ def test_a_journal_that_is_not_the_users_alone_is_no_journal(how, tmp_path):
         path.rename(tmp_path / "journal")
         path.symlink_to(tmp_path / "journal")
     else:
-        path.write_text("[" * 9999 if how == "not a journal" else text.replace('"scan_trace.csv"', '"../x"'))
+        path.write_text(
+            "[" * 9999 if how == "not a journal" else text.replace('"scan_trace.csv"', '"../x"')
+        )
     before = everything(staging.parent)
     with pytest.warns(AccelsurfWarning, match="not from a run of yours"):
         assert recover(staging.parent) == []
@@ -488,7 +542,9 @@ def test_links_of_the_system_are_followed(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("state", ["a file", "not to be written", "for all to write", "no home"])
-def test_without_a_place_for_journals_a_set_is_written_and_a_line_says_so(state, tmp_path, monkeypatch):
+def test_without_a_place_for_journals_a_set_is_written_and_a_line_says_so(
+    state, tmp_path, monkeypatch
+):
     place = tmp_path / "state"
     if state == "a file":
         place.write_bytes(b"1")
@@ -514,7 +570,11 @@ def test_an_output_folder_that_goes_away_is_an_error_of_its_name(tmp_path):
     from accelsurf.output.folder import naming_final, opened_set
 
     folder = tmp_path / "out"
-    with pytest.raises(OutputError, match="out"), opened_set(folder, "scan") as files, naming_final(files):
+    with (
+        pytest.raises(OutputError, match="out"),
+        opened_set(folder, "scan") as files,
+        naming_final(files),
+    ):
         shutil.rmtree(folder)
         files.discard()
         write_bytes(files.staging / "a", b"1")

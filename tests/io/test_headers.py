@@ -37,7 +37,8 @@ def test_empty_file(tmp_path, suffix):
 @pytest.mark.parametrize("suffix", io.image_suffixes())
 @pytest.mark.parametrize(
     # Packed without the time: it would be in the test's name, another in each worker.
-    "content", [b"hello world\n" * 100, bytes(1000), gzip.compress(b"hello" * 200, mtime=0), b"x"]
+    "content",
+    [b"hello world\n" * 100, bytes(1000), gzip.compress(b"hello" * 200, mtime=0), b"x"],
 )
 def test_not_an_image(tmp_path, suffix, content):
     (tmp_path / f"a{suffix}").write_bytes(content)
@@ -74,7 +75,9 @@ def test_a_nifti_header_that_claims_more_than_there_is(tmp_path, suffix, present
     if suffix == ".nii.gz":
         with gzip_writer(tmp_path / "a.nii.gz") as out:
             out.write((tmp_path / "a.nii").read_bytes())
-    refuse(tmp_path / f"a{suffix}", f"announces {352 + 240} bytes .*, the file holds {352 + present}")
+    refuse(
+        tmp_path / f"a{suffix}", f"announces {352 + 240} bytes .*, the file holds {352 + present}"
+    )
 
 
 @pytest.mark.parametrize("suffix", [".nrrd", ".mha"])

@@ -37,10 +37,22 @@ def plys():
     for count in (*BIG, -1, -(10**9)):
         yield f"ply vertices {count}", "ply", header("binary_little_endian", vertices=count) + body
         yield f"ply faces {count}", "ply", header("binary_little_endian", faces=count) + body
-        yield f"ply text vertices {count}", "ply", header("ascii", vertices=count) + (VERTICES + LISTS).encode()
-        yield f"ply text faces {count}", "ply", header("ascii", faces=count) + (VERTICES + LISTS).encode()
+        yield (
+            f"ply text vertices {count}",
+            "ply",
+            header("ascii", vertices=count) + (VERTICES + LISTS).encode(),
+        )
+        yield (
+            f"ply text faces {count}",
+            "ply",
+            header("ascii", faces=count) + (VERTICES + LISTS).encode(),
+        )
         more = f"element edge {count}\nproperty int vertex1\nproperty int vertex2\n"
-        yield f"ply edges {count}", "ply", header("ascii", more=more) + (VERTICES + LISTS + "0 1\n" * 9).encode()
+        yield (
+            f"ply edges {count}",
+            "ply",
+            header("ascii", more=more) + (VERTICES + LISTS + "0 1\n" * 9).encode(),
+        )
         more = f"element extra {count}\n"
         yield f"ply nothing {count}", "ply", header("binary_little_endian", more=more) + body
         counted = header("binary_little_endian").replace(b"list uchar int", b"list uint int")
@@ -50,11 +62,23 @@ def plys():
         yield f"ply text list of {count}", "ply", header("ascii") + text.encode()
         text = VERTICES + LISTS.replace("2", str(count))
         yield f"ply point {count}", "ply", header("ascii") + text.encode()
-    yield "ply many properties", "ply", header("ascii", vertex="".join(f"property float p{n}\n" for n in range(50_000)))
-    yield "ply many elements", "ply", header("ascii", more="".join(f"element e{n} 999999999\n" for n in range(50_000)))
+    yield (
+        "ply many properties",
+        "ply",
+        header("ascii", vertex="".join(f"property float p{n}\n" for n in range(50_000))),
+    )
+    yield (
+        "ply many elements",
+        "ply",
+        header("ascii", more="".join(f"element e{n} 999999999\n" for n in range(50_000))),
+    )
     empty = "element e 99999999999\nproperty list uchar int a\n"
     yield "ply empty lists", "ply", header("binary_little_endian", more=empty) + body + bytes(1000)
-    yield "ply texture", "ply", header("ascii", more="comment TextureFile /etc/passwd\n") + (VERTICES + LISTS).encode()
+    yield (
+        "ply texture",
+        "ply",
+        header("ascii", more="comment TextureFile /etc/passwd\n") + (VERTICES + LISTS).encode(),
+    )
     yield "ply long line", "ply", header("ascii") + b"1 " * 1_000_000
     yield "ply no end", "ply", b"ply\nformat ascii 1.0\ncomment " + b"a" * 1_000_000
 
@@ -74,7 +98,11 @@ def stls():
     yield "stl equals", "stl", b"solid " + b"SPACE=" * 200_000 + b"\nendsolid"
     yield "stl blanks", "stl", b"solid SPACE" + b" " * 1_000_000 + b"\nendsolid"
     yield "stl blank lines", "stl", b"\n" * 1_000_000
-    yield "stl huge numbers", "stl", b"solid a\nvertex 1e308 1e308 1e999\n" + b"vertex 1 2 3\n" * 2 + b"endsolid a\n"
+    yield (
+        "stl huge numbers",
+        "stl",
+        b"solid a\nvertex 1e308 1e308 1e999\n" + b"vertex 1 2 3\n" * 2 + b"endsolid a\n",
+    )
 
 
 def objs():
@@ -112,7 +140,9 @@ def files():
 def told(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hostile")
     words = [sys.executable, __file__, str(folder)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=500, cwd=Path(__file__).parents[2])
+    done = subprocess.run(
+        words, capture_output=True, text=True, timeout=500, cwd=Path(__file__).parents[2]
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stderr == ""
     return dict(json.loads(line) for line in done.stdout.splitlines())
@@ -122,8 +152,13 @@ def test_each_is_refused_or_read_in_time(told):
     faults = {
         name: (kind, message, hint, seconds, megabytes)
         for name, (kind, message, hint, seconds, megabytes) in told.items()
-        if kind not in ("InputError", "read") or seconds > MAX_SECONDS or megabytes > MAX_MB
-        or (kind != "read" and (not hint or "\n" in message or len(message) > 1000 or "memory" in message))
+        if kind not in ("InputError", "read")
+        or seconds > MAX_SECONDS
+        or megabytes > MAX_MB
+        or (
+            kind != "read"
+            and (not hint or "\n" in message or len(message) > 1000 or "memory" in message)
+        )
     }
     assert len(told) > 100 and not faults, json.dumps(faults, indent=1)
 
@@ -150,7 +185,11 @@ def read_all(folder):
     from accelsurf.io import meshes
 
     opened = []
-    sys.addaudithook(lambda event, words: opened.append(words[0]) if event in ("open", "socket.connect") else None)
+    sys.addaudithook(
+        lambda event, words: (
+            opened.append(words[0]) if event in ("open", "socket.connect") else None
+        )
+    )
     for suffix in ("ply", "stl", "obj"):  # what is imported is not of a file
         (folder / f"a.{suffix}").write_bytes(b"")
         try:

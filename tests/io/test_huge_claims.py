@@ -21,19 +21,41 @@ MAX_SECONDS, MORE_BYTES = 5.0, 1 << 30
 #: Formats whose claims other tests change.
 ELSEWHERE = {"ome.zarr", "png", "tif", "dcm", "slices"}
 KINDS = (
-    "nii", "nii2", "nii.gz", "nii2.gz", "nrrd", "nrrd gzip", "nrrd 4D", "nhdr", "mha",
-    "mha 4D", "mha packed", "mhd", "mgz", "mgh", "npy", "npy 4D", "long files", "state", "checkpoint",
-    "tables", "label tables", "texts",
-)  # fmt: skip
+    "nii",
+    "nii2",
+    "nii.gz",
+    "nii2.gz",
+    "nrrd",
+    "nrrd gzip",
+    "nrrd 4D",
+    "nhdr",
+    "mha",
+    "mha 4D",
+    "mha packed",
+    "mhd",
+    "mgz",
+    "mgh",
+    "npy",
+    "npy 4D",
+    "long files",
+    "state",
+    "checkpoint",
+    "tables",
+    "label tables",
+    "texts",
+)
 
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory):
     folder = tmp_path_factory.mktemp("claims")
     done = subprocess.run(
-        [sys.executable, __file__, str(folder)], capture_output=True, text=True, timeout=280,
+        [sys.executable, __file__, str(folder)],
+        capture_output=True,
+        text=True,
+        timeout=280,
         cwd=Path(__file__).parents[2],
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     assert not done.stderr, done.stderr[-2000:]  # no line of a library beside ours
     return json.loads(done.stdout)
@@ -51,7 +73,9 @@ def test_claims_are_refused_in_time(told, kind):
     assert not faults, faults[:5]
     refused = [case for case in cases if case[1] == "refused"]
     assert len(refused) > 0.4 * len(cases)
-    assert all(len(message) < 1000 and "fit into memory" not in message for _, _, message, _ in refused)
+    assert all(
+        len(message) < 1000 and "fit into memory" not in message for _, _, message, _ in refused
+    )
 
 
 # ------------------------------------------------------------------------------------------------- in the child
@@ -83,7 +107,13 @@ def files(folder):
 
     def images(kind, suffix, name, content):
         path = made(suffix, content)
-        for read in (io.read, io.read_labels, io.open_volume, io.read_sequence, channels.read_channels):
+        for read in (
+            io.read,
+            io.read_labels,
+            io.open_volume,
+            io.read_sequence,
+            channels.read_channels,
+        ):
             yield kind, f"{name} {read.__name__}", lambda read=read: read(path)
         if suffix in (".nii", ".nii.gz", ".nrrd", ".nhdr"):
             yield kind, f"{name} label table", lambda: label_tables.read_table(path)
@@ -111,7 +141,9 @@ def files(folder):
 
     io.write(small, folder / "s.nii")
     first = (folder / "s.nii").read_bytes()
-    second = nibabel.Nifti2Image(small.array.T, np.diag([1.0, 2.0, 3.0, 1.0])).to_bytes()[:544] + voxels
+    second = (
+        nibabel.Nifti2Image(small.array.T, np.diag([1.0, 2.0, 3.0, 1.0])).to_bytes()[:544] + voxels
+    )
     places1 = [("<h", 42 + 2 * n) for n in range(7)] + [("<f", 108)]
     places2 = [("<q", 24 + 8 * n) for n in range(7)] + [("<q", 168)]
     for kind, content, places in (("nii", first, places1), ("nii2", second, places2)):
@@ -120,15 +152,21 @@ def files(folder):
             head = bytearray(content)
             struct.pack_into("<h" if kind == "nii" else "<q", head, at, axes)
             for n in range(axes, 3, -1):
-                struct.pack_into("<h" if kind == "nii" else "<q", head, at + (2 if kind == "nii" else 8) * n, 1)
+                struct.pack_into(
+                    "<h" if kind == "nii" else "<q", head, at + (2 if kind == "nii" else 8) * n, 1
+                )
             for name, changed in packed_into(head, places):
                 yield from images(kind, ".nii", f"{axes} {name}", changed)
                 if axes == 4:
-                    yield from images(f"{kind}.gz", ".nii.gz", f"{axes} {name}", gzip.compress(changed, 1))
+                    yield from images(
+                        f"{kind}.gz", ".nii.gz", f"{axes} {name}", gzip.compress(changed, 1)
+                    )
 
     nrrd = "NRRD0004\ntype: short\ndimension: 3\nsizes: <0> <1> <2>\nendian: little\nencoding: {}\n{}\n"
     four = "NRRD0004\ntype: short\ndimension: 4\nsizes: <0> <1> <2> <3>\nendian: little\nencoding: raw\nkinds: {}\n\n"
-    for name, changed in texts_of(nrrd.format("raw", "byte skip: <3>\nline skip: <4>\n"), (6, 5, 4, 0, 0)):
+    for name, changed in texts_of(
+        nrrd.format("raw", "byte skip: <3>\nline skip: <4>\n"), (6, 5, 4, 0, 0)
+    ):
         yield from images("nrrd", ".nrrd", name, changed + voxels)
     for name, changed in texts_of(nrrd.format("gzip", ""), (6, 5, 4)):
         yield from images("nrrd gzip", ".nrrd", name, changed + gzip.compress(voxels))
@@ -136,7 +174,9 @@ def files(folder):
         for name, changed in texts_of(four.format(kinds), (6, 5, 2, 2)):
             yield from images("nrrd 4D", ".nrrd", name, changed + voxels)
     (folder / "v.raw").write_bytes(voxels)
-    for name, changed in texts_of(nrrd.format("raw", "data file: v.raw\nbyte skip: <3>\n"), (6, 5, 4, 0)):
+    for name, changed in texts_of(
+        nrrd.format("raw", "data file: v.raw\nbyte skip: <3>\n"), (6, 5, 4, 0)
+    ):
         yield from images("nhdr", ".nhdr", name, changed)
 
     meta = (
@@ -147,7 +187,9 @@ def files(folder):
         yield from images("mha", ".mha", name, changed + voxels)
     for name, changed in texts_of(meta.format("v.raw"), (6, 5, 4, 1, 0)):
         yield from images("mhd", ".mhd", name, changed)
-    text = "NDims = 4\nDimSize = <0> <1> <2> <3>\nElementType = MET_SHORT\nElementDataFile = LOCAL\n"
+    text = (
+        "NDims = 4\nDimSize = <0> <1> <2> <3>\nElementType = MET_SHORT\nElementDataFile = LOCAL\n"
+    )
     for name, changed in texts_of(text, (6, 5, 2, 2)):
         yield from images("mha 4D", ".mha", name, changed + voxels)
     packed = zlib.compress(voxels)
@@ -158,20 +200,28 @@ def files(folder):
     for name, changed in texts_of(text, (6, 5, 4, len(packed))):
         yield from images("mha packed", ".mha", name, changed + packed)
 
-    mgh = struct.pack(">7ih", 1, 6, 5, 4, 1, 4, 0, 0).ljust(284, b"\0") + small.array.astype(">i2").tobytes()
+    mgh = (
+        struct.pack(">7ih", 1, 6, 5, 4, 1, 4, 0, 0).ljust(284, b"\0")
+        + small.array.astype(">i2").tobytes()
+    )
     for name, changed in packed_into(mgh, [(">i", 4 + 4 * n) for n in range(5)]):
         yield from images("mgh", ".mgh", name, changed)
         yield from images("mgz", ".mgz", name, gzip.compress(changed, 1))
 
     def array(shape, body=voxels, kind="<i2"):
-        text = str({"descr": kind, "fortran_order": False, "shape": tuple(shape)}).encode().ljust(117) + b"\n"
+        text = (
+            str({"descr": kind, "fortran_order": False, "shape": tuple(shape)}).encode().ljust(117)
+            + b"\n"
+        )
         return b"\x93NUMPY\1\0" + struct.pack("<H", len(text)) + text + body
 
     for n in range(3):
         for size in SIZES:
             shape = [size if n == axis else length for axis, length in enumerate((4, 5, 6))]
             yield from images("npy", ".npy", f"{n}={size}", array(shape))
-            yield from images("npy 4D", ".npy", f"{n}={size}", array([*shape[:n], size, *shape[n:]]))
+            yield from images(
+                "npy 4D", ".npy", f"{n}={size}", array([*shape[:n], size, *shape[n:]])
+            )
 
     def long(name, content, length):
         """A file with all that it announces: a hole, so that it takes no place on the disk."""
@@ -193,7 +243,9 @@ def files(folder):
     yield from long("long.npy", array((10**9, 1, 1), b""), 128 + 2 * 10**9)
     text = nrrd.format("raw", "").replace("<0> <1> <2>", "1 1 1000000000").encode()
     yield from long("long.nrrd", text, len(text) + 2 * 10**9)
-    text = b"NDims = 3\nDimSize = 1 1 1000000000\nElementType = MET_SHORT\nElementDataFile = LOCAL\n"
+    text = (
+        b"NDims = 3\nDimSize = 1 1 1000000000\nElementType = MET_SHORT\nElementDataFile = LOCAL\n"
+    )
     yield from long("long.mha", text, len(text) + 2 * 10**9)
 
     yield from states(made, array)
@@ -235,24 +287,41 @@ def tables(made, small):
         for place in range(5):
             row = ",".join(str(size) if n == place else "1" for n in range(5))
             balls = made(".csv", f"id,x,y,z,r\n{row}\n".encode())
-            yield "tables", f"balls {place} {size}", lambda path=balls: objects.read(str(path), small.geometry, 2)
+            yield (
+                "tables",
+                f"balls {place} {size}",
+                lambda path=balls: objects.read(str(path), small.geometry, 2),
+            )
             sides = made(".csv", f"id,x,y,z,r,side\n{row},inside\n".encode())
-            yield "tables", f"sides {place} {size}", lambda path=sides: object_clicks.read(str(path), small.geometry)
+            yield (
+                "tables",
+                f"sides {place} {size}",
+                lambda path=sides: object_clicks.read(str(path), small.geometry),
+            )
             points = ",".join(["1,1,1,1", row.partition(",")[2]][place > 0].split(","))
             stroke = made(".csv", f"x,y,z,r\n{points}\n".encode())
             yield (
-                "tables", f"stroke {place} {size}",
+                "tables",
+                f"stroke {place} {size}",
                 lambda path=stroke: read_clicks([f"stroke:{path}"], "inside", small),
-            )  # fmt: skip
+            )
         for suffix, text in (
-            (".csv", f"id,name\n{size},a\n"), (".tsv", f"index\tname\n{size}\ta\n"), (".ctbl", f"{size} a 1 2 3 4\n"),
-            (".ctbl", f"1 a {size} 2 3 4\n"), (".txt", f'{size} 1 2 3 1 1 1 "a"\n'),
+            (".csv", f"id,name\n{size},a\n"),
+            (".tsv", f"index\tname\n{size}\ta\n"),
+            (".ctbl", f"{size} a 1 2 3 4\n"),
+            (".ctbl", f"1 a {size} 2 3 4\n"),
+            (".txt", f'{size} 1 2 3 1 1 1 "a"\n'),
             (".txt", f'1 {size} 2 3 1 1 1 "a"\n'),
-            (".csv", f"id,name,r,g,b\n1,a,{size},0,0\n"), (".seg.nrrd", f"NRRD0004\nSegment{size}_Name:=a\n\n"),
+            (".csv", f"id,name,r,g,b\n1,a,{size},0,0\n"),
+            (".seg.nrrd", f"NRRD0004\nSegment{size}_Name:=a\n\n"),
             (".seg.nrrd", f"NRRD0004\nSegment0_Name:=a\nSegment0_LabelValue:={size}\n\n"),
-        ):  # fmt: skip
+        ):
             path = made(suffix, text.encode())
-            yield "label tables", f"{suffix} {size}", lambda path=path: label_tables.read_table(path)
+            yield (
+                "label tables",
+                f"{suffix} {size}",
+                lambda path=path: label_tables.read_table(path),
+            )
         yield "texts", f"ids {size}", lambda size=size: parse_ids(f"1-{size}", "labels", "1-3")
         for key in ("max_steps", "threads", "levels", "seed", "half_width"):
             path = made(".toml", f"{key} = {size}\n".encode())

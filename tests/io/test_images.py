@@ -33,7 +33,9 @@ GRIDS = {
     "aligned": Geometry((5, 6, 7), (1.0, 1.0, 1.0)),
     "anisotropic": Geometry((5, 6, 7), (3.0, 0.5, 0.75), (-12.5, 4.0, 100.25)),
     "oblique": Geometry((5, 6, 7), (2.4, 0.81, 1 / 3), (-69.02, 134.4, -13.57), oblique()),
-    "left-handed": Geometry((5, 6, 7), (2.4, 0.81, 1 / 3), (-69.02, 134.4, -13.57), oblique(1, left_handed=True)),
+    "left-handed": Geometry(
+        (5, 6, 7), (2.4, 0.81, 1 / 3), (-69.02, 134.4, -13.57), oblique(1, left_handed=True)
+    ),
     "one slice": Geometry((1, 6, 7), (2.4, 0.81, 1 / 3), (1.0, 2.0, 3.0), oblique(2)),
 }
 
@@ -76,7 +78,9 @@ def test_round_trip(tmp_path, suffix, grid, dtype):
     np.testing.assert_array_equal(again.geometry.direction, back.geometry.direction)
 
 
-@pytest.mark.parametrize("suffix", [suffix for suffix in VOLUMES if not image_format(suffix).folder_marks])
+@pytest.mark.parametrize(
+    "suffix", [suffix for suffix in VOLUMES if not image_format(suffix).folder_marks]
+)
 def test_others_read_the_same_from_our_files(tmp_path, suffix):
     volume = make()
     io.write(volume, tmp_path / f"a{suffix}")
@@ -102,7 +106,8 @@ def test_from_any_format_to_any_other(tmp_path, source, target):
 
 @pytest.mark.sampled
 @pytest.mark.parametrize(
-    ("dtype", "stored"), [(bool, "uint8"), ("f2", "float32"), (">i2", "int16"), ("i8", "int64"), ("i1", "int8")]
+    ("dtype", "stored"),
+    [(bool, "uint8"), ("f2", "float32"), (">i2", "int16"), ("i8", "int64"), ("i1", "int8")],
 )
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd", ".mha"])
 def test_types_that_formats_lack_are_converted(tmp_path, suffix, dtype, stored):
@@ -143,7 +148,9 @@ def test_nrrd_in_another_space_is_given_back_in_it(tmp_path):
     ras = head.replace(b"left-posterior-superior", b"right-anterior-superior")
     (tmp_path / "ras.nrrd").write_bytes(ras + gap + voxels)
     volume = io.read(tmp_path / "ras.nrrd")
-    np.testing.assert_allclose(volume.geometry.origin, np.array([-1, -1, 1]) * GRIDS["oblique"].origin)
+    np.testing.assert_allclose(
+        volume.geometry.origin, np.array([-1, -1, 1]) * GRIDS["oblique"].origin
+    )
     io.write(volume, tmp_path / "b.nrrd")
     placing = [line for line in ras.splitlines() if line.startswith(b"space")]
     written = (tmp_path / "b.nrrd").read_bytes().partition(b"\n\n")[0].splitlines()
@@ -163,7 +170,9 @@ def test_header_fields_of_another_grid_are_not_used(tmp_path, suffix):
 # ----------------------------------------------------------------------------------------------------- labels
 
 
-@pytest.mark.parametrize(("top", "stored"), [(1, "uint8"), (255, "uint8"), (256, "uint16"), (65536, "uint32")])
+@pytest.mark.parametrize(
+    ("top", "stored"), [(1, "uint8"), (255, "uint8"), (256, "uint16"), (65536, "uint32")]
+)
 @pytest.mark.parametrize("dtype", ["int32", "float64"])
 def test_labels_are_written_in_the_smallest_type(tmp_path, dtype, top, stored):
     array = np.zeros((2, 3, 4), dtype)
@@ -192,7 +201,9 @@ def test_labels_that_are_not_whole_are_refused(tmp_path, value):
     array = np.zeros((2, 3, 4))
     array[1, 1, 1] = value
     io.write(Volume.from_array(array), tmp_path / "a.mha")
-    with pytest.raises(InputError, match=r"a\.mha: labels must be whole numbers, 1 voxel is .* not: the") as caught:
+    with pytest.raises(
+        InputError, match=r"a\.mha: labels must be whole numbers, 1 voxel is .* not: the"
+    ) as caught:
         io.read_labels(tmp_path / "a.mha")
     assert "nearest" in caught.value.hint
 
@@ -267,7 +278,11 @@ def test_an_image_larger_than_memory_is_refused_with_the_estimate(tmp_path, suff
     io.write(make(dtype="int16"), path)
     needed = 5 * 6 * 7 * (2 + 12)
     io.read(path, memory_bytes=needed)
-    refuse(path, r"7 x 6 x 5 voxels needs about 0\.00 GiB of memory, 0\.00 GiB are available", memory_bytes=needed - 1)
+    refuse(
+        path,
+        r"7 x 6 x 5 voxels needs about 0\.00 GiB of memory, 0\.00 GiB are available",
+        memory_bytes=needed - 1,
+    )
 
 
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha"])
@@ -336,7 +351,11 @@ def test_writing_where_one_cannot(tmp_path):
     for path in (tmp_path / "none" / "a.nii", tmp_path / "file" / "a.nii", tmp_path / "folder.nii"):
         with pytest.raises(OutputError) as caught:
             io.write(make(), path)
-        assert caught.value.exit_code == 7 and str(caught.value).startswith(f"{path}: ") and caught.value.hint
+        assert (
+            caught.value.exit_code == 7
+            and str(caught.value).startswith(f"{path}: ")
+            and caught.value.hint
+        )
     assert sorted(f.name for f in tmp_path.iterdir()) == ["file", "folder.nii"]
 
 
@@ -368,7 +387,9 @@ def test_nothing_half_written_stays(tmp_path, monkeypatch, suffix, where, failur
     def fail(*args):
         raise failure
 
-    monkeypatch.setattr(images.os if where == "os.replace" else images, where.removeprefix("os."), fail)
+    monkeypatch.setattr(
+        images.os if where == "os.replace" else images, where.removeprefix("os."), fail
+    )
     with pytest.raises(raised) as caught:
         io.write(make(seed=2), path)
     if raised is OutputError:
@@ -419,12 +440,23 @@ def test_real_scans_keep_their_grid(real_volumes, tmp_path):
     for path in sorted(real_volumes.glob("*oblique*.nii.gz")):
         volume = io.read(path)
         image = sitk.ReadImage(str(path))
-        assert volume.geometry.spacing_xyz == image.GetSpacing() and volume.geometry.origin == image.GetOrigin()
+        assert (
+            volume.geometry.spacing_xyz == image.GetSpacing()
+            and volume.geometry.origin == image.GetOrigin()
+        )
         io.write_labels(volume.with_array(volume.array > volume.array.mean()), tmp_path / path.name)
         back = sitk.ReadImage(str(tmp_path / path.name))
         assert back.GetSpacing() == image.GetSpacing() and back.GetOrigin() == image.GetOrigin()
         assert back.GetDirection() == image.GetDirection()
-        for key in ("qform_code", "sform_code", "srow_x", "srow_y", "srow_z", "quatern_b", "xyzt_units"):
+        for key in (
+            "qform_code",
+            "sform_code",
+            "srow_x",
+            "srow_y",
+            "srow_z",
+            "quatern_b",
+            "xyzt_units",
+        ):
             assert back.GetMetaData(key) == image.GetMetaData(key)
 
 

@@ -32,13 +32,22 @@ def labels(shape=GRID.shape, top=700) -> np.ndarray:
     return array
 
 
-def fill(store: io.LabelStore, array: np.ndarray, step: tuple[int, int, int] = (32, 75, 40)) -> None:
+def fill(
+    store: io.LabelStore, array: np.ndarray, step: tuple[int, int, int] = (32, 75, 40)
+) -> None:
     """Write all boxes of a size, in an order of no meaning."""
     nz, ny, nx = array.shape
-    corners = [(z, y, x) for z in range(0, nz, step[0]) for y in range(0, ny, step[1]) for x in range(0, nx, step[2])]
+    corners = [
+        (z, y, x)
+        for z in range(0, nz, step[0])
+        for y in range(0, ny, step[1])
+        for x in range(0, nx, step[2])
+    ]
     for i in np.random.default_rng(1).permutation(len(corners)):
         corner = corners[i]
-        box = box_at(corner, [min(w, n - c) for w, n, c in zip(step, array.shape, corner, strict=True)])
+        box = box_at(
+            corner, [min(w, n - c) for w, n, c in zip(step, array.shape, corner, strict=True)]
+        )
         if array[box].any():
             store.write(box, array[box])
 
@@ -57,7 +66,9 @@ def test_boxes_give_the_bytes_of_the_whole(tmp_path, suffix):
     io.write_labels(Volume(array, GRID, metadata), tmp_path / f"whole{suffix}")
     with io.LabelStore(tmp_path / f"boxes{suffix}", GRID, np.uint16, metadata) as store:
         fill(store, array)
-        np.testing.assert_array_equal(store.read(box_at((60, 0, 50), (10, 30, 30))), array[60:70, 0:30, 50:80])
+        np.testing.assert_array_equal(
+            store.read(box_at((60, 0, 50), (10, 30, 30))), array[60:70, 0:30, 50:80]
+        )
         assert not (tmp_path / f"boxes{suffix}").exists()
     whole, boxes = tmp_path / f"whole{suffix}", tmp_path / f"boxes{suffix}"
     if suffix == ".nii":
@@ -95,7 +106,9 @@ def test_a_full_disk_is_an_error_that_leaves_nothing(tmp_path, monkeypatch, suff
     owner = nifti_volumes.NiftiBoxes if suffix == ".nii" else zarr_pyramid.ZarrPyramid
     monkeypatch.setattr(owner, when, full)
     store = io.LabelStore(tmp_path / f"a{suffix}", GRID, np.uint8)
-    with pytest.raises(OutputError, match=rf"a{suffix}: cannot be written \(No space left") as caught:
+    with pytest.raises(
+        OutputError, match=rf"a{suffix}: cannot be written \(No space left"
+    ) as caught:
         store.write(box_at((0, 0, 0), (1, 1, 1)), np.ones((1, 1, 1), np.uint8))
         store.finish()
     assert "space" in caught.value.hint and os.listdir(tmp_path) == []
@@ -123,8 +136,12 @@ try:
 except OutputError as error:
     print(error, error.exit_code)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[2])
-    assert done.stdout == f"{tmp_path / f'a{suffix}'}: cannot be written (File too large) 7\n", done.stderr
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[2]
+    )
+    assert done.stdout == f"{tmp_path / f'a{suffix}'}: cannot be written (File too large) 7\n", (
+        done.stderr
+    )
     assert os.listdir(tmp_path) == []
 
 
@@ -179,7 +196,14 @@ def test_more_than_2_to_the_32_voxels_take_little_space(tmp_path, suffix):
     assert (wide[5:, 10:, 9:] == 9).all() and wide.sum() == 9 * 6 * 11 * 2
     assert sum(f.stat().st_blocks * 512 for f in tmp_path.rglob("*")) < 1 << 20
     if suffix == ".ome.zarr":
-        last = len(json.loads((path / "zarr.json").read_text())["attributes"]["ome"]["multiscales"][0]["datasets"]) - 1
+        last = (
+            len(
+                json.loads((path / "zarr.json").read_text())["attributes"]["ome"]["multiscales"][0][
+                    "datasets"
+                ]
+            )
+            - 1
+        )
         coarse = io.open_volume(path, level=last)
         assert max(coarse.shape) <= 64 and (coarse.read(whole_box(coarse.shape)) > 0).sum() <= 1
 
@@ -206,7 +230,10 @@ def test_the_levels_of_labels_are_labels_where_they_lie(tmp_path):
     said = json.loads((path / "zarr.json").read_text())["attributes"]["ome"]["image-label"]
     assert said["source"] == {"image": "../scan.ome.zarr"}
     values = [entry["label-value"] for entry in said["colors"]]
-    assert values == sorted(set(np.unique(array)) - {0}) and len({tuple(e["rgba"]) for e in said["colors"]}) > 600
+    assert (
+        values == sorted(set(np.unique(array)) - {0})
+        and len({tuple(e["rgba"]) for e in said["colors"]}) > 600
+    )
 
 
 def test_chunks_of_zeros_are_not_in_the_store(tmp_path):

@@ -9,7 +9,9 @@ from accelsurf.settings.labels import LabelEntry, LabelTable
 
 ENTRIES = [LabelEntry(1, "liver", (200, 60, 60)), LabelEntry(7, 'left "big" kidney', (0, 128, 255))]
 WRITERS = {
-    "a.txt": label_tables.itk_snap_text, "a.ctbl": label_tables.color_table_text, "dseg.tsv": label_tables.bids_text
+    "a.txt": label_tables.itk_snap_text,
+    "a.ctbl": label_tables.color_table_text,
+    "dseg.tsv": label_tables.bids_text,
 }
 
 
@@ -24,7 +26,9 @@ def test_what_is_written_is_read_back(tmp_path, name):
 def test_columns_in_any_order_and_colours_in_two_ways(tmp_path):
     (tmp_path / "a.csv").write_text("name,B,r,g,id\nspleen,3,1,2,4\n\n")
     assert label_tables.read_table(tmp_path / "a.csv")[4] == LabelEntry(4, "spleen", (1, 2, 3))
-    (tmp_path / "b.tsv").write_text("index\tname\tshort\tcolor\n0\tnothing\tBG\tn/a\n2\tspleen\tSP\t#010203\n")
+    (tmp_path / "b.tsv").write_text(
+        "index\tname\tshort\tcolor\n0\tnothing\tBG\tn/a\n2\tspleen\tSP\t#010203\n"
+    )
     assert list(label_tables.read_table(tmp_path / "b.tsv")) == [LabelEntry(2, "spleen", (1, 2, 3))]
 
 

@@ -30,7 +30,9 @@ def scaled(path, values, slope, dtype="<i2"):
 @pytest.mark.parametrize("slope", [1.0000001, 0.9999999, 1.0000002, 0.99998, 1.00003])
 def test_labels_of_a_slope_near_one_are_those_that_are_stored(tmp_path, slope, seed):
     values = np.random.default_rng(seed).integers(0, 900, SHAPE)
-    np.testing.assert_array_equal(io.read_labels(scaled(tmp_path / "a.nii", values, slope)).array, values)
+    np.testing.assert_array_equal(
+        io.read_labels(scaled(tmp_path / "a.nii", values, slope)).array, values
+    )
 
 
 @pytest.mark.parametrize("slope", [1.0000001, 0.9999999])
@@ -92,7 +94,10 @@ def check_hint(hint, path, capfd, folder):
         ([np.nan] * 336, "336 voxels are NaN"),
         ([np.inf] * 336, "336 voxels are infinite"),
         ([np.nan, 2.0] + [1.0] * 334, "1 to 2, 1 voxel is NaN"),
-        ([np.nan, -np.inf, np.inf] + [1.5] * 333, "1.5 to 1.5, 1 voxel is NaN, 2 voxels are infinite"),
+        (
+            [np.nan, -np.inf, np.inf] + [1.5] * 333,
+            "1.5 to 1.5, 1 voxel is NaN, 2 voxels are infinite",
+        ),
     ],
 )
 def test_look_says_values_that_there_are(tmp_path, capfd, values, said):
@@ -100,8 +105,23 @@ def test_look_says_values_that_there_are(tmp_path, capfd, values, said):
     assert execute(["look", str(tmp_path / "a.nii"), "-o", str(tmp_path / "a.png")]) == 0
     out, err = capfd.readouterr()
     assert not err and f"values   {said}\n" in out
-    assert execute(["look", str(tmp_path / "a.nii"), "--labels", str(tmp_path / "a.nii"), "-o", str(tmp_path)]) == 3
-    assert [line.partition(":")[0] for line in capfd.readouterr().err.splitlines()] == ["error", "hint"]
+    assert (
+        execute(
+            [
+                "look",
+                str(tmp_path / "a.nii"),
+                "--labels",
+                str(tmp_path / "a.nii"),
+                "-o",
+                str(tmp_path),
+            ]
+        )
+        == 3
+    )
+    assert [line.partition(":")[0] for line in capfd.readouterr().err.splitlines()] == [
+        "error",
+        "hint",
+    ]
 
 
 @pytest.mark.parametrize("offset", [2**31, 2**40, 2**52, -(2**45)])
@@ -110,10 +130,21 @@ def test_whole_numbers_that_single_precision_does_not_tell_apart(tmp_path, capfd
     z, y, x = np.indices(SHAPE)
     values = 100 * ((x - 4) ** 2 + (y - 3) ** 2 + (z - 3) ** 2 < 6).astype(np.int64) + offset
     io.write(Volume.from_array(values), tmp_path / "a.nrrd")
-    words = ["segment", str(tmp_path / "a.nrrd"), "-o", str(tmp_path / "out"), "--start", "ball:4,3,3,2"]
+    words = [
+        "segment",
+        str(tmp_path / "a.nrrd"),
+        "-o",
+        str(tmp_path / "out"),
+        "--start",
+        "ball:4,3,3,2",
+    ]
     assert execute(words) == 3
     err = capfd.readouterr().err
-    assert f"from {offset} to {offset + 100}" in err and f"subtract {offset}" in err and "constant" not in err
+    assert (
+        f"from {offset} to {offset + 100}" in err
+        and f"subtract {offset}" in err
+        and "constant" not in err
+    )
     assert execute(["look", str(tmp_path / "a.nrrd"), "-o", str(tmp_path / "a.png")]) == 0
     assert f"values   {offset} to {offset + 100}\n" in capfd.readouterr().out
     volume = Volume.from_array(values - offset)
@@ -123,9 +154,15 @@ def test_whole_numbers_that_single_precision_does_not_tell_apart(tmp_path, capfd
 @pytest.mark.parametrize(
     ("dtype", "low"),
     [
-        ("u1", 0), ("i2", -1000), ("u2", 65000), ("i4", 10**7), ("f4", 1e6), ("f4", 16777214), ("f8", 1e6),
+        ("u1", 0),
+        ("i2", -1000),
+        ("u2", 65000),
+        ("i4", 10**7),
+        ("f4", 1e6),
+        ("f4", 16777214),
+        ("f8", 1e6),
         ("i8", -(10**7)),
-    ],  # fmt: skip
+    ],
 )
 def test_plain_images_of_two_values_are_none_of_these(dtype, low):
     values = np.full(SHAPE, low, dtype)

@@ -30,7 +30,10 @@ def assert_same_boxes(path, **opening) -> io.LazyVolume:
     whole, lazy = io.read(path), io.open_volume(path, **opening)
     assert lazy.dtype == whole.array.dtype and lazy.dtype.isnative
     assert lazy.geometry.difference(whole.geometry) == "" and lazy.shape == whole.geometry.shape
-    assert lazy.geometry.origin == whole.geometry.origin and lazy.geometry.spacing == whole.geometry.spacing
+    assert (
+        lazy.geometry.origin == whole.geometry.origin
+        and lazy.geometry.spacing == whole.geometry.spacing
+    )
     assert lazy.metadata == whole.metadata and lazy.source == path
     for box in BOXES:
         got = lazy.read(box)
@@ -62,7 +65,9 @@ def test_boxes_of_a_nifti_are_those_of_the_whole_image(tmp_path, dtype, scale, k
 def test_an_array_is_read_like_a_file_and_not_shared():
     volume = Volume.from_array(values(">i2"), spacing=(2, 1, 0.5))
     lazy = io.LazyVolume.of_array(volume)
-    assert lazy.geometry is volume.geometry and lazy.dtype == np.dtype("i2") and lazy.bytes_read == 0
+    assert (
+        lazy.geometry is volume.geometry and lazy.dtype == np.dtype("i2") and lazy.bytes_read == 0
+    )
     got = lazy.read(BOXES[3])
     np.testing.assert_array_equal(got, volume.array[BOXES[3]])
     got[:] = 0
@@ -88,11 +93,18 @@ def test_rows_far_apart_are_read_one_by_one_and_near_ones_together(tmp_path):
 def test_threads_read_the_same(tmp_path, suffix):
     array = np.random.default_rng(4).integers(0, 255, (70, 66, 90)).astype(np.uint8)
     io.write(Volume.from_array(array), tmp_path / f"a{suffix}")
-    lazy = io.open_volume(tmp_path / f"a{suffix}", cache_bytes=70_000)  # of a few pages, or less than a chunk
+    lazy = io.open_volume(
+        tmp_path / f"a{suffix}", cache_bytes=70_000
+    )  # of a few pages, or less than a chunk
 
     def same(seed: int) -> bool:
-        low, high = np.sort(np.random.default_rng(seed).integers(0, np.array(array.shape) + 1, (2, 3)), axis=0)
-        box = tuple(slice(int(a), int(max(a + 1, b))) for a, b in zip(np.minimum(low, 65), high, strict=True))
+        low, high = np.sort(
+            np.random.default_rng(seed).integers(0, np.array(array.shape) + 1, (2, 3)), axis=0
+        )
+        box = tuple(
+            slice(int(a), int(max(a + 1, b)))
+            for a, b in zip(np.minimum(low, 65), high, strict=True)
+        )
         return np.array_equal(lazy.read(box), array[box])
 
     with ThreadPoolExecutor(4) as pool:
@@ -177,5 +189,8 @@ def test_an_opened_volume_goes_to_another_process(tmp_path, monkeypatch):
     packed = pickle.dumps(io.open_volume("a.nii"))
     monkeypatch.chdir(tmp_path.parent)
     for again in (pickle.loads(packed), pickle.loads(pickle.dumps(LazyVolume.of_array(image)))):
-        assert again.geometry.matches(image.geometry) and again.read(box).tolist() == image.array[box].tolist()
+        assert (
+            again.geometry.matches(image.geometry)
+            and again.read(box).tolist() == image.array[box].tolist()
+        )
     assert len(packed) < 2000, "the voxels stay in their file"

@@ -42,7 +42,9 @@ def test_an_image_of_simpleitk_is_what_its_file_is(tmp_path):
     path = tmp_path / "a.nrrd"
     sitk.WriteImage(itk_image(), str(path))
     assert same(as_volume(itk_image()), accelsurf.read(path))
-    assert same(as_volume(path), accelsurf.read(path)) and same(as_volume(str(path)), accelsurf.read(path))
+    assert same(as_volume(path), accelsurf.read(path)) and same(
+        as_volume(str(path)), accelsurf.read(path)
+    )
     upright = sitk.GetImageFromArray(values())
     flat = as_volume(upright[:, :, 5])
     assert flat.array.shape == (1, 14, 16) and flat.geometry.spacing[1:] == (1.0, 1.0)
@@ -52,15 +54,22 @@ def test_an_image_of_simpleitk_is_what_its_file_is(tmp_path):
 def test_an_image_of_nibabel_is_what_its_file_is(tmp_path, unit):
     path, scale = tmp_path / "a.nii.gz", 1000.0 if unit == "micron" else 1.0
     affine = np.eye(4)
-    affine[:3, :3], affine[:3, 3] = scale * TURN * (1.0, 1.0, 2.0), [scale * 30, scale * -20, scale * 10]
+    affine[:3, :3], affine[:3, 3] = (
+        scale * TURN * (1.0, 1.0, 2.0),
+        [scale * 30, scale * -20, scale * 10],
+    )
     image = nibabel.Nifti1Image(values().T[..., np.newaxis], affine)
     image.header.set_xyzt_units(unit)
     nibabel.save(image, path)
-    assert same(as_volume(image), accelsurf.read(path)) and same(as_volume(nibabel.load(path)), accelsurf.read(path))
+    assert same(as_volume(image), accelsurf.read(path)) and same(
+        as_volume(nibabel.load(path)), accelsurf.read(path)
+    )
     assert as_volume(image).geometry.origin == pytest.approx((-30.0, 20.0, 10.0))
     mgh = nibabel.MGHImage(values().T.astype(np.float32), affine)
     nibabel.save(mgh, tmp_path / "a.mgz")
-    assert as_volume(mgh).geometry.matches(accelsurf.read(tmp_path / "a.mgz").geometry, 1e-3 * scale)
+    assert as_volume(mgh).geometry.matches(
+        accelsurf.read(tmp_path / "a.mgz").geometry, 1e-3 * scale
+    )
 
 
 def xarray_image(**coords):
@@ -69,15 +78,23 @@ def xarray_image(**coords):
 
 
 def test_an_image_of_xarray_has_its_coordinates():
-    image = xarray_image(z=10 + 2.0 * np.arange(12), y=-20 - np.arange(14.0), x=30 + np.arange(16.0))
+    image = xarray_image(
+        z=10 + 2.0 * np.arange(12), y=-20 - np.arange(14.0), x=30 + np.arange(16.0)
+    )
     volume = as_volume(image)
-    assert volume.geometry.spacing == (2.0, 1.0, 1.0) and volume.geometry.origin == (30.0, -20.0, 10.0)
+    assert volume.geometry.spacing == (2.0, 1.0, 1.0) and volume.geometry.origin == (
+        30.0,
+        -20.0,
+        10.0,
+    )
     assert np.array_equal(volume.geometry.index_to_world((1, 2, 3)), [33.0, -22.0, 12.0])
     turned = image.expand_dims(c=1).transpose("x", "c", "z", "y")
     assert same(as_volume(turned), volume)
     in_um = image.assign_coords(x=("x", 1000 * image.x.values, {"units": "um"}))
     assert same(as_volume(in_um), volume)
-    straight = xarray_image(z=10 + 2.0 * np.arange(12), y=-20 + np.arange(14.0), x=30 + np.arange(16.0))
+    straight = xarray_image(
+        z=10 + 2.0 * np.arange(12), y=-20 + np.arange(14.0), x=30 + np.arange(16.0)
+    )
     straight.attrs["direction"] = np.flip(TURN)  # as ITK gives it: z, y, x
     assert same(as_volume(straight), as_volume(itk_image()))
     assert as_volume(xarray_image(), 3.0).geometry.spacing == (3.0, 3.0, 3.0)
@@ -88,7 +105,9 @@ def test_what_of_xarray_cannot_be_used_is_refused():
     with pytest.raises(GeometryError, match="coordinate z: its places are not evenly spaced"):
         as_volume(image)
     with pytest.raises(GeometryError, match="coordinate y: degrees given, lengths expected"):
-        as_volume(image.drop_vars("z").assign_coords(y=("y", np.arange(14.0), {"units": "degrees"})))
+        as_volume(
+            image.drop_vars("z").assign_coords(y=("y", np.arange(14.0), {"units": "degrees"}))
+        )
     with pytest.raises(InputError, match=r"dimensions time, y, x were given") as refused:
         as_volume(image.drop_vars("z").rename(z="time"))
     assert "isel(time=0)" in refused.value.hint
@@ -101,16 +120,23 @@ def test_what_of_xarray_cannot_be_used_is_refused():
 
 def test_arrays_of_torch_and_dask_are_arrays():
     dask = pytest.importorskip("dask.array", reason="dask is not installed")
-    assert same(as_volume(dask.from_array(values(), chunks=5), (2.0, 1.0, 1.0)), as_volume(values(), (2.0, 1.0, 1.0)))
+    assert same(
+        as_volume(dask.from_array(values(), chunks=5), (2.0, 1.0, 1.0)),
+        as_volume(values(), (2.0, 1.0, 1.0)),
+    )
     torch = pytest.importorskip("torch", reason="torch is not installed")
     halves = torch.tensor(values(), dtype=torch.bfloat16)
     for tensor in (torch.tensor(values()), halves, torch.rand(3, 4, 5).requires_grad_()):
         assert np.array_equal(as_volume(tensor).array, tensor.detach().float().numpy())
 
 
-@pytest.mark.parametrize("given", [{}, 7, None, object(), b"scan.nii"], ids=lambda given: type(given).__name__)
+@pytest.mark.parametrize(
+    "given", [{}, 7, None, object(), b"scan.nii"], ids=lambda given: type(given).__name__
+)
 def test_what_is_no_image_names_the_reader(given):
-    with pytest.raises(InputError, match=f"a {type(given).__name__} was given, expected a path, an array") as refused:
+    with pytest.raises(
+        InputError, match=f"a {type(given).__name__} was given, expected a path, an array"
+    ) as refused:
         accelsurf.segment(given)
     assert "accelsurf.read" in refused.value.hint
 
@@ -145,7 +171,10 @@ def test_agreement_of_label_maps_of_any_kind(tmp_path):
     xarray = pytest.importorskip("xarray", reason="xarray is not installed")
     dask = pytest.importorskip("dask.array", reason="dask is not installed")
     image = as_volume(itk_image())
-    first, second = image.with_array((image.array > 50).astype(np.uint8)), image.with_array((image.array > 0) * 3)
+    first, second = (
+        image.with_array((image.array > 50).astype(np.uint8)),
+        image.with_array((image.array > 0) * 3),
+    )
     second.array[:5] = 0
     wanted = accelsurf.evaluate(first, second)
     assert wanted.dice < 0.8 and wanted.volume_pred_mm3 == 2 * first.array.sum()
@@ -155,7 +184,13 @@ def test_agreement_of_label_maps_of_any_kind(tmp_path):
     assert same(accelsurf.read(tmp_path / "pred.nii.gz"), first)
     others = [second, str(tmp_path / "ref.nrrd"), second.array, dask.from_array(second.array)]
     accelsurf.write(second, others[1])
-    for pred in (first, mask, first.array, tmp_path / "pred.nii.gz", nibabel.load(tmp_path / "pred.nii.gz")):
+    for pred in (
+        first,
+        mask,
+        first.array,
+        tmp_path / "pred.nii.gz",
+        nibabel.load(tmp_path / "pred.nii.gz"),
+    ):
         for number, ref in enumerate(others):
             given = {"spacing": (2.0, 1.0, 1.0)} if pred is first.array and number > 1 else {}
             found = accelsurf.evaluate(pred, ref, **given).to_dict()
@@ -182,7 +217,11 @@ def test_images_of_any_kind_are_written(tmp_path):
         path = tmp_path / f"{number}.nrrd"
         accelsurf.write(image, path, **({} if number == 0 else {"spacing": (2.0, 1.0, 1.0)}))
         written = accelsurf.read(path)
-        assert np.array_equal(written.array, volume.array) and written.geometry.spacing == (2.0, 1.0, 1.0)
+        assert np.array_equal(written.array, volume.array) and written.geometry.spacing == (
+            2.0,
+            1.0,
+            1.0,
+        )
     assert same(accelsurf.read(tmp_path / "0.nrrd"), volume)
     write_labels(itk_image(), tmp_path / "labels.nii.gz")
     assert accelsurf.read(tmp_path / "labels.nii.gz").array.dtype == np.uint8
@@ -208,9 +247,13 @@ def test_frames_of_any_kind_are_followed(tmp_path):
         accelsurf.write(frame, tmp_path / f"f{number}.nii")
     coords = {axis: np.arange(float(n)) for axis, n in zip("zyx", stack.shape[1:], strict=True)}
     kinds = {
-        "array": stack, "dask": dask.from_array(stack, chunks=(1, 14, 16, 22)), "path": tmp_path / "frames.npy",
-        "sitk": [sitk.GetImageFromArray(frame) for frame in stack], "files": sorted(tmp_path.glob("f?.nii")),
-        "xarray": xarray.DataArray(stack, coords, dims=tuple("tzyx")), "pattern": str(tmp_path / "f?.nii"),
+        "array": stack,
+        "dask": dask.from_array(stack, chunks=(1, 14, 16, 22)),
+        "path": tmp_path / "frames.npy",
+        "sitk": [sitk.GetImageFromArray(frame) for frame in stack],
+        "files": sorted(tmp_path.glob("f?.nii")),
+        "xarray": xarray.DataArray(stack, coords, dims=tuple("tzyx")),
+        "pattern": str(tmp_path / "f?.nii"),
     }
     for name, given in kinds.items():
         tracking = accelsurf.track(given, objects=sitk.GetImageFromArray(start), max_steps=60)
@@ -224,14 +267,23 @@ def test_frames_of_any_kind_are_followed(tmp_path):
 
 
 def test_frames_that_are_none_are_refused(tmp_path):
-    for wrong in ([], 7, None, np.zeros((3, 4)), accelsurf.Volume.from_array(frames()[0]), itk_image(),
-                  nibabel.Nifti1Image(np.zeros((4, 5, 6, 3), np.int16), np.eye(4))):
+    for wrong in (
+        [],
+        7,
+        None,
+        np.zeros((3, 4)),
+        accelsurf.Volume.from_array(frames()[0]),
+        itk_image(),
+        nibabel.Nifti1Image(np.zeros((4, 5, 6, 3), np.int16), np.eye(4)),
+    ):
         with pytest.raises(InputError, match="the sequence: a ") as refused:
             accelsurf.track(wrong)
         assert "accelsurf.read_sequence" in refused.value.hint
     with pytest.raises(InputError, match="spacing given together with a sequence"):
         accelsurf.track(tmp_path / "frames.npy", spacing=2.0)
-    tracking = accelsurf.track([*frames(), frames()[0][1:]], objects=(frames()[0] > 50).astype(np.uint8))
+    tracking = accelsurf.track(
+        [*frames(), frames()[0][1:]], objects=(frames()[0] > 50).astype(np.uint8)
+    )
     with pytest.raises(InputError, match="frame 3 lies on another grid"):
         list(tracking)
 
@@ -241,7 +293,9 @@ def test_clicks_in_the_order_of_the_axes(flat):
     image, inside, outside = values(), [(5, 6, 7)], [(0, 1, 2), (11, 12, 13)]
     if flat:
         image, inside, outside = image[5], (6, 7), [(1, 2), (12, 13)]
-    labels, result = accelsurf.segment_clicks(image, inside, outside, return_result=True, spacing=1.0)
+    labels, result = accelsurf.segment_clicks(
+        image, inside, outside, return_result=True, spacing=1.0
+    )
     assert labels.shape == image.shape and labels.dtype == np.uint8
     assert 2 * (labels & (image > 50)).sum() / (labels.sum() + (image > 50).sum()) > 0.98
     assert result.config.inside == (("point:7,6,0vox",) if flat else ("point:7,6,5vox",))
@@ -251,7 +305,9 @@ def test_clicks_in_the_order_of_the_axes(flat):
 
 
 def test_clicks_that_are_none_are_refused():
-    with pytest.raises(UsageError, match=r"inside: an array of shape \(1, 2\) was given, expected indices \(n, 3\)"):
+    with pytest.raises(
+        UsageError, match=r"inside: an array of shape \(1, 2\) was given, expected indices \(n, 3\)"
+    ):
         accelsurf.segment_clicks(values(), [(1, 2)])
     with pytest.raises(UsageError, match="inside: nothing was given"):
         accelsurf.segment_clicks(values(), [])
@@ -282,11 +338,21 @@ def test_a_type_checker_sees_the_options(tmp_path):
         "accelsurf.segment_clicks(image, [(1, 2, 3)]).volume_mm3": "volume_mm3",
     }
     script = tmp_path / "options.py"
-    script.write_text("import numpy as np\nimport accelsurf\nimage = np.zeros((4, 5, 6))\n" + "\n".join(lines) + "\n")
+    script.write_text(
+        "import numpy as np\nimport accelsurf\nimage = np.zeros((4, 5, 6))\n"
+        + "\n".join(lines)
+        + "\n"
+    )
     run = subprocess.run(
-        [sys.executable, "-m", "mypy", "--config-file", "pyproject.toml", str(script)], cwd=ROOT, capture_output=True,
+        [sys.executable, "-m", "mypy", "--config-file", "pyproject.toml", str(script)],
+        cwd=ROOT,
+        capture_output=True,
         text=True,
-    )  # fmt: skip
+    )
     for number, wrong in enumerate(lines.values(), start=4):
-        said = [line for line in run.stdout.splitlines() if line.startswith(f"{script}:{number}: error")]
-        assert bool(said) == bool(wrong) and all(wrong in line for line in said), run.stdout + run.stderr
+        said = [
+            line for line in run.stdout.splitlines() if line.startswith(f"{script}:{number}: error")
+        ]
+        assert bool(said) == bool(wrong) and all(wrong in line for line in said), (
+            run.stdout + run.stderr
+        )

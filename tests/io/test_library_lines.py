@@ -47,7 +47,10 @@ def pages_of(path):
 def test_a_damaged_stream_is_refused_with_the_line_of_the_library(tmp_path, seed, capfd):
     path = damaged(tmp_path / "a.tif", seed)
     reasons = []
-    for read in (io.read, lambda path: io.open_volume(path).read((slice(0, 4), slice(0, 40), slice(0, 50)))):
+    for read in (
+        io.read,
+        lambda path: io.open_volume(path).read((slice(0, 4), slice(0, 40), slice(0, 50))),
+    ):
         try:
             read(path)
         except InputError as error:
@@ -68,7 +71,9 @@ def test_most_damages_are_noticed(tmp_path):
 
 
 @pytest.mark.parametrize("is_apart", [True, False])
-def test_lines_of_other_threads_arrive_and_readers_do_not_disturb_each_other(tmp_path, capfd, monkeypatch, is_apart):
+def test_lines_of_other_threads_arrive_and_readers_do_not_disturb_each_other(
+    tmp_path, capfd, monkeypatch, is_apart
+):
     """Where Linux does not let a thread have files of its own, one line may stand in the middle of another."""
     if not is_apart:
         monkeypatch.setattr(itk, "_take_own_files", lambda: False)
@@ -93,7 +98,9 @@ def test_lines_of_other_threads_arrive_and_readers_do_not_disturb_each_other(tmp
             if not np.array_equal(io.read(good).array, STACK):
                 faults.append(path)
 
-    threads = [threading.Thread(target=work) for work in (print_lines, read_all, read_all, read_all)]
+    threads = [
+        threading.Thread(target=work) for work in (print_lines, read_all, read_all, read_all)
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -106,7 +113,9 @@ def test_lines_of_other_threads_arrive_and_readers_do_not_disturb_each_other(tmp
         assert sum(line in found for line in lines) > 0.9 * len(lines)
 
 
-@pytest.mark.parametrize("options", [{"compression": "lzma"}, {"compression": "zlib", "tile": (16, 16)}])
+@pytest.mark.parametrize(
+    "options", [{"compression": "lzma"}, {"compression": "zlib", "tile": (16, 16)}]
+)
 def test_what_tifffile_logs_stays_with_it(tmp_path, capfd, caplog, options):
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, STACK, photometric="minisblack", rowsperstrip=None, **options)
@@ -124,7 +133,11 @@ def test_what_tifffile_logs_stays_with_it(tmp_path, capfd, caplog, options):
 
 def test_closed_standard_error_is_no_place_for_a_file(tmp_path):
     """A file that is opened gets the lowest number that is free: that of standard error, where it is closed."""
-    bad = next(path for path in (damaged(tmp_path / f"{seed}.tif", seed) for seed in range(30)) if is_refused(path))
+    bad = next(
+        path
+        for path in (damaged(tmp_path / f"{seed}.tif", seed) for seed in range(30))
+        if is_refused(path)
+    )
     code = (
         "import os, sys; os.close(2); from accelsurf import io\n"
         "try: io.read(sys.argv[1])\n"

@@ -14,7 +14,12 @@ from accelsurf.measure.surface_mesh import Surface
 
 SEEDS = range(4)
 #: Size and place of a ball, mm: one beside 0, one of a cell far from 0, one of a large object.
-BALLS = [(6.0, (3.1, -5.1, 0.0)), (0.03, (40.0, 12.0, -7.0)), (120.0, (1e3, -2e3, 500.0)), (1.0, (0.0, 0.0, 0.0))]
+BALLS = [
+    (6.0, (3.1, -5.1, 0.0)),
+    (0.03, (40.0, 12.0, -7.0)),
+    (120.0, (1e3, -2e3, 500.0)),
+    (1.0, (0.0, 0.0, 0.0)),
+]
 
 
 def ball(radius, center, subdivisions=2):
@@ -45,12 +50,18 @@ def rounded(points, rng, kind, ulps):
     largest = np.spacing(np.abs(moved).max())
     # As the numbers themselves round, and as what was computed from the largest of them.
     step = np.where(rng.random(points.shape) < 0.5, np.spacing(np.abs(moved)), largest)
-    return (moved + rng.integers(-ulps, ulps + 1, points.shape) * step).astype(moved.dtype).astype(float)
+    return (
+        (moved + rng.integers(-ulps, ulps + 1, points.shape) * step)
+        .astype(moved.dtype)
+        .astype(float)
+    )
 
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("kind, ulps", [("float32", 1), ("float32", 4), ("float64", 1), ("float64", 8), ("zeros", 1)])
+@pytest.mark.parametrize(
+    "kind, ulps", [("float32", 1), ("float32", 4), ("float64", 1), ("float64", 8), ("zeros", 1)]
+)
 @pytest.mark.parametrize("radius, center", BALLS)
 def test_corners_that_differ_by_rounding_are_one(radius, center, kind, ulps, seed):
     rng = np.random.default_rng(seed)
@@ -61,7 +72,9 @@ def test_corners_that_differ_by_rounding_are_one(radius, center, kind, ulps, see
     found, corners = meshes.closed_mesh(rounded(single, rng, kind, ulps), numbers)
     assert len(found) == len(points) and len(corners) == len(triangles)
     coarse = 2.0**-22 * ulps * np.abs(points).max() / radius if kind == "float32" else 1e-9
-    assert volume(found, corners) == pytest.approx(exact_volume(points, triangles), rel=1e-9 + 20 * coarse)
+    assert volume(found, corners) == pytest.approx(
+        exact_volume(points, triangles), rel=1e-9 + 20 * coarse
+    )
 
 
 @pytest.mark.parametrize("digits", [6, 7, 9])
@@ -128,7 +141,9 @@ def test_a_wall_between_two_bodies_is_none():
     left, right = trimesh.creation.box((4.0, 4.0, 4.0)), trimesh.creation.box((4.0, 4.0, 4.0))
     points = np.concatenate([left.vertices, right.vertices + (4.0, 0.0, 0.0)])
     for shift in (0, 1):  # the wall's squares may be cut along the same diagonal, or not
-        triangles = np.concatenate([left.faces, (right.faces if shift else right.faces[:, [1, 2, 0]]) + 8])
+        triangles = np.concatenate(
+            [left.faces, (right.faces if shift else right.faces[:, [1, 2, 0]]) + 8]
+        )
         found, faces = meshes.closed_mesh(points, triangles)
         grid = Geometry((6, 6, 12), (1.0, 1.0, 1.0), (-3.5, -2.5, -2.5))
         inside = meshes.voxels_inside(grid.world_to_index(found), faces, grid.shape)
@@ -163,7 +178,9 @@ def test_a_surface_with_a_hole_stays_refused(radius, center, noisy, seed):
     corners, numbers = soup(points, left)
     if noisy:
         corners = rounded(corners, rng, "float32", 1)
-    with pytest.raises(InputError, match=r"\d+ triangles with \d+ open edges, expected a closed surface"):
+    with pytest.raises(
+        InputError, match=r"\d+ triangles with \d+ open edges, expected a closed surface"
+    ):
         meshes.closed_mesh(corners, numbers)
 
 

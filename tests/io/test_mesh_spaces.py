@@ -1,6 +1,5 @@
 """SPACE=RAS and SPACE=LPS in the headers of meshes: what says RAS is turned to LPS, other words are refused."""
 
-
 import numpy as np
 import pytest
 
@@ -17,11 +16,29 @@ CORNERS = np.array([[10.0, 20, 30], [11, 20, 30], [10, 22, 30], [10, 20, 33]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
 TURNED = CORNERS * (-1.0, -1.0, 1.0)
 SUFFIXES = [form.suffix for form in MESH_FORMATS.values() if form.read]
-RAS = ["SPACE=RAS", "space=ras", "SPACE = RAS", "Space= Ras", "SPACE=R-A-S", 'SPACE="RAS"', "SPACE\t=\tRAS",
-       "SPACE=right-anterior-superior", "space = Right Anterior Superior", "UNIT=mm SPACE=RAS"]
+RAS = [
+    "SPACE=RAS",
+    "space=ras",
+    "SPACE = RAS",
+    "Space= Ras",
+    "SPACE=R-A-S",
+    'SPACE="RAS"',
+    "SPACE\t=\tRAS",
+    "SPACE=right-anterior-superior",
+    "space = Right Anterior Superior",
+    "UNIT=mm SPACE=RAS",
+]
 LPS = ["SPACE=LPS", "space = lps", "SPACE=left-posterior-superior", "SPACE=LPS+", ""]
-OTHERS = ["SPACE=XYZ", "SPACE=LAS", "space = scanner", "SPACE=scanner-RAS", "SPACE=MNI152", "SPACE=3D-RAS-time",
-          "SPACE=RA", "SPACE=LPS SPACE=RAS"]
+OTHERS = [
+    "SPACE=XYZ",
+    "SPACE=LAS",
+    "space = scanner",
+    "SPACE=scanner-RAS",
+    "SPACE=MNI152",
+    "SPACE=3D-RAS-time",
+    "SPACE=RA",
+    "SPACE=LPS SPACE=RAS",
+]
 
 
 def ply(said):
@@ -45,8 +62,10 @@ def stl_solid(said):
 
 def stl_text(said, end="endsolid"):
     facets = "".join(
-        "facet normal 0 0 0\nouter loop\n" + "".join(f"vertex {x} {y} {z}\n" for x, y, z in CORNERS[face])
-        + "endloop\nendfacet\n" for face in FACES
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in CORNERS[face])
+        + "endloop\nendfacet\n"
+        for face in FACES
     )
     return f"solid 3D Slicer output. {said}\n{facets}{end}\n".encode()
 
@@ -61,7 +80,12 @@ def obj_late(said):
 
 #: Writers whose points stand in the file as they are.
 PLAIN = {
-    "a.ply": ply, "b.ply": ply_info, "a.stl": stl, "b.stl": stl_solid, "c.stl": stl_text, "a.obj": obj,
+    "a.ply": ply,
+    "b.ply": ply_info,
+    "a.stl": stl,
+    "b.stl": stl_solid,
+    "c.stl": stl_text,
+    "a.obj": obj,
     "b.obj": obj_late,
 }
 
@@ -109,7 +133,9 @@ def test_lps_and_nothing_are_taken_as_they_are(name, said, tmp_path):
 @pytest.mark.parametrize("name", PLAIN)
 def test_other_spaces_are_refused_unless_the_user_says_which_they_are(name, said, tmp_path):
     path = written(tmp_path, name, said)
-    with pytest.raises(InputError, match=r"its header says SPACE=.*SPACE=LPS or SPACE=RAS expected") as caught:
+    with pytest.raises(
+        InputError, match=r"its header says SPACE=.*SPACE=LPS or SPACE=RAS expected"
+    ) as caught:
         meshes.read_mesh(path)
     assert "FILE@lps or FILE@ras" in caught.value.hint and "\n" not in str(caught.value)
     is_there(path, CORNERS, "lps")
@@ -129,8 +155,17 @@ def test_what_accelsurf_writes_says_its_space_and_comes_back_in_place(suffix, sp
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("said", ["color space = sRGB", "ColorSpace=RAS", "my_space=XYZ", "a free space", "SPACE=",
-                                  "SPACE= UNIT=mm"])
+@pytest.mark.parametrize(
+    "said",
+    [
+        "color space = sRGB",
+        "ColorSpace=RAS",
+        "my_space=XYZ",
+        "a free space",
+        "SPACE=",
+        "SPACE= UNIT=mm",
+    ],
+)
 @pytest.mark.parametrize("name", ["a.ply", "a.stl", "c.stl", "a.obj"])
 def test_words_that_say_no_space(name, said, tmp_path):
     is_there(written(tmp_path, name, said), CORNERS)
@@ -144,10 +179,16 @@ def test_another_unit_is_refused(name, tmp_path):
             meshes.read_mesh(written(tmp_path, name, f"SPACE=LPS UNIT={word}"))
 
 
-@pytest.mark.parametrize("said, given, place", [
-    ("SPACE=RAS", "", (-2.5, -1.8, -2.25)), ("SPACE=RAS", "@ras", (-2.5, -1.8, -2.25)),
-    ("", "@ras", (-2.5, -1.8, -2.25)), ("", "", (2.5, 1.8, -2.25)), ("SPACE=LPS", "@lps", (2.5, 1.8, -2.25)),
-])
+@pytest.mark.parametrize(
+    "said, given, place",
+    [
+        ("SPACE=RAS", "", (-2.5, -1.8, -2.25)),
+        ("SPACE=RAS", "@ras", (-2.5, -1.8, -2.25)),
+        ("", "@ras", (-2.5, -1.8, -2.25)),
+        ("", "", (2.5, 1.8, -2.25)),
+        ("SPACE=LPS", "@lps", (2.5, 1.8, -2.25)),
+    ],
+)
 def test_a_start_lies_where_its_mesh_says(said, given, place, tmp_path, monkeypatch):
     """A run of no step: the object is the start."""
     import trimesh
@@ -156,12 +197,26 @@ def test_a_start_lies_where_its_mesh_says(said, given, place, tmp_path, monkeypa
     made = trimesh.creation.icosphere(2, 3.0)
     points = np.asarray(made.vertices) + (2.5, 1.8, -2.25)
     content = surface_files.stl_bytes(points, np.asarray(made.faces, np.int32), "LPS")
-    (tmp_path / "a.stl").write_bytes(f"3D Slicer output. {said}".encode().ljust(80, b"\0") + content[80:])
+    (tmp_path / "a.stl").write_bytes(
+        f"3D Slicer output. {said}".encode().ljust(80, b"\0") + content[80:]
+    )
     index = np.stack(np.indices((24, 24, 24)), axis=-1)
-    volume = Volume.from_array(np.zeros((24, 24, 24), np.float32), (0.7, 0.7, 0.7), (-8.0, -8.0, -10.0))
+    volume = Volume.from_array(
+        np.zeros((24, 24, 24), np.float32), (0.7, 0.7, 0.7), (-8.0, -8.0, -10.0)
+    )
     bright = np.linalg.norm(volume.geometry.index_to_world(index) - place, axis=-1) < 3.0
     images.write(volume.with_array(bright.astype(np.float32) * 100), tmp_path / "a.nii.gz")
-    words = ["segment", "a.nii.gz", "-o", "out", "--start", f"mesh:a.stl{given}", "--max-steps", "1", "--quiet"]
+    words = [
+        "segment",
+        "a.nii.gz",
+        "-o",
+        "out",
+        "--start",
+        f"mesh:a.stl{given}",
+        "--max-steps",
+        "1",
+        "--quiet",
+    ]
     assert cli.execute(words) == 0
     found = images.read_labels(tmp_path / "out" / "a_seg.nii.gz")
     middle = found.geometry.index_to_world(np.argwhere(found.array > 0)).mean(axis=0)

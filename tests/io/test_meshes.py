@@ -44,7 +44,11 @@ def voxels(ball, tmp_path_factory):
 def refuse(path, words):
     with pytest.raises(InputError, match=words) as caught:
         meshes.voxels_in_mesh(path, GRID)
-    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value) and caught.value.hint
+    assert (
+        str(caught.value).startswith(f"{path}: ")
+        and "\n" not in str(caught.value)
+        and caught.value.hint
+    )
     assert len(str(caught.value)) < 400 + len(str(path))
 
 
@@ -78,7 +82,9 @@ def test_polygons_become_triangles(tmp_path):
     faces = "".join("f " + " ".join(str(n + 1) for n in face) + "\n" for face in cube.regular_faces)
     (tmp_path / "a.obj").write_text(f"mtllib nowhere.mtl\no one\n{corners}{faces}")
     found.append(meshes.voxels_in_mesh(tmp_path / "a.obj", GRID))
-    x, y, z = np.moveaxis(np.abs(GRID.index_to_world(np.moveaxis(np.indices(GRID.shape), 0, -1)) - CENTRE), -1, 0)
+    x, y, z = np.moveaxis(
+        np.abs(GRID.index_to_world(np.moveaxis(np.indices(GRID.shape), 0, -1)) - CENTRE), -1, 0
+    )
     for voxels in found:
         np.testing.assert_array_equal(voxels, (x < 2.5) & (y < 3) & (z < 3.5))
 
@@ -88,7 +94,9 @@ def test_several_objects_in_one_obj_file(ball, voxels, tmp_path):
     text = (tmp_path / "a.obj").read_text()
     points, faces = text[: text.index("\nf ")], text[text.index("\nf ") :]
     half = faces.index("\nf ", len(faces) // 2)
-    (tmp_path / "b.obj").write_text(f"{points}\no first\nusemtl x{faces[:half]}\no second\nusemtl y{faces[half:]}")
+    (tmp_path / "b.obj").write_text(
+        f"{points}\no first\nusemtl x{faces[:half]}\no second\nusemtl y{faces[half:]}"
+    )
     np.testing.assert_array_equal(meshes.voxels_in_mesh(tmp_path / "b.obj", GRID), voxels)
 
 
@@ -98,7 +106,9 @@ def test_numbers_of_an_obj_that_count_back(tmp_path, face):
     corners = [(0, 0, 0), (6, 0, 0), (0, 6, 0), (0, 0, 6)]
     text = "mtllib nowhere.mtl\n"
     for n, name in enumerate("ab"):
-        text += f"o {name}\nusemtl {name}\n" + "".join(f"v {x + 10 * n} {y} {z}\n" for x, y, z in corners)
+        text += f"o {name}\nusemtl {name}\n" + "".join(
+            f"v {x + 10 * n} {y} {z}\n" for x, y, z in corners
+        )
         text += f"f {face}\n" + "f -4 -3 -1\nf -4 -1 -2\nf -3 \\\n -2 -1\n"
     (tmp_path / "a.obj").write_text(text)
     points, triangles = meshes.read_mesh(tmp_path / "a.obj")
@@ -154,12 +164,27 @@ CORNERS = "0 0 0\n9 0 0\n0 9 0\n0 0 9\n"
             PLY.format(n=4, m=4) + CORNERS + "3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 7\n",
             "name points 0 to 7, it has 4",
         ),
-        ("a.ply", PLY.format(n=4, m=4) + CORNERS + "3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 -3\n", "name points -3 to 3"),
-        ("a.ply", PLY.format(n=4, m=3) + CORNERS + "3 0 2 1\n3 0 1 3\n3 0 3 2\n", "3 triangles with 3 open edges"),
-        ("a.ply", PLY.format(n=10**12, m=4) + CORNERS, "cannot be read as a mesh|open edges|no triangle"),
         (
             "a.ply",
-            PLY.format(n=4, m=4) + "0 0 nan\n" + CORNERS[6:] + "3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n",
+            PLY.format(n=4, m=4) + CORNERS + "3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 -3\n",
+            "name points -3 to 3",
+        ),
+        (
+            "a.ply",
+            PLY.format(n=4, m=3) + CORNERS + "3 0 2 1\n3 0 1 3\n3 0 3 2\n",
+            "3 triangles with 3 open edges",
+        ),
+        (
+            "a.ply",
+            PLY.format(n=10**12, m=4) + CORNERS,
+            "cannot be read as a mesh|open edges|no triangle",
+        ),
+        (
+            "a.ply",
+            PLY.format(n=4, m=4)
+            + "0 0 nan\n"
+            + CORNERS[6:]
+            + "3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n",
             "not finite",
         ),
         ("a.ply", PLY.format(n=0, m=0), "no triangle"),

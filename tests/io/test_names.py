@@ -40,8 +40,14 @@ def test_names_that_are_not_utf8_are_refused_by_name(tmp_path, suffix):
 def test_the_command_line_survives_a_name_that_is_not_utf8(tmp_path):
     (tmp_path / f"{BAD}.nii").write_bytes(b"x" * 500)
     words = ["segment", f"{BAD}.nii", "-o", "out"]
-    done = subprocess.run([sys.executable, "-m", "accelsurf", *words], cwd=tmp_path, capture_output=True, timeout=120)
-    assert done.returncode == 3 and b"not valid UTF-8" in done.stderr and b"Traceback" not in done.stderr
+    done = subprocess.run(
+        [sys.executable, "-m", "accelsurf", *words], cwd=tmp_path, capture_output=True, timeout=120
+    )
+    assert (
+        done.returncode == 3
+        and b"not valid UTF-8" in done.stderr
+        and b"Traceback" not in done.stderr
+    )
     for path in (tmp_path / "out").glob("*.json"):
         assert "UTF-8" in json.loads(path.read_text())["error"]["message"]
 
@@ -97,7 +103,8 @@ def test_file_names_with_an_at_or_a_colon(text, file, ids):
 
 
 @pytest.mark.parametrize(
-    "title", ["\u65e5\u672c\u8a9e: converged", "a$\\frac$b", BAD, "tab\tand\x07bell", "\u0939\u093f"]
+    "title",
+    ["\u65e5\u672c\u8a9e: converged", "a$\\frac$b", BAD, "tab\tand\x07bell", "\u0939\u093f"],
 )
 def test_any_name_is_drawn_without_a_warning(title):
     # Warnings are errors in these tests.
@@ -108,7 +115,8 @@ def test_any_name_is_drawn_without_a_warning(title):
 # ------------------------------------------------------------------------------------------- data in other folders
 
 HEADER = (
-    "ObjectType = Image\nNDims = 3\nBinaryData = True\nDimSize = 6 5 4\nElementType = MET_SHORT\nElementDataFile = {}\n"
+    "ObjectType = Image\nNDims = 3\nBinaryData = True\nDimSize = 6 5 4\nElementType = MET_SHORT\n"
+    "ElementDataFile = {}\n"
 )
 NRRD = "NRRD0004\ntype: short\ndimension: 3\nsizes: 6 5 4\nendian: little\nencoding: raw\ndata file: {}\n\n"
 
@@ -137,7 +145,9 @@ def test_data_within_the_folder_are_read(folders, suffix, name):
 
 
 @pytest.mark.parametrize("suffix", [".mhd", ".nrrd"])
-@pytest.mark.parametrize("name", ["../voxels.raw", "{top}/voxels.raw", "link.raw", "below/../../voxels.raw"])
+@pytest.mark.parametrize(
+    "name", ["../voxels.raw", "{top}/voxels.raw", "link.raw", "below/../../voxels.raw"]
+)
 def test_data_outside_of_the_folder_are_refused(folders, suffix, name):
     path = header(folders, suffix, name.format(top=folders.parent))
     for read in (io.read, channels.read_channels):
@@ -163,6 +173,16 @@ def test_a_user_without_a_home():
         "import accelsurf.kernels._jit as j, accelsurf.output.pictures.canvas as c\n"
         "c.Canvas(20, 20, 'a').png(); print('fine')"
     )
-    environment = {k: v for k, v in os.environ.items() if k not in ("HOME", "NUMBA_CACHE_DIR", "MPLCONFIGDIR", "USER")}
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)
+    environment = {
+        k: v
+        for k, v in os.environ.items()
+        if k not in ("HOME", "NUMBA_CACHE_DIR", "MPLCONFIGDIR", "USER")
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
     assert (done.stdout, done.stderr) == ("fine\n", "")

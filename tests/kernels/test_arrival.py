@@ -43,9 +43,14 @@ def test_times_are_the_reference_s(name):
     passes = np.ones(image.shape, bool)
     passes[:, 4, 2:] = False
     times, order = marched(image, spacing, seeds, passes=passes.ravel())
-    expected = plain_times(plain_cost(image, spacing, 0.0, 0.5, 1.0, WEIGHTS), spacing, seeds, passes)
+    expected = plain_times(
+        plain_cost(image, spacing, 0.0, 0.5, 1.0, WEIGHTS), spacing, seeds, passes
+    )
     np.testing.assert_allclose(
-        times[passes], expected[passes], rtol=1e-5, atol=bucket_width(WEIGHTS, Grid(1, 1, 1, *spacing))
+        times[passes],
+        expected[passes],
+        rtol=1e-5,
+        atol=bucket_width(WEIGHTS, Grid(1, 1, 1, *spacing)),
     )
     assert np.isinf(times[~passes]).all()
     assert sorted(order) == list(np.flatnonzero(passes))
@@ -54,7 +59,10 @@ def test_times_are_the_reference_s(name):
 def test_even_tissue_gives_distances():
     image = np.zeros((33, 41, 37), np.float32)
     times, order = marched(image, (1.0, 0.7, 0.9), [(16, 20, 18)])
-    z, y, x = ((i - c) * h for i, c, h in zip(np.indices(image.shape), (16, 20, 18), (1.0, 0.7, 0.9), strict=True))
+    z, y, x = (
+        (i - c) * h
+        for i, c, h in zip(np.indices(image.shape), (16, 20, 18), (1.0, 0.7, 0.9), strict=True)
+    )
     distance = np.sqrt(z**2 + y**2 + x**2)
     np.testing.assert_allclose(times[16, 20], 0.02 * distance[16, 20], rtol=1e-5)
     assert (np.abs(times / 0.02 - distance) < 0.05 * distance + 0.8).all()

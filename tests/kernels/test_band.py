@@ -67,7 +67,9 @@ def test_gather_keeps_signs_and_never_gives_zero():
     old.to_closest[7] = 0
     order = np.random.default_rng(3).permutation(old.cells.size)[:30]
     order[4] = 7
-    new = Band(np.full(30, -1), np.full(30, np.nan, np.float32), np.full((30, 3), np.nan, np.float32))
+    new = Band(
+        np.full(30, -1), np.full(30, np.nan, np.float32), np.full((30, 3), np.nan, np.float32)
+    )
     band_kernels.gather_band(0, 30, dense.psi, grid, order, old, new)
     np.testing.assert_array_equal(new.cells, old.cells[order])
     np.testing.assert_array_equal(new.to_closest, old.to_closest[order])
@@ -120,7 +122,9 @@ def test_fields_are_sampled_at_the_feet(shape, share, fields):
     new = Band(cells, np.linalg.norm(foot, axis=1).astype(np.float32), foot)
     out = np.full((fields, cells.size), np.nan, np.float32)
     front = rng.random(cells.size) < 0.9
-    band_kernels.sample_at_feet(0, cells.size, dense.slot, reference.grid_of(shape, SPACING), new, front, values, out)
+    band_kernels.sample_at_feet(
+        0, cells.size, dense.slot, reference.grid_of(shape, SPACING), new, front, values, out
+    )
     for field in range(fields):
         want, ways = sampled_by_the_reference(shape, present, values[field], cells, foot, old_slot)
         np.testing.assert_allclose(out[field, front], want[front], rtol=0, atol=2e-5)
@@ -147,7 +151,9 @@ def test_fields_sampled_are_the_same_bytes_alone_and_together_and_in_any_range()
     np.testing.assert_array_equal(parts, whole)
     for field in range(3):
         alone = np.empty((1, n), np.float32)
-        band_kernels.sample_at_feet(0, n, dense.slot, grid, band, front, values[field : field + 1], alone)
+        band_kernels.sample_at_feet(
+            0, n, dense.slot, grid, band, front, values[field : field + 1], alone
+        )
         np.testing.assert_array_equal(alone[0], whole[field])
 
 
@@ -170,7 +176,9 @@ def test_extension_replaces_values_off_the_front_only(shape, on_front):
     rng = np.random.default_rng(8)
     before = rng.standard_normal(n).astype(np.float32)
     front = rng.random(n) < on_front
-    values, off, slots, shares = extended(dense, reference.grid_of(shape, SPACING), band, front, before)
+    values, off, slots, shares = extended(
+        dense, reference.grid_of(shape, SPACING), band, front, before
+    )
     np.testing.assert_array_equal(values[front], before[front])
     on_grid, is_front = np.zeros(shape, np.float32), np.zeros(shape, bool)
     on_grid[present], is_front[present] = before, front
@@ -189,7 +197,10 @@ def test_extension_replaces_values_off_the_front_only(shape, on_front):
 
 def quadratic_table(dense, grid, band, front, across=-1):
     off = np.flatnonzero(~front).astype(np.int32)
-    slots, shares = np.full((off.size, 10), -1, np.int32), np.full((off.size, 10), np.nan, np.float32)
+    slots, shares = (
+        np.full((off.size, 10), -1, np.int32),
+        np.full((off.size, 10), np.nan, np.float32),
+    )
     table = slots, shares, np.full(off.size, -1, np.int8)
     # Rows as if the whole band had one.
     row_of = np.where(front, np.arange(front.size), -1).astype(np.int32)
@@ -207,7 +218,10 @@ def test_quadratic_extension_is_exact_for_quadratics_away_from_the_border(shape)
     front = np.ones(foot.shape[0], bool)
     index = np.argwhere(np.ones(shape, bool))
     at = index + foot / SPACING
-    a, b = rng.standard_normal((3, 3)) * np.outer(last > 0, last > 0), rng.standard_normal(3) * (last > 0)
+    a, b = (
+        rng.standard_normal((3, 3)) * np.outer(last > 0, last > 0),
+        rng.standard_normal(3) * (last > 0),
+    )
 
     def quadratic(p):
         return np.einsum("ni,ij,nj->n", p, a, p) + p @ b + 1.0
@@ -231,7 +245,9 @@ def test_quadratic_extension_is_exact_for_quadratics_away_from_the_border(shape)
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("share", [1.0, 0.6])
-@pytest.mark.parametrize(("axis", "across"), [(0, -1), (1, -1), (2, -1), (0, 0), (1, 1), (2, 2), (1, 2)])
+@pytest.mark.parametrize(
+    ("axis", "across"), [(0, -1), (1, -1), (2, -1), (0, 0), (1, 1), (2, 2), (1, 2)]
+)
 def test_quadratic_extension_at_the_border_is_that_of_the_mirrored_whole(axis, across, share):
     """A part of the front is missing (``share``), as in the mirror; a component through it changes sign."""
     rng, shape = np.random.default_rng(18), [5, 6, 7]
@@ -245,7 +261,9 @@ def test_quadratic_extension_at_the_border_is_that_of_the_mirrored_whole(axis, a
 
     def doubled(field, factor):
         field = field.reshape(*shape, -1)
-        return np.concatenate([factor * np.flip(field, axis), field], axis).reshape(-1, field.shape[-1])
+        return np.concatenate([factor * np.flip(field, axis), field], axis).reshape(
+            -1, field.shape[-1]
+        )
 
     turn = np.where(np.arange(3) == axis, -1.0, 1.0)
     wide = [n * (2 if a == axis else 1) for a, n in enumerate(shape)]
@@ -253,7 +271,9 @@ def test_quadratic_extension_at_the_border_is_that_of_the_mirrored_whole(axis, a
     found = []
     for size, feet, on, field in ((shape, foot * SPACING, front, values), (wide, *whole)):
         dense, band = reference.whole_band(np.ones(size), feet)
-        off, slots, shares = quadratic_table(dense, reference.grid_of(size, SPACING), band, on.ravel(), across)
+        off, slots, shares = quadratic_table(
+            dense, reference.grid_of(size, SPACING), band, on.ravel(), across
+        )
         got = field.ravel().astype(np.float32)
         band_kernels.extend_quadratically(0, off.size, off, slots, shares, got)
         found.append(got.reshape(size))
@@ -275,7 +295,9 @@ def test_quadratic_extension_is_linear_where_a_node_is_missing(shape):
     on_grid, is_front = np.zeros(shape, np.float32), np.zeros(shape, bool)
     values = rng.standard_normal(front.size).astype(np.float32)
     on_grid[present], is_front[present] = values, front
-    at = np.clip(np.argwhere(present) + band.to_closest.astype(float) / SPACING, 0, np.array(shape) - 1.0)
+    at = np.clip(
+        np.argwhere(present) + band.to_closest.astype(float) / SPACING, 0, np.array(shape) - 1.0
+    )
     got = values.copy()
     band_kernels.extend_quadratically(0, off.size, off, slots, shares, got)
     linear = (shares >= 0).all(axis=1) & (shares[:, 8:] == 0).all(axis=1)

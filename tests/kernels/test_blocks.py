@@ -9,7 +9,9 @@ from accelsurf.kernels.blocks import sums_along
 pytestmark = pytest.mark.nojit
 
 
-@pytest.mark.parametrize(("shape", "step"), [((2, 7, 3), 3), ((1, 4, 1), 4), ((3, 5, 2), 1), ((2, 3, 2), 5)])
+@pytest.mark.parametrize(
+    ("shape", "step"), [((2, 7, 3), 3), ((1, 4, 1), 4), ((3, 5, 2), 1), ((2, 3, 2), 5)]
+)
 def test_sums_are_those_of_slices(shape, step):
     values = np.random.default_rng(0).normal(size=shape).astype(np.float32)
     expected = [values[:, at : at + step].sum(axis=1) for at in range(0, shape[1], step)]
@@ -17,7 +19,13 @@ def test_sums_are_those_of_slices(shape, step):
 
 
 @pytest.mark.parametrize(
-    ("shape", "steps"), [((5, 7, 4), (2, 3, 1)), ((1, 9, 7), (1, 4, 3)), ((3, 3, 3), (1, 1, 1)), ((2, 5, 3), (4, 6, 3))]
+    ("shape", "steps"),
+    [
+        ((5, 7, 4), (2, 3, 1)),
+        ((1, 9, 7), (1, 4, 3)),
+        ((3, 3, 3), (1, 1, 1)),
+        ((2, 5, 3), (4, 6, 3)),
+    ],
 )
 def test_means_of_blocks_and_back(shape, steps):
     values = np.random.default_rng(1).normal(size=shape).astype(np.float32)
@@ -31,5 +39,7 @@ def test_means_of_blocks_and_back(shape, steps):
         below = np.floor(at).astype(int)
         share = np.expand_dims(at - below, [i for i in range(3) if i != axis])
         above = np.minimum(below + 1, found.shape[axis] - 1)
-        expected = np.take(expected, below, axis) * (1 - share) + np.take(expected, above, axis) * share
+        expected = (
+            np.take(expected, below, axis) * (1 - share) + np.take(expected, above, axis) * share
+        )
     np.testing.assert_allclose(on_voxels(found, steps, shape), expected, atol=1e-5)

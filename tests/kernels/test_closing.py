@@ -16,16 +16,25 @@ def footprint(spacing, radius):
 
 @pytest.mark.parametrize(
     ("shape", "spacing", "radius"),
-    [((7, 9, 11), (1.0, 1.0, 1.0), 2.0), ((5, 12, 8), (2.5, 0.7, 1.1), 3.0), ((1, 9, 13), (4.0, 1.0, 0.5), 1.5),
-     ((3, 4, 2), (1.0, 1.0, 1.0), 5.0), ((6, 5, 7), (2.0, 2.0, 2.0), 1.9)],
-)  # fmt: skip
+    [
+        ((7, 9, 11), (1.0, 1.0, 1.0), 2.0),
+        ((5, 12, 8), (2.5, 0.7, 1.1), 3.0),
+        ((1, 9, 13), (4.0, 1.0, 0.5), 1.5),
+        ((3, 4, 2), (1.0, 1.0, 1.0), 5.0),
+        ((6, 5, 7), (2.0, 2.0, 2.0), 1.9),
+    ],
+)
 def test_it_is_the_largest_value_in_the_ball(shape, spacing, radius):
     values = np.random.default_rng(3).normal(size=shape).astype(np.float32)
     out = np.full(shape, np.nan, np.float32)
     dilate(values, lines_of_ball(spacing, radius), out)
-    expected = ndimage.maximum_filter(values, footprint=footprint(spacing, radius), mode="constant", cval=-np.inf)
+    expected = ndimage.maximum_filter(
+        values, footprint=footprint(spacing, radius), mode="constant", cval=-np.inf
+    )
     np.testing.assert_array_equal(out, expected)
-    closed = ndimage.minimum_filter(expected, footprint=footprint(spacing, radius), mode="constant", cval=np.inf)
+    closed = ndimage.minimum_filter(
+        expected, footprint=footprint(spacing, radius), mode="constant", cval=np.inf
+    )
     np.testing.assert_array_equal(closed_mm(values, spacing, radius), closed)
 
 

@@ -40,7 +40,9 @@ def remove_components(dense, grid, band, most, depth, held=()):
         components.find_peaks(start, stop, dense, grid, band, depth, peak)
     turned, before = np.zeros(band.cells.size, np.bool_), dense.psi[band.cells] < 0
     cells = np.array(held, np.int64)
-    found = components.small_components(dense, grid, band, np.flatnonzero(peak), most, cells, turned)
+    found = components.small_components(
+        dense, grid, band, np.flatnonzero(peak), most, cells, turned
+    )
     np.testing.assert_array_equal(turned, before != (dense.psi[band.cells] < 0))
     return found
 
@@ -52,7 +54,11 @@ def test_components_are_removed_up_to_the_size_and_counted(shape, sign):
     psi, label = islands(shape, [1, 2, 5, 13, 14, 15, 20], 11)
     # A distance within each island, as after redistancing: unequal values, the deepest no neighbour exceeds.
     inside = ndimage.distance_transform_edt(label > 0)
-    psi = sign * np.where(label > 0, -(inside - 0.5), psi) * (1 + 0.1 * np.random.default_rng(12).random(shape))
+    psi = (
+        sign
+        * np.where(label > 0, -(inside - 0.5), psi)
+        * (1 + 0.1 * np.random.default_rng(12).random(shape))
+    )
     dense, band = reference.whole_band(psi)
     want, removed_inside, removed_outside = reference.small_components(dense.psi.reshape(shape), 14)
     grid = reference.grid_of(shape, (1.0, 1.0, 1.0))

@@ -27,7 +27,9 @@ def call_cubic(array, at, sy, sz, uz, uy, ux):
 
 @kernel
 def call_value(array, at, sy, sz, uz, uy, ux):
-    return cubic_kernels.cubic_value(array, at, sy, sz, np.float32(uz), np.float32(uy), np.float32(ux))
+    return cubic_kernels.cubic_value(
+        array, at, sy, sz, np.float32(uz), np.float32(uy), np.float32(ux)
+    )
 
 
 @kernel
@@ -38,7 +40,9 @@ def call_rows(values, rows, uz, uy, ux):
 def places(count, seed):
     """Places among four nodes: the nodes themselves, the middle, and random ones from the first to the last."""
     some = np.random.default_rng(seed).uniform(0, 3, (count, 3)).astype(np.float32)
-    return np.concatenate([some, np.array(list(itertools.product((0, 1, 2, 3), repeat=3)), np.float32), [[1.5] * 3]])
+    return np.concatenate(
+        [some, np.array(list(itertools.product((0, 1, 2, 3), repeat=3)), np.float32), [[1.5] * 3]]
+    )
 
 
 def lagrange(nodes, u):
@@ -65,16 +69,23 @@ def test_value_and_slopes_as_the_plain_form_and_as_lagranges(shape):
     array = np.random.default_rng(1).standard_normal(shape).astype(np.float32)
     sz, sy = shape[1] * shape[2], shape[2]
     last = np.array(shape) - 4
-    bases = np.concatenate([[(0, 0, 0), last], np.random.default_rng(2).integers(0, last + 1, (5, 3))])
+    bases = np.concatenate(
+        [[(0, 0, 0), last], np.random.default_rng(2).integers(0, last + 1, (5, 3))]
+    )
     for base in bases:
         z, y, x = base
         nodes = array[z : z + 4, y : y + 4, x : x + 4].astype(float)
         for u in places(8, 3):
             got = call_cubic(array.ravel(), int(base @ (sz, sy, 1)), sy, sz, *u)
-            plain = cubic_kernels.plain_cubic(array.ravel(), int(base @ (sz, sy, 1)), sy, sz, *map(float, u))
+            plain = cubic_kernels.plain_cubic(
+                array.ravel(), int(base @ (sz, sy, 1)), sy, sz, *map(float, u)
+            )
             want, bound = lagrange(nodes, u)
             assert (np.abs(np.array(got) - want) <= ROUNDING * bound).all()
-            assert abs(call_value(array.ravel(), int(base @ (sz, sy, 1)), sy, sz, *u) - want[0]) <= ROUNDING * bound[0]
+            assert (
+                abs(call_value(array.ravel(), int(base @ (sz, sy, 1)), sy, sz, *u) - want[0])
+                <= ROUNDING * bound[0]
+            )
             np.testing.assert_allclose(plain, want, rtol=0, atol=1e-12 * bound.max())
 
 
@@ -89,7 +100,9 @@ def test_a_stride_of_0_takes_a_slice_four_times(flat):
         want, bound = lagrange(nodes, u)
         assert (np.abs(np.array(got) - want) <= ROUNDING * bound).all()
         np.testing.assert_allclose(
-            cubic_kernels.plain_cubic(array.ravel(), 1, sy, sz, *map(float, u)), want, atol=1e-12 * bound.max()
+            cubic_kernels.plain_cubic(array.ravel(), 1, sy, sz, *map(float, u)),
+            want,
+            atol=1e-12 * bound.max(),
         )
 
 
@@ -111,8 +124,12 @@ def test_nodes_come_back():
     """At a node all other weights are 0 exactly."""
     array = np.random.default_rng(8).standard_normal((4, 4, 4)).astype(np.float32)
     for node in np.ndindex(4, 4, 4):
-        assert call_cubic(array.ravel(), 0, 4, 16, *node)[0] == pytest.approx(array[node], rel=ROUNDING)
-        assert call_rows(array.ravel(), np.arange(16) * 4, *node) == pytest.approx(array[node], rel=ROUNDING)
+        assert call_cubic(array.ravel(), 0, 4, 16, *node)[0] == pytest.approx(
+            array[node], rel=ROUNDING
+        )
+        assert call_rows(array.ravel(), np.arange(16) * 4, *node) == pytest.approx(
+            array[node], rel=ROUNDING
+        )
 
 
 def test_cubic_polynomials_are_exact_with_value_and_gradient():

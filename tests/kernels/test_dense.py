@@ -16,5 +16,7 @@ def test_a_layer_is_a_product_and_a_sum(columns, is_rectified):
     biases = random.normal(size=3)
     found = layer(*(a.astype(np.float32) for a in (values, weights, biases)), is_rectified)
     expected = weights.T @ values + biases[:, None]
-    np.testing.assert_allclose(found, np.maximum(expected, 0.0) if is_rectified else expected, atol=1e-5)
+    np.testing.assert_allclose(
+        found, np.maximum(expected, 0.0) if is_rectified else expected, atol=1e-5
+    )
     assert found.dtype == np.float32

@@ -47,9 +47,13 @@ def test_mirrored_curvatures_as_the_reference(shape):
     whole, more = np.pad(psi, width, mode="symmetric"), [w for w, _ in width]
     around = reference.grid_of(whole.shape, SPACING)
     for cell in np.ndindex(*shape):
-        mean, gauss = differences.mirrored_curvatures(psi.ravel(), int(np.ravel_multi_index(cell, shape)), *cell, grid)
+        mean, gauss = differences.mirrored_curvatures(
+            psi.ravel(), int(np.ravel_multi_index(cell, shape)), *cell, grid
+        )
         there = tuple(np.add(cell, more))
-        same = differences.curvatures(whole.ravel(), int(np.ravel_multi_index(there, whole.shape)), *there, around)
+        same = differences.curvatures(
+            whole.ravel(), int(np.ravel_multi_index(there, whole.shape)), *there, around
+        )
         np.testing.assert_allclose((mean, gauss), same, atol=1e-9 * (np.abs(same).max() + 1))
         if np.linalg.norm(slope[cell]) > 0.02:
             size = np.abs(k[cell]).max() + 1
@@ -65,9 +69,13 @@ def test_gradient_and_pure_second_derivatives_are_exact_on_quadratics_up_to_the_
     grid, strides = reference.grid_of(shape, SPACING), (shape[1] * shape[2], shape[2], 1)
     for cell in np.ndindex(*shape):
         raveled = int(np.ravel_multi_index(cell, shape))
-        np.testing.assert_allclose(differences.gradient(psi, raveled, *cell, grid), wanted[cell], atol=1e-9)
+        np.testing.assert_allclose(
+            differences.gradient(psi, raveled, *cell, grid), wanted[cell], atol=1e-9
+        )
         for a, second in enumerate((1.0, -2.0, 4.0)):
-            _, got = differences.axis_derivatives(psi, raveled, cell[a], shape[a], strides[a], SPACING[a])
+            _, got = differences.axis_derivatives(
+                psi, raveled, cell[a], shape[a], strides[a], SPACING[a]
+            )
             assert got == pytest.approx(second if shape[a] > 1 else 0, abs=1e-9)
 
 
@@ -116,10 +124,14 @@ def test_signs_and_sizes_on_balls_and_cylinders():
     grid = reference.grid_of(shape, spacing)
     z, y, x = reference.coordinates(shape, spacing, (10, 10, 10))
     cell, raveled = (10, 10, 17), int(np.ravel_multi_index((10, 10, 17), shape))
-    mean, gauss = differences.curvatures((np.sqrt(z**2 + y**2 + x**2) - 6).ravel(), raveled, *cell, grid)
+    mean, gauss = differences.curvatures(
+        (np.sqrt(z**2 + y**2 + x**2) - 6).ravel(), raveled, *cell, grid
+    )
     assert mean == pytest.approx(2 / 7, rel=0.01)
     assert gauss == pytest.approx(1 / 49, rel=0.02)
-    mean, gauss = differences.curvatures((6 - np.sqrt(z**2 + y**2 + x**2)).ravel(), raveled, *cell, grid)
+    mean, gauss = differences.curvatures(
+        (6 - np.sqrt(z**2 + y**2 + x**2)).ravel(), raveled, *cell, grid
+    )
     assert mean == pytest.approx(-2 / 7, rel=0.01)
     assert gauss == pytest.approx(1 / 49, rel=0.02)
     mean, gauss = differences.curvatures((np.hypot(y, x) - 6).ravel(), raveled, *cell, grid)
@@ -141,15 +153,18 @@ def test_curvature_at_foot_undoes_the_distance():
         assert got == pytest.approx(np.clip(want, -2, 2), rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.parametrize(("mean", "gauss", "d", "want"), [
-    (0.5, 0.0625, 0.0, 0.5),  # at the surface nothing is undone
-    (0.5, 0.0625, 2.0, 1.0),  # a ball of radius 2, two off
-    (0.4, 0.04, -2.0, 2 / 7),  # and from inside
-    (0.9, 0.0, 1.0, 0.9),  # 1 - d k = 0.1 is too little to divide by
-    (0.7, 0.0, 1.0, 1.5),  # clipped
-    (-0.7, 0.0, -1.0, -1.5),
-    (9.0, 0.0, 0.0, 1.5),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("mean", "gauss", "d", "want"),
+    [
+        (0.5, 0.0625, 0.0, 0.5),  # at the surface nothing is undone
+        (0.5, 0.0625, 2.0, 1.0),  # a ball of radius 2, two off
+        (0.4, 0.04, -2.0, 2 / 7),  # and from inside
+        (0.9, 0.0, 1.0, 0.9),  # 1 - d k = 0.1 is too little to divide by
+        (0.7, 0.0, 1.0, 1.5),  # clipped
+        (-0.7, 0.0, -1.0, -1.5),
+        (9.0, 0.0, 0.0, 1.5),
+    ],
+)
 def test_curvature_at_foot_of_known_surfaces(mean, gauss, d, want):
     assert differences.curvature_at_foot(mean, gauss, d, 1.5) == pytest.approx(want)
 
@@ -241,7 +256,9 @@ def test_a_wedge_moves_as_the_viscosity_solution(speed):
     front = np.ones(psi.size, bool)
     out = np.empty(psi.size, np.float32)
     beta = np.full(psi.size, speed, np.float32)
-    differences.upwind_norms(0, psi.size, dense.psi, reference.grid_of(psi.shape, (1, 1, 1)), band, beta, front, out)
+    differences.upwind_norms(
+        0, psi.size, dense.psi, reference.grid_of(psi.shape, (1, 1, 1)), band, beta, front, out
+    )
     # psi_t = beta |grad psi|: a maximum may not grow (beta > 0), and falls at slope 1 for beta < 0.
     assert out.reshape(psi.shape)[1, 1, 5] == (0 if speed > 0 else 1)
 
@@ -253,4 +270,8 @@ def test_a_range_of_slots_writes_nothing_outside_itself(start, stop):
     grid, n = reference.grid_of(psi.shape, SPACING), psi.size
     out = np.full(n, np.nan, np.float32)
     differences.upwind_norms(start, stop, dense.psi, grid, band, dense.psi, np.ones(n, bool), out)
-    assert np.isfinite(out[start:stop]).all() and np.isnan(out[:start]).all() and np.isnan(out[stop:]).all()
+    assert (
+        np.isfinite(out[start:stop]).all()
+        and np.isnan(out[:start]).all()
+        and np.isnan(out[stop:]).all()
+    )

@@ -21,7 +21,10 @@ def ball(shape, spacing, radius):
 
 def two_balls(shape, spacing):
     z, y, x = coordinates(shape, spacing, (5.41, 5.57, 5.5))
-    return np.minimum(np.sqrt(z**2 + y**2 + (x + 2.3) ** 2), np.sqrt(z**2 + y**2 + (x - 2.4) ** 2)) - 2.0
+    return (
+        np.minimum(np.sqrt(z**2 + y**2 + (x + 2.3) ** 2), np.sqrt(z**2 + y**2 + (x - 2.4) ** 2))
+        - 2.0
+    )
 
 
 CASES = {
@@ -70,7 +73,9 @@ def test_distances_agree_with_closest_points_passed_on_in_order() -> None:
     known = reference.march_in_order(grid, band.cells, band.to_closest, state, surface.half_width)
     on = np.array([i for i, c in enumerate(band.cells) if int(c) in known])
     feet = np.array([known.get(int(c), np.zeros(3)) for c in band.cells], np.float32)
-    march.refine_feet(0, on.size, surface.dense.psi, grid, band.cells, on, feet, (np.zeros(feet.shape[0]), False))
+    march.refine_feet(
+        0, on.size, surface.dense.psi, grid, band.cells, on, feet, (np.zeros(feet.shape[0]), False)
+    )
     apart = np.abs(np.linalg.norm(feet[on], axis=1) - np.abs(band.psi[on]))
     assert on.size > 0.95 * band.cells.size
     assert np.median(apart) < 0.005 and np.percentile(apart, 99) < 0.04
@@ -105,8 +110,10 @@ def test_a_march_that_runs_out_of_room_goes_on() -> None:
         dense = surface.dense._replace(slot=np.full(psi.size, -1, np.int32))
         n = cells.size
         dense.slot[cells] = np.arange(n)
-        known = [np.concatenate([a, np.zeros((7, *a.shape[1:]), a.dtype)]) for a in
-                 (cells, feet, psi_of.astype(np.float64), np.full(n, ACCEPTED, np.int8))]
+        known = [
+            np.concatenate([a, np.zeros((7, *a.shape[1:]), a.dtype)])
+            for a in (cells, feet, psi_of.astype(np.float64), np.full(n, ACCEPTED, np.int8))
+        ]
         heap, counts, calls = [np.empty(7), np.empty(7, np.int64)], np.array([n, 0, 0]), 0
         run, where = fast_marching.march_outwards, (dense, Grid(12, 12, 12, 1.0, 1.0, 1.0))
         while not run(*where, tuple(known), tuple(heap), counts, np.arange(n), 2.0):

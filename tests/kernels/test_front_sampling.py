@@ -26,7 +26,9 @@ def scene(shape, seed):
 def test_normals_are_the_centred_gradient_of_length_1(shape):
     dense, band, front, _ = scene(shape, 1)
     out = np.full((front.size, 3), np.nan, np.float32)
-    point_sampling.outward_normals(0, front.size, dense.psi, reference.grid_of(shape, SPACING), band, front, out)
+    point_sampling.outward_normals(
+        0, front.size, dense.psi, reference.grid_of(shape, SPACING), band, front, out
+    )
     gradient = reference.derivatives(dense.psi.reshape(shape), SPACING)[0].reshape(-1, 3)
     want = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
     np.testing.assert_allclose(out[front], want[front], atol=1e-5)

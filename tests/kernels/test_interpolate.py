@@ -25,7 +25,9 @@ def positions(shape, seed, count=40, beyond=0.0):
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 9])
 def test_weights_are_those_of_the_monomials_and_reach_only_nodes_of_the_axis(n):
-    for p in np.concatenate([np.linspace(-1.7, n + 0.7, 35), np.arange(n), [np.nextafter(n - 1, 0)]]):
+    for p in np.concatenate(
+        [np.linspace(-1.7, n + 0.7, 35), np.arange(n), [np.nextafter(n - 1, 0)]]
+    ):
         w = np.full(24, np.nan)
         base, count, beyond = interpolate.axis_weights(p, n, w, 8)
         want_base, want, want_slope, want_beyond = reference.axis_weights(np.array([p]), n)
@@ -45,7 +47,9 @@ def test_value_and_gradient_as_the_reference_also_beyond_the_border(shape):
     grid = reference.grid_of(shape, SPACING)
     points = positions(shape, 2, beyond=1.5)
     want, slope = reference.interpolate(array, points)
-    got = np.array([interpolate.value_and_gradient(array.ravel(), grid, *p, np.empty(24)) for p in points])
+    got = np.array(
+        [interpolate.value_and_gradient(array.ravel(), grid, *p, np.empty(24)) for p in points]
+    )
     np.testing.assert_allclose(got[:, 0], want, atol=2e-5)
     np.testing.assert_allclose(got[:, 1:], slope / SPACING, atol=2e-5)
 
@@ -78,18 +82,26 @@ def test_voxel_values_come_back_and_cubic_polynomials_are_exact():
         got = interpolate.value_and_gradient(array.ravel(), grid, *p, np.empty(24))
         want = polynomial(*(p * SPACING - (5.0, 2.0, 2.0)))
         axes = [reference.axis_weights(p[a : a + 1], shape[a]) for a in range(3)]
-        block = np.abs(array[tuple(slice(base[0], base[0] + 4) for base, _, _, _ in axes)].astype(float))
+        block = np.abs(
+            array[tuple(slice(base[0], base[0] + 4) for base, _, _, _ in axes)].astype(float)
+        )
         w = [np.abs(axis[1][0]) for axis in axes]
         # Slopes of Lagrange's weights are sums of terms up to 14 in size (11 at most within the four nodes).
         sizes = [np.einsum("ijk,i,j,k", block, *w)]
         for a in range(3):
-            sizes.append(np.einsum("ijk,i,j,k", block, *(np.full(4, 14.0) if b == a else w[b] for b in range(3))))
+            sizes.append(
+                np.einsum(
+                    "ijk,i,j,k", block, *(np.full(4, 14.0) if b == a else w[b] for b in range(3))
+                )
+            )
         limit = 18 * eps * np.array(sizes) / (1, *SPACING) + 2 * eps * np.abs(want).max()
         assert (np.abs(np.array(got) - want) <= limit).all()
     noise = reference.smooth_noise(shape, 6)
     for cell in np.ndindex(*shape):
         p = np.array(cell, float)
-        assert interpolate.value_at(noise.ravel(), grid, *p, np.empty(24)) == pytest.approx(noise[cell], abs=1e-6)
+        assert interpolate.value_at(noise.ravel(), grid, *p, np.empty(24)) == pytest.approx(
+            noise[cell], abs=1e-6
+        )
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -101,7 +113,9 @@ def test_the_way_through_thin_volumes_is_exact_on_cubic_polynomials(shape, dtype
     limit = 1e-9 if dtype == np.float64 else 60 * np.finfo(np.float32).eps * np.abs(array).max()
     for p in positions(shape, 5):
         got = interpolate.thin_value_and_gradient(array.ravel(), grid, *p, np.empty(24))
-        np.testing.assert_allclose(got, polynomial(*(p * SPACING - (5.0, 2.0, 2.0))), rtol=0, atol=limit)
+        np.testing.assert_allclose(
+            got, polynomial(*(p * SPACING - (5.0, 2.0, 2.0))), rtol=0, atol=limit
+        )
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -143,19 +157,27 @@ def test_a_linear_cell_is_linear_interpolation(shape):
     for cell in np.ndindex(*(n - 1 for n in shape)):
         for t in (*rng.random((3, 3)).astype(np.float32), (0, 0, 0), (1, 1, 1)):
             at = int(np.ravel_multi_index(cell, shape))
-            got = interpolate.linear_cell(array.ravel(), at, shape[2], shape[1] * shape[2], *np.asarray(t, np.float32))
+            got = interpolate.linear_cell(
+                array.ravel(), at, shape[2], shape[1] * shape[2], *np.asarray(t, np.float32)
+            )
             want = reference.linear(array, cell + np.asarray(t, float))[0]
             # Three interpolations in float32, each of three operations.
-            assert got == pytest.approx(want, abs=float(6 * np.finfo(np.float32).eps * np.abs(array).max()))
+            assert got == pytest.approx(
+                want, abs=float(6 * np.finfo(np.float32).eps * np.abs(array).max())
+            )
 
 
 def test_one_slice_has_no_gradient_across():
     array = reference.smooth_noise((1, 9, 12), 7)
     grid = reference.grid_of(array.shape, SPACING)
     for z in (-2.0, 0.0, 0.4):
-        value, gz, _, _ = interpolate.value_and_gradient(array.ravel(), grid, z, 3.3, 4.6, np.empty(24))
+        value, gz, _, _ = interpolate.value_and_gradient(
+            array.ravel(), grid, z, 3.3, 4.6, np.empty(24)
+        )
         assert gz == 0
-        assert value == pytest.approx(interpolate.value_at(array.ravel(), grid, 0.0, 3.3, 4.6, np.empty(24)))
+        assert value == pytest.approx(
+            interpolate.value_at(array.ravel(), grid, 0.0, 3.3, 4.6, np.empty(24))
+        )
 
 
 def band_of(shape, present, seed):
@@ -173,13 +195,19 @@ def test_band_value_is_cubic_in_a_complete_band(shape):
     slot, values, dense = band_of(shape, np.ones(shape, bool), 8)
     grid = reference.grid_of(shape, SPACING)
     # Through `cubic` the value at the same place is computed in float32, and otherwise in float64 as here.
-    limit = 20 * np.finfo(np.float32).eps * np.abs(values).max() if interpolate.has_cubes(grid) else 1e-6
+    limit = (
+        20 * np.finfo(np.float32).eps * np.abs(values).max()
+        if interpolate.has_cubes(grid)
+        else 1e-6
+    )
     for p in positions(shape, 9, beyond=0.8):
         got, found = interpolate.band_value_at(values, slot, values.size, grid, p, np.empty(24))
         assert found
         clamped = np.clip(p, 0, np.array(shape) - 1.0)
         assert got == pytest.approx(reference.interpolate(dense, clamped)[0][0], abs=1e-6)
-        assert got == pytest.approx(interpolate.value_at(dense.ravel(), grid, *p, np.empty(24)), abs=float(limit))
+        assert got == pytest.approx(
+            interpolate.value_at(dense.ravel(), grid, *p, np.empty(24)), abs=float(limit)
+        )
 
 
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 3)])
@@ -192,7 +220,9 @@ def test_band_value_falls_back_on_the_known_of_the_eight(shape):
         want, want_found = reference.known_linear(dense, present, p)
         got, found = interpolate.linear_band_value(values, slot, values.size, grid, p)
         assert (found, got) == (want_found, pytest.approx(want, abs=1e-5))
-        full, full_found = interpolate.band_value_at(values, slot, values.size, grid, p, np.empty(24))
+        full, full_found = interpolate.band_value_at(
+            values, slot, values.size, grid, p, np.empty(24)
+        )
         assert (full_found, full) == (want_found, pytest.approx(want, abs=1e-5))
         missing += not found
     assert missing > 0
@@ -209,7 +239,9 @@ def test_slots_that_are_not_of_this_band_do_not_count():
     got, found = interpolate.band_value_at(values[:n], slot, n, grid, p, np.empty(24))
     assert found
     assert got == pytest.approx(want, abs=1e-6)
-    assert want != pytest.approx(interpolate.value_at(dense.ravel(), grid, *p, np.empty(24)), abs=1e-3)
+    assert want != pytest.approx(
+        interpolate.value_at(dense.ravel(), grid, *p, np.empty(24)), abs=1e-3
+    )
 
 
 def test_one_unknown_node_of_the_stencil_is_enough_for_the_linear_fall_back():
@@ -235,7 +267,12 @@ def rows_from(slot, n_slots, shape, base):
     assert rows[16] == -9
     z, y, x = base
     block = slot.reshape(shape)[z : z + 4, y : y + 4, x : x + 4]
-    return bool(found), rows[:16], bool(((block >= 0) & (block < n_slots)).all()), block[:, :, 0].ravel()
+    return (
+        bool(found),
+        rows[:16],
+        bool(((block >= 0) & (block < n_slots)).all()),
+        block[:, :, 0].ravel(),
+    )
 
 
 def test_rows_of_a_complete_band_begin_at_the_slots_of_their_first_nodes():

@@ -62,7 +62,9 @@ def started(psi, spacing):
 
 def passed_on(dense, grid, band, half_width):
     """(cells, foot, state) of the band and of what enters it, by the rounds of a level set."""
-    surface = SimpleNamespace(workers=Workers(1), grid=grid, dense=dense, band=band, size=band.cells.size)
+    surface = SimpleNamespace(
+        workers=Workers(1), grid=grid, dense=dense, band=band, size=band.cells.size
+    )
     surface.half_width, surface.gamma = half_width, np.float32(half_width * max(grid[3:]))
     surface.residues = np.zeros(band.cells.size, np.float32)
     *arrays, n = find_closest_points(surface)  # without what a level set does with the spacing
@@ -124,7 +126,9 @@ def test_length_in_voxels_uses_each_axis_spacing():
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), UNEQUAL])
-@pytest.mark.parametrize("direction", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 1, 1), (-0.3, 0.8, 0.5)])
+@pytest.mark.parametrize(
+    "direction", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 1, 1), (-0.3, 0.8, 0.5)]
+)
 def test_first_guess_and_crossings_of_a_plane_are_exact(direction, spacing):
     shape = (7, 9, 8)
     psi, n = plane(shape, spacing, direction, 0.13)
@@ -141,7 +145,12 @@ def test_first_guess_and_crossings_of_a_plane_are_exact(direction, spacing):
         if bound >= 0:
             assert bound >= abs(psi[cell]) * (1 - 1e-9)
             # The nearest of the points where the edges to the neighbours cross the plane.
-            slopes = [abs(n[a]) for a in range(3) for o in near[2 * a : 2 * a + 2] if crosses(psi, cell, o)]
+            slopes = [
+                abs(n[a])
+                for a in range(3)
+                for o in near[2 * a : 2 * a + 2]
+                if crosses(psi, cell, o)
+            ]
             assert bound == pytest.approx(abs(psi[cell]) / max(slopes), rel=1e-9)
             # Exact where every axis that the plane is not parallel to has a crossing.
             complete = all(
@@ -205,7 +214,9 @@ def test_closest_points_are_lost_where_there_is_no_slope():
     for value in (1.0, np.nan):
         psi = np.broadcast_to(np.arange(12.0) - 8.3, (5, 5, 12)).astype(np.float32)
         psi[:, :, :5] = value
-        cells = np.ravel_multi_index(np.array([(2, 2, 1), (2, 2, 9), (2, 2, 2), (2, 2, 8)]).T, (5, 5, 12))
+        cells = np.ravel_multi_index(
+            np.array([(2, 2, 1), (2, 2, 9), (2, 2, 2), (2, 2, 8)]).T, (5, 5, 12)
+        )
         feet, status = moved(psi, grid, cells, np.tile((0.5, 0.0, 0.0), (4, 1)))
         np.testing.assert_array_equal(status, [closest.LOST, closest.FOUND] * 2)
         np.testing.assert_allclose(feet[1::2], [(0, 0, -0.7), (0, 0, 0.3)], atol=1e-5)
@@ -227,7 +238,9 @@ def start_feet(psi, grid):
     return np.array(cells), np.array(feet, np.float32)
 
 
-@pytest.mark.parametrize(("shape", "sigma"), [((9, 10, 11), 2.0), ((9, 10, 11), 1.2), *((s, 1.5) for s in THIN)])
+@pytest.mark.parametrize(
+    ("shape", "sigma"), [((9, 10, 11), 2.0), ((9, 10, 11), 1.2), *((s, 1.5) for s in THIN)]
+)
 def test_closest_points_are_those_of_one_correction_after_the_other(shape, sigma):
     """As the slow reference, decisions apart that rounding may turn; up to three voxels off.
 
@@ -283,7 +296,9 @@ def memory_of(iteration, seed):
         limit = closest.TOLERANCE
         if iteration == 0:
             limit = closest.FIRST_TOLERANCE * max(1, np.linalg.norm(foot / UNEQUAL))
-        rows[10, i] = rng.uniform(0.9, 1.1) * limit * np.linalg.norm(g) / np.linalg.norm(normal / UNEQUAL)
+        rows[10, i] = (
+            rng.uniform(0.9, 1.1) * limit * np.linalg.norm(g) / np.linalg.norm(normal / UNEQUAL)
+        )
     return rows
 
 
@@ -314,7 +329,9 @@ def test_a_correction_is_that_of_the_slow_reference(iteration):
         relax_off = 0.0
         if iteration > 0 and past[1] > 0:
             relax_off = 4 * after[2] * 8 * EPS * (size @ np.abs(last) / past[1] + 1)
-        off = 8 * EPS * (after[2] * size + abs(level[0]) / slope2 * np.abs(g)) + relax_off * np.abs(after[0])
+        off = 8 * EPS * (after[2] * size + abs(level[0]) / slope2 * np.abs(g)) + relax_off * np.abs(
+            after[0]
+        )
         # A step too long is shortened: its length is as uncertain as its parts, in voxels.
         off = off + EPS * np.abs(foot) + np.linalg.norm(off / h) * h
         assert (np.abs(rows[0:3, i] - want) <= off).all()
@@ -342,13 +359,17 @@ def test_a_correction_goes_down_the_gradient_and_along_the_level():
     rows = memory_of(0, 1)
     for i in range(50):
         foot, level = rows[0:3, i].astype(float), rows[10:14, i].astype(float)
-        want, _, (along, _, relax, _), _ = reference.corrected(0, foot, level, (np.zeros(3), 0.0, 1.0, 0.0), UNEQUAL)
+        want, _, (along, _, relax, _), _ = reference.corrected(
+            0, foot, level, (np.zeros(3), 0.0, 1.0, 0.0), UNEQUAL
+        )
         value, g = level[0], level[1:]
         assert relax == 1
         assert along @ g == pytest.approx(0, abs=1e-12)
         np.testing.assert_allclose(np.cross(foot + along, g), 0, atol=1e-12)
         step = want - foot
-        scale = np.linalg.norm((along - value * g / (g @ g)) / UNEQUAL) / np.linalg.norm(step / UNEQUAL)
+        scale = np.linalg.norm((along - value * g / (g @ g)) / UNEQUAL) / np.linalg.norm(
+            step / UNEQUAL
+        )
         np.testing.assert_allclose(max(scale, 1) * step - along, -value * g / (g @ g), atol=1e-9)
 
 
@@ -426,7 +447,9 @@ def test_where_the_surface_has_moved_the_old_foot_is_drawn_out_by_what_psi_has_c
     psi, n = plane(shape, (1.0, 1.0, 1.0), (0, 0, 1), 0.1)
     moved = psi - 0.3
     near_band = np.abs(psi) < 3
-    dense, band = reference.whole_band(np.where(near_band, moved, np.sign(moved) * 3.0), -psi.reshape(-1, 1) * n)
+    dense, band = reference.whole_band(
+        np.where(near_band, moved, np.sign(moved) * 3.0), -psi.reshape(-1, 1) * n
+    )
     band.psi[:] = psi.ravel()
     grid = reference.grid_of(shape, (1, 1, 1))
     edge = np.flatnonzero(near_band & (np.abs(psi) > 1.5))
@@ -457,7 +480,10 @@ def test_levels_are_those_of_the_interpolant_at_every_foot(shape):
         active = closest.levels_at(count, psi.ravel(), grid, nodes, rows.ravel(), np.empty(24))
         asked = np.flatnonzero(rows[3, :count] == closest.ACTIVE)
         assert active == asked.size
-        at = np.stack(np.unravel_index(cells[some], shape), axis=1) + feet[some].astype(float) / UNEQUAL
+        at = (
+            np.stack(np.unravel_index(cells[some], shape), axis=1)
+            + feet[some].astype(float) / UNEQUAL
+        )
         value, slope = reference.interpolate(psi, at[asked])
         np.testing.assert_allclose(rows[10, asked], value, atol=2e-5)
         np.testing.assert_allclose(rows[11:14, asked].T, slope / UNEQUAL, atol=2e-5)
@@ -465,25 +491,28 @@ def test_levels_are_those_of_the_interpolant_at_every_foot(shape):
         np.testing.assert_array_equal(rows, before)
 
 
-@pytest.mark.parametrize(("value", "distance", "found", "bound", "least", "want"), [
-    (1.0, 1.2, True, -1.0, 0.5, "guess"),
-    (-1.0, 1.2, True, -1.0, 0.5, "guess"),
-    (1.0, 0.6, True, -1.0, 0.5, "guess"),  # half as far as psi said, and more
-    (1.0, 0.4, True, -1.0, 0.5, None),  # too close to be true
-    (1.0, 0.92, True, -1.0, 0.9, "guess"),
-    (-1.0, 0.88, True, -1.0, 0.9, None),
-    (1.0, 2.3, True, -1.0, 0.5, "guess"),
-    (1.0, 2.5, True, -1.0, 0.5, None),  # more than two of the smallest spacing further
-    (1.0, 1.0, False, -1.0, 0.5, None),
-    (1.0, 2.3, True, -1.0, 0.9, "guess"),
-    (1.0, 0.4, True, 0.5, 0.5, "guess"),  # beside the surface the length is no matter
-    (1.0, 0.4, True, 0.5, 0.9, "guess"),
-    (1.0, 0.56, True, 0.5, 0.5, "guess"),  # up to a tenth of a voxel beyond the crossing
-    (1.0, 0.58, True, 0.5, 0.5, "plane"),
-    (1.0, 0.4, False, 0.5, 0.5, "plane"),
-    (1.0, 0.4, False, 0.0, 0.5, "plane"),
-    (1.0, np.nan, False, 0.5, 0.5, "plane"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("value", "distance", "found", "bound", "least", "want"),
+    [
+        (1.0, 1.2, True, -1.0, 0.5, "guess"),
+        (-1.0, 1.2, True, -1.0, 0.5, "guess"),
+        (1.0, 0.6, True, -1.0, 0.5, "guess"),  # half as far as psi said, and more
+        (1.0, 0.4, True, -1.0, 0.5, None),  # too close to be true
+        (1.0, 0.92, True, -1.0, 0.9, "guess"),
+        (-1.0, 0.88, True, -1.0, 0.9, None),
+        (1.0, 2.3, True, -1.0, 0.5, "guess"),
+        (1.0, 2.5, True, -1.0, 0.5, None),  # more than two of the smallest spacing further
+        (1.0, 1.0, False, -1.0, 0.5, None),
+        (1.0, 2.3, True, -1.0, 0.9, "guess"),
+        (1.0, 0.4, True, 0.5, 0.5, "guess"),  # beside the surface the length is no matter
+        (1.0, 0.4, True, 0.5, 0.9, "guess"),
+        (1.0, 0.56, True, 0.5, 0.5, "guess"),  # up to a tenth of a voxel beyond the crossing
+        (1.0, 0.58, True, 0.5, 0.5, "plane"),
+        (1.0, 0.4, False, 0.5, 0.5, "plane"),
+        (1.0, 0.4, False, 0.0, 0.5, "plane"),
+        (1.0, np.nan, False, 0.5, 0.5, "plane"),
+    ],
+)
 def test_what_holds_for_a_foot(value, distance, found, bound, least, want):
     grid = reference.grid_of((5, 5, 5), UNEQUAL)
     guess, plane_foot = distance * np.array((0.6, 0.0, 0.8)), np.array((0.1, 0.2, 0.3))
@@ -494,16 +523,19 @@ def test_what_holds_for_a_foot(value, distance, found, bound, least, want):
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize(("slope", "offset", "holds"), [
-    (1.0, -0.5, True),
-    (1.0, 0.5, True),
-    (1.0, -0.9, True),
-    (1.0, -1.1, False),  # more than a voxel beyond the border
-    (0.75, 0.5, True),  # a little over half of what psi says
-    (0.75, -0.5, False),  # beyond the voxel centres that must be nine tenths
-    (0.95, -0.5, True),
-    (0.45, 0.5, False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("slope", "offset", "holds"),
+    [
+        (1.0, -0.5, True),
+        (1.0, 0.5, True),
+        (1.0, -0.9, True),
+        (1.0, -1.1, False),  # more than a voxel beyond the border
+        (0.75, 0.5, True),  # a little over half of what psi says
+        (0.75, -0.5, False),  # beyond the voxel centres that must be nine tenths
+        (0.95, -0.5, True),
+        (0.45, 0.5, False),
+    ],
+)
 @pytest.mark.parametrize("side", range(6))
 def test_a_foot_beyond_the_border_must_keep_what_psi_said(slope, offset, holds, side):
     """Of a plane from the border inwards whose psi is 1/slope of its distance, a cell that is not beside it."""
@@ -637,7 +669,9 @@ def test_polishing_finds_the_own_foot_but_never_a_longer_one():
         out = np.array(cell) - (6.2, 5.9, 6.1)
         return (r / np.linalg.norm(out) - 1) * out
 
-    cells = np.ravel_multi_index(np.array([(6, 6, 10), (6, 6, 11), (6, 6, 11), (6, 6, 11)]).T, shape)
+    cells = np.ravel_multi_index(
+        np.array([(6, 6, 10), (6, 6, 11), (6, 6, 11), (6, 6, 11)]).T, shape
+    )
     foot = np.zeros((4, 3), np.float32)
     foot[0] = exact((6, 6, 10))
     foot[1:] = foot[0] + np.float32((0, 0, -1))
@@ -666,7 +700,9 @@ def test_polishing_does_not_leave_the_volume():
         at = 8 + want[2]
         assert (at < 9) == polished
         grid = reference.grid_of(shape, (1, 1, 1))
-        march.refine_feet(0, 1, psi.ravel(), grid, np.array([cell]), np.array([0]), foot, NO_RESIDUE)
+        march.refine_feet(
+            0, 1, psi.ravel(), grid, np.array([cell]), np.array([0]), foot, NO_RESIDUE
+        )
         np.testing.assert_allclose(foot[0], want if polished else own, atol=1e-5 if polished else 0)
 
 
@@ -693,7 +729,11 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
             through = foot[s].astype(float) - march.step_of(side, grid)
             if other >= 0 and slot[other] >= 0:
                 active[slot[other]] = True
-            elif other >= 0 and other not in entered and march.tangent_foot(foot, s, grid, *through, out) <= reach:
+            elif (
+                other >= 0
+                and other not in entered
+                and march.tangent_foot(foot, s, grid, *through, out) <= reach
+            ):
                 entered.append(other)
     assert 10 < len(entered) < psi.size - n
     results = []
@@ -703,9 +743,13 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
         arrays = [np.concatenate([a, np.zeros((room, *a.shape[1:]), a.dtype)]) for a in arrays]
         entering, middle = np.full(sources.size, 255, np.uint8), sources.size // 3
         for first, last in ((middle, sources.size), (0, middle)):
-            march.wake_neighbours(first, last, dense, grid, tuple(arrays), sources, half_width, entering)
+            march.wake_neighbours(
+                first, last, dense, grid, tuple(arrays), sources, half_width, entering
+            )
         np.testing.assert_array_equal(arrays[3][:n], active)
-        arrays, total = march.enter_neighbours(dense.slot, grid, tuple(arrays), n, sources, entering)
+        arrays, total = march.enter_neighbours(
+            dense.slot, grid, tuple(arrays), n, sources, entering
+        )
         assert all(a.shape[0] >= total for a in arrays)
         assert total == n + len(entered)
         cells, feet, states, marked = (a[:total] for a in arrays)
@@ -723,9 +767,13 @@ def test_the_band_on_thick_slices_goes_as_far_as_the_sign_changes_nearby():
     """Beyond a few voxels of foot, where psi has both signs in the box around the cell; on other grids everywhere."""
     psi = reference.smooth_noise((9, 14, 15), 16, 1.5)
     box = 2 * march.REACH + 1
-    low, high = (f(psi, size=box, mode="nearest") for f in (ndimage.minimum_filter, ndimage.maximum_filter))
+    low, high = (
+        f(psi, size=box, mode="nearest") for f in (ndimage.minimum_filter, ndimage.maximum_filter)
+    )
     want = ((low < 0) & (high >= 0)).ravel()
-    thick, even = (reference.grid_of(psi.shape, spacing) for spacing in ((5.0, 1.0, 1.0), (3.0, 1.0, 1.0)))
+    thick, even = (
+        reference.grid_of(psi.shape, spacing) for spacing in ((5.0, 1.0, 1.0), (3.0, 1.0, 1.0))
+    )
     far, near = march.REACH + 0.1, march.REACH - 0.1
     flat = psi.ravel()
     got = np.array([march.is_within_reach(flat, thick, cell, far) for cell in range(psi.size)])
@@ -740,7 +788,9 @@ def test_active_slots_are_taken_once_and_in_order():
     active = np.random.default_rng(5).random(40) < 0.5
     open_slots = np.array([3, 4, 9, 17, 20])
     before, counted = active.copy(), np.concatenate([open_slots, np.arange(30, 38)])
-    np.testing.assert_array_equal(march.take_active(open_slots, 30, 38, active), counted[before[counted]])
+    np.testing.assert_array_equal(
+        march.take_active(open_slots, 30, 38, active), counted[before[counted]]
+    )
     assert 0 < before[counted].sum() < counted.size and not active[counted].any()
     others = np.setdiff1d(np.arange(40), counted)
     np.testing.assert_array_equal(active[others], before[others])
@@ -770,10 +820,16 @@ def test_a_round_takes_the_closest_of_the_neighbours_feet(shape):
     grid, foot, h = reference.grid_of(shape, UNEQUAL), band.to_closest, np.array(UNEQUAL)
     state = rng.choice(np.array([march.OPEN, march.FROZEN, march.EDGE], np.int8), size)
     on = rng.permutation(size)[: size * 2 // 3]
-    better, changed = np.full((on.size, 3), np.float32(np.nan)), np.full(on.size, 7, np.int8).astype(bool)
+    better, changed = (
+        np.full((on.size, 3), np.float32(np.nan)),
+        np.full(on.size, 7, np.int8).astype(bool),
+    )
     at, last = foot.copy(), state.copy()
     first, stop = 2, on.size - 3
-    residue, offset = rng.normal(0, 1, size).astype(np.float32), np.full(on.size, np.float32(np.nan))
+    residue, offset = (
+        rng.normal(0, 1, size).astype(np.float32),
+        np.full(on.size, np.float32(np.nan)),
+    )
     out = better, changed, offset
     march.propagate_feet(first, stop, dense, grid, (band.cells, foot, state, residue), on, out)
     np.testing.assert_array_equal(foot, at)
@@ -788,7 +844,9 @@ def test_a_round_takes_the_closest_of_the_neighbours_feet(shape):
             if other >= 0 and dense.slot[other] >= 0 and state[other] != march.OPEN:
                 offers.append((foot[other] + np.array(march.step_of(side, grid)), residue[other]))
         offers.sort(key=lambda offer: np.linalg.norm(offer[0]))
-        least = np.inf if state[s] == march.OPEN else np.linalg.norm(foot[s]) - march.MIN_GAIN * h.min()
+        least = (
+            np.inf if state[s] == march.OPEN else np.linalg.norm(foot[s]) - march.MIN_GAIN * h.min()
+        )
         takes = bool(offers) and np.linalg.norm(offers[0][0]) < least
         assert changed[row] == takes
         if takes:
@@ -806,7 +864,9 @@ def test_a_foot_must_be_closer_by_more_than_is_negligible():
     near, out, state = np.empty(6, np.int64), np.full(3, -7.0), np.full(2, march.FROZEN, np.int8)
     for longer, takes in ((0.5 * march.MIN_GAIN, False), (1.5 * march.MIN_GAIN, True)):
         band.to_closest[0, 2] = 2 + longer
-        donor = march.nearer_neighbour_foot(0, dense, grid, band.cells, band.to_closest, state, near, out)
+        donor = march.nearer_neighbour_foot(
+            0, dense, grid, band.cells, band.to_closest, state, near, out
+        )
         assert donor == (1 if takes else -1)
     np.testing.assert_allclose(out, (0, 0, 2))
 
@@ -855,9 +915,15 @@ def test_rounds_give_what_a_march_in_order_gives(make, shape, spacing, monkeypat
     want = reference.march_in_order(grid, band.cells, foot, state, half_width)
     got = known_after_rounds(psi, spacing, half_width)
     lengths = [{c: voxels_along(*f, grid) for c, f in feet.items()} for feet in (want, got)]
-    both = sorted(c for c in set(want) & set(got) if max(lengths[0][c], lengths[1][c]) <= half_width)
+    both = sorted(
+        c for c in set(want) & set(got) if max(lengths[0][c], lengths[1][c]) <= half_width
+    )
     for one, other in (lengths, lengths[::-1]):
-        missed = [c for c, d in one.items() if d < half_width - march.MIN_GAIN and other.get(c, np.inf) > half_width]
+        missed = [
+            c
+            for c, d in one.items()
+            if d < half_width - march.MIN_GAIN and other.get(c, np.inf) > half_width
+        ]
         assert len(missed) <= (2 if spacing == UNEQUAL else 1) + 0.01 * len(both)
     gap = np.array([np.linalg.norm(got[c]) - np.linalg.norm(want[c]) for c in both]) / min(spacing)
     if len(both) > 0:
@@ -975,13 +1041,17 @@ def test_arrays_grow_and_keep_what_they_held():
     assert (rows[:2] == 1).all()
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 1), (3, 5, 7), (2, 1, 9), (1024, 3000, 2999), (70000, 1, 70001)])
+@pytest.mark.parametrize(
+    "shape", [(1, 1, 1), (3, 5, 7), (2, 1, 9), (1024, 3000, 2999), (70000, 1, 70001)]
+)
 def test_indices_by_products_are_those_by_divisions(shape):
     """At the ends of rows and planes too, where rounding would show."""
     grid = reference.grid_of(shape, UNEQUAL)
     size, row, plane = int(np.prod(shape)), shape[2], shape[1] * shape[2]
     rng = np.random.default_rng(23)
-    ends = np.concatenate([rng.integers(0, size // row, 200) * row, rng.integers(0, size // plane, 200) * plane])
+    ends = np.concatenate(
+        [rng.integers(0, size // row, 200) * row, rng.integers(0, size // plane, 200) * plane]
+    )
     cells = np.concatenate([ends, ends + row - 1, rng.integers(0, size, 200), [0, size - 1]])
     for cell in cells:
         assert unravel_in_vectors(int(cell), grid) == unravel(int(cell), grid)
@@ -997,7 +1067,9 @@ def test_a_range_of_slots_writes_nothing_outside_itself():
     find_feet(dense, grid, band, foot, state)
     reviewed = np.full_like(state, 77)
     march.classify_feet(5, 11, dense, grid, band.cells, foot, state, reviewed)
-    assert (reviewed[:5] == 77).all() and (reviewed[11:] == 77).all() and (reviewed[5:11] != 77).all()
+    assert (
+        (reviewed[:5] == 77).all() and (reviewed[11:] == 77).all() and (reviewed[5:11] != 77).all()
+    )
 
 
 def test_a_band_is_three_arrays_in_slot_order():

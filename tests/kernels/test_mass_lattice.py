@@ -45,7 +45,9 @@ def test_the_mirrored_volume_has_the_mirrored_lattice(shape):
     feet = band.to_closest.reshape(*shape, 3)
     for axis in range(3):
         sign = np.where(np.arange(3) == axis, -1.0, 1.0)
-        _, turned = reference.whole_band(np.ones(shape), (np.flip(feet, axis) * sign).reshape(-1, 3))
+        _, turned = reference.whole_band(
+            np.ones(shape), (np.flip(feet, axis) * sign).reshape(-1, 3)
+        )
         other = np.zeros_like(lattice)
         mirrored = np.ascontiguousarray(np.flip(mass.reshape(shape), axis)).ravel()
         windows.deposit(grid, turned, mirrored, rest, stride, other)

@@ -33,7 +33,9 @@ def feet_in_voxels(shape, band):
 def test_image_is_sampled_at_the_feet_and_held_at_the_border(shape):
     _, band, front, image = scene(shape, 1)
     out = np.full(image.size, np.nan, np.float32)
-    motion.sample_image(0, image.size, image.ravel(), reference.grid_of(shape, SPACING), band, front, out)
+    motion.sample_image(
+        0, image.size, image.ravel(), reference.grid_of(shape, SPACING), band, front, out
+    )
     at = np.clip(feet_in_voxels(shape, band), 0, np.array(shape) - 1.0)
     want, _ = reference.interpolate(image, at)
     np.testing.assert_allclose(out[front], want[front], atol=2e-5)
@@ -124,7 +126,9 @@ def test_kick_only_in_its_range():
 
 def test_kick_holds_its_denominator():
     beta, front = np.array([5.0], np.float32), np.ones(1, bool)
-    motion.kick(0, 1, beta, np.zeros(1, np.float32), np.array([10.0], np.float32), front, (0.0, 1.0))
+    motion.kick(
+        0, 1, beta, np.zeros(1, np.float32), np.array([10.0], np.float32), front, (0.0, 1.0)
+    )
     assert beta[0] == pytest.approx(25)
 
 
@@ -163,7 +167,11 @@ def test_cells_at_the_walls_across_an_axis(shape, axis):
     """Those of the first and last slice along it; a single slice has no walls."""
     _, slot, cells = holed(shape, 4)
     on = np.random.default_rng(5).permutation(cells.size).astype(np.int32)
-    out = np.empty((on.size, 6), np.int32), np.full(on.size, -1, np.int8), np.empty(cells.size, np.bool_)
+    out = (
+        np.empty((on.size, 6), np.int32),
+        np.full(on.size, -1, np.int8),
+        np.empty(cells.size, np.bool_),
+    )
     motion.neighbour_slots(0, on.size, slot, reference.grid_of(shape, SPACING), cells, on, out)
     place = np.unravel_index(cells[on], shape)[axis]
     want = np.isin(place, (0, shape[axis] - 1)) & (shape[axis] > 1)
@@ -182,7 +190,9 @@ def test_laplacian_as_the_reference_with_holes_and_at_the_border(shape):
     on = np.flatnonzero(front).astype(np.int32)
     beta = values.ravel()[cells]
     table, near = np.empty((on.size, 6), np.int32), np.empty(cells.size, np.bool_)
-    motion.neighbour_slots(0, on.size, slot, grid, cells, on, (table, np.empty(on.size, np.int8), near))
+    motion.neighbour_slots(
+        0, on.size, slot, grid, cells, on, (table, np.empty(on.size, np.int8), near)
+    )
     out = np.full(cells.size, np.nan, np.float32)
     weights = tuple(np.float32(v) for v in (0, 1, 0))
     motion.diffusion_stage(0, on.size, on, table, grid, (beta, np.zeros_like(beta)), weights, out)
@@ -197,7 +207,9 @@ def test_a_stage_of_diffusion_weighs_the_last_two():
     n, grid = cells.size, reference.grid_of(shape, SPACING)
     on = np.random.default_rng(10).permutation(n)[: n - 9].astype(np.int32)
     table, near = np.empty((on.size, 6), np.int32), np.empty(cells.size, np.bool_)
-    motion.neighbour_slots(0, on.size, slot, grid, cells, on, (table, np.empty(on.size, np.int8), near))
+    motion.neighbour_slots(
+        0, on.size, slot, grid, cells, on, (table, np.empty(on.size, np.int8), near)
+    )
     old, older = np.random.default_rng(9).standard_normal((2, n)).astype(np.float32)
     mu, rate, nu = 1.5, 0.07, -0.5
     weights = tuple(np.float32(v) for v in (mu, rate, nu))
@@ -207,7 +219,9 @@ def test_a_stage_of_diffusion_weighs_the_last_two():
     on_grid[present] = old
     lap = reference.laplacian(on_grid, present, SPACING).ravel()[cells]
     done = on[20:90]
-    np.testing.assert_allclose(out[done], (mu * old + rate * lap + nu * older)[done], rtol=0, atol=5e-6)
+    np.testing.assert_allclose(
+        out[done], (mu * old + rate * lap + nu * older)[done], rtol=0, atol=5e-6
+    )
     assert np.isnan(np.delete(out, done)).all()
     # Of a constant nothing flows, whatever is missing, and the weights add up to 1.
     ones, out = np.ones(n, np.float32), np.full(n, np.nan, np.float32)
@@ -216,14 +230,18 @@ def test_a_stage_of_diffusion_weighs_the_last_two():
 
 
 def test_rates_are_voxels_along_the_normal():
-    normals = np.array([(1, 0, 0), (0, 1, 0), (0, 0, -1), (1, 1, 0) / np.sqrt(2), (0.48, 0.6, 0.64)])
+    normals = np.array(
+        [(1, 0, 0), (0, 1, 0), (0, 0, -1), (1, 1, 0) / np.sqrt(2), (0.48, 0.6, 0.64)]
+    )
     distance = np.array([2.0, -1.0, 0.3, 1e-6, -1.5])
     foot = (-distance[:, None] * normals).astype(np.float32)
     band = Band(np.arange(5), distance.astype(np.float32), foot)
     beta = np.array([1.0, -2.0, 3.0, 4.0, -5.0], np.float32)
     front, out = np.array([True, True, True, True, True]), np.empty(5, np.float32)
     motion.voxel_rates(0, 5, reference.grid_of((5, 1, 1), SPACING), band, front, beta, out)
-    np.testing.assert_allclose(out, np.abs(beta) * np.linalg.norm(normals / SPACING, axis=1), rtol=1e-4)
+    np.testing.assert_allclose(
+        out, np.abs(beta) * np.linalg.norm(normals / SPACING, axis=1), rtol=1e-4
+    )
     front[2] = False
     motion.voxel_rates(0, 5, reference.grid_of((5, 1, 1), SPACING), band, front, beta, out)
     assert out[2] == 0

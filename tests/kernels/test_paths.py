@@ -15,8 +15,12 @@ def by_scipy(seeds, values, lengths, weight):
     rows, columns, costs = [], [], []
     for axis in range(3):
         count = seeds.shape[axis]
-        here, there = (np.take(index, part, axis).ravel() for part in (range(count - 1), range(1, count)))
-        change = weight * (values.reshape(len(values), -1)[:, there] - values.reshape(len(values), -1)[:, here])
+        here, there = (
+            np.take(index, part, axis).ravel() for part in (range(count - 1), range(1, count))
+        )
+        change = weight * (
+            values.reshape(len(values), -1)[:, there] - values.reshape(len(values), -1)[:, here]
+        )
         rows.append(here)
         columns.append(there)
         costs.append(np.sqrt(lengths[axis] ** 2 + (change.astype(np.float64) ** 2).sum(axis=0)))
@@ -37,7 +41,9 @@ def test_lengths_are_scipy_s():
 
 
 def test_without_seeds_nothing_is_reached():
-    found = shortest_paths(np.zeros(SHAPE, bool), np.zeros((1, *SHAPE), np.float32), np.ones(3), 1.0)
+    found = shortest_paths(
+        np.zeros(SHAPE, bool), np.zeros((1, *SHAPE), np.float32), np.ones(3), 1.0
+    )
     assert np.isinf(found).all()
 
 
@@ -55,7 +61,9 @@ def test_a_path_that_winds_through_walls_is_followed_to_its_end():
     seeds = np.zeros(values.shape[1:], bool)
     seeds[0, 0, -1] = True
     for turned in (lambda a: a, np.flipud, np.fliplr, np.transpose):
-        flat_values, flat_seeds = (np.ascontiguousarray(turned(a)) for a in (values[0, 0], seeds[0]))
+        flat_values, flat_seeds = (
+            np.ascontiguousarray(turned(a)) for a in (values[0, 0], seeds[0])
+        )
         found = shortest_paths(flat_seeds[None], flat_values[None, None], np.ones(3), 100.0)
         way = flat_values == 0.0
         assert found[0][way].max() == np.count_nonzero(way) - 1

@@ -27,7 +27,9 @@ def levels_of(points, triangles):
 
 def centres(level):
     """Barycentric coordinates of the centres of the level^2 triangles that a triangle is divided into."""
-    i, j, up = (a.ravel() for a in np.meshgrid(np.arange(level), np.arange(level), (1, 2), indexing="ij"))
+    i, j, up = (
+        a.ravel() for a in np.meshgrid(np.arange(level), np.arange(level), (1, 2), indexing="ij")
+    )
     within = i + j + up <= level
     a, b = (3 * i + up)[within], (3 * j + up)[within]
     return np.stack([a, b, 3 * level - a - b], axis=1) / (3.0 * level)
@@ -76,12 +78,16 @@ def test_of_each_pixel_the_nearest_point_is_kept(triangles):
 
 @pytest.mark.nojit
 def test_of_equal_depths_the_last_counts_and_depths_beyond_the_range_are_its_ends():
-    points = np.array([[1, 1, 9], [20, 1, 9], [1, 20, 9], [1, 1, -99], [20, 1, -99], [1, 20, -99]], float)
+    points = np.array(
+        [[1, 1, 9], [20, 1, 9], [1, 20, 9], [1, 1, -99], [20, 1, -99], [1, 20, -99]], float
+    )
     near, far = [0, 1, 2], [3, 4, 5]
     levels = np.full(3, 20)
     nearest, shown = filled(points, np.array([near, far, near]), np.arange(3), levels)
     covered = nearest >= 0
-    assert set(shown[0][covered]) == {2} and set(nearest[covered] >> 32) == {int((9 - DEPTHS[0]) / DEPTHS[1])}
+    assert set(shown[0][covered]) == {2} and set(nearest[covered] >> 32) == {
+        int((9 - DEPTHS[0]) / DEPTHS[1])
+    }
     alone, _ = filled(points, np.array([far]), np.arange(1), levels[:1])
     assert set(alone[alone >= 0] >> 32) == {0}
 

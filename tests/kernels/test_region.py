@@ -13,7 +13,16 @@ pytestmark = pytest.mark.nojit
 
 SPACING = (3.0, 1.0, 0.7)
 WIDTH = region.AREA_WIDTH
-DIRECTIONS = [(1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 1, 0), (0, 1, -2), (1, 1, 1), (-0.3, 0.8, 0.52), (0.05, 1, 0.02)]
+DIRECTIONS = [
+    (1, 0, 0),
+    (0, -1, 0),
+    (0, 0, 1),
+    (1, 1, 0),
+    (0, 1, -2),
+    (1, 1, 1),
+    (-0.3, 0.8, 0.52),
+    (0.05, 1, 0.02),
+]
 
 
 @pytest.mark.sampled
@@ -49,7 +58,9 @@ def test_cut_voxel_without_a_gradient_is_in_or_out():
 @pytest.mark.parametrize("axis", range(3))
 def test_a_face_exactly_between_two_voxels_is_shared_by_them(axis):
     grid, n = reference.grid_of((3, 3, 3), SPACING), np.eye(3)[axis]
-    inner, outer = (region.fraction_below_plane(sign * 0.5 * SPACING[axis], *n, grid) for sign in (-1, 1))
+    inner, outer = (
+        region.fraction_below_plane(sign * 0.5 * SPACING[axis], *n, grid) for sign in (-1, 1)
+    )
     assert inner + outer == pytest.approx(1, abs=1e-6)
     assert inner > 0.9999
 
@@ -62,13 +73,17 @@ def test_smeared_area_by_its_formula(d, voxels):
     got = region.smeared_area(d, voxels, 0.0, 0.0, 1.0, (r + d) ** -2, grid, WIDTH)
     mm = 0.75  # the normal lies along x
     delta = (1 + np.cos(np.pi * voxels / 1.5)) / (3 * mm) if voxels < 1.5 else 0.0
-    assert got == pytest.approx(delta * (1 - d**2 / (r + d) ** 2) * np.prod(spacing), rel=1e-9, abs=1e-12)
+    assert got == pytest.approx(
+        delta * (1 - d**2 / (r + d) ** 2) * np.prod(spacing), rel=1e-9, abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("gauss", [9.0, -9.0])
 def test_smeared_area_changes_by_a_quarter_at_most_however_curved(gauss):
     grid = reference.grid_of((5, 5, 5), SPACING)
-    flat, curved = (region.smeared_area(0.5, 0.6, 0.3, -0.2, 0.9, k, grid, WIDTH) for k in (0.0, gauss))
+    flat, curved = (
+        region.smeared_area(0.5, 0.6, 0.3, -0.2, 0.9, k, grid, WIDTH) for k in (0.0, gauss)
+    )
     assert curved == pytest.approx(flat * (1 - np.sign(gauss) / 4))
 
 
@@ -80,12 +95,16 @@ def test_smeared_area_beside_the_surface_takes_its_normal_from_the_gradient():
     want = 2 / 3 * per_mm * np.prod(SPACING)
     for size in (1.0, 0.4, 7.0):
         assert region.smeared_area(0.0, 0.0, *(size * n), 0.0, grid, WIDTH) == pytest.approx(want)
-    assert region.smeared_area(0.011 / per_mm, 0.011, *n, 0.0, grid, WIDTH) == pytest.approx(want, rel=1e-3)
+    assert region.smeared_area(0.011 / per_mm, 0.011, *n, 0.0, grid, WIDTH) == pytest.approx(
+        want, rel=1e-3
+    )
 
 
 def unwritten(n):
     """Arrays for the four measures of `measure_band`, filled with NaN."""
-    return tuple(np.full(n, np.nan, kind) for kind in (np.float64, np.float64, np.float32, np.float32))
+    return tuple(
+        np.full(n, np.nan, kind) for kind in (np.float64, np.float64, np.float32, np.float32)
+    )
 
 
 def all_measured(psi, spacing, foot, within):
@@ -125,13 +144,18 @@ def test_measured_curvature_and_variation_as_the_reference(shape, within):
     want = reference.surface_curvature(psi, SPACING).ravel()
     k = reference.principal_curvatures(psi, SPACING).reshape(-1, 2)
     mirrored = reference.principal_curvatures(psi, SPACING, mirrored=True).reshape(-1, 2)
-    mirrored_slope = np.linalg.norm(reference.derivatives(psi, SPACING, mirrored=True)[0].reshape(-1, 3), axis=1)
+    mirrored_slope = np.linalg.norm(
+        reference.derivatives(psi, SPACING, mirrored=True)[0].reshape(-1, 3), axis=1
+    )
     voxels = np.linalg.norm(foot.astype(np.float32).astype(float) / SPACING, axis=1)
     near, steep = voxels <= within, np.linalg.norm(gradient, axis=1) > 0.1
     assert (near & steep).sum() > 8
     # The reference divides by 1 - d k of each curvature, which is ill conditioned beside the centre of curvature.
     factors = 1 - psi.ravel()[:, None] * k
-    tame, most = near & steep & (np.abs(factors.prod(axis=1) - 0.2) > 1e-3), np.float32(2 / min(SPACING))
+    tame, most = (
+        near & steep & (np.abs(factors.prod(axis=1) - 0.2) > 1e-3),
+        np.float32(2 / min(SPACING)),
+    )
     np.testing.assert_allclose(bend[tame], want[tame], rtol=2e-3, atol=2e-4)
     on = tame & (mirrored_slope > 0.1)
     moved = np.clip(want + mirrored.sum(axis=1) - k.sum(axis=1), -most, most)
@@ -153,7 +177,9 @@ def test_the_area_s_variation_is_the_curvature_but_at_the_border(shape):
 def test_measured_curvature_of_a_ball_is_that_at_the_foot():
     """The same 2/r two voxels inside and two outside."""
     shape, spacing, radius = (25, 25, 13), (1.0, 1.0, 2.0), 8.0
-    z, y, x = reference.coordinates(shape, spacing, (np.array(shape) - 1) / 2 * spacing + (0.1, -0.2, 0.15))
+    z, y, x = reference.coordinates(
+        shape, spacing, (np.array(shape) - 1) / 2 * spacing + (0.1, -0.2, 0.15)
+    )
     psi = np.sqrt(z**2 + y**2 + x**2) - radius
     foot = -(psi / (psi + radius))[..., None] * np.stack([z, y, x], axis=-1)
     _, _, bend = measured(psi, spacing, foot, 2.5)
@@ -176,15 +202,25 @@ def test_measured_shares_and_areas_as_the_reference(shape, spacing, within):
     steep = np.linalg.norm(gradient, axis=1) > 0.1
     d = psi.ravel().astype(float)
     # The plane is that of the mean of psi over the voxel.
-    second = np.einsum("...aa,a->...", reference.derivatives(psi, spacing)[1], np.square(spacing)).ravel()
+    second = np.einsum(
+        "...aa,a->...", reference.derivatives(psi, spacing)[1], np.square(spacing)
+    ).ravel()
     # Cut at all only where the surface is within half a diagonal of the centre.
-    mean = np.where(np.abs(d) <= 0.51 * np.linalg.norm(spacing), d + second / 24, np.sign(d) * np.inf)
+    mean = np.where(
+        np.abs(d) <= 0.51 * np.linalg.norm(spacing), d + second / 24, np.sign(d) * np.inf
+    )
     for s in np.flatnonzero(steep):
-        want = reference.cut_voxel(mean[s], gradient[s], spacing)[0] if np.isfinite(mean[s]) else float(d[s] < 0)
+        want = (
+            reference.cut_voxel(mean[s], gradient[s], spacing)[0]
+            if np.isfinite(mean[s])
+            else float(d[s] < 0)
+        )
         assert part[s] == pytest.approx(want, abs=5e-4)
     assert 0.1 < part.mean() < 0.9
     voxels = np.linalg.norm(foot / spacing, axis=1)
-    per_mm = np.linalg.norm(gradient / spacing, axis=1)[steep] / np.linalg.norm(gradient, axis=1)[steep]
+    per_mm = (
+        np.linalg.norm(gradient / spacing, axis=1)[steep] / np.linalg.norm(gradient, axis=1)[steep]
+    )
     delta = np.where(voxels < 1.5, 1 + np.cos(np.pi * voxels / 1.5), 0)[steep] / 3 * per_mm
     gauss = reference.principal_curvatures(psi, spacing).reshape(-1, 2).prod(axis=1)[steep]
     want = delta * (1 - np.clip(d[steep] ** 2 * gauss, -0.25, 0.25)) * np.prod(spacing)
@@ -213,7 +249,10 @@ def test_measures_of_a_plane_are_exact_up_to_the_border(shape, direction):
     each = [reference.cut_voxel(float(d), n, SPACING)[0] for d in psi.ravel()]
     np.testing.assert_allclose(part, each, atol=4e-4)
     # Second differences of rounded values are not 0: three of psi's roundings, over h^2.
-    assert np.abs(bend).max() < 3 * 4 * np.finfo(np.float32).eps * np.abs(psi).max() / min(SPACING) ** 2
+    assert (
+        np.abs(bend).max()
+        < 3 * 4 * np.finfo(np.float32).eps * np.abs(psi).max() / min(SPACING) ** 2
+    )
 
 
 @pytest.mark.parametrize("feet", [True, False])
@@ -270,7 +309,11 @@ def test_measures_write_nothing_outside_their_range(start, stop):
     written = unwritten(n)
     region.measure_band(start, stop, dense.psi, grid, band, 2.0, written)
     for out in written:
-        assert np.isfinite(out[start:stop]).all() and np.isnan(out[:start]).all() and np.isnan(out[stop:]).all()
+        assert (
+            np.isfinite(out[start:stop]).all()
+            and np.isnan(out[:start]).all()
+            and np.isnan(out[stop:]).all()
+        )
 
 
 def test_measures_are_the_same_bytes_however_the_range_is_cut():
@@ -290,7 +333,10 @@ def test_area_and_curvature_of_many_cells_are_those_of_single_ones():
     rng, grid = np.random.default_rng(31), reference.grid_of((9, 9, 9), (2.0, 1.0, 0.7))
     memory = rng.normal(0, 0.6, 25 * BATCH).astype(np.float32)
     columns = memory[19 * BATCH :].reshape(6, BATCH)
-    distance, voxels = rng.uniform(-1.5, 1.5, BATCH).astype(np.float32), rng.uniform(0.011, 2.0, BATCH)
+    distance, voxels = (
+        rng.uniform(-1.5, 1.5, BATCH).astype(np.float32),
+        rng.uniform(0.011, 2.0, BATCH),
+    )
     measured = np.full(4 * BATCH, region.AREA_WIDTH)
     measured[:BATCH] = voxels
     region.measures_alike(grid, distance, memory, (1.58, 2.9), measured)
@@ -298,7 +344,9 @@ def test_area_and_curvature_of_many_cells_are_those_of_single_ones():
     for i in range(BATCH):
         level = tuple(columns[:, i])
         _, area, curvature = region.measures(grid, distance[i], voxels[i], level, 1.58, 0.9, 2.9)
-        assert areas[i] == pytest.approx(area, rel=1e-6) and curvatures[i] == pytest.approx(curvature, rel=1e-6)
+        assert areas[i] == pytest.approx(area, rel=1e-6) and curvatures[i] == pytest.approx(
+            curvature, rel=1e-6
+        )
     assert 0 < np.count_nonzero(areas) < BATCH and 0 < np.count_nonzero(curvatures) < BATCH
     assert (np.abs(curvatures) == 2.9).any() and (np.abs(curvatures) < 2.9).any()
 
@@ -341,5 +389,7 @@ def test_inside_sums_leave_the_band_and_the_outside_out():
     region.inside_sums(1, 3, DenseArrays(psi.ravel(), slot.ravel()), image.ravel(), grid, sums)
     for plane in (1, 2):
         counted = image[plane][(psi[plane] < 0) & (slot[plane] < 0)].astype(np.float64)
-        np.testing.assert_allclose(sums[plane], [counted.size, counted.sum(), (counted**2).sum()], rtol=1e-12)
+        np.testing.assert_allclose(
+            sums[plane], [counted.size, counted.sum(), (counted**2).sum()], rtol=1e-12
+        )
     assert (sums[[0, 3]] == -7.0).all(), "planes that were not asked for"

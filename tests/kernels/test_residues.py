@@ -73,7 +73,9 @@ def test_slopes_are_those_of_the_value():
 def test_limited_values_and_slopes_as_the_reference(shape, roughness):
     """Where few lines are limited and where most are, also beyond the borders and on thin volumes."""
     rng = np.random.default_rng(3)
-    psi = (roughness * reference.smooth_noise(shape, 3) + roughness**3 * rng.normal(0, 1, shape)).astype(np.float32)
+    psi = (
+        roughness * reference.smooth_noise(shape, 3) + roughness**3 * rng.normal(0, 1, shape)
+    ).astype(np.float32)
     grid = reference.grid_of(shape, SPACING)
     places = rng.uniform(-0.5, 0.5 + np.array(shape) - 1, (BATCH - 5, 3))
     places[:8] = np.rint(places[:8])
@@ -138,7 +140,11 @@ def test_residues_beside_what_is_removed_are_dropped(holes):
     rng, shape = np.random.default_rng(3), (5, 6, 7)
     foot = rng.uniform(-1.5, 1.5, (210, 3))
     dense, band = reference.whole_band(np.ones(shape), foot)
-    grid, out, flipped = reference.grid_of(shape, (1, 1, 1)), np.ones(210, np.float32), np.zeros(210, bool)
+    grid, out, flipped = (
+        reference.grid_of(shape, (1, 1, 1)),
+        np.ones(210, np.float32),
+        np.zeros(210, bool),
+    )
     flipped[np.ravel_multi_index((2, 3, 4), shape)] = flipped[0] = flipped[-1] = True
     for hole in holes:
         dense.slot[np.ravel_multi_index(hole, shape)] = -1
@@ -148,7 +154,9 @@ def test_residues_beside_what_is_removed_are_dropped(holes):
     residues.drop_residues(0, 210, dense.slot, grid, band, (flipped, marked), out)
     place = np.argwhere(np.ones(shape, bool)) + band.to_closest.astype(float)
     corners = np.floor(place).astype(int)[:, None] + np.array(list(np.ndindex(2, 2, 2)))
-    slots = dense.slot.reshape(shape)[tuple(np.moveaxis(np.clip(corners, 0, np.array(shape) - 1), 2, 0))]
+    slots = dense.slot.reshape(shape)[
+        tuple(np.moveaxis(np.clip(corners, 0, np.array(shape) - 1), 2, 0))
+    ]
     want = ((slots >= 0) & flipped[slots]).any(axis=1)
     assert 3 < want.sum() < 210
     np.testing.assert_array_equal(out == 0, want)
@@ -163,14 +171,26 @@ def test_a_guess_moves_to_the_surface_beyond_a_ridge_that_has_come_closer():
     dense, band = reference.whole_band((np.abs(along) - 1).reshape(shape), foot)
     band.psi[:] = np.abs(along) - 1
     cell = np.ravel_multi_index((4, 4, 4), shape)
-    guesses, beside, offset = np.empty((3, BATCH), np.float32), np.empty(BATCH, np.bool_), np.empty(BATCH, np.float32)
+    guesses, beside, offset = (
+        np.empty((3, BATCH), np.float32),
+        np.empty(BATCH, np.bool_),
+        np.empty(BATCH, np.float32),
+    )
     residue = np.linspace(0.001, 0.002, along.size, dtype=np.float32)
     for shift, moves in ((0.0, False), (0.05, False), (-0.2, True), (-0.4, True)):
         dense.psi[:] = np.abs(along - shift) - 1
         # Psi of the cell has followed the surface that was the closest.
         dense.psi[cell] = -abs(-1 - along[cell] + shift)
         scratch = near, np.empty(3), guess_memory()
-        guess_feet(np.array([cell]), dense, grid, band, (np.inf, residue), scratch, (guesses, beside, offset))
+        guess_feet(
+            np.array([cell]),
+            dense,
+            grid,
+            band,
+            (np.inf, residue),
+            scratch,
+            (guesses, beside, offset),
+        )
         assert (offset[0] != residue[cell]) == moves
         want = 1 + shift - along[cell] if moves else -abs(-1 - along[cell] + shift)
         np.testing.assert_allclose(guesses[:, 0], want * normal, atol=1e-6)

@@ -87,7 +87,9 @@ def test_sums_by_cube(shape):
     count = [int(c[-1]) + 1 for c in cube_of]
     planes, rows = cube_of[0] * (count[1] * count[2]), cube_of[1] * count[2]
     reached, sums = np.zeros(int(np.prod(count)), bool), np.zeros(int(np.prod(count)))
-    statistics.sums_by_cube(cells, values, scale, np.add.outer(planes, rows).ravel(), cube_of[2], reached, sums)
+    statistics.sums_by_cube(
+        cells, values, scale, np.add.outer(planes, rows).ravel(), cube_of[2], reached, sums
+    )
     z, y, x = np.unravel_index(cells, shape)
     cubes = planes[z] + rows[y] + cube_of[2][x]
     np.testing.assert_array_equal(reached, np.bincount(cubes, minlength=sums.size) > 0)
@@ -113,7 +115,9 @@ def test_displacement_sums(spacing):
     places = np.minimum(np.searchsorted(old_cells, cells), old_cells.size - 1)
     known = old_cells[places] == cells
     to_closest = band.to_closest.astype(float)
-    per_mm = np.linalg.norm(to_closest / spacing, axis=1) / np.maximum(np.linalg.norm(to_closest, axis=1), 1e-150)
+    per_mm = np.linalg.norm(to_closest / spacing, axis=1) / np.maximum(
+        np.linalg.norm(to_closest, axis=1), 1e-150
+    )
     way = np.where(known, np.abs(psi.astype(float) - old[places]) * per_mm, beyond)
     for block in range(3):
         own = slice(block * BLOCK, (block + 1) * BLOCK)

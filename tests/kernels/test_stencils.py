@@ -16,11 +16,26 @@ THIN = [(1, 9, 12), (4, 9, 8), (2, 5, 6), (3, 4, 5), (9, 8, 4)]
 EPS = float(np.finfo(np.float32).eps)
 #: Rows of `gather_block`: steps (z, y, x) from the cell.
 BLOCK_STEPS = [
-    (0, 0, 0), (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1),
-    (-1, -1, 0), (-1, 1, 0), (1, -1, 0), (1, 1, 0),
-    (-1, 0, -1), (-1, 0, 1), (1, 0, -1), (1, 0, 1),
-    (0, -1, -1), (0, -1, 1), (0, 1, -1), (0, 1, 1),
-]  # fmt: skip
+    (0, 0, 0),
+    (-1, 0, 0),
+    (1, 0, 0),
+    (0, -1, 0),
+    (0, 1, 0),
+    (0, 0, -1),
+    (0, 0, 1),
+    (-1, -1, 0),
+    (-1, 1, 0),
+    (1, -1, 0),
+    (1, 1, 0),
+    (-1, 0, -1),
+    (-1, 0, 1),
+    (1, 0, -1),
+    (1, 0, 1),
+    (0, -1, -1),
+    (0, -1, 1),
+    (0, 1, -1),
+    (0, 1, 1),
+]
 
 
 def gathered(psi, wanted, first, count):
@@ -95,7 +110,9 @@ def test_norms_as_cell_by_cell_and_as_godunovs_theorem(shape):
     assert (np.abs(out - np.append(want, [0, 0])) <= bound)[columns].all()
     grid = reference.grid_of(shape, SPACING)
     for cell in columns:
-        single = differences.godunov_norm(psi.ravel().astype(float), cell, *unravel(cell, grid), grid, way[cell] > 0)
+        single = differences.godunov_norm(
+            psi.ravel().astype(float), cell, *unravel(cell, grid), grid, way[cell] > 0
+        )
         assert abs(out[cell] - single) <= bound[cell]
 
 
@@ -112,7 +129,9 @@ def test_norms_of_a_plane_are_exact_whichever_the_way():
         np.testing.assert_allclose(out, np.sqrt(0.25**2 + 0.5**2 + 2**2), rtol=EPS)
 
 
-@pytest.mark.parametrize("shape", [(7, 9, 8), (3, 4, 5), (3, 3, 3), (1, 9, 12), (2, 5, 6), (5, 6, 2), (5, 1, 6)])
+@pytest.mark.parametrize(
+    "shape", [(7, 9, 8), (3, 4, 5), (3, 3, 3), (1, 9, 12), (2, 5, 6), (5, 6, 2), (5, 1, 6)]
+)
 def test_blocks_are_gathered_where_all_18_neighbours_are(shape):
     psi = np.random.default_rng(5).standard_normal(shape).astype(np.float32)
     cells, rows, _ = blocks(psi)
@@ -130,7 +149,11 @@ def test_at_the_border_nothing_is_gathered():
     assert (memory == -7).all()
     assert differences.gather_block(26, 1, 1, 1, psi.ravel(), grid, memory, 1)
     rows = memory.reshape(25, BATCH)
-    assert (rows[:19, 1] == 1).all() and (np.delete(rows, 1, axis=1) == -7).all() and (rows[19:] == -7).all()
+    assert (
+        (rows[:19, 1] == 1).all()
+        and (np.delete(rows, 1, axis=1) == -7).all()
+        and (rows[19:] == -7).all()
+    )
 
 
 @pytest.mark.parametrize("spacing", [SPACING, (1.0, 1.0, 1.0)])
@@ -140,7 +163,9 @@ def test_curvatures_as_cell_by_cell_and_as_the_reference(shape, spacing):
     psi = 2 * reference.smooth_noise(shape, 1)
     cells, rows, out = blocks(psi, spacing)
     out = out.astype(float)
-    gradient, _ = (d.reshape(psi.size, *d.shape[3:])[cells] for d in reference.derivatives(psi, spacing))
+    gradient, _ = (
+        d.reshape(psi.size, *d.shape[3:])[cells] for d in reference.derivatives(psi, spacing)
+    )
     k = reference.principal_curvatures(psi, spacing).reshape(-1, 2)[cells]
     h = np.array(spacing)
     r = rows.astype(float)
@@ -182,11 +207,15 @@ def test_curvature_is_zero_where_there_is_no_gradient():
     """Flat, and a slope just below and just above what counts."""
     x = np.indices((3, 3, 3))[2]
     for slope, curved in ((0.0, False), (0.9e-4, False), (1.1e-4, True)):
-        psi = (slope * x + 1e-3 * (x - 1) ** 2 + 1e-3 * (np.indices((3, 3, 3))[1] - 1) ** 2).astype(np.float32)
+        psi = (slope * x + 1e-3 * (x - 1) ** 2 + 1e-3 * (np.indices((3, 3, 3))[1] - 1) ** 2).astype(
+            np.float32
+        )
         _, _, out = blocks(psi, (1.0, 1.0, 1.0))
         assert np.isfinite(out[:, 0]).all()
         assert (out[3, 0] != 0) == curved
-        single = differences.curvatures(psi.ravel(), 13, 1, 1, 1, reference.grid_of((3, 3, 3), (1, 1, 1)))
+        single = differences.curvatures(
+            psi.ravel(), 13, 1, 1, 1, reference.grid_of((3, 3, 3), (1, 1, 1))
+        )
         assert (single[0] != 0) == curved
     _, _, out = blocks(np.full((3, 3, 3), 2, np.float32))
     assert not out[:, 0].any()

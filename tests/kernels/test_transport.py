@@ -25,7 +25,9 @@ def vectors_of(shape, seed, columns=3, share=1.0, extra=0, hole=None):
     present = rng.random(shape) < share
     if hole is not None:
         present[hole] = False
-    dense = np.stack([reference.smooth_noise(shape, seed + 1 + c, 1.0) for c in range(columns)], axis=-1)
+    dense = np.stack(
+        [reference.smooth_noise(shape, seed + 1 + c, 1.0) for c in range(columns)], axis=-1
+    )
     dense[~present] = 0
     slot = np.full(present.size, -1, np.int32)
     cells = np.flatnonzero(present)
@@ -66,7 +68,9 @@ def indices(shape):
 @pytest.mark.sampled
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("columns", [1, 3, 4])
-def test_vectors_are_cubic_in_a_complete_band_and_continued_to_the_faces_of_the_border(shape, columns):
+def test_vectors_are_cubic_in_a_complete_band_and_continued_to_the_faces_of_the_border(
+    shape, columns
+):
     present, dense, values, slot = vectors_of(shape, 1, columns)
     grid, got = reference.grid_of(shape, SPACING), np.full(columns, np.nan)
     for p in positions(shape, 2):
@@ -103,7 +107,9 @@ def test_vectors_fall_back_on_the_known_of_the_eight(shape, columns):
         if found:
             np.testing.assert_allclose(got, [value for value, _ in linear], atol=1e-5)
         want, want_found = reference.band_vector(dense, present, p)
-        assert transport.band_vector_at(values, slot, grid, p, np.full(24, np.nan), got) == want_found
+        assert (
+            transport.band_vector_at(values, slot, grid, p, np.full(24, np.nan), got) == want_found
+        )
         if want_found:
             np.testing.assert_allclose(got, want, atol=2e-5)
         missing += not found
@@ -219,8 +225,12 @@ def test_a_plane_is_translated_exactly(shape, share):
     for velocity in (np.array([1.2, -0.9, 0.5]), np.array([-1.2, 0.9, -0.5])):
         moves = np.tile((velocity * thick).astype(np.float32), (band.cells.size, 1))
         out = np.full(band.cells.size, np.nan, np.float32)
-        transport.advect_psi(0, out.size, dense, reference.grid_of(shape, SPACING), band, moves, dt, out)
-        np.testing.assert_allclose(out, psi[band.cells] - dt * normal @ (velocity * thick), atol=2e-5)
+        transport.advect_psi(
+            0, out.size, dense, reference.grid_of(shape, SPACING), band, moves, dt, out
+        )
+        np.testing.assert_allclose(
+            out, psi[band.cells] - dt * normal @ (velocity * thick), atol=2e-5
+        )
 
 
 @pytest.mark.sampled(4)
@@ -236,7 +246,9 @@ def test_psi_is_that_of_the_departure_point_or_moved_along_the_normal(shape, sha
     band = Band(cells, d, -d[:, None] * way)
     psi = psi + rng.uniform(-0.1, 0.1, shape).astype(np.float32)
     out = np.full(cells.size, np.nan, np.float32)
-    transport.advect_psi(0, cells.size, DenseArrays(psi.ravel().copy(), slot), grid, band, velocity, dt, out)
+    transport.advect_psi(
+        0, cells.size, DenseArrays(psi.ravel().copy(), slot), grid, band, velocity, dt, out
+    )
     gradient = unit(reference.derivatives(psi, SPACING)[0].reshape(-1, 3)[cells])
     seen = set()
     for s, target in enumerate(np.argwhere(present)):
@@ -308,7 +320,10 @@ def test_slopes_and_neighbouring_slots_with_holes_and_at_the_border(shape, share
         steps = np.repeat(np.eye(3, dtype=int), 2, axis=0) * np.array([-1, 1] * 3)[:, None]
         np.testing.assert_array_equal(at, slots[tuple((cell + 1 + steps).T)])
         for c in range(2):
-            got = [transport.slope(values, c, s, at[2 * a], at[2 * a + 1], h) for a, h in enumerate(SPACING)]
+            got = [
+                transport.slope(values, c, s, at[2 * a], at[2 * a + 1], h)
+                for a, h in enumerate(SPACING)
+            ]
             np.testing.assert_allclose(got, want[c][s], rtol=1e-4, atol=1e-5)
 
 
@@ -355,7 +370,9 @@ def test_stretch_of_affine_maps_is_exact(matrix, shape):
     np.testing.assert_allclose(got[front], want[front], atol=2e-5)
     assert (got[~front] == 1).all()
     if abs(np.linalg.det(f)) > 0:
-        np.testing.assert_allclose(want, abs(np.linalg.det(f)) * np.linalg.norm(normal @ np.linalg.inv(f), axis=1))
+        np.testing.assert_allclose(
+            want, abs(np.linalg.det(f)) * np.linalg.norm(normal @ np.linalg.inv(f), axis=1)
+        )
     if matrix is AFFINE:
         wrong = [
             np.full(n, np.linalg.det(f)),
@@ -395,7 +412,9 @@ def test_stretch_of_a_growing_sphere():
     out = np.empty(len(off), np.float32)
     cells = np.arange(len(off))
     grid = reference.grid_of(shape, (1, 1, 1))
-    transport.area_stretch(0, out.size, cells.astype(np.int32), grid, cells, front, (normal, normal, dt), out)
+    transport.area_stretch(
+        0, out.size, cells.astype(np.int32), grid, cells, front, (normal, normal, dt), out
+    )
     np.testing.assert_allclose(out[front], ((1 + dt / radius) ** 2)[front], rtol=0.02)
 
 
@@ -406,8 +425,12 @@ def test_stretch_as_the_reference_with_holes(shape, share):
     n, dt = len(velocity), 0.4
     normal, front = random_normals(n, 21), np.random.default_rng(22).random(n) < 0.7
     got = stretched(shape, velocity, normal, front, dt, slot)
-    slopes = np.stack([reference.known_slopes(dense[..., c], present, SPACING)[present] for c in range(3)], axis=1)
-    want = [reference.area_stretch(np.eye(3) + dt * g, v) for g, v in zip(slopes, normal, strict=True)]
+    slopes = np.stack(
+        [reference.known_slopes(dense[..., c], present, SPACING)[present] for c in range(3)], axis=1
+    )
+    want = [
+        reference.area_stretch(np.eye(3) + dt * g, v) for g, v in zip(slopes, normal, strict=True)
+    ]
     np.testing.assert_allclose(got[front], np.array(want)[front], rtol=1e-4, atol=1e-4)
     assert (got[~front] == 1).all()
 
@@ -438,7 +461,11 @@ def test_surface_gradient_of_a_linear_field():
     values = ((indices(shape) * SPACING) @ slope).astype(np.float32)[:, None]
     cells, front, out = np.arange(60), np.ones(60, bool), np.empty((60, 3), np.float32)
     grid, slot = reference.grid_of(shape, SPACING), cells.astype(np.int32)
-    for normal, want in (((1, 0, 0), (0, -1, 2)), ((0, 0, -1), (0.5, -1, 0)), (unit(slope), (0, 0, 0))):
+    for normal, want in (
+        ((1, 0, 0), (0, -1, 2)),
+        ((0, 0, -1), (0.5, -1, 0)),
+        (unit(slope), (0, 0, 0)),
+    ):
         each = np.tile(np.array(normal, np.float32), (60, 1))
         transport.surface_gradient(0, 60, slot, grid, cells, front, (values, each), out)
         np.testing.assert_allclose(out, np.tile(np.array(want, float), (60, 1)), atol=1e-5)
@@ -460,7 +487,9 @@ def test_linear_fields_are_carried_from_where_the_foot_came_from(shape):
     _, band = reference.whole_band(np.ones(shape), foot)
     out = np.full((n, 2), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
-    transport.advect_fields(0, n, np.arange(n, dtype=np.int32), grid, band, (velocity, dt, 2), values, out)
+    transport.advect_fields(
+        0, n, np.arange(n, dtype=np.int32), grid, band, (velocity, dt, 2), values, out
+    )
     # Clamped to the faces of the border.
     face = np.where(last > 0, 0.5, 0.0)
     at = np.clip(indices(shape) + (foot - dt * uniform) / h, -face, last + face) * h
@@ -482,7 +511,9 @@ def test_fields_are_carried_onto_another_band(shape, columns, share):
     foot = (rng.uniform(-1.3, 1.3, (cells.size, 3)) * SPACING).astype(np.float32)
     band = Band(cells, np.ones(cells.size, np.float32), foot)
     out = np.full((cells.size, columns), np.nan, np.float32)
-    transport.advect_fields(0, cells.size, slot, grid, band, (velocity, dt, columns - 1), values, out)
+    transport.advect_fields(
+        0, cells.size, slot, grid, band, (velocity, dt, columns - 1), values, out
+    )
     seen = set()
     for s, cell in enumerate(indices(shape)[cells]):
         at = reference.departure(flow, present, SPACING, cell + foot[s].astype(float) / SPACING, dt)
@@ -529,7 +560,9 @@ def test_a_positive_field_stays_positive_where_it_jumps():
     assert 0.9e-3 <= out[:, 1].min() and out[:, 1].max() <= 1.1
     # A smooth field is not touched.
     smooth = np.exp(-0.2 * (np.arange(n) - 5.3) ** 2 / 9).astype(np.float32)
-    transport.advect_fields(0, n, slot, grid, band, (shift, 1.0, 1), np.stack([smooth, smooth], axis=1), out)
+    transport.advect_fields(
+        0, n, slot, grid, band, (shift, 1.0, 1), np.stack([smooth, smooth], axis=1), out
+    )
     np.testing.assert_array_equal(out[:, 0], out[:, 1])
 
 
@@ -537,21 +570,33 @@ def test_kernels_write_only_their_range():
     shape, n = (3, 4, 5), 60
     grid, normal = reference.grid_of(shape, SPACING), random_normals(60, 30)
     _, dense, band, _ = plane_band(shape, unit(np.array([1.0, 2.0, 3.0])), 2.0)
-    velocity, field, front = np.ones((n, 3), np.float32), np.ones((n, 1), np.float32), np.ones(n, bool)
+    velocity, field, front = (
+        np.ones((n, 3), np.float32),
+        np.ones((n, 1), np.float32),
+        np.ones(n, bool),
+    )
     wide, flat = np.full((n, 3), np.nan, np.float32), np.full(n, np.nan, np.float32)
     transport.advect_psi(7, 20, dense, grid, band, velocity, 0.1, flat)
     assert np.isfinite(flat[7:20]).all() and np.isnan(flat[:7]).all() and np.isnan(flat[20:]).all()
     flat[:] = np.nan
-    transport.area_stretch(7, 20, dense.slot, grid, band.cells, front, (velocity, normal, 0.1), flat)
+    transport.area_stretch(
+        7, 20, dense.slot, grid, band.cells, front, (velocity, normal, 0.1), flat
+    )
     assert np.isfinite(flat[7:20]).all() and np.isnan(flat[:7]).all() and np.isnan(flat[20:]).all()
     for call in (
         lambda out: transport.normals(7, 20, dense.psi, grid, band, out),
-        lambda out: transport.surface_gradient(7, 20, dense.slot, grid, band.cells, front, (field, normal), out),
-        lambda out: transport.advect_fields(7, 20, dense.slot, grid, band, (velocity, 0.1, 3), velocity, out),
+        lambda out: transport.surface_gradient(
+            7, 20, dense.slot, grid, band.cells, front, (field, normal), out
+        ),
+        lambda out: transport.advect_fields(
+            7, 20, dense.slot, grid, band, (velocity, 0.1, 3), velocity, out
+        ),
     ):
         wide[:] = np.nan
         call(wide)
-        assert np.isfinite(wide[7:20]).all() and np.isnan(wide[:7]).all() and np.isnan(wide[20:]).all()
+        assert (
+            np.isfinite(wide[7:20]).all() and np.isnan(wide[:7]).all() and np.isnan(wide[20:]).all()
+        )
 
 
 @pytest.mark.parametrize("shape", SHAPES)

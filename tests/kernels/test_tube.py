@@ -46,7 +46,9 @@ def test_weights_fade_along_the_normal():
     shape, width = (3, 4, 5), 2.5
     rng = np.random.default_rng(1)
     foot = (rng.uniform(-1.6, 1.6, (60, 3)) * SPACING).astype(np.float32)
-    foot[:5] = np.array([(0, 0, 0), (2.5, 0, 0), (0, -1.25, 0), (0, 0, 2.4999), (0, 4, 0)]) * SPACING
+    foot[:5] = (
+        np.array([(0, 0, 0), (2.5, 0, 0), (0, -1.25, 0), (0, 0, 2.4999), (0, 4, 0)]) * SPACING
+    )
     band = Band(np.arange(60), np.ones(60, np.float32), foot)
     eta = np.full(60, np.nan)
     tube.tube_weight(0, 60, reference.grid_of(shape, SPACING), band, width, eta)
@@ -68,7 +70,9 @@ def test_product_and_diagonal_are_those_of_the_matrix(shape, share):
     matrix = reference.tube_matrix(dense, present, SPACING, LENGTH)[np.ix_(cells, cells)]
     field = np.random.default_rng(3).standard_normal(cells.size)
     np.testing.assert_allclose(product(made, field), matrix @ field, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(diagonal(made), np.where(matrix.diagonal() > 0, matrix.diagonal(), 1), rtol=1e-12)
+    np.testing.assert_allclose(
+        diagonal(made), np.where(matrix.diagonal() > 0, matrix.diagonal(), 1), rtol=1e-12
+    )
     # Column by column: the diagonal is the product's own. Cells beside the tube take part, as its edge has faces there.
     unit = np.eye(cells.size)
     columns = np.stack([product(made, row) for row in unit], axis=1)
@@ -105,7 +109,13 @@ def test_a_constant_passes_no_flux(shape):
 
 def test_cells_without_neighbours():
     """One with none in the volume, one with none in the band; and one off the tube, coupled to its neighbour."""
-    one = reference.grid_of((1, 1, 1), SPACING), np.zeros(1, np.int32), np.zeros(1, np.int64), np.array([0.3]), None
+    one = (
+        reference.grid_of((1, 1, 1), SPACING),
+        np.zeros(1, np.int32),
+        np.zeros(1, np.int64),
+        np.array([0.3]),
+        None,
+    )
     np.testing.assert_array_equal(product(one, np.array([2.0])), [0.6])
     np.testing.assert_array_equal(diagonal(one), [0.3])
     slot = np.full(27, -1, np.int32)
@@ -123,7 +133,13 @@ def test_weights_one_make_the_screened_laplacian():
     """1 - ell^2 Laplacian, each axis with its spacing."""
     shape = (4, 5, 6)
     cells, field = np.arange(120), reference.smooth_noise(shape, 8).astype(float)
-    made = reference.grid_of(shape, SPACING), cells.astype(np.int32), cells, np.ones(120), np.ones(shape)
+    made = (
+        reference.grid_of(shape, SPACING),
+        cells.astype(np.int32),
+        cells,
+        np.ones(120),
+        np.ones(shape),
+    )
     want = field - LENGTH**2 * reference.laplacian(field, np.ones(shape, bool), SPACING)
     np.testing.assert_allclose(product(made, field.ravel()), want.ravel(), rtol=1e-10, atol=1e-10)
 

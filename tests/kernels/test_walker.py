@@ -15,7 +15,9 @@ def by_scipy(start, fixed, values, spacing, sharpness):
     flat = values.reshape(len(values), -1)
     for axis in range(3):
         count = start.shape[axis]
-        here, there = (np.take(index, part, axis).ravel() for part in (range(count - 1), range(1, count)))
+        here, there = (
+            np.take(index, part, axis).ravel() for part in (range(count - 1), range(1, count))
+        )
         slopes = (flat[:, there] - flat[:, here]).astype(np.float64) / spacing[axis]
         weight = np.exp(-sharpness * (slopes**2).sum(axis=0)) + MIN_WEIGHT
         rows += [here, there]
@@ -49,7 +51,9 @@ def test_it_solves_the_equations():
 def test_it_stops_at_the_tolerance():
     start, fixed, values, spacing = problem()
     rough, fine = start.copy(), start.copy()
-    assert walk(rough, fixed, values, spacing, 0.7, 1e-2, 1000) < walk(fine, fixed, values, spacing, 0.7, 1e-8, 1000)
+    assert walk(rough, fixed, values, spacing, 0.7, 1e-2, 1000) < walk(
+        fine, fixed, values, spacing, 0.7, 1e-8, 1000
+    )
     assert np.abs(rough - fine).max() < 0.05
 
 

@@ -21,7 +21,9 @@ def band_of(shape, seed):
 
 def feet(shape, band):
     """Feet in mm, (n, 3)."""
-    return np.argwhere(np.ones(shape, bool))[band.cells] * np.array(SPACING) + band.to_closest.astype(float)
+    return np.argwhere(np.ones(shape, bool))[band.cells] * np.array(
+        SPACING
+    ) + band.to_closest.astype(float)
 
 
 def draw(rng, count, length):
@@ -38,7 +40,9 @@ def test_sum_of_waves_as_numpy(shape, count):
     front, out = rng.random(n) < 0.6, np.full(n, np.nan, np.float32)
     waves.sum_of_waves(0, n, reference.grid_of(shape, SPACING), band, front, vectors, phases, out)
     # As the real part of complex waves.
-    want = np.sqrt(2 / count) * np.exp(1j * (feet(shape, band) @ vectors.T + phases)).sum(axis=1).real
+    want = (
+        np.sqrt(2 / count) * np.exp(1j * (feet(shape, band) @ vectors.T + phases)).sum(axis=1).real
+    )
     np.testing.assert_allclose(out[front], want[front], atol=1e-6)
     assert (out[~front] == 0).all() and not front.all()
     assert np.abs(out).max() <= np.sqrt(2 * count) + 1e-6
@@ -51,7 +55,9 @@ def test_only_the_point_in_space_counts():
     band = Band(np.arange(120), np.ones(120, np.float32), (point - at).astype(np.float32))
     vectors, phases = draw(np.random.default_rng(3), 9, 1.5)
     out = np.empty(120, np.float32)
-    waves.sum_of_waves(0, 120, reference.grid_of(shape, SPACING), band, np.ones(120, bool), vectors, phases, out)
+    waves.sum_of_waves(
+        0, 120, reference.grid_of(shape, SPACING), band, np.ones(120, bool), vectors, phases, out
+    )
     np.testing.assert_allclose(out, out[0], atol=1e-5)
 
 
@@ -66,7 +72,16 @@ def test_only_its_range_is_written():
 def test_mean_variance_and_correlation_over_many_draws():
     """0, 1 and exp(-|d|^2/(2 length^2)), d in mm, in every direction."""
     shape, length, draws = (3, 4, 5), 2.5, 1500
-    at = np.array([(3.0, 1.0, 0.7), (3.0, 3.0, 0.7), (6.0, 1.0, 0.7), (3.0, 1.0, 3.2), (4.2, 2.2, 2.0), (3, 1, 1.4)])
+    at = np.array(
+        [
+            (3.0, 1.0, 0.7),
+            (3.0, 3.0, 0.7),
+            (6.0, 1.0, 0.7),
+            (3.0, 1.0, 3.2),
+            (4.2, 2.2, 2.0),
+            (3, 1, 1.4),
+        ]
+    )
     cells = np.array([0, 21, 33, 34, 55, 59])
     corner = np.argwhere(np.ones(shape, bool))[cells] * np.array(SPACING)
     band = Band(cells, np.ones(6, np.float32), (at - corner).astype(np.float32))
@@ -81,7 +96,11 @@ def test_mean_variance_and_correlation_over_many_draws():
     assert np.abs(np.diag(got) - 1).max() < 0.13
     assert np.abs(got - want).max() < 0.13
     # Correlations of another shape or length differ.
-    for other in (np.exp(-squared / length**2), np.exp(-squared / (4 * length**2)), np.exp(-np.sqrt(squared) / length)):
+    for other in (
+        np.exp(-squared / length**2),
+        np.exp(-squared / (4 * length**2)),
+        np.exp(-np.sqrt(squared) / length),
+    ):
         assert np.abs(got - other).max() > 0.15
 
 
@@ -91,7 +110,11 @@ def test_no_variation_along_an_axis_without_waves():
     band = band_of(shape, 7)
     vectors, phases = draw(np.random.default_rng(8), 6, 1.5)
     vectors[:, 0] = 0
-    grid, one, other = reference.grid_of(shape, SPACING), np.empty(30, np.float32), np.empty(30, np.float32)
+    grid, one, other = (
+        reference.grid_of(shape, SPACING),
+        np.empty(30, np.float32),
+        np.empty(30, np.float32),
+    )
     waves.sum_of_waves(0, 30, grid, band, np.ones(30, bool), vectors, phases, one)
     band.to_closest[:, 0] = 0
     waves.sum_of_waves(0, 30, grid, band, np.ones(30, bool), vectors, phases, other)

@@ -18,7 +18,10 @@ NODES, REACH = windows.Nodes(7, 9, 10, 1.5, 2.3, 2.0, 1, 2, 2), (2, 3, 3)
 
 def weights():
     axes = zip(SHAPE, NODES[3:6], NODES[6:], REACH, NODES[:3], strict=True)
-    return [reference.node_weights(n, b, before, half_width, count) for n, b, before, half_width, count in axes]
+    return [
+        reference.node_weights(n, b, before, half_width, count)
+        for n, b, before, half_width, count in axes
+    ]
 
 
 def smoothed(field):
@@ -28,7 +31,9 @@ def smoothed(field):
         # In two ranges: what a range needs of the other one is read, not written.
         half = values.size // 2
         for start, stop in ((0, half), (half, values.size)):
-            windows.tent_along(start, stop, values, step * field.shape[axis], step, REACH[axis], out)
+            windows.tent_along(
+                start, stop, values, step * field.shape[axis], step, REACH[axis], out
+            )
         step, values = step * field.shape[axis], out
     return values.reshape(field.shape)
 
@@ -44,7 +49,9 @@ def test_scatter_and_tents_are_the_window_sums():
     share[rng.random(SHAPE) < 0.2] = 0.0
     grid = reference.grid_of(SHAPE, SPACING)
     counts, totals = np.zeros(NODES[:3]).ravel(), np.zeros(NODES[:3]).ravel()
-    windows.scatter(np.arange(share.size), share.ravel(), image.ravel(), grid, NODES, counts, totals)
+    windows.scatter(
+        np.arange(share.size), share.ravel(), image.ravel(), grid, NODES, counts, totals
+    )
     for got, values in ((counts, share), (totals, share * image)):
         want = reference.window_sums(values, weights())
         np.testing.assert_allclose(smoothed(got.reshape(NODES[:3])), want, atol=1e-12)
@@ -52,7 +59,10 @@ def test_scatter_and_tents_are_the_window_sums():
 
 def test_scatter_inside_is_that_of_the_inside_voxels_out_of_the_band():
     rng = np.random.default_rng(2)
-    psi, image = rng.normal(size=SHAPE).astype(np.float32), rng.normal(size=SHAPE).astype(np.float32)
+    psi, image = (
+        rng.normal(size=SHAPE).astype(np.float32),
+        rng.normal(size=SHAPE).astype(np.float32),
+    )
     lattice, _ = reference.whole_band(psi)
     lattice.slot[rng.random(psi.size) < 0.7] = -1
     grid = reference.grid_of(SHAPE, SPACING)
@@ -102,13 +112,17 @@ def test_histograms_share_values_between_bins():
     rows = np.zeros((-(-image.size // BLOCK), bins))
     cells = np.arange(image.size)
     statistics.weighted_histogram(0, len(rows), cells, weight.ravel(), image.ravel(), scale, rows)
-    np.testing.assert_allclose(rows.sum(axis=0), reference.histogram(image, weight, *scale, bins), atol=1e-9)
+    np.testing.assert_allclose(
+        rows.sum(axis=0), reference.histogram(image, weight, *scale, bins), atol=1e-9
+    )
     lattice, _ = reference.whole_band(rng.normal(size=shape))
     lattice.slot[rng.random(image.size) < 0.6] = -1
     rows, grid = np.zeros((shape[0], bins)), Grid(*shape, 1.0, 1.0, 1.0)
     statistics.inside_histogram(0, len(rows), lattice, image.ravel(), grid, scale, rows)
     counted = ((lattice.slot < 0) & (lattice.psi < 0)).astype(float)
-    np.testing.assert_allclose(rows.sum(axis=0), reference.histogram(image, counted, *scale, bins), atol=1e-9)
+    np.testing.assert_allclose(
+        rows.sum(axis=0), reference.histogram(image, counted, *scale, bins), atol=1e-9
+    )
 
 
 def test_look_up_is_linear_between_bins():

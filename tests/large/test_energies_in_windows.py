@@ -38,7 +38,9 @@ def scans():
     ball = np.sqrt((1.2 * (z - 21)) ** 2 + (y - 27.5) ** 2 + (0.9 * (x - 31)) ** 2) - 9.0
     one, other = np.where(ball < 0, 90, 30) + 0.4 * x, 5 * np.cos(ball)
     images = [one + rng.normal(0, 12, SHAPE), other + rng.normal(0, 1, SHAPE)]
-    return [Volume.from_array(image.astype(np.float32), SPACING) for image in images], ball.astype(np.float32)
+    return [Volume.from_array(image.astype(np.float32), SPACING) for image in images], ball.astype(
+        np.float32
+    )
 
 
 def on_level(array, level, shape):
@@ -50,7 +52,9 @@ def on_level(array, level, shape):
 
 def evolved(text, images, psi, scales, level, whole=(), background=None):
     """Value and force of an energy while its surface moves, and the settings that it had; with psi."""
-    context = ImageContext(images, scales, SPACING, psi < -2, background, is_start=True, whole=whole)
+    context = ImageContext(
+        images, scales, SPACING, psi < -2, background, is_start=True, whole=whole
+    )
     parts = [on_level(image, level, psi.shape)[0] for image in images]
     psi, spacing = on_level(psi, level, psi.shape)
     made = make_energy(RunConfig(energy=text), parts[0], spacing, context.with_channels(parts[1:]))
@@ -81,7 +85,9 @@ def test_a_window_has_the_bytes_of_the_whole(text, level):
     filters, slab = ImageFilters(sigma=SIGMA), 4 * 60 * 64 * 7
     whole = [WholeImage(LazyVolume.of_array(one), filters, slab_bytes=slab) for one in volumes]
     windows = [apply(one.window(box), one.scale) for one in whole]
-    got, own_terms, part = evolved(text, windows, psi[box].copy(), [one.scale for one in whole], level, whole)
+    got, own_terms, part = evolved(
+        text, windows, psi[box].copy(), [one.scale for one in whole], level, whole
+    )
     assert got == want and own_terms == terms
     halved = tuple(slice(s.start >> level, s.stop >> level) for s in box)
     assert surface[halved].tobytes() == part.tobytes()
@@ -96,7 +102,9 @@ def test_the_least_variance_is_that_of_the_whole():
     values[0, 0, :30] = 5000.0
     volume = Volume.from_array(values, SPACING)
     whole = [WholeImage(LazyVolume.of_array(volume))]
-    want, _, _ = evolved("likelihood", [apply(volume.as_float32(), whole[0].scale)], psi, [whole[0].scale], 0)
+    want, _, _ = evolved(
+        "likelihood", [apply(volume.as_float32(), whole[0].scale)], psi, [whole[0].scale], 0
+    )
     windows = [apply(whole[0].window(box), whole[0].scale)]
     assert evolved("likelihood", windows, psi[box].copy(), [whole[0].scale], 0, whole)[0] == want
 
@@ -114,8 +122,12 @@ def test_given_background_is_learned_from_as_it_is():
     assert models["outside"]["mean"] == pytest.approx(low + width * sample.mean(), rel=1e-9)
     assert models["outside"]["deviation"] == pytest.approx(width * sample.std(), rel=1e-9)
     rest = ImageContext([image], [scale_of(image)], SPACING, psi < -2)
-    other = make_energy(RunConfig(energy="likelihood:update=no"), image, SPACING, rest).terms[0]["outside"]
-    assert other["mean"] == pytest.approx(low + width * image[psi >= -2].mean(dtype=np.float64), rel=1e-9)
+    other = make_energy(RunConfig(energy="likelihood:update=no"), image, SPACING, rest).terms[0][
+        "outside"
+    ]
+    assert other["mean"] == pytest.approx(
+        low + width * image[psi >= -2].mean(dtype=np.float64), rel=1e-9
+    )
     with pytest.raises(UsageError, match="nothing to learn from"):
         bare = ImageContext([image], [scale_of(image)], SPACING)
         make_energy(RunConfig(energy="likelihood:update=no"), image, SPACING, bare)

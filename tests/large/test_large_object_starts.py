@@ -40,7 +40,11 @@ def assert_as_read(starts, want):
         assert starts.low[place].tolist() == list(one.corner)
         assert (starts.high[place] - starts.low[place]).tolist() == list(one.psi.shape)
     for one, other in zip(starts.made(range(len(want))), want, strict=True):
-        assert one.id == other.id and one.corner == other.corner and one.psi.tobytes() == other.psi.tobytes()
+        assert (
+            one.id == other.id
+            and one.corner == other.corner
+            and one.psi.tobytes() == other.psi.tobytes()
+        )
 
 
 def test_a_map_in_slabs(labels):
@@ -70,7 +74,11 @@ def test_a_table(tmp_path):
 
 @pytest.mark.parametrize(
     ("values", "named"),
-    [(0.0, "no voxel has a label above 0"), (0.5, "must be whole numbers"), (float(2**32), "expected at most")],
+    [
+        (0.0, "no voxel has a label above 0"),
+        (0.5, "must be whole numbers"),
+        (float(2**32), "expected at most"),
+    ],
 )
 def test_maps_that_are_none(values, named):
     labels = Volume(np.full(SHAPE, values, np.float64 if values > 1 else np.float32), GEOMETRY)
@@ -88,7 +96,9 @@ def test_another_grid_and_clicks(labels, tmp_path):
 
 @pytest.mark.parametrize("z", [0, 3, SHAPE[0] - 1])
 def test_the_place_of_a_bad_label_is_that_in_the_whole_map(z, monkeypatch):
-    monkeypatch.setattr(object_starts, "slabs", lambda shape: [slice(n, n + 1) for n in range(shape[0])])
+    monkeypatch.setattr(
+        object_starts, "slabs", lambda shape: [slice(n, n + 1) for n in range(shape[0])]
+    )
     values = np.zeros(SHAPE, np.float32)
     values[z, 1, 2] = 0.5
     with pytest.raises(InputError, match=f"first at index x=2, y=1, z={z}"):

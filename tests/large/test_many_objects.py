@@ -37,7 +37,10 @@ def in_groups(image, objects, margin=many_objects.MARGIN, max_bytes=4 << 30, **o
     """What became of each object, and the groups that were run to the end, by their ids."""
     ended = []
     found = segment_many_objects(
-        large(image, max_bytes), objects, margin=margin, on_group=lambda ids, _: ended.append(tuple(ids)),
+        large(image, max_bytes),
+        objects,
+        margin=margin,
+        on_group=lambda ids, _: ended.append(tuple(ids)),
         **{**FAST, **options},
     )
     return {one.id: one for one in found}, ended
@@ -74,7 +77,10 @@ def test_groups_have_the_bytes_of_all_at_once(image, in_memory, margin):
 def test_the_scene_asks_for_what_groups_have_to_do(image, in_memory):
     """Alone, one that touches others would be another: a wrong group shows. What only comes near is the same alone."""
     for own, touches in ((21, True), (31, False), (32, False)):
-        alone, among = segment_objects(image, label_map((own,)), **FAST).by_id[own], in_memory.by_id[own]
+        alone, among = (
+            segment_objects(image, label_map((own,)), **FAST).by_id[own],
+            in_memory.by_id[own],
+        )
         assert (alone.psi.tobytes() != among.psi.tobytes() or alone.stop != among.stop) == touches
 
 
@@ -101,7 +107,12 @@ def test_balls_that_overlap_begin_apart_as_in_memory(image, tmp_path):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "energy",  # the last one vanishes at once, from a box that is larger than the least window
-    ["likelihood", "likelihood:model=histogram", "threshold:auto, + 0.1*threshold:learned,", "local-region + geodesic"],
+    [
+        "likelihood",
+        "likelihood:model=histogram",
+        "threshold:auto, + 0.1*threshold:learned,",
+        "local-region + geodesic",
+    ],
 )
 def test_energies_see_the_same(image, energy):
     ids = (9, 31, 32)
@@ -113,7 +124,10 @@ def test_energies_see_the_same(image, energy):
 
 def test_an_image_of_one_slice():
     volume, labels = scene(), label_map((31, 32, 9)).array
-    flat = Volume(volume.array[17:18], group_run.cropped(GEOMETRY, (slice(17, 18), slice(0, 64), slice(0, 112))))
+    flat = Volume(
+        volume.array[17:18],
+        group_run.cropped(GEOMETRY, (slice(17, 18), slice(0, 64), slice(0, 112))),
+    )
     seeds = Volume(labels[17:18] + labels[22:23], flat.geometry)
     want = segment_objects(flat, seeds, **FAST)
     for outcome in in_groups(flat, LazyVolume.of_array(seeds))[0].values():
@@ -130,10 +144,17 @@ def test_a_group_that_does_not_fit_is_named_and_the_others_go_on(image):
     values = image.array.copy()
     values[15:22, 16:25, 30:] = 100.0
     # Beside the window a float32 image takes 12 bytes and its own 4, the object's box 36.
-    long, fits = image.with_array(values), PROCESS_BYTES + 16 * SHAPE[0] * SHAPE[1] * 80 + 36 * 42**3
+    long, fits = (
+        image.with_array(values),
+        PROCESS_BYTES + 16 * SHAPE[0] * SHAPE[1] * 80 + 36 * 42**3,
+    )
     found, _ = in_groups(long, LazyVolume.of_array(label_map((9, 31, 47))), max_bytes=fits)
     failed = {own: outcome.failure for own, outcome in found.items() if outcome.object is None}
-    assert list(failed) == [47] and "object 47 needs a window of" in failed[47] and "of memory" in failed[47]
+    assert (
+        list(failed) == [47]
+        and "object 47 needs a window of" in failed[47]
+        and "of memory" in failed[47]
+    )
     without = segment_objects(long, label_map((9, 31)), **FAST)
     for own in (9, 31):
         assert_same(found[own].object, without.by_id[own])
@@ -184,17 +205,24 @@ def test_groups_do_not_depend_on_their_order():
     high = low + rng.integers(0, 14, (40, 3))
     singles = [(place,) for place in range(40)]
     want = united(singles, low, high)
-    assert 1 < len(want) < 40 and sorted(place for group in want for place in group) == list(range(40))
+    assert 1 < len(want) < 40 and sorted(place for group in want for place in group) == list(
+        range(40)
+    )
     assert united([singles[place] for place in rng.permutation(40)], low, high) == want
     assert united(want, low, high) == want
     there = np.flatnonzero((low < high).all(axis=1))
     for one in there:
-        near = {place for place in there if np.all((low[place] < high[one]) & (high[place] > low[one]))}
+        near = {
+            place for place in there if np.all((low[place] < high[one]) & (high[place] > low[one]))
+        }
         assert len({group for group in want if near & set(group)}) == 1
 
 
 def test_boxes_that_touch_do_not_overlap_and_pairs_count():
-    low, high = np.array([[0, 0, 0], [4, 0, 0], [8, 0, 0]]), np.array([[4, 1, 1], [8, 1, 1], [9, 1, 1]])
+    low, high = (
+        np.array([[0, 0, 0], [4, 0, 0], [8, 0, 0]]),
+        np.array([[4, 1, 1], [8, 1, 1], [9, 1, 1]]),
+    )
     assert united([(0,), (1,), (2,)], low, high) == [(0,), (1,), (2,)]
     assert united([(0,), (1,), (2,)], low, high, [(2, 0)]) == [(0, 2), (1,)]
 

@@ -33,12 +33,19 @@ def volume(shape, dtype, seed=0):
     z, y, x = np.indices(shape) - np.array([n / 2.1 for n in shape]).reshape(3, 1, 1, 1)
     blob = np.tanh((0.3 * shape[1] - np.sqrt((2.0 * z) ** 2 + y**2 + x**2)) / 2)
     values = 60 * blob + rng.normal(0, 15, shape) + (130 if np.dtype(dtype).kind == "u" else 5)
-    return Volume.from_array(values.clip(0, 255).astype(dtype) if dtype == np.uint8 else values.astype(dtype), SPACING)
+    return Volume.from_array(
+        values.clip(0, 255).astype(dtype) if dtype == np.uint8 else values.astype(dtype), SPACING
+    )
 
 
 def in_parts(image, sigma, planes, **more):
     nz, ny, nx = image.geometry.shape
-    return WholeImage(LazyVolume.of_array(image), ImageFilters(sigma=sigma), slab_bytes=4 * ny * nx * planes, **more)
+    return WholeImage(
+        LazyVolume.of_array(image),
+        ImageFilters(sigma=sigma),
+        slab_bytes=4 * ny * nx * planes,
+        **more,
+    )
 
 
 def same(got, want):
@@ -83,18 +90,29 @@ def test_sums_on_levels_have_the_bytes_of_the_image_in_memory(shape, sigma):
         whole = in_parts(image, sigma, planes)
         for level in (len(grids) - 2, 0, len(grids) - 1):
             assert whole.moments(grids, level) == MomentTracker(arrays[level]).whole_image()
-            same(whole.sums(grids, level, "h", parzen.histogram), sums_by_plane(arrays[level], parzen.histogram))
+            same(
+                whole.sums(grids, level, "h", parzen.histogram),
+                sums_by_plane(arrays[level], parzen.histogram),
+            )
         for level, array in enumerate(arrays):
-            slabs = ImageSlabs(LazyVolume.of_array(image), ImageFilters(sigma=sigma), 4 * shape[1] * shape[2] * planes)
+            slabs = ImageSlabs(
+                LazyVolume.of_array(image),
+                ImageFilters(sigma=sigma),
+                4 * shape[1] * shape[2] * planes,
+            )
             parts = slabs.on_levels(grids, partial(apply, scale=scale_of(smooth)))
             found = [slab for slab in parts if slab.level == level]
-            assert [slab.first for slab in found] == list(np.cumsum([0, *(len(slab.values) for slab in found[:-1])]))
+            assert [slab.first for slab in found] == list(
+                np.cumsum([0, *(len(slab.values) for slab in found[:-1])])
+            )
             same(np.concatenate([slab.values for slab in found]), array)
 
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("sigma", [0.0, 0.15, 1.3, 20.0])
-@pytest.mark.parametrize("corner, shape", [((3, 5, 8), (4, 9, 2)), ((0, 0, 0), (1, 33, 5)), ((10, 20, 39), (9, 13, 2))])
+@pytest.mark.parametrize(
+    "corner, shape", [((3, 5, 8), (4, 9, 2)), ((0, 0, 0), (1, 33, 5)), ((10, 20, 39), (9, 13, 2))]
+)
 def test_a_window_is_a_box_of_the_smoothed_whole(corner, shape, sigma):
     image = volume((19, 33, 41), np.float32)
     box = box_at(corner, shape)
@@ -109,10 +127,20 @@ def test_what_is_found_changes_no_input_and_is_read_once():
     whole = WholeImage(source, slab_bytes=4 * 40 * 34 * 5)
     whole.window(whole_box(image.geometry.shape))[:] = 0
     size, grids = image.array.nbytes, levels(image.geometry.shape, SPACING)
-    first = whole.scale, whole.found(noise_of), whole.moments(grids, 1), whole.found(np.percentile, 31.0)
+    first = (
+        whole.scale,
+        whole.found(noise_of),
+        whole.moments(grids, 1),
+        whole.found(np.percentile, 31.0),
+    )
     read = source.bytes_read
     assert read <= 6.5 * size
-    again = whole.scale, whole.found(noise_of), whole.moments(grids, 1), whole.found(np.percentile, 31.0)
+    again = (
+        whole.scale,
+        whole.found(noise_of),
+        whole.moments(grids, 1),
+        whole.found(np.percentile, 31.0),
+    )
     assert source.bytes_read == read and again == first
     same(image.array, before)
 
@@ -182,7 +210,9 @@ def test_a_window_is_looked_at_where_the_numbers_are_of_a_coarser_level():
     image.array[9, 20, 15] = np.nan
     whole = in_parts(image, 0.0, 3, statistics_from=LazyVolume.of_array(coarse))
     assert np.isfinite(whole.window(box_at((0, 0, 0), (9, 40, 34)))).all() and whole.scale
-    with pytest.raises(InputError, match=r"1 voxel is \(first at index x=15, y=20, z=9\) not finite"):
+    with pytest.raises(
+        InputError, match=r"1 voxel is \(first at index x=15, y=20, z=9\) not finite"
+    ):
         whole.window(box_at((4, 10, 10), (8, 20, 20)))
 
 
@@ -195,13 +225,18 @@ def test_what_needs_the_image_itself_is_named():
 
 def test_numbers_go_to_another_process():
     """One that gets them reads nothing of the image for what they tell."""
-    image = Volume.from_array(np.random.default_rng(0).normal(0, 1, (12, 14, 16)).astype(np.float32))
+    image = Volume.from_array(
+        np.random.default_rng(0).normal(0, 1, (12, 14, 16)).astype(np.float32)
+    )
     first = WholeImage(LazyVolume.of_array(image))
     found = first.found(noise_of), first.found(np.percentile, 20.0), first.found(Parzen.of_image)
     numbers = pickle.loads(pickle.dumps(first.numbers))
     source = LazyVolume.of_array(image)
     second = WholeImage(source, numbers=numbers)
-    assert second.scale == first.scale and second.numbers.keys() == numbers.keys() == first.numbers.keys()
+    assert (
+        second.scale == first.scale
+        and second.numbers.keys() == numbers.keys() == first.numbers.keys()
+    )
     assert (second.found(noise_of), second.found(np.percentile, 20.0)) == found[:2]
     assert second.found(Parzen.of_image).scale == found[2].scale and source.bytes_read == 0
     assert second.found(np.ptp) == first.found(np.ptp) and source.bytes_read > 0

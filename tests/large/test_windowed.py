@@ -55,12 +55,18 @@ def assert_same(whole, part):
     assert np.array_equal(part.surface.vertices.astype("<f4"), whole.surface.vertices.astype("<f4"))
     assert np.array_equal(part.surface.faces, whole.surface.faces)
     # A run that was stopped has looked for the closest points of its band once more.
-    rows = [[row._replace(seconds=0.0, cells_visited=0) for row in one.history] for one in (whole, part)]
+    rows = [
+        [row._replace(seconds=0.0, cells_visited=0) for row in one.history] for one in (whole, part)
+    ]
     assert rows[0] == rows[1]
     assert repr(part.quality) == repr(whole.quality)
-    grown = [one and tuple(float(v) for v in one) for one in (whole.late_leakage, part.late_leakage)]
+    grown = [
+        one and tuple(float(v) for v in one) for one in (whole.late_leakage, part.late_leakage)
+    ]
     corner = part.window.corner
-    assert grown[0] == (grown[1] and tuple(v + first for v, first in zip(grown[1], corner, strict=True)))
+    assert grown[0] == (
+        grown[1] and tuple(v + first for v, first in zip(grown[1], corner, strict=True))
+    )
 
 
 @pytest.mark.sampled(3)
@@ -73,12 +79,27 @@ def assert_same(whole, part):
         {"start": "box:64,54,44,74,64,54vox", "energy": "threshold:50,"},
         {"start": "ball:66,57,56,5", "energy": "threshold:learned,learned", "presmooth": 1.0},
         {"start": "ball:66,57,56,5", "energy": "threshold:40%,", "presmooth": 1.5, "max_steps": 12},
-        {"start": "ball:66,57,56,5", "energy": "threshold:auto,", "presmooth": 1.5, "max_steps": 12},
+        {
+            "start": "ball:66,57,56,5",
+            "energy": "threshold:auto,",
+            "presmooth": 1.5,
+            "max_steps": 12,
+        },
         {"start": "ball:66,57,56,5", "energy": "likelihood", "presmooth": 0.7},
-        {"start": "ball:66,57,56,5", "energy": "likelihood:update=no", "presmooth": 0.7, "max_steps": 20},
+        {
+            "start": "ball:66,57,56,5",
+            "energy": "likelihood:update=no",
+            "presmooth": 0.7,
+            "max_steps": 20,
+        },
         {"start": "ball:66,57,56,5", "energy": "likelihood:model=histogram", "presmooth": 1.0},
         {"start": "ball:66,57,56,5", "flow": "sobolev", "presmooth": 1.0, "max_steps": 40},
-        {"start": "ball:66,57,56,5", "presmooth": 1.0, "extension": "fast-marching", "max_steps": 30},
+        {
+            "start": "ball:66,57,56,5",
+            "presmooth": 1.0,
+            "extension": "fast-marching",
+            "max_steps": 30,
+        },
     ],
     ids=lambda options: " ".join(f"{v}" for v in options.values()),
 )
@@ -91,7 +112,9 @@ def test_a_run_in_windows_has_the_bytes_of_the_run_in_memory(image, options):
 @pytest.mark.slow
 def test_clicks_on_both_sides_and_corrections_of_windows(image):
     far = Volume.from_array(np.pad(image.array, 40, mode="reflect"), SPACING)
-    whole, part, windows = both(far, inside=("point:110,100,108",), outside=("ball:110,125,108,2",), size="12000mm3")
+    whole, part, windows = both(
+        far, inside=("point:110,100,108",), outside=("ball:110,125,108,2",), size="12000mm3"
+    )
     assert windows[-1].shape != far.geometry.shape
     assert_same(whole, part)
 
@@ -105,7 +128,9 @@ def test_a_small_start_makes_the_window_larger_until_the_object_fits(image, smal
 
 def test_a_window_without_the_guard_gives_other_bytes(image, small_windows, monkeypatch):
     monkeypatch.setattr("accelsurf.grid.window.GUARD", -99)
-    config, _ = with_options(None, None, {"threads": 1, "start": "ball:70,60,60,3", "presmooth": 1.0, "levels": 1})
+    config, _ = with_options(
+        None, None, {"threads": 1, "start": "ball:70,60,60,3", "presmooth": 1.0, "levels": 1}
+    )
     part = segment_in_windows(LargeImage((LazyVolume.of_array(image),), MUCH), config)
     whole = accelsurf.segment(image, config=config)
     labels = np.zeros(SHAPE, np.uint8)
@@ -125,9 +150,13 @@ def test_a_region_of_interest_is_scaled_by_its_own_values(image):
 
 def test_channels_are_read_in_the_same_windows(image):
     other = Volume(np.flip(image.array, 2).copy() * 0.5 + image.array, image.geometry)
-    config, _ = with_options(None, None, {"threads": 1, "start": "ball:66,57,56,5", "presmooth": 1.0})
+    config, _ = with_options(
+        None, None, {"threads": 1, "start": "ball:66,57,56,5", "presmooth": 1.0}
+    )
     large = LargeImage((LazyVolume.of_array(image), LazyVolume.of_array(other)), MUCH)
-    assert_same(accelsurf.segment(image, channels=[other], config=config), segment_in_windows(large, config))
+    assert_same(
+        accelsurf.segment(image, channels=[other], config=config), segment_in_windows(large, config)
+    )
 
 
 @pytest.mark.slow
@@ -140,13 +169,17 @@ def test_the_size_of_a_stores_bricks_changes_nothing(image, chunk, tmp_path):
     path = store.attrs["ome"]["multiscales"][0]["datasets"][0]["path"]
     del store[path]
     store.create_array(path, data=values, chunks=(chunk,) * 3)
-    config, _ = with_options(None, None, {"threads": 1, "start": "ball:66,57,56,5", "presmooth": 1.0})
+    config, _ = with_options(
+        None, None, {"threads": 1, "start": "ball:66,57,56,5", "presmooth": 1.0}
+    )
     part = segment_in_windows(LargeImage((io.open_volume(tmp_path / "a.ome.zarr"),), MUCH), config)
     assert_same(accelsurf.segment(Volume(values, image.geometry), config=config), part)
 
 
 def test_the_memory_that_is_allowed_is_held_or_refused_with_the_estimate(image, small_windows):
-    config, _ = with_options(None, None, {"threads": 1, "start": "ball:70,60,60,3", "presmooth": 1.0, "levels": 1})
+    config, _ = with_options(
+        None, None, {"threads": 1, "start": "ball:70,60,60,3", "presmooth": 1.0, "levels": 1}
+    )
     lazy = LazyVolume.of_array(image)
     # What the object needs and little more: the window grows as far as that goes, and no farther.
     allowed = run_bytes(70 * 80 * 80, clicks=False)
@@ -163,7 +196,10 @@ def test_the_memory_that_is_allowed_is_held_or_refused_with_the_estimate(image, 
     ("options", "what"),
     [
         ({"start": "otsu"}, "looks at values everywhere"),
-        ({"start": "ball:66,57,56,5", "energy": "local-region"}, "local-region looks at the whole image"),
+        (
+            {"start": "ball:66,57,56,5", "energy": "local-region"},
+            "local-region looks at the whole image",
+        ),
         ({"start": "ball:66,57,56,5", "edit": ("step=3 smoothness=1",)}, "edit: it was given"),
         ({"start": "ball:500,57,56,5"}, "no voxel centre is inside"),
         ({"start": "ball:66,57,56,5", "flow": "flowable-mass"}, "flow: flowable-mass"),
@@ -177,7 +213,13 @@ def test_what_needs_the_whole_image_is_refused_in_one_line(image, options, what)
 
 
 def test_a_run_that_was_stopped_goes_on_in_its_window(image, small_windows, tmp_path):
-    options = {"threads": 1, "start": "ball:70,60,60,3", "presmooth": 1.0, "levels": 1, "checkpoint": 5}
+    options = {
+        "threads": 1,
+        "start": "ball:70,60,60,3",
+        "presmooth": 1.0,
+        "levels": 1,
+        "checkpoint": 5,
+    }
     config, _ = with_options(None, None, options)
     large, file = LargeImage((LazyVolume.of_array(image),), MUCH), tmp_path / "state.npz"
     windows, steps = [], []
@@ -195,7 +237,11 @@ def test_a_run_that_was_stopped_goes_on_in_its_window(image, small_windows, tmp_
     assert file.exists()
     again, later = [], []
     part = segment_in_windows(
-        large, config, lambda record, own: later.append(record.step), on_window=again.append, checkpoint_to=file
+        large,
+        config,
+        lambda record, own: later.append(record.step),
+        on_window=again.append,
+        checkpoint_to=file,
     )
     assert again[0] == windows[-1] and min(later) > 15
     assert_same(accelsurf.segment(image, config=config.replace(checkpoint=None)), part)
@@ -211,7 +257,9 @@ def test_python_reads_a_large_image_in_parts(image):
         accelsurf.segment(image, max_memory="2GB", **options)
 
 
-def test_statistics_of_an_image_with_many_voxels_are_those_of_a_coarser_level(image, tmp_path, monkeypatch):
+def test_statistics_of_an_image_with_many_voxels_are_those_of_a_coarser_level(
+    image, tmp_path, monkeypatch
+):
     pytest.importorskip("zarr")
     values = np.clip(image.array, 0, 255).astype(np.uint8)
     io.write(Volume(values, image.geometry), tmp_path / "a.ome.zarr")
@@ -222,9 +270,14 @@ def test_statistics_of_an_image_with_many_voxels_are_those_of_a_coarser_level(im
     assert coarse.geometry.shape == tuple(-(-n // 2) for n in SHAPE)
     result = accelsurf.segment(fine, **options)
     where = " x ".join(str(n) for n in reversed(coarse.geometry.shape))
-    assert f"values of the whole image are those of a coarser level of {where} voxels" in result.warnings
+    assert (
+        f"values of the whole image are those of a coarser level of {where} voxels"
+        in result.warnings
+    )
     low, high = result.resolved_settings["scale"][0].values()
-    of_coarse = np.percentile(coarse.read(tuple(slice(0, n) for n in coarse.geometry.shape)), (0.5, 99.5))
+    of_coarse = np.percentile(
+        coarse.read(tuple(slice(0, n) for n in coarse.geometry.shape)), (0.5, 99.5)
+    )
     assert [low, high] == of_coarse.tolist() and high != np.percentile(values, 99.5)
     whole = accelsurf.segment(Volume(values, image.geometry), **options)
     assert abs(result.volume_mm3 - whole.volume_mm3) < 0.02 * whole.volume_mm3
@@ -255,8 +308,14 @@ def test_a_rest_and_its_place_are_those_of_the_whole_image(small_windows, levels
     off = (y - 36) ** 2 + (z - 40) ** 2
     balls = ((x - 30) ** 2 + off < 81) | ((x - 55) ** 2 + off < 100)
     way = (off < 4) & (x > 30) & (x < 55) & ~balls
-    values = 100 * balls + (55 if levels == 1 else 90) * way + np.random.default_rng(2).normal(0, 5, balls.shape)
-    image = Volume(values.astype(np.float32), Geometry(balls.shape, (1.0, 1.0, 1.0), (0.1, 0.3, 0.7)))
+    values = (
+        100 * balls
+        + (55 if levels == 1 else 90) * way
+        + np.random.default_rng(2).normal(0, 5, balls.shape)
+    )
+    image = Volume(
+        values.astype(np.float32), Geometry(balls.shape, (1.0, 1.0, 1.0), (0.1, 0.3, 0.7))
+    )
     settings = {"energy": "threshold:50,", "smoothness": 0.05, "flow": "constant-density"}
     whole, part, _ = both(image, start="ball:30,36,40,3", levels=levels, **settings)
     assert part.window.corner != (0, 0, 0)

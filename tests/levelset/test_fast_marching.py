@@ -14,7 +14,10 @@ OBLIQUE = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
 
 def points_of(shape, spacing) -> np.ndarray:
     """Coordinates (3, nz, ny, nx), mm, from a point near the middle."""
-    axes = [(np.arange(n) - 0.5 * (n - 1) - 0.13 * (n > 1)) * h for n, h in zip(shape, spacing, strict=True)]
+    axes = [
+        (np.arange(n) - 0.5 * (n - 1) - 0.13 * (n > 1)) * h
+        for n, h in zip(shape, spacing, strict=True)
+    ]
     return np.stack(np.meshgrid(*axes, indexing="ij"))
 
 
@@ -84,7 +87,9 @@ def test_a_plane_is_exact_up_to_the_border(shape, spacing, normal, least) -> Non
     assert error.mean() < 0.015 and error.max() < 0.6
 
 
-def test_at_a_face_that_the_surface_meets_at_a_right_angle_the_march_errs_no_more_than_elsewhere() -> None:
+def test_at_a_face_that_the_surface_meets_at_a_right_angle_the_march_errs_no_more_than_elsewhere() -> (
+    None
+):
     points = points_of((20, 40, 40), UNIT)
     psi = np.sqrt((points[0] - 9.63) ** 2 + points[1] ** 2 + points[2] ** 2) - 14.0
     surface = marched(psi)
@@ -172,7 +177,10 @@ def test_fields_come_through_a_redistancing_constant_along_normals() -> None:
     at = at_cells(surface, points)
     truth = 1.0 + 0.3 * at[:, 0] / np.linalg.norm(at, axis=1)
     assert new.shape == (surface.size,) and np.abs(new - truth).max() < 0.01
-    assert np.abs(at_cells(surface, np.sqrt((points**2).sum(axis=0))) - 9.6 - surface.band.psi).mean() < 0.01
+    assert (
+        np.abs(at_cells(surface, np.sqrt((points**2).sum(axis=0))) - 9.6 - surface.band.psi).mean()
+        < 0.01
+    )
 
 
 # ---------------------------------------------------------------------------------------------------------------- rest
@@ -189,7 +197,9 @@ def test_a_ball_rests_over_a_hundred_redistances(radius: float, bound: float) ->
     assert surface.distance_from(before).mean < bound and check_level_set(surface) == []
 
 
-@pytest.mark.parametrize(("kind", "size", "bound"), [("slab", 1.5, 0.06), ("slab", 2.0, 0.04), ("cylinder", 1.5, 0.04)])
+@pytest.mark.parametrize(
+    ("kind", "size", "bound"), [("slab", 1.5, 0.06), ("slab", 2.0, 0.04), ("cylinder", 1.5, 0.04)]
+)
 def test_thin_structures_rest_as_with_closest_points(kind: str, size: float, bound: float) -> None:
     """The residues hold them: the cells beside the surface keep theirs. 100 redistances."""
     points = points_of((26,) * 3, UNIT)

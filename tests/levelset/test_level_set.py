@@ -111,13 +111,22 @@ def test_distance_converges_to_the_exact_one(name, given):
     for n in SIZES:
         exact, h = exact_case(name, n)
         z, y, x = coordinates(exact.shape, (h, h, h))
-        surface = redistanced(LevelSet(exact * (1 if given == "distance" else 1 + 0.4 * x + 0.3 * y * z), (h, h, h)), 1)
+        surface = redistanced(
+            LevelSet(exact * (1 if given == "distance" else 1 + 0.4 * x + 0.3 * y * z), (h, h, h)),
+            1,
+        )
         near = np.abs(exact) < 1.5 * h
         error = np.abs(surface.psi - exact)[near]
         means.append(error.mean())
         worst.append(error.max() / h)
-    print(f"{name} from {given}: mean error / h", *(f"{e * n / 2:.1e}" for e, n in zip(means, SIZES, strict=True)))
-    print(f"  order of the mean error {order(means):.2f}; largest error / h", *(f"{e:.1e}" for e in worst))
+    print(
+        f"{name} from {given}: mean error / h",
+        *(f"{e * n / 2:.1e}" for e, n in zip(means, SIZES, strict=True)),
+    )
+    print(
+        f"  order of the mean error {order(means):.2f}; largest error / h",
+        *(f"{e:.1e}" for e in worst),
+    )
     assert order(means) >= 1.8
     assert means[-1] * SIZES[-1] / 2 < 5e-4
     assert worst[-1] < 0.02
@@ -150,7 +159,9 @@ def test_distance_as_the_slow_reference_on_random_smooth_surfaces(seed):
     cells = np.argwhere(inner & (np.abs(surface.psi) < 2.0) & in_band(surface))[::2]
     want = reference.distance(psi, spacing, cells, 3)
     error = np.abs(surface.psi[tuple(cells.T)] - want)
-    print(f"{len(cells)} cells: mean {error.mean():.1e}, 99 % {np.quantile(error, 0.99):.1e}, max {error.max():.1e} mm")
+    print(
+        f"{len(cells)} cells: mean {error.mean():.1e}, 99 % {np.quantile(error, 0.99):.1e}, max {error.max():.1e} mm"
+    )
     assert len(cells) > 300
     assert np.median(error) < 2e-4
     assert np.quantile(error, 0.9) < 5e-3
@@ -178,7 +189,8 @@ def test_a_ball_at_rest_drifts_less_than_a_200th_voxel_in_100_redistances():
 
 
 @pytest.mark.parametrize(
-    ("off", "most"), [((-16, 0.1, 0.2), 0.01), ((-15.2, 14.6, 0.1), 0.02), ((-14.2, 14.8, 13.9), 0.03)]
+    ("off", "most"),
+    [((-16, 0.1, 0.2), 0.01), ((-15.2, 14.6, 0.1), 0.02), ((-14.2, 14.8, 13.9), 0.03)],
 )
 def test_the_band_at_the_border_is_a_normal_case(off, most):
     """A ball cut by a face, an edge and a corner of the volume: exact at the cuts, and so after 50 redistancings."""
@@ -192,7 +204,9 @@ def test_the_band_at_the_border_is_a_normal_case(off, most):
     start = np.abs(surface.psi - exact)[near & border].max()
     redistanced(surface, 50)
     drift = np.abs(surface.psi - exact)
-    print(f"border: error {start:.1e}, after 50 redistancings {drift[near & border].max():.1e} voxel")
+    print(
+        f"border: error {start:.1e}, after 50 redistancings {drift[near & border].max():.1e} voxel"
+    )
     assert start < most
     assert drift[near].max() < most
     assert abs(volume(surface) / before - 1) < 3e-4
@@ -209,14 +223,18 @@ def test_an_anisotropic_ball_is_accurate_and_stays(spacing):
     before = volume(surface)
     redistanced(surface, 30)
     drift = np.abs(surface.psi - exact)[near].max()
-    print(f"{spacing}: error {start:.1e}, after 30 times {drift:.1e} mm, volume {volume(surface) / before - 1:.1e}")
+    print(
+        f"{spacing}: error {start:.1e}, after 30 times {drift:.1e} mm, volume {volume(surface) / before - 1:.1e}"
+    )
     assert start < 0.005
     assert drift < 0.05
     assert volume(surface) == pytest.approx(4 / 3 * np.pi * 20**3, rel=0.005)
     assert check_level_set(surface) == []
 
 
-@pytest.mark.parametrize("off", [(0.3, -0.2, 0.1), (18.3, -0.2, 0.1), (-0.2, 18.3, -17.8), (-17.2, 18.3, -17.8)])
+@pytest.mark.parametrize(
+    "off", [(0.3, -0.2, 0.1), (18.3, -0.2, 0.1), (-0.2, 18.3, -17.8), (-17.2, 18.3, -17.8)]
+)
 @pytest.mark.parametrize("spacing", [(3.0, 1.0, 1.0), (1.0, 1.0, 3.0)])
 def test_no_surface_appears_where_there_was_none(spacing, off):
     """Thick slices, a ball of under five of them, cut by the border: psi jumps at the band's end."""
@@ -264,9 +282,15 @@ def test_turned_and_mirrored_surfaces_are_the_same(turn):
     spacing = (1.2, 1.0, 0.9)
     turned_spacing = tuple(spacing[a] for a in PERMUTED.get(turn, (0, 1, 2)))
     turned = TURNS[turn]
-    for psi in (torus((20, 34, 40), spacing, 9.0, 4.5), ball((20, 34, 40), spacing, 8.0, (2.0, 3.0, -11.0))):
+    for psi in (
+        torus((20, 34, 40), spacing, 9.0, 4.5),
+        ball((20, 34, 40), spacing, 8.0, (2.0, 3.0, -11.0)),
+    ):
         psi = psi.astype(np.float32)
-        one, other = redistanced(LevelSet(psi, spacing), 3), redistanced(LevelSet(turned(psi), turned_spacing), 3)
+        one, other = (
+            redistanced(LevelSet(psi, spacing), 3),
+            redistanced(LevelSet(turned(psi), turned_spacing), 3),
+        )
         gap = np.abs(turned(one.psi) - other.psi)
         assert gap[np.abs(other.psi) < 2].max() < 1e-4
         assert (gap > 1e-3).mean() < 1e-4
@@ -315,16 +339,22 @@ def test_fields_come_back_constant_along_normals(half_width, least):
         surface = LevelSet(exact, (h, h, h), half_width)
         # Anything but constant along the normals.
         skewed = on_sphere * (1 + 2 * exact) + 3 * exact
-        (field,) = surface.redistance([skewed.ravel()[surface.band.cells].astype(np.float32)]).fields
+        (field,) = surface.redistance(
+            [skewed.ravel()[surface.band.cells].astype(np.float32)]
+        ).fields
         near = np.abs(surface.band.psi) < 2 * h
         errors.append(np.abs(field - on_sphere.ravel()[surface.band.cells])[near].max())
         dense = np.full(exact.size, np.nan)
         dense[surface.band.cells] = field
         dense = dense.reshape(exact.shape)
-        dot = sum(a * b for a, b in zip(np.gradient(dense, h), np.gradient(surface.psi, h), strict=True))
+        dot = sum(
+            a * b for a, b in zip(np.gradient(dense, h), np.gradient(surface.psi, h), strict=True)
+        )
         slopes.append(np.abs(dot[np.abs(exact) < h]).max())
     print("extension: field error", *(f"{e:.1e}" for e in errors), f"order {order(errors):.2f}")
-    print("extension: grad F . grad psi", *(f"{e:.1e}" for e in slopes), f"order {order(slopes):.2f}")
+    print(
+        "extension: grad F . grad psi", *(f"{e:.1e}" for e in slopes), f"order {order(slopes):.2f}"
+    )
     assert order(errors) >= least[0]
     assert order(slopes) >= least[1]
     assert errors[-1] < 0.003
@@ -362,7 +392,10 @@ def test_the_front_is_deep_enough_for_linear_interpolation_at_every_foot(spacing
     surface = LevelSet(ball(shape, spacing, 20.0), spacing)
     front = np.zeros(shape, bool)
     front.ravel()[surface.band.cells[surface.front()]] = True
-    at = np.stack(np.unravel_index(surface.band.cells, shape), axis=1) + surface.band.to_closest / spacing
+    at = (
+        np.stack(np.unravel_index(surface.band.cells, shape), axis=1)
+        + surface.band.to_closest / spacing
+    )
     low = np.floor(at).astype(int)
     missing = [1 - front[tuple((low + corner).T)].mean() for corner in np.ndindex(2, 2, 2)]
     # Nearly: the front is counted along normals, a slanted surface is nearer across.
@@ -392,7 +425,9 @@ def test_a_ball_is_carried_along():
     before = volume(surface)
 
     def speed_of(level):
-        gradient = np.stack(np.gradient(level.psi, *spacing), axis=-1).reshape(-1, 3)[level.band.cells]
+        gradient = np.stack(np.gradient(level.psi, *spacing), axis=-1).reshape(-1, 3)[
+            level.band.cells
+        ]
         # Constant along normals: taken at the front and extended.
         speed = -(gradient @ way / np.linalg.norm(gradient, axis=1)).astype(np.float32)
         level.extend_outwards(speed, level.front(1.9))
@@ -598,8 +633,12 @@ def test_change_names_the_inside_cells_that_entered_and_left():
         inside = surface.psi.ravel() < 0
         change = surface.redistance()
         after = in_band(surface).ravel()
-        np.testing.assert_array_equal(np.sort(change.entered_inside), np.flatnonzero(after & ~before & inside))
-        np.testing.assert_array_equal(np.sort(change.left_inside), np.flatnonzero(before & ~after & inside))
+        np.testing.assert_array_equal(
+            np.sort(change.entered_inside), np.flatnonzero(after & ~before & inside)
+        )
+        np.testing.assert_array_equal(
+            np.sort(change.left_inside), np.flatnonzero(before & ~after & inside)
+        )
         assert change.entered_inside.size + change.left_inside.size > 0
 
 
@@ -616,7 +655,11 @@ def test_curvature_at_the_surface_converges():
         cosine = (rho - 0.55) / np.hypot(rho - 0.55, z)
         want = 1 / 0.3 + cosine / (0.55 + 0.3 * cosine)
         errors.append(np.sqrt(np.mean((got - want) ** 2)))
-    print("torus: rms error of the curvature", *(f"{e:.1e}" for e in errors), f"order {order(errors):.2f}")
+    print(
+        "torus: rms error of the curvature",
+        *(f"{e:.1e}" for e in errors),
+        f"order {order(errors):.2f}",
+    )
     assert order(errors) >= 1.8
     assert errors[-1] < 0.05
 
@@ -661,7 +704,9 @@ def strict_where_possible(surface):
 @pytest.mark.sampled
 @pytest.mark.nojit
 @pytest.mark.parametrize("spacing", [ISOTROPIC, UNEQUAL])
-@pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 9, 8), (3, 8, 10), (9, 1, 8), (9, 8, 2), (1, 1, 9)])
+@pytest.mark.parametrize(
+    "shape", [(7, 9, 8), (1, 9, 12), (2, 9, 8), (3, 8, 10), (9, 1, 8), (9, 8, 2), (1, 1, 9)]
+)
 def test_surfaces_that_cross_every_border_of_small_volumes(shape, spacing):
     """All that a step does, on rough surfaces: indices inside, values finite, band in order."""
     surface = strict_where_possible(LevelSet(reference.smooth_noise(shape, 9, 1.2), spacing))
@@ -762,7 +807,11 @@ def test_the_band_is_valid_and_as_wide_as_asked(half_width):
         surface = redistanced(LevelSet(exact, spacing, half_width), 2)
         assert check_level_set(surface) == []
         # Wider where the spacings differ.
-        assert surface.half_width == half_width if spacing == ISOTROPIC else half_width < surface.half_width < 5
+        assert (
+            surface.half_width == half_width
+            if spacing == ISOTROPIC
+            else half_width < surface.half_width < 5
+        )
         assert surface.gamma == np.float32(surface.half_width * max(spacing))
         assert set(np.abs(surface.psi[~in_band(surface)])) == {surface.gamma}
         assert in_band(surface)[np.abs(exact) < (half_width - 0.1) * min(spacing)].all()
@@ -796,7 +845,9 @@ def spoilt(how):
     return surface
 
 
-@pytest.mark.parametrize("how", ["finite", "ordered", "distances", "slots", "outside", "closed", "slope", "residuals"])
+@pytest.mark.parametrize(
+    "how", ["finite", "ordered", "distances", "slots", "outside", "closed", "slope", "residuals"]
+)
 def test_a_spoilt_level_set_is_found_out(how):
     (finding,) = check_level_set(spoilt(how))
     assert finding.split()[1] == f"{how}:"
@@ -852,7 +903,9 @@ def test_rows_are_the_front_and_the_cells_beside_it(shape):
     np.testing.assert_array_equal(rows.on, np.flatnonzero(front))
     on_grid = np.zeros(shape, bool)
     on_grid.ravel()[surface.band.cells[front]] = True
-    beside = ndimage.binary_dilation(on_grid, ndimage.generate_binary_structure(3, 1)).ravel()[surface.band.cells]
+    beside = ndimage.binary_dilation(on_grid, ndimage.generate_binary_structure(3, 1)).ravel()[
+        surface.band.cells
+    ]
     np.testing.assert_array_equal(rows.off, np.flatnonzero(beside & ~front))
     assert 0 < rows.off.size < surface.size - m
     index = np.stack(np.unravel_index(surface.band.cells[slots], shape), axis=1)

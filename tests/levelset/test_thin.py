@@ -35,7 +35,9 @@ def drawn_sheet(seed, ratio):
     normal = np.where(spacing == ratio, 1.0, draw.uniform(-0.5, 0.5, 3) * draw.integers(0, 2))
     at = lattice((28, 28, 28), tuple(spacing), draw.random(3))
     across = np.tensordot(normal / np.linalg.norm(normal), at, 1)
-    return np.float32(np.abs(across) - 0.5 * draw.uniform(1.5, 2) * ratio), tuple(map(float, spacing))
+    return np.float32(np.abs(across) - 0.5 * draw.uniform(1.5, 2) * ratio), tuple(
+        map(float, spacing)
+    )
 
 
 @pytest.mark.sampled(2)
@@ -83,11 +85,15 @@ def test_a_cylinder_shrinks_and_grows_as_fast_as_told():
             for _ in range(50):
                 surface.advance(np.full(surface.size, (first - last) / 50, np.float32), 1.0)
                 surface.redistance()
-            moved, _ = displacement(exact_distance("cylinder", last, number), surface.psi, (1, 1, 1), 9)
+            moved, _ = displacement(
+                exact_distance("cylinder", last, number), surface.psi, (1, 1, 1), 9
+            )
             assert np.abs(moved).max() < most
 
 
-@pytest.mark.parametrize(("kind", "size", "most"), [("slab", 2, 0.12), ("cylinder", 1.5, 0.1), ("cylinder", 2, 0.05)])
+@pytest.mark.parametrize(
+    ("kind", "size", "most"), [("slab", 2, 0.12), ("cylinder", 1.5, 0.1), ("cylinder", 2, 0.05)]
+)
 def test_thin_objects_are_carried_as_they_are(kind, size, most):
     """50 steps of 0.05 voxel under a constant velocity; before, 0.15 to 0.7 voxel outwards."""
     for number in (0, 1, 4):

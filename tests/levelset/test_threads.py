@@ -120,7 +120,9 @@ def test_a_noisy_surface_is_the_same_bytes_with_one_two_and_three_threads():
             seen = [surface.psi.copy(), surface.band.to_closest]
             surface.advance(np.sin(surface.band.cells * 0.37).astype(np.float32), 0.6)
             cells, foot, state, n = find_closest_points(surface)
-            results.append(b"".join(np.asarray(a).tobytes() for a in [*seen, cells[:n], foot[:n], state[:n]]))
+            results.append(
+                b"".join(np.asarray(a).tobytes() for a in [*seen, cells[:n], foot[:n], state[:n]])
+            )
     assert results[0] == results[1] == results[2]
 
 

@@ -16,7 +16,10 @@ GRID = Geometry((1, 40, 50), (7.0, 1.0, 0.5))
 
 def disc(geometry=GRID, centre=(20.0, 12.0), radius=8.0):
     """Signed distance (mm) to a circle; centre (v, u) mm from the first pixel along the two axes."""
-    v, u = (np.arange(n) * h for n, h in zip(np.squeeze(np.empty(geometry.shape)).shape, geometry.steps, strict=True))
+    v, u = (
+        np.arange(n) * h
+        for n, h in zip(np.squeeze(np.empty(geometry.shape)).shape, geometry.steps, strict=True)
+    )
     psi = np.hypot(v[:, None] - centre[0], u[None, :] - centre[1]) - radius
     return np.expand_dims(psi, geometry.slice_axis).astype(np.float32)
 
@@ -83,7 +86,10 @@ def test_one_pixel_and_corners_that_touch():
     psi[0, 5, 5] = psi[0, 6, 6] = psi[0, 0, 49] = -0.4
     contours = extract(psi, GRID)
     assert len(contours.loops) == 3
-    assert all(len(loop) >= 3 and (loop != np.roll(loop, 1, axis=0)).any(axis=1).all() for loop in contours.loops)
+    assert all(
+        len(loop) >= 3 and (loop != np.roll(loop, 1, axis=0)).any(axis=1).all()
+        for loop in contours.loops
+    )
 
 
 def test_psi_of_exactly_zero_is_outside():
@@ -94,7 +100,9 @@ def test_psi_of_exactly_zero_is_outside():
     psi[0, 12:19, 12:19] = -5.0
     contours = extract(psi, GRID)
     # 9 x 9 pixels inside, each reaching its neighbours' centres: 10 x 5 mm without the corners
-    assert len(contours.loops) == 1 and contours.area == pytest.approx(10.0 * 5.0 - 4 * 0.25, rel=1e-3)
+    assert len(contours.loops) == 1 and contours.area == pytest.approx(
+        10.0 * 5.0 - 4 * 0.25, rel=1e-3
+    )
 
 
 def test_what_is_no_contour():
@@ -120,7 +128,10 @@ def test_vtp_has_closed_polylines(ring, tmp_path):
     assert mesh.n_lines == 2 and mesh.n_points == sum(map(len, ring.loops))
     np.testing.assert_array_equal(mesh.points, np.concatenate(ring.loops))
     assert mesh.compute_cell_sizes()["Length"].sum() == pytest.approx(ring.length)
-    assert [mesh.get_cell(i).point_ids[0] == mesh.get_cell(i).point_ids[-1] for i in (0, 1)] == [True, True]
+    assert [mesh.get_cell(i).point_ids[0] == mesh.get_cell(i).point_ids[-1] for i in (0, 1)] == [
+        True,
+        True,
+    ]
     assert (mesh.field_data["SPACE"][0], mesh.field_data["UNIT"][0]) == ("LPS", "mm")
 
 
@@ -130,7 +141,11 @@ def test_csv_has_a_row_for_each_point_and_closes(ring, tmp_path):
     rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
     assert list(rows[0]) == ["contour", "x_lps_mm", "y_lps_mm", "z_lps_mm"]
     for number, loop in enumerate(ring.loops):
-        points = [[float(row[f"{a}_lps_mm"]) for a in "xyz"] for row in rows if row["contour"] == str(number)]
+        points = [
+            [float(row[f"{a}_lps_mm"]) for a in "xyz"]
+            for row in rows
+            if row["contour"] == str(number)
+        ]
         np.testing.assert_allclose(points, np.vstack([loop, loop[:1]]), atol=1e-6)
     first = next(csv.DictReader((tmp_path / "ras.csv").read_text().splitlines()))
     assert float(first["x_ras_mm"]) == -float(rows[0]["x_lps_mm"])
@@ -139,7 +154,10 @@ def test_csv_has_a_row_for_each_point_and_closes(ring, tmp_path):
 
 
 def test_files_are_whole_or_not_there(ring, tmp_path):
-    for name, options, words in (("a.ply", (), "contour format '.ply'"), ("a.csv", ("xyz",), "space 'xyz'")):
+    for name, options, words in (
+        ("a.ply", (), "contour format '.ply'"),
+        ("a.csv", ("xyz",), "space 'xyz'"),
+    ):
         with pytest.raises(UsageError, match=words):
             ring.write(tmp_path / name, *options)
     with pytest.raises(OutputError):
@@ -167,7 +185,9 @@ def ball(geometry, centre, radius):
 @pytest.mark.parametrize("oblique", [False, True])
 def test_slices_of_a_ball(oblique):
     turned, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))
-    geometry = Geometry((20, 40, 44), (2.0, 0.8, 0.7), (100.0, -50.0, 30.0), turned if oblique else np.eye(3))
+    geometry = Geometry(
+        (20, 40, 44), (2.0, 0.8, 0.7), (100.0, -50.0, 30.0), turned if oblique else np.eye(3)
+    )
     centre = geometry.index_to_world((9.3, 19.6, 21.2))
     found = in_slices(ball(geometry, centre, 12.0), geometry)
     heights = (np.arange(20) - 9.3) * 2.0
@@ -199,7 +219,9 @@ def test_slices_of_an_object_that_the_border_cuts():
     found = in_slices(ball(geometry, (0.0, 0.0, 0.0), 9.5), geometry)
     assert sorted(found) == [0, 1, 2, 3]
     # A quarter of the disc, and the half pixels up to the border.
-    assert found[0].area == pytest.approx(np.pi * 9.5**2 / 4 + 9.5 * (0.4 + 0.35) + 0.4 * 0.35, rel=2e-3)
+    assert found[0].area == pytest.approx(
+        np.pi * 9.5**2 / 4 + 9.5 * (0.4 + 0.35) + 0.4 * 0.35, rel=2e-3
+    )
     index = geometry.world_to_index(np.concatenate(found[0].loops))
     assert index[:, 1:].min() == pytest.approx(-0.5)
 

@@ -29,7 +29,10 @@ def test_a_box_has_its_diagonals():
     found = diameters(np.ones((5, 20, 10), bool), (3, 10, 6), geometry)  # a cube of 10 mm
     # Across the diagonal of a cube the sections are triangles and hexagons, all of the width of a face's diagonal.
     assert lengths(found) == pytest.approx(np.sqrt([300, 200, 200, 200]), abs=1e-9)
-    assert right_angle(found.longest, found.across) < 1e-9 and right_angle(found.axial, found.axial_across) < 1e-9
+    assert (
+        right_angle(found.longest, found.across) < 1e-9
+        and right_angle(found.axial, found.axial_across) < 1e-9
+    )
     corners = geometry.index_to_world([[2.5, 9.5, 5.5], [7.5, 29.5, 15.5]])
     for ends in found.longest:
         inner = (ends >= corners.min(axis=0) - 1e-9) & (ends <= corners.max(axis=0) + 1e-9)
@@ -40,7 +43,10 @@ def test_a_box_has_its_diagonals():
 def test_an_ellipsoid_has_its_axes_on_an_oblique_anisotropic_grid(axes):
     steps = (1.0, 0.5, 0.75)
     geometry = Geometry((64, 90, 60), steps, (3.0, -8.0, 1.0), turned())
-    z, y, x = ((at - (n - 1) / 2) * h for at, n, h in zip(np.indices((64, 90, 60)), (64, 90, 60), steps, strict=True))
+    z, y, x = (
+        (at - (n - 1) / 2) * h
+        for at, n, h in zip(np.indices((64, 90, 60)), (64, 90, 60), steps, strict=True)
+    )
     inside = (x / axes[0]) ** 2 + (y / axes[1]) ** 2 + (z / axes[2]) ** 2 < 1
     found = diameters(inside, (0, 0, 0), geometry)
     # Corners lie outside by at most half the diagonal of a voxel, 0.67 mm, at each end.
@@ -110,4 +116,6 @@ def test_a_row_of_pixels_and_a_single_one():
     assert lengths(found)[0] == pytest.approx(np.sqrt(26))
     assert lengths(found)[1] == pytest.approx(np.sqrt(26) / 5)
     alone = np.ones((1, 1, 1), bool)
-    assert lengths(diameters(alone, (2, 2, 2), Geometry((5, 5, 5), (1.0, 1.0, 1.0))))[0] == pytest.approx(np.sqrt(3))
+    assert lengths(diameters(alone, (2, 2, 2), Geometry((5, 5, 5), (1.0, 1.0, 1.0))))[
+        0
+    ] == pytest.approx(np.sqrt(3))

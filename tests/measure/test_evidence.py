@@ -64,7 +64,9 @@ def test_a_click_is_evidence_near_it_only():
 def test_the_doubtful_place_is_where_it_leaked():
     z, y, x = coordinates()
     image = ball(9.0) + noise()
-    leaked = ball(9.0) | ((np.abs(y) < 4) & (np.abs(z) < 4) & (x > 0) & (x < 16))  # into nothing, to the right
+    leaked = ball(9.0) | (
+        (np.abs(y) < 4) & (np.abs(z) < 4) & (x > 0) & (x < 16)
+    )  # into nothing, to the right
     place, share = uncertain_places(look(leaked, image), SPACING, leaked.sum() * 1.2)[0]
     assert x[place] > 8 and share > 0.5
     _, little = uncertain_places(look(ball(9.0), image), SPACING, 3000.0)[0]
@@ -74,7 +76,9 @@ def test_the_doubtful_place_is_where_it_leaked():
 def test_several_uncertain_places_lie_apart_and_the_first_is_the_most_uncertain():
     z, y, x = coordinates()
     image = ball(9.0) + noise()
-    near = (np.abs(y) < 4) & (np.abs(z) < 4) & (np.abs(x) < 18)  # into nothing, to the right and farther to the left
+    near = (
+        (np.abs(y) < 4) & (np.abs(z) < 4) & (np.abs(x) < 18)
+    )  # into nothing, to the right and farther to the left
     leaked = ball(9.0) | (near & (x < 14))
     found = uncertain_places(look(leaked, image), SPACING, leaked.sum() * 1.2, 4)
     assert found[0] == uncertain_places(look(leaked, image), SPACING, leaked.sum() * 1.2)[0]
@@ -101,7 +105,10 @@ def test_nothing_and_one_slice():
 
 def test_the_deepest_voxel_is_the_first_of_those_farthest_from_the_surface():
     draw = np.random.default_rng(6)
-    for shape, spacing, share in (((15, 22, 17), (2.0, 1.0, 0.5), 0.4), ((1, 30, 31), (5.0, 1.0, 1.0), 0.6)):
+    for shape, spacing, share in (
+        ((15, 22, 17), (2.0, 1.0, 0.5), 0.4),
+        ((1, 30, 31), (5.0, 1.0, 1.0), 0.6),
+    ):
         inside = ndimage.gaussian_filter(draw.normal(size=shape), 2.0) > 0.05 * share
         away = ndimage.distance_transform_edt(inside, sampling=spacing)
         assert _deepest(inside, spacing) == np.unravel_index(away.argmax(), shape)

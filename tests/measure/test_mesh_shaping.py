@@ -49,7 +49,10 @@ def test_nearest_triangles_are_those_of_a_plain_search(ball: Surface) -> None:
     points = CENTRE + np.random.default_rng(1).normal(0, 7, (200, 3))
     corners = coarse.vertices[coarse.faces]
     plain = [
-        np.linalg.norm(nearest_in(np.repeat(p[None], len(corners), axis=0), corners) - p, axis=1).min() for p in points
+        np.linalg.norm(
+            nearest_in(np.repeat(p[None], len(corners), axis=0), corners) - p, axis=1
+        ).min()
+        for p in points
     ]
     np.testing.assert_allclose(TriangleIndex(coarse).closest(points)[0], plain, rtol=1e-9)
 
@@ -98,7 +101,10 @@ def test_short_bumps_are_flattened_and_the_volume_stays(ball: Surface) -> None:
     out = (fine.vertices - CENTRE) / np.linalg.norm(fine.vertices - CENTRE, axis=1, keepdims=True)
     left = {}
     for length in (2.0, 12.0):  # mm, along z
-        bumpy = Surface(fine.vertices + 0.1 * np.sin(2 * np.pi / length * fine.vertices[:, 2:]) * out, fine.faces)
+        bumpy = Surface(
+            fine.vertices + 0.1 * np.sin(2 * np.pi / length * fine.vertices[:, 2:]) * out,
+            fine.faces,
+        )
         smooth = smoothed(bumpy, 4.0)
         assert smooth.volume == pytest.approx(bumpy.volume, rel=1e-4)
         belt = np.abs(out[:, 2]) < 0.4

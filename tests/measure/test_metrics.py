@@ -45,9 +45,13 @@ def brute_border(mask: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", [(6, 7, 8), (1, 7, 8), (6, 1, 8), (1, 1, 9), (2, 2, 2)])
-def test_border_voxels_are_those_with_an_outside_face_neighbour(shape: tuple[int, int, int]) -> None:
+def test_border_voxels_are_those_with_an_outside_face_neighbour(
+    shape: tuple[int, int, int],
+) -> None:
     mask = np.random.default_rng(3).random(shape) < 0.8
-    np.testing.assert_array_equal(border_points(mask, SPACING), brute_border(mask) * np.array(SPACING))
+    np.testing.assert_array_equal(
+        border_points(mask, SPACING), brute_border(mask) * np.array(SPACING)
+    )
 
 
 def test_border_of_a_view_and_of_a_non_contiguous_mask() -> None:
@@ -145,7 +149,9 @@ def test_swapping_the_maps_changes_only_the_sign_of_the_volume_difference() -> N
 def test_axis_order_and_flips_do_not_matter() -> None:
     a, b = blob(21), blob(22)
     straight = compare(a, b)
-    turned = compare(a.transpose(2, 0, 1)[::-1], b.transpose(2, 0, 1)[::-1], (SPACING[2], SPACING[0], SPACING[1]))
+    turned = compare(
+        a.transpose(2, 0, 1)[::-1], b.transpose(2, 0, 1)[::-1], (SPACING[2], SPACING[0], SPACING[1])
+    )
     for name, value in straight.to_dict().items():
         assert turned.to_dict()[name] == pytest.approx(value, rel=1e-12), name
 
@@ -158,7 +164,14 @@ def test_identical_maps() -> None:
 def test_both_empty_is_undefined() -> None:
     empty = np.zeros((4, 4, 4), dtype=np.uint8)
     m = compare(empty, empty)
-    for name in ("dice", "iou", "volume_difference_percent", "hausdorff_mm", "hd95_mm", "mean_surface_distance_mm"):
+    for name in (
+        "dice",
+        "iou",
+        "volume_difference_percent",
+        "hausdorff_mm",
+        "hd95_mm",
+        "mean_surface_distance_mm",
+    ):
         assert math.isnan(getattr(m, name)), name
         assert m.to_dict()[name] is None
     assert (m.volume_pred_mm3, m.volume_ref_mm3, m.volume_difference_mm3) == (0, 0, 0)
@@ -170,7 +183,11 @@ def test_one_empty_has_no_overlap_and_no_distance() -> None:
     without_ref, without_pred = compare(full, empty), compare(empty, full)
     for m in (without_ref, without_pred):
         assert (m.dice, m.iou) == (0, 0)
-        assert math.isnan(m.hausdorff_mm) and math.isnan(m.hd95_mm) and math.isnan(m.mean_surface_distance_mm)
+        assert (
+            math.isnan(m.hausdorff_mm)
+            and math.isnan(m.hd95_mm)
+            and math.isnan(m.mean_surface_distance_mm)
+        )
     assert math.isnan(without_ref.volume_difference_percent)
     assert without_pred.volume_difference_percent == -100.0
 

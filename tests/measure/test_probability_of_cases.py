@@ -53,7 +53,11 @@ def first_answer(name, noise):
     from scipy import ndimage
 
     truth, bright = drawn(name)
-    image = 100.0 * bright + np.random.default_rng(3).normal(0, noise, truth.shape) if noise else 100.0 * bright
+    image = (
+        100.0 * bright + np.random.default_rng(3).normal(0, noise, truth.shape)
+        if noise
+        else 100.0 * bright
+    )
     depth = ndimage.distance_transform_edt(np.pad(truth, 1))[1:-1, 1:-1, 1:-1]
     place = np.unravel_index(int(depth.argmax()), depth.shape) if name != "air" else (6, 6, 6)
     mask = clicked(place, min(0.5 * depth.max(), 8.0) if name != "air" else 3.0)
@@ -62,12 +66,20 @@ def first_answer(name, noise):
         Clicks((Click("inside", whole_box(mask.shape), mask),), truth.shape),
     )
     labels = model.inside_on(whole_box(truth.shape))
-    seen = labels.astype(np.uint8), image.astype(np.float32) / 100.0, Geometry(truth.shape, SPACING), [], DONE
+    seen = (
+        labels.astype(np.uint8),
+        image.astype(np.float32) / 100.0,
+        Geometry(truth.shape, SPACING),
+        [],
+        DONE,
+    )
     return dice(labels, truth), assess(*seen, clicked=mask, confidence=confidence_of(model))
 
 
 @pytest.mark.parametrize("noise", [0.0, 5.0])
-@pytest.mark.parametrize("name", ["most of the image", "all but a ball", "wavy tube", "thin torus", "air"])
+@pytest.mark.parametrize(
+    "name", ["most of the image", "all but a ball", "wavy tube", "thin torus", "air"]
+)
 def test_a_failure_is_not_said_to_be_good(name, noise):
     value, found = first_answer(name, noise)
     assert value >= FAILED or found.probability < SAID
@@ -97,6 +109,11 @@ def test_clicks_in_two_separate_objects_name_the_option_for_several():
     balls = (z**2 + y**2 + x**2 < 49) | (z**2 + y**2 + (x - 24) ** 2 < 49)
     image = np.float32(100.0 * balls)
     near, far = "ball:11.5,11.5,11.5,3vox", "ball:35.5,11.5,11.5,3vox"
-    found = [accelsurf.segment(image, inside=clicks, threads=1).quality.notes for clicks in (near, (near, far))]
+    found = [
+        accelsurf.segment(image, inside=clicks, threads=1).quality.notes
+        for clicks in (near, (near, far))
+    ]
     assert not any("parts:" in note for note in found[0])
-    assert [note for note in found[1] if "2 separate parts were clicked" in note and "--objects" in note]
+    assert [
+        note for note in found[1] if "2 separate parts were clicked" in note and "--objects" in note
+    ]

@@ -31,7 +31,9 @@ def coordinates(shape=SHAPE):
 
 
 def look(mask, image, history=(), stop=DONE):
-    return assess(mask.astype(np.uint8), image.astype(np.float32), Geometry(SHAPE, SPACING), history, stop)
+    return assess(
+        mask.astype(np.uint8), image.astype(np.float32), Geometry(SHAPE, SPACING), history, stop
+    )
 
 
 def test_a_clean_ball_raises_no_doubt():
@@ -39,7 +41,12 @@ def test_a_clean_ball_raises_no_doubt():
     mask = z**2 + y**2 + x**2 < 12**2
     history = [step_record(0, volume_mm3=5.0), step_record(1)]
     found = look(mask, mask + np.random.default_rng(1).normal(0, 0.05, SHAPE), history)
-    assert found.warnings == () and found.notes == () and found.parts_beyond_necks == 1 and not found.leaked
+    assert (
+        found.warnings == ()
+        and found.notes == ()
+        and found.parts_beyond_necks == 1
+        and not found.leaked
+    )
     assert found.border_fraction == 0 and found.contrast > 5
     assert found.no_edge_fraction < 0.02 and found.growth == 2
 
@@ -63,7 +70,9 @@ def test_a_surface_with_no_edge_under_it_is_told():
     assert look(r < 9, scan).no_edge_fraction < 0.02
     wrong = look(r < 15, scan)
     assert wrong.no_edge_fraction > 0.4 and wrong.contrast < 2
-    assert any("edge: " in words for words in wrong.notes) and any("contrast: " in words for words in wrong.notes)
+    assert any("edge: " in words for words in wrong.notes) and any(
+        "contrast: " in words for words in wrong.notes
+    )
     half = look((r < 9) | ((r < 15) & (x > 0)), scan)
     assert wrong.no_edge_fraction > half.no_edge_fraction > 0.2
 
@@ -94,7 +103,10 @@ def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), history
     rest = PlateauNote(4, 110.0, 9, (1.0, 2.0, 3.0))
     found = assess(*seen, Stop("max-steps", 60, 6.0, "not converged"), plateaus=[rest])
-    assert any(words.startswith("growth: ") and words.endswith("try --stop-at-rest") for words in found.warnings)
+    assert any(
+        words.startswith("growth: ") and words.endswith("try --stop-at-rest")
+        for words in found.warnings
+    )
 
 
 def test_a_leak_after_a_rest_names_the_rest():
@@ -103,7 +115,10 @@ def test_a_leak_after_a_rest_names_the_rest():
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), []
     leaked = Stop("leaked", 60, 6.0, "it is too large")
     rest = PlateauNote(4, 110.0, 9, (1.0, 2.25, 3.0))
-    for rests, wanted in (((), "leak: it is too large"), ((rest,), "leak: it is too large; try --stop-at-rest")):
+    for rests, wanted in (
+        ((), "leak: it is too large"),
+        ((rest,), "leak: it is too large; try --stop-at-rest"),
+    ):
         found = assess(*seen, leaked, plateaus=rests)
         assert [words for words in found.warnings if words.startswith("leak: ")] == [wanted]
 
@@ -121,7 +136,11 @@ def made_for(case):
     }
     noise = np.random.default_rng(1).normal(0, 0.01, SHAPE)
     start = "ball:11.6,21.5,19.5,7vox" if case == "necks" else "center"
-    return (cases[case] + noise).astype(np.float32), start, ((r < 8) | (x > 6) if case == "edge" else r < np.inf)
+    return (
+        (cases[case] + noise).astype(np.float32),
+        start,
+        ((r < 8) | (x > 6) if case == "edge" else r < np.inf),
+    )
 
 
 @pytest.mark.sampled(2)
@@ -130,7 +149,14 @@ def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
     scan, start, allowed = made_for(case)
     io.write(Volume(scan, Geometry(SHAPE, SPACING)), tmp_path / "scan.nii.gz")
     io.write(Volume(allowed.astype(np.uint8), Geometry(SHAPE, SPACING)), tmp_path / "mask.nii.gz")
-    words = ["segment", str(tmp_path / "scan.nii.gz"), "--start", start, "--mask", str(tmp_path / "mask.nii.gz")]
+    words = [
+        "segment",
+        str(tmp_path / "scan.nii.gz"),
+        "--start",
+        start,
+        "--mask",
+        str(tmp_path / "mask.nii.gz"),
+    ]
     words += ["--levels", "1"]
     assert cli.execute([*words, "-o", str(tmp_path / "one")]) == 0
     told = capsys.readouterr()
@@ -138,8 +164,12 @@ def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
     assert ("try --inside at the object in place of --start" in told.err) == (case == "edge")
     assert "likely to be good; most doubtful near " in told.out
     noted = case in ("border", "necks", "edge")
-    assert (f"note: {case}: " in told.out) == noted and "note: " not in told.err.replace("note: compiling", "")
-    assert cli.execute([*words, "-o", str(tmp_path / "two"), "--strict", "--quiet"]) == (5 if case == "edge" else 0)
+    assert (f"note: {case}: " in told.out) == noted and "note: " not in told.err.replace(
+        "note: compiling", ""
+    )
+    assert cli.execute([*words, "-o", str(tmp_path / "two"), "--strict", "--quiet"]) == (
+        5 if case == "edge" else 0
+    )
     assert (tmp_path / "two" / "scan_seg.nii.gz").exists()
 
 
@@ -149,11 +179,18 @@ def test_the_report_has_probability_place_and_rests_as_values():
     rest = PlateauNote(4, 3000.0, 9, (1.0, 2.0, 3.0))
     geometry = Geometry(SHAPE, SPACING, origin=(100.0, 0.0, 0.0))
     history = [step_record(0, volume_mm3=900.0), step_record(9, volume_mm3=7200.0, area_mm2=1800.0)]
-    found = assess(mask.astype(np.uint8), mask.astype(np.float32), geometry, history, DONE, plateaus=[rest])
+    found = assess(
+        mask.astype(np.uint8), mask.astype(np.float32), geometry, history, DONE, plateaus=[rest]
+    )
     described = json.loads(to_json(describe_quality(found)))
-    assert described["rests"] == [{"step": 4, "volume_mm3": 3000.0, "left_at": 9, "place": [1.0, 2.0, 3.0]}]
+    assert described["rests"] == [
+        {"step": 4, "volume_mm3": 3000.0, "left_at": 9, "place": [1.0, 2.0, 3.0]}
+    ]
     assert 0 <= described["probability"] <= 1 and described["next_click"][0] > 100
-    assert any("rested at step 4 with 3 ml" in note and "ended with 7.2 ml" in note for note in described["notes"])
+    assert any(
+        "rested at step 4 with 3 ml" in note and "ended with 7.2 ml" in note
+        for note in described["notes"]
+    )
 
 
 def test_a_rest_is_noted_where_the_object_has_grown_since():
@@ -162,7 +199,9 @@ def test_a_rest_is_noted_where_the_object_has_grown_since():
     history = [step_record(0, volume_mm3=1e-6), step_record(9, volume_mm3=5e-6, area_mm2=1800.0)]
     for size, noted in ((4e-6, True), (4.8e-6, False), (6e-6, False)):
         rest = PlateauNote(4, size, 9, (1.0, 2.0, 3.0))
-        found = assess(mask, mask.astype(np.float32), Geometry(SHAPE, SPACING), history, DONE, plateaus=[rest])
+        found = assess(
+            mask, mask.astype(np.float32), Geometry(SHAPE, SPACING), history, DONE, plateaus=[rest]
+        )
         assert any(note.startswith("rest: ") for note in found.notes) == noted
         assert not noted or "with 4000 um3, then" in found.notes[0]
 
@@ -172,7 +211,9 @@ def test_what_is_too_small_to_be_judged_is_in_doubt():
     mask[20, 22, 24] = True
     found = look(mask, mask * 1.0, [step_record(0, volume_mm3=1.2), step_record(9, volume_mm3=1.2)])
     assert found.next_click is None
-    place = ",".join(f"{index * h:.1f}" for index, h in zip((24, 22, 20), SPACING[::-1], strict=True))
+    place = ",".join(
+        f"{index * h:.1f}" for index, h in zip((24, 22, 20), SPACING[::-1], strict=True)
+    )
     wanted = f"the object is too small to judge (1.2 mm3); try --inside ball:{place},{2 * max(SPACING):.2g}"
     assert [words for words in found.warnings if wanted in words]
 
@@ -192,7 +233,9 @@ def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
     assert good.probability == pytest.approx(1 / (1 + np.exp(-total)))
 
 
-USUAL = Confidence(overlap=0.85, spread=0.9, correction=0.3, unchanged=0.9, taken=0.0, surprise=0.3, answers=())
+USUAL = Confidence(
+    overlap=0.85, spread=0.9, correction=0.3, unchanged=0.9, taken=0.0, surprise=0.3, answers=()
+)
 
 
 def told_of(confidence, mask=None):
@@ -213,8 +256,10 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
 
     usual = probability()
     for better, worse in (
-        ({"overlap": 0.95}, {"overlap": 0.7}), ({"correction": 0.1}, {"correction": 0.9}),
-        ({"unchanged": 0.98}, {"unchanged": 0.6}), ({"surprise": 0.0}, {"surprise": 0.9}),
+        ({"overlap": 0.95}, {"overlap": 0.7}),
+        ({"correction": 0.1}, {"correction": 0.9}),
+        ({"unchanged": 0.98}, {"unchanged": 0.6}),
+        ({"surprise": 0.0}, {"surprise": 0.9}),
         ({"spread": 0.2}, {"spread": 1.8}),
     ):
         # A measure that was found to tell nothing has no weight; none counts the wrong way.
@@ -225,16 +270,27 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
 
 def test_neither_the_compactness_nor_the_number_of_clicks_is_a_feature():
     names = set(likely.calibrated_models()["clicks"]["features"])
-    assert names == set(click_features(told_of(USUAL))) and not names & {"compactness", "corrections", "clicks"}
+    assert names == set(click_features(told_of(USUAL))) and not names & {
+        "compactness",
+        "corrections",
+        "clicks",
+    }
 
 
-@pytest.mark.parametrize(("feature", "changes", "words"), [
-    ("level_overlap", {"overlap": 0.1}, "a small change of its size gives another shape"),
-    ("size_spread", {"spread": 3.0}, "objects of other sizes fit the clicks as well"),
-    ("correction", {"correction": 5.0}, "the last click was large: 5 radii of the object"),
-    ("unchanged", {"unchanged": 0.02}, "the last click changed it much"),
-    ("surprise", {"surprise": 1.0}, "you clicked where the model had been sure of the opposite"),
-])
+@pytest.mark.parametrize(
+    ("feature", "changes", "words"),
+    [
+        ("level_overlap", {"overlap": 0.1}, "a small change of its size gives another shape"),
+        ("size_spread", {"spread": 3.0}, "objects of other sizes fit the clicks as well"),
+        ("correction", {"correction": 5.0}, "the last click was large: 5 radii of the object"),
+        ("unchanged", {"unchanged": 0.02}, "the last click changed it much"),
+        (
+            "surprise",
+            {"surprise": 1.0},
+            "you clicked where the model had been sure of the opposite",
+        ),
+    ],
+)
 def test_a_doubt_names_what_speaks_most_against_the_result(feature, changes, words):
     sure = USUAL._replace(overlap=0.98, spread=0.2, correction=0.1, unchanged=0.98, surprise=0.0)
     weight = likely.calibrated_models()["clicks"]["features"][feature][2]
@@ -249,11 +305,18 @@ def test_thin_objects_and_those_whose_values_drift_are_told_so():
 
 
 def test_nothing_is_doubted_and_a_ball_is_not():
-    truth, noise = sum(axis**2 for axis in coordinates()) < 12**2, np.random.default_rng(1).normal(0, 1, SHAPE)
+    truth, noise = (
+        sum(axis**2 for axis in coordinates()) < 12**2,
+        np.random.default_rng(1).normal(0, 1, SHAPE),
+    )
     words = {"spacing": SPACING, "threads": 1}
     good = segment(truth + 0.1 * noise, inside="ball:18.8,21.5,29.25,6", **words)
     bad = segment(0.3 * noise, inside="ball:18.8,21.5,29.25,3", **words)  # there is nothing
-    assert dice(good.labels > 0, truth) > 0.95 and good.quality.warnings == () and good.quality.probability > 0.8
+    assert (
+        dice(good.labels > 0, truth) > 0.95
+        and good.quality.warnings == ()
+        and good.quality.probability > 0.8
+    )
     assert bad.quality.probability < 0.3
     (doubt,) = bad.quality.warnings
     assert doubt.startswith("doubt: probably not right (")
@@ -271,7 +334,11 @@ def test_nothing_left_and_one_slice():
     y, x = np.indices((60, 70)) - 30.0
     disc = x**2 + y**2 < 15**2
     result = segment(disc * 1.0, start="ball:30,30,0,8vox")
-    assert result.quality.warnings == () and result.quality.contrast > 5 and result.quality.border_fraction == 0
+    assert (
+        result.quality.warnings == ()
+        and result.quality.contrast > 5
+        and result.quality.border_fraction == 0
+    )
 
 
 @pytest.mark.parametrize("shape", [(12, 14, 9), (1, 20, 13)])
@@ -282,7 +349,9 @@ def test_gradients_of_some_voxels_are_those_of_all(shape):
     image = np.random.default_rng(1).normal(size=shape).astype(np.float32)
     some = np.arange(0, image.size, 3)
     got = gradients(gaussian_mm(image, SPACING, 1.2), SPACING, some)
-    np.testing.assert_allclose(got, gradient_magnitude(image, SPACING, 1.2).ravel()[some], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        got, gradient_magnitude(image, SPACING, 1.2).ravel()[some], rtol=1e-5, atol=1e-6
+    )
 
 
 def test_a_sample_of_the_inside_tells_as_much(monkeypatch):
@@ -317,9 +386,13 @@ def test_a_leak_into_tissue_like_the_object_is_told_by_its_values():
     muscle = ((x - 8) ** 2 + y**2 + z**2 < 11**2) & ~organ
     scan = -900.0 + 990 * organ + 960 * muscle + np.random.default_rng(1).normal(0, 8, SHAPE)
     start = "ball:15,21.5,19.5,6vox"
-    leaked = segment(scan, spacing=SPACING, start=start, energy="likelihood:model=histogram,update=no")
+    leaked = segment(
+        scan, spacing=SPACING, start=start, energy="likelihood:model=histogram,update=no"
+    )
     assert leaked.labels[muscle].mean() > 0.8 and leaked.quality.unlike_learned > 0.2
-    assert leaked.stop.reason == "converged" and leaked.quality.no_edge_fraction < 0.1  # nothing else tells
+    assert (
+        leaked.stop.reason == "converged" and leaked.quality.no_edge_fraction < 0.1
+    )  # nothing else tells
     assert any(words.startswith("values: ") and "leaked" in words for words in leaked.quality.notes)
     held = segment(scan, spacing=SPACING, start=start, energy="threshold:learned,learned")
     assert held.labels[muscle].mean() < 0.15 and held.quality.unlike_learned < 0.05
@@ -363,4 +436,6 @@ def test_it_takes_less_memory_than_the_solver():
 def test_an_outside_click_that_takes_most_is_said():
     lines = [told_of(USUAL._replace(taken=share)).notes for share in (0.3, 0.7)]
     assert not any(line.startswith("outside:") for line in lines[0])
-    assert any(line.startswith("outside: the last click outside took away 70%") for line in lines[1])
+    assert any(
+        line.startswith("outside: the last click outside took away 70%") for line in lines[1]
+    )

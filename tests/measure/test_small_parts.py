@@ -18,13 +18,22 @@ def drawn_capsule(draw, radius, spacing, length):
     at = (np.indices(shape).transpose(1, 2, 3, 0) - centre) * h
     along = np.clip(at @ direction, -length / 2, length / 2)
     psi = np.linalg.norm(at - along[..., None] * direction, axis=3) - radius
-    return psi.astype(np.float32), Geometry(shape, spacing), np.pi * radius**2 * (length + 4 / 3 * radius)
+    return (
+        psi.astype(np.float32),
+        Geometry(shape, spacing),
+        np.pi * radius**2 * (length + 4 / 3 * radius),
+    )
 
 
 def ellipsoid(half_axes, spacing, centre, shape):
     """Exact distance from an ellipsoid along the axes of the grid: by bisection of Lagrange's condition."""
-    at = np.abs((np.indices(shape).transpose(1, 2, 3, 0) - centre) * np.array(spacing)).reshape(-1, 3)
-    low, high = np.full(len(at), -half_axes.min() ** 2 + 1e-9), np.linalg.norm(at * half_axes, axis=1) + 1
+    at = np.abs((np.indices(shape).transpose(1, 2, 3, 0) - centre) * np.array(spacing)).reshape(
+        -1, 3
+    )
+    low, high = (
+        np.full(len(at), -(half_axes.min() ** 2) + 1e-9),
+        np.linalg.norm(at * half_axes, axis=1) + 1,
+    )
     for _ in range(60):
         middle = 0.5 * (low + high)
         beyond = ((half_axes * at / (half_axes**2 + middle[:, None])) ** 2).sum(axis=1) > 1
@@ -39,12 +48,16 @@ SPACINGS = [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 3.0, 1.0), (1.0, 0.7, 2.5)]
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("spacing", SPACINGS)
-@pytest.mark.parametrize(("radius", "most"), [(1.0, 0.06), (1.25, 0.03), (1.5, 0.02), (2.0, 0.01), (3.0, 0.003)])
+@pytest.mark.parametrize(
+    ("radius", "most"), [(1.0, 0.06), (1.25, 0.03), (1.5, 0.02), (2.0, 0.01), (3.0, 0.003)]
+)
 def test_small_balls_and_thin_cylinders_have_their_volume(radius, most, spacing):
     """In voxels of the coarsest axis; a ball of radius 1 lacked up to half of it. Below 15 voxels nothing is kept."""
     draw = np.random.default_rng(int(100 * radius))
     for length in (0.0, 0.0, 5.0, 9.0):
-        psi, geometry, volume = drawn_capsule(draw, radius * max(spacing), spacing, length * max(spacing))
+        psi, geometry, volume = drawn_capsule(
+            draw, radius * max(spacing), spacing, length * max(spacing)
+        )
         mesh = extract(psi, geometry)
         assert mesh.is_closed and mesh.euler_characteristic == 2
         if np.count_nonzero(psi < 0) > 14:
@@ -57,7 +70,9 @@ def test_small_ellipsoids_have_their_volume(spacing):
     for shortest, most in ((1.0, 0.06), (1.5, 0.02)):
         half_axes = shortest * max(spacing) * draw.permutation([1.0, 1.6, 2.2])
         shape = tuple(np.ceil(2 * half_axes / np.array(spacing)).astype(int) + 9)
-        psi = ellipsoid(half_axes, spacing, (np.array(shape) - 1) / 2 + draw.uniform(-0.5, 0.5, 3), shape)
+        psi = ellipsoid(
+            half_axes, spacing, (np.array(shape) - 1) / 2 + draw.uniform(-0.5, 0.5, 3), shape
+        )
         mesh = extract(psi, Geometry(shape, spacing))
         assert mesh.is_closed and mesh.euler_characteristic == 2
         assert mesh.volume == pytest.approx(4 / 3 * np.pi * half_axes.prod(), rel=most)
@@ -71,11 +86,17 @@ def test_what_is_small_beside_something_large_is_as_exact_and_the_large_keeps_it
     small = np.linalg.norm(at - (19, 30, 12) - draw.uniform(-1, 1, 3), axis=3) - 2.2
     geometry = Geometry(shape, spacing)
     both, alone, little = (
-        extract(psi.astype(np.float32), geometry) for psi in (np.minimum(large, small), large, small)
+        extract(psi.astype(np.float32), geometry)
+        for psi in (np.minimum(large, small), large, small)
     )
     assert both.volume == pytest.approx(4 / 3 * np.pi * (8**3 + 2.2**3), rel=0.002)
     assert little.volume == pytest.approx(4 / 3 * np.pi * 2.2**3, rel=0.04)
-    assert np.isin(alone.vertices.round(9).view("f8,f8,f8"), both.vertices.round(9).view("f8,f8,f8")).mean() > 0.9
+    assert (
+        np.isin(
+            alone.vertices.round(9).view("f8,f8,f8"), both.vertices.round(9).view("f8,f8,f8")
+        ).mean()
+        > 0.9
+    )
 
 
 def test_cavities_have_their_volume():
@@ -118,4 +139,6 @@ def test_the_interpolant_is_exact_for_cubics_and_mirrored_at_the_border(shape):
     within = np.where(sizes > 1, draw.uniform(1.01, np.maximum(sizes - 2.01, 1.02), (40, 3)), 0.0)
     np.testing.assert_allclose(cubic_at(psi, within), function(within), atol=1e-5)
     mirrored = np.where(sizes > 1, -1.0 - within, 0.0)
-    np.testing.assert_allclose(cubic_at(psi, mirrored + 0.0), cubic_at(psi, -1.0 - mirrored * (sizes > 1)), atol=1)
+    np.testing.assert_allclose(
+        cubic_at(psi, mirrored + 0.0), cubic_at(psi, -1.0 - mirrored * (sizes > 1)), atol=1
+    )

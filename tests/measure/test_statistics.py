@@ -35,7 +35,9 @@ def test_a_box_has_the_lengths_of_its_edges():
     assert np.array_equal(own, inside)
     assert found["voxels"] == 5 * 20 * 10
     assert found["box_first"] == [6, 10, 3] and found["box_last"] == [15, 29, 7]
-    assert found["centroid_mm"] == pytest.approx(geometry.index_to_world((5.0, 19.5, 10.5)).tolist())
+    assert found["centroid_mm"] == pytest.approx(
+        geometry.index_to_world((5.0, 19.5, 10.5)).tolist()
+    )
     assert found["diameter_mm"] == pytest.approx(np.sqrt(300), abs=1e-9)
     assert found["diameter_axial_mm"] == pytest.approx(np.sqrt(200), abs=1e-9)
     # A filled block of edge a has the variance a^2/12: 2 sqrt(5/12) a, in any direction.
@@ -47,7 +49,10 @@ def test_a_box_has_the_lengths_of_its_edges():
 def test_an_ellipsoid_has_its_axes_and_directions():
     geometry = Geometry((40, 90, 60), (1.0, 0.5, 0.75), (0.0, 0.0, 0.0), turned())
     index = np.indices(geometry.shape)
-    z, y, x = ((axis - (n - 1) / 2) * h for axis, n, h in zip(index, geometry.shape, (1, 0.5, 0.75), strict=True))
+    z, y, x = (
+        (axis - (n - 1) / 2) * h
+        for axis, n, h in zip(index, geometry.shape, (1, 0.5, 0.75), strict=True)
+    )
     inside = (x / 18) ** 2 + (y / 12) ** 2 + (z / 8) ** 2 < 1
     one, values = start_only(inside, geometry)
     found = statistics(one, values)

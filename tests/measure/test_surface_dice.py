@@ -29,7 +29,10 @@ def test_a_voxel_alone_has_eight_corners_of_a_triangle_each():
     a, b, c = (np.array(H) / 2 * np.eye(3)).tolist()
     triangle = np.linalg.norm(np.cross(np.subtract(b, a), np.subtract(c, a))) / 2
     np.testing.assert_allclose(areas, 8 * [triangle], rtol=1e-6)
-    corners = [[H[axis] * (2 + side[axis] / 2) for axis in range(3)] for side in itertools.product((-1, 1), repeat=3)]
+    corners = [
+        [H[axis] * (2 + side[axis] / 2) for axis in range(3)]
+        for side in itertools.product((-1, 1), repeat=3)
+    ]
     assert sorted(points.tolist()) == corners
 
 
@@ -63,7 +66,9 @@ def test_the_faces_of_a_slab_have_their_area(axis):
         (((0, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 0)), 3 * math.sqrt(3) / 4),  # a hexagon
     ],
 )
-def test_a_neighbourhood_has_the_area_of_the_published_table_whichever_side_is_the_object(voxels, area):
+def test_a_neighbourhood_has_the_area_of_the_published_table_whichever_side_is_the_object(
+    voxels, area
+):
     for flip in itertools.product((0, 1), repeat=3):
         mask = np.zeros((2, 2, 2), bool)
         for voxel in voxels:
@@ -92,7 +97,10 @@ def test_it_is_the_part_of_the_area_that_is_near(tolerance):
     a, b = ball((6, 10, 20), 8.0, (13, 21, 40), H), ball((6.4, 11, 24), 7.2, (13, 21, 40), H)
     (points_a, areas_a), (points_b, areas_b) = surface_elements(a, H), surface_elements(b, H)
     apart = cdist(points_a, points_b)
-    near = areas_a[apart.min(axis=1) <= tolerance + 1e-6].sum() + areas_b[apart.min(axis=0) <= tolerance + 1e-6].sum()
+    near = (
+        areas_a[apart.min(axis=1) <= tolerance + 1e-6].sum()
+        + areas_b[apart.min(axis=0) <= tolerance + 1e-6].sum()
+    )
     expected = near / (areas_a.sum() + areas_b.sum())
     assert surface_dice(a, b, H, [tolerance]) == pytest.approx([expected], rel=1e-12)
     assert surface_dice(b, a, H, [tolerance]) == pytest.approx([expected], rel=1e-12)
@@ -110,6 +118,10 @@ def test_a_shift_counts_from_its_length_on():
 
 def test_empty_objects():
     some, none = mask_of((5, 5, 5), ((1, 3), (1, 3), (1, 3))), np.zeros((5, 5, 5), bool)
-    assert surface_dice(some, none, H, [1.0, 100.0]) == [0.0, 0.0] == surface_dice(none, some, H, [1.0, 100.0])
+    assert (
+        surface_dice(some, none, H, [1.0, 100.0])
+        == [0.0, 0.0]
+        == surface_dice(none, some, H, [1.0, 100.0])
+    )
     assert np.isnan(surface_dice(none, none, H, [1.0])).all()
     assert surface_dice(some, some, H, [0.0]) == [1.0]

@@ -16,7 +16,11 @@ MIRROR = np.diag([1.0, -1.0, 1.0])
 GRIDS = {
     "isotropic": {"shape": (52, 48, 44)},
     "anisotropic": {"shape": (52, 48, 18), "spacing": (1.0, 1.0, 3.0)},
-    "oblique": {"shape": (40, 48, 28), "spacing": (1.25, 1.0, 2.0), "rotation": (25.0, -40.0, 70.0)},
+    "oblique": {
+        "shape": (40, 48, 28),
+        "spacing": (1.25, 1.0, 2.0),
+        "rotation": (25.0, -40.0, 70.0),
+    },
 }
 OBJECTS = {
     "ball": {"kind": "ball", "radius": 16.3, "center": (1.2, -0.7, 0.4)},
@@ -37,7 +41,12 @@ def outwardness(surface: Surface, recipe: Recipe) -> float:
     areas = np.linalg.norm(normals, axis=1)
     large = areas > 1e-2 * areas.max()
     middle, step = corners[large].mean(axis=1), 1e-4
-    way = np.stack([distance_at(recipe, middle + step * e) - distance_at(recipe, middle - step * e) for e in np.eye(3)])
+    way = np.stack(
+        [
+            distance_at(recipe, middle + step * e) - distance_at(recipe, middle - step * e)
+            for e in np.eye(3)
+        ]
+    )
     return float((normals[large] * way.T / (2 * step)).sum(axis=1).min() / areas[large].max())
 
 
@@ -51,7 +60,9 @@ def test_against_the_exact_object(shape: str, grid: str) -> None:
     assert surface.is_closed
     assert surface.volume == pytest.approx(recipe.solid.volume, rel=0.015 * voxel)
     # A box loses most: (2 - sqrt 2) of up to a voxel along its edges, which marching cubes cuts off.
-    assert surface.area == pytest.approx(recipe.solid.area, rel=(0.03 if shape == "box" else 0.012) * voxel)
+    assert surface.area == pytest.approx(
+        recipe.solid.area, rel=(0.03 if shape == "box" else 0.012) * voxel
+    )
     # A triangle with edges h, h and sqrt(2) h lies (1 + 1 + 2)/24 h^2/r below the surface on average, and its vertices
     # as much above; edges and corners are rounded by less than half a voxel.
     allowed = 0.4 * voxel if shape == "box" else voxel**2 / 6 / 6.5
@@ -92,7 +103,9 @@ def test_world_position_follows_the_geometry() -> None:
     psi = np.full(grid.shape, 1.0, dtype=np.float32)
     psi[6, 2, 5] = -1.0
     surface = extract(psi, grid)
-    np.testing.assert_allclose(surface.vertices.mean(axis=0), grid.index_to_world((6, 2, 5)), atol=1e-6)
+    np.testing.assert_allclose(
+        surface.vertices.mean(axis=0), grid.index_to_world((6, 2, 5)), atol=1e-6
+    )
     half_axes = np.array([0.25, 0.5, 1.0])  # the octahedron through the middles of the grid edges
     assert surface.volume == pytest.approx(4 / 3 * half_axes.prod(), rel=1e-6)
 
@@ -110,7 +123,9 @@ def test_full_volume_is_the_box_of_its_voxels(spacing: tuple[float, float, float
 
 
 def test_single_voxel_volume() -> None:
-    surface = extract(np.full((1, 1, 1), -1.0, dtype=np.float32), Geometry((1, 1, 1), (2.0, 3.0, 4.0)))
+    surface = extract(
+        np.full((1, 1, 1), -1.0, dtype=np.float32), Geometry((1, 1, 1), (2.0, 3.0, 4.0))
+    )
     assert surface.is_closed
     assert surface.volume == pytest.approx(24.0)
     assert surface.area == pytest.approx(52.0)
@@ -126,8 +141,12 @@ CUT_BALLS = [  # centre on a face, an edge, a corner of the volume, and the part
 
 
 @pytest.mark.parametrize(("center", "part"), CUT_BALLS)
-def test_object_cut_by_the_border_is_capped_on_the_outer_faces(center: tuple[float, float, float], part: float) -> None:
-    recipe = Recipe(kind="ball", radius=14.2, center=center, shape=(40, 40, 20), spacing=(1.0, 1.0, 2.0))
+def test_object_cut_by_the_border_is_capped_on_the_outer_faces(
+    center: tuple[float, float, float], part: float
+) -> None:
+    recipe = Recipe(
+        kind="ball", radius=14.2, center=center, shape=(40, 40, 20), spacing=(1.0, 1.0, 2.0)
+    )
     surface = surface_of(recipe)
     faces_cut = sum(c != 0 for c in center)
     ball = recipe.solid
@@ -137,7 +156,9 @@ def test_object_cut_by_the_border_is_capped_on_the_outer_faces(center: tuple[flo
     cap = np.pi * 14.2**2 * {1: 1.0, 2: 0.5, 3: 0.25}[faces_cut] * faces_cut
     assert surface.area == pytest.approx(part * ball.area + cap, rel=0.02)
     reached = np.where(np.array(center) > 0, surface.bounds[1], surface.bounds[0])
-    np.testing.assert_allclose(reached[np.array(center) != 0], np.array(center)[np.array(center) != 0], rtol=1e-12)
+    np.testing.assert_allclose(
+        reached[np.array(center) != 0], np.array(center)[np.array(center) != 0], rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -160,14 +181,18 @@ def test_always_closed_on_noise_with_zeros_at_any_shape() -> None:
     seen = 0
     for _ in range(150):
         shape = tuple(random.integers(1, 9, 3))
-        psi = gaussian_filter(random.standard_normal(shape), random.choice([0.0, 0.5, 1.0])).astype(np.float32)
+        psi = gaussian_filter(random.standard_normal(shape), random.choice([0.0, 0.5, 1.0])).astype(
+            np.float32
+        )
         psi[random.random(shape) < random.choice([0.0, 0.4])] = 0.0
         if not (psi < 0).any():
             continue
         seen += 1
         surface = extract(psi, Geometry(shape, tuple(random.uniform(0.3, 3.0, 3))))
         corners = surface.vertices[surface.faces]
-        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        areas = np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+        )
         assert surface.is_closed and surface.volume > 0
         assert areas.min() > 0
     assert seen > 100
@@ -192,7 +217,9 @@ def test_only_the_neighbourhood_of_the_surface_counts() -> None:
 
 
 def test_input_is_not_modified_and_memory_order_does_not_matter() -> None:
-    recipe = Recipe(kind="cube", side=8.0, shape=(13, 13, 13))  # voxel centres exactly on the faces: psi is 0 there
+    recipe = Recipe(
+        kind="cube", side=8.0, shape=(13, 13, 13)
+    )  # voxel centres exactly on the faces: psi is 0 there
     psi = signed_distance(recipe)
     assert (psi == 0).any()
     psi.setflags(write=False)
@@ -245,7 +272,9 @@ def test_files_read_back_by_vtk(torus: Surface, tmp_path: Path, suffix: str, spa
     assert read.volume == pytest.approx(torus.volume, rel=1e-4)
     if suffix == ".stl":
         normals = np.frombuffer(path.read_bytes()[84:], dtype="<f4,<f4,<f4,(3,3)<f4,<u2")
-        first = np.cross(normals["f3"][0][1] - normals["f3"][0][0], normals["f3"][0][2] - normals["f3"][0][0])
+        first = np.cross(
+            normals["f3"][0][1] - normals["f3"][0][0], normals["f3"][0][2] - normals["f3"][0][0]
+        )
         given = np.array([normals[f"f{i}"][0] for i in range(3)])
         assert given @ first == pytest.approx(np.linalg.norm(first), rel=1e-4)
 
@@ -267,7 +296,9 @@ def test_vtp_states_space_and_unit(torus: Surface, tmp_path: Path) -> None:
     mesh = pyvista.read(tmp_path / "a.vtp")
     assert mesh.field_data["SPACE"][0] == "RAS"
     assert mesh.field_data["UNIT"][0] == "mm"
-    np.testing.assert_array_equal(np.asarray(mesh.points), torus.vertices * [-1, -1, 1])  # float64, nothing lost
+    np.testing.assert_array_equal(
+        np.asarray(mesh.points), torus.vertices * [-1, -1, 1]
+    )  # float64, nothing lost
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".stl", ".obj", ".vtp"])
@@ -278,7 +309,9 @@ def test_same_surface_same_bytes(tmp_path: Path, suffix: str) -> None:
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
-def test_unknown_format_or_space_is_refused_and_nothing_written(torus: Surface, tmp_path: Path) -> None:
+def test_unknown_format_or_space_is_refused_and_nothing_written(
+    torus: Surface, tmp_path: Path
+) -> None:
     with pytest.raises(UsageError, match=r"\.xyz.*\.ply, \.stl, \.obj, \.vtp"):
         torus.write(tmp_path / "a.xyz")
     with pytest.raises(UsageError, match="'scanner'.*lps, ras"):

@@ -33,7 +33,9 @@ def test_mesh_and_band_have_the_volume_of_the_ball(radius: float, most: float) -
         mesh, surface = extract(psi, geometry), LevelSet(psi, geometry.spacing)
         assert mesh.is_closed and mesh.euler_characteristic == 2
         assert mesh.volume == pytest.approx(exact, rel=most)
-        assert mesh.volume == pytest.approx(surface.volume(surface.fraction_and_area()[0]), rel=max(most, 0.003))
+        assert mesh.volume == pytest.approx(
+            surface.volume(surface.fraction_and_area()[0]), rel=max(most, 0.003)
+        )
         # A triangle cannot have less area than its part of a surface of the same volume.
         assert 1 <= mesh.area / (4 * np.pi * radius**2) <= 1 + 0.1 / radius**2
 
@@ -93,7 +95,10 @@ def test_balancing_is_exact_for_a_paraboloid() -> None:
     height = 6.0 + 0.01 * (x - 10) ** 2 + 0.006 * (y - 10) ** 2 + 0.004 * (x - 10) * (y - 10)
     zyx = np.stack([height.ravel(), y.ravel(), x.ravel()], axis=1)
     corner = np.arange(256).reshape(16, 16)[:-1, :-1].ravel()
-    lower, upper = np.stack([corner, corner + 1, corner + 16], 1), np.stack([corner + 1, corner + 17, corner + 16], 1)
+    lower, upper = (
+        np.stack([corner, corner + 1, corner + 16], 1),
+        np.stack([corner + 1, corner + 17, corner + 16], 1),
+    )
     faces = np.concatenate([lower, upper])
     z, yy, xx = np.indices((16, 20, 20)).astype(float)
     level = 6.0 + 0.01 * (xx - 10) ** 2 + 0.006 * (yy - 10) ** 2 + 0.004 * (xx - 10) * (yy - 10)
@@ -102,7 +107,9 @@ def test_balancing_is_exact_for_a_paraboloid() -> None:
     second = np.array([[0.012, 0.004], [0.004, 0.02]])
     gap = sum(e @ second @ e for e in np.array([[0, 1.0], [1, 0], [1, -1]])) / 24
     inner = moved.reshape(16, 16, 3)[5:11, 5:11]
-    np.testing.assert_allclose(inner[..., 0] - zyx.reshape(16, 16, 3)[5:11, 5:11, 0], -gap, rtol=0.05)
+    np.testing.assert_allclose(
+        inner[..., 0] - zyx.reshape(16, 16, 3)[5:11, 5:11, 0], -gap, rtol=0.05
+    )
 
 
 def test_contours_enclose_the_disc() -> None:
@@ -117,7 +124,9 @@ def test_contours_enclose_the_disc() -> None:
 
 
 def test_vertices_are_the_same_however_many_are_placed_at_a_time(monkeypatch) -> None:
-    psi = gaussian_filter(np.random.default_rng(4).normal(size=(14, 16, 18)), 1.2).astype(np.float32)
+    psi = gaussian_filter(np.random.default_rng(4).normal(size=(14, 16, 18)), 1.2).astype(
+        np.float32
+    )
     geometry = Geometry(psi.shape, (1.5, 1.0, 0.7))
     whole = extract(20 * psi, geometry).vertices
     monkeypatch.setattr(vertex_placement, "AT_A_TIME", 50)

@@ -26,7 +26,10 @@ NAMES = re.findall(r"python_name: (\S+):(\S+)", MANIFEST.read_text(encoding="utf
 @pytest.mark.parametrize(("module", "name"), NAMES)
 def test_each_command_of_the_manifest_is_there(module, name):
     source = util.find_spec(module).origin
-    defined = {getattr(node, "name", "") for node in ast.parse(Path(source).read_text(encoding="utf-8")).body}
+    defined = {
+        getattr(node, "name", "")
+        for node in ast.parse(Path(source).read_text(encoding="utf-8")).body
+    }
     assert name in defined
     if module == "accelsurf.napari" or util.find_spec("napari") is not None:
         assert callable(getattr(import_module(module), name))
@@ -34,10 +37,14 @@ def test_each_command_of_the_manifest_is_there(module, name):
 
 def test_the_manifest_is_found_and_its_commands_are_used():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert project["entry-points"]["napari.manifest"] == {"accelsurf": "accelsurf.napari:napari.yaml"}
+    assert project["entry-points"]["napari.manifest"] == {
+        "accelsurf": "accelsurf.napari:napari.yaml"
+    }
     text = MANIFEST.read_text(encoding="utf-8")
     ids = re.findall(r"- id: (\S+)", text)
-    assert len(NAMES) == len(ids) == len(set(ids)) and set(re.findall(r"- command: (\S+)", text)) == set(ids)
+    assert len(NAMES) == len(ids) == len(set(ids)) and set(
+        re.findall(r"- command: (\S+)", text)
+    ) == set(ids)
 
 
 def test_napari_says_that_the_manifest_is_valid():
@@ -48,14 +55,22 @@ def test_napari_says_that_the_manifest_is_valid():
 
 
 def test_the_plug_in_is_small():
-    lines = [module.code for name, module in house.modules().items() if name.startswith("accelsurf.napari")]
+    lines = [
+        module.code
+        for name, module in house.modules().items()
+        if name.startswith("accelsurf.napari")
+    ]
     assert sum(lines) <= 300
 
 
 def test_samples_are_images_with_their_truth():
     for make in (plugin.torus, plugin.two_balls, plugin.vessel):
         (image, settings, kind), (truth, _, truths) = make()
-        assert (kind, truths) == ("image", "labels") and image.shape == truth.shape and settings["units"] == ("mm",) * 3
+        assert (
+            (kind, truths) == ("image", "labels")
+            and image.shape == truth.shape
+            and settings["units"] == ("mm",) * 3
+        )
         assert image[truth > 0].mean() > image[truth == 0].mean()
 
 
@@ -64,7 +79,15 @@ def results(tmp_path_factory):
     """A folder with the result of a run, and the image beside it."""
     folder = tmp_path_factory.mktemp("results")
     accelsurf.write(accelsurf.phantom("ball_small").image, folder / "ball.nii.gz")
-    words = ["segment", folder / "ball.nii.gz", "-o", folder / "out", "--inside", "ball:0,0,0,4", "--quiet"]
+    words = [
+        "segment",
+        folder / "ball.nii.gz",
+        "-o",
+        folder / "out",
+        "--inside",
+        "ball:0,0,0,4",
+        "--quiet",
+    ]
     assert execute([str(word) for word in words]) == 0
     return folder / "out"
 
@@ -74,13 +97,17 @@ def test_a_result_opens_with_its_image_and_the_doubtful_place(results):
     assert [kind for _, _, kind in opened] == ["image", "labels", "points"]
     (image, settings, _), (labels, on, _), (places, points, _) = opened
     assert image.shape == labels.shape and settings["scale"] == on["scale"] and labels.any()
-    assert ((places >= 0) & (places < labels.shape)).all() and 0 < points["features"]["probability"][0] < 1
+    assert ((places >= 0) & (places < labels.shape)).all() and 0 < points["features"][
+        "probability"
+    ][0] < 1
     image_of = plugin.reader("a.nii.gz")(str(results.parent / "ball.nii.gz"))
     assert image_of[0][2] == "image" and (image_of[0][0] == image).all()
 
 
 def test_other_folders_are_left_to_others(results, tmp_path):
-    assert plugin.reader(str(tmp_path)) is None and plugin.reader([str(results), str(results)]) is None
+    assert (
+        plugin.reader(str(tmp_path)) is None and plugin.reader([str(results), str(results)]) is None
+    )
     (tmp_path / "a_report.json").write_text("[1, 2")
     (tmp_path / "b_report.json").write_text('{"status": "ok"}')
     (tmp_path / "c_report.json").write_text('{"schema_version": 3, "status": "failed"}')
@@ -197,7 +224,10 @@ def test_presses_that_come_quickly_are_all_answered(driven):
     widget.ask(Press("outside", np.array((28, 28, 66.0)), 3.0))
     widget._undo.click()  # while that is under way: it is dropped
     driven.wait()
-    assert len(widget._steps) == 2 and viewer.layers[widget._labels.currentText()].data[28, 28, 66] == 1
+    assert (
+        len(widget._steps) == 2
+        and viewer.layers[widget._labels.currentText()].data[28, 28, 66] == 1
+    )
 
 
 def test_a_drag_says_the_size_and_the_answers_are_offered(driven):
@@ -261,7 +291,10 @@ def test_a_slice_in_micrometres(monkeypatch):
     y, x = np.indices((60, 80))
     disc = (y - 30) ** 2 + (x - 40) ** 2 < 15**2
     image = 100.0 * disc + np.random.default_rng(0).normal(0, 5, disc.shape)
-    driven = Driven([(image, {"name": "cell", "scale": (2.0, 2.0), "units": ("um", "um")}, "image")], monkeypatch)
+    driven = Driven(
+        [(image, {"name": "cell", "scale": (2.0, 2.0), "units": ("um", "um")}, "image")],
+        monkeypatch,
+    )
     driven.press(IN, (60.0, 80.0))
     assert driven.labels.shape == disc.shape and dice(driven.labels > 0, disc) > 0.95
     assert driven.widget._volume.geometry.spacing == pytest.approx((0.002, 0.002, 0.002))

@@ -19,7 +19,8 @@ MISSING = [name for name in NAMES if importlib.util.find_spec(name) is None]
 MISSING += [name for name in ("Xvfb",) if shutil.which(name) is None]
 ROOT = Path(__file__).parents[2]
 pytestmark = [
-    pytest.mark.slow, pytest.mark.timeout(600),
+    pytest.mark.slow,
+    pytest.mark.timeout(600),
     pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}"),
 ]
 
@@ -33,8 +34,17 @@ def found(tmp_path_factory):
     try:
         with own_screen(1400, 900) as display:
             env = {**os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
-            words = [sys.executable, "-m", "tests.support.remote_napari", server.address, KEY, folder / "labels.npz"]
-            done = subprocess.run(words, env=env, cwd=ROOT, capture_output=True, text=True, timeout=500)
+            words = [
+                sys.executable,
+                "-m",
+                "tests.support.remote_napari",
+                server.address,
+                KEY,
+                folder / "labels.npz",
+            ]
+            done = subprocess.run(
+                words, env=env, cwd=ROOT, capture_output=True, text=True, timeout=500
+            )
         assert done.returncode == 0, done.stdout + done.stderr
     finally:
         server.process.kill()
@@ -44,7 +54,11 @@ def found(tmp_path_factory):
 
 
 def dice(found, truth):
-    return 2 * np.count_nonzero((found > 0) & truth) / (np.count_nonzero(found) + np.count_nonzero(truth))
+    return (
+        2
+        * np.count_nonzero((found > 0) & truth)
+        / (np.count_nonzero(found) + np.count_nonzero(truth))
+    )
 
 
 def truth_and_middle():
@@ -52,7 +66,10 @@ def truth_and_middle():
 
     image, scale, middle = phantom()
     places = np.indices(image.shape)
-    apart = [sum(((a - m) * h) ** 2 for a, m, h in zip(places, at, scale, strict=True)) for at in (middle, (8, 24, 43))]
+    apart = [
+        sum(((a - m) * h) ** 2 for a, m, h in zip(places, at, scale, strict=True))
+        for at in (middle, (8, 24, 43))
+    ]
     return apart[0] < 12.0**2, image, scale, middle
 
 
@@ -61,7 +78,10 @@ def test_a_point_is_that_of_the_library_with_the_layers_scale(found):
 
     def by_library(spacing):
         places = np.indices(image.shape)
-        ball = sum(((a - m) * h) ** 2 for a, m, h in zip(places, middle, spacing, strict=True)) <= 4.0**2
+        ball = (
+            sum(((a - m) * h) ** 2 for a, m, h in zip(places, middle, spacing, strict=True))
+            <= 4.0**2
+        )
         session = accelsurf.ClickSession(image, spacing=spacing)
         session.add([accelsurf.Click("inside", tuple(slice(0, n) for n in image.shape), ball)])
         return session.labels

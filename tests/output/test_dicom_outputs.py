@@ -18,7 +18,9 @@ from accelsurf.settings.reading import ReadOptions
 from tests.support.dicom_sources import SERIES, write_slices
 from tests.support.even_odd import area, inside
 
-TABLE = LabelTable({1: LabelEntry(1, "liver", (200, 60, 60)), 4: LabelEntry(4, "tumour", (0, 255, 0))})
+TABLE = LabelTable(
+    {1: LabelEntry(1, "liver", (200, 60, 60)), 4: LabelEntry(4, "tumour", (0, 255, 0))}
+)
 
 
 def grid(turned):
@@ -26,7 +28,9 @@ def grid(turned):
     direction = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0]
     if np.linalg.det(direction) < 0:
         direction = -direction
-    return Geometry((16, 30, 32), (2.0, 1.0, 0.9), (12.0, -40.0, 7.0), direction if turned else np.eye(3))
+    return Geometry(
+        (16, 30, 32), (2.0, 1.0, 0.9), (12.0, -40.0, 7.0), direction if turned else np.eye(3)
+    )
 
 
 def distances(geometry, middle):
@@ -41,7 +45,9 @@ def shell_run(folder, turned=True, **changes):
     far = distances(geometry, (7.6, 14.3, 15.8))
     shell = np.maximum(far - 11, 5.5 - far).astype(np.float32)
     values = np.where(shell < 0, 300, 0)
-    write_slices(folder, geometry, order=np.random.default_rng(0).permutation(16), values=values, **changes)
+    write_slices(
+        folder, geometry, order=np.random.default_rng(0).permutation(16), values=values, **changes
+    )
     volume = io.read(folder)
     assert volume.geometry.matches(geometry)
     return accelsurf.segment(volume, start=shell < 0, flow="gradient", max_steps=6, smoothness=0.02)
@@ -69,7 +75,9 @@ def rasterised(dataset, geometry):
     for roi in dataset.ROIContourSequence:
         mask, planes = np.zeros(geometry.shape, bool), {}
         for item in roi.ContourSequence:
-            index = geometry.world_to_index(np.array([float(v) for v in item.ContourData]).reshape(-1, 3))
+            index = geometry.world_to_index(
+                np.array([float(v) for v in item.ContourData]).reshape(-1, 3)
+            )
             k = round(float(index[0, 0]))
             assert np.abs(index[:, 0] - k).max() < 1e-5
             planes.setdefault(k, []).append(index[:, 1:])
@@ -100,7 +108,9 @@ def test_segmentation_has_the_same_voxels_in_the_world(tmp_path, shell, write):
 
 
 def test_structure_set_has_holes_and_the_areas_of_the_surface(tmp_path, shell):
-    dataset = pydicom.dcmread(bytes_io.BytesIO(contents(tmp_path, shell, dicom.write_structure_set)))
+    dataset = pydicom.dcmread(
+        bytes_io.BytesIO(contents(tmp_path, shell, dicom.write_structure_set))
+    )
     ((mask, planes),) = rasterised(dataset, shell.geometry)
     assert max(map(len, planes.values())) == 2  # the hollow
     assert dice(mask, shell.labels > 0) >= 0.99
@@ -108,7 +118,8 @@ def test_structure_set_has_holes_and_the_areas_of_the_surface(tmp_path, shell):
     volume = 2.0 * sum(area([loop * steps for loop in loops]) for loops in planes.values())
     assert volume == pytest.approx(shell.volume_mm3, rel=0.01)
     named = {
-        item.ContourImageSequence[0].ReferencedSOPInstanceUID for item in dataset.ROIContourSequence[0].ContourSequence
+        item.ContourImageSequence[0].ReferencedSOPInstanceUID
+        for item in dataset.ROIContourSequence[0].ContourSequence
     }
     assert len(named) == len(planes) and all(uid.startswith(SERIES) for uid in named)
 
@@ -121,7 +132,9 @@ def test_several_objects(tmp_path):
     assert [roi.ReferencedROINumber for roi in dataset.ROIContourSequence] == [1, 4]
     for (mask, _), label in zip(rasterised(dataset, result.geometry), (1, 4), strict=True):
         assert dice(mask, result.labels == label) >= 0.99
-    found = highdicom.seg.segread(bytes_io.BytesIO(contents(tmp_path, result, dicom.write_segmentation)))
+    found = highdicom.seg.segread(
+        bytes_io.BytesIO(contents(tmp_path, result, dicom.write_segmentation))
+    )
     assert [found.get_segment_description(n).segment_label for n in (1, 2)] == ["liver", "tumour"]
     counts = [int((found.get_volume(segment_numbers=[n]).array > 0).sum()) for n in (1, 2)]
     assert counts == [int((result.labels == label).sum()) for label in (1, 4)]
@@ -132,18 +145,29 @@ def test_same_run_same_bytes_and_another_run_other_identifiers(tmp_path, shell):
     again = shell_run(tmp_path / "scan")
     other = shell_run(tmp_path / "scan", SeriesDescription="the same slices")
     moved = accelsurf.segment(
-        io.read(tmp_path / "scan"), start=shell.labels > 0, flow="gradient", max_steps=7, smoothness=0.02
+        io.read(tmp_path / "scan"),
+        start=shell.labels > 0,
+        flow="gradient",
+        max_steps=7,
+        smoothness=0.02,
     )
     for write in (dicom.write_segmentation, dicom.write_labelmap, dicom.write_structure_set):
         content = contents(tmp_path, shell, write)
         assert contents(tmp_path, again, write) == content == contents(tmp_path, other, write)
         uids = [
             pydicom.dcmread(bytes_io.BytesIO(one)).SOPInstanceUID
-            for one in (content, contents(tmp_path, moved, write), contents(tmp_path, shell, write, LabelTable()))
+            for one in (
+                content,
+                contents(tmp_path, moved, write),
+                contents(tmp_path, shell, write, LabelTable()),
+            )
         ]
         assert len(set(uids)) == 3
     kinds = (dicom.write_segmentation, dicom.write_labelmap, dicom.write_structure_set)
-    series = {pydicom.dcmread(bytes_io.BytesIO(contents(tmp_path, shell, write))).SeriesInstanceUID for write in kinds}
+    series = {
+        pydicom.dcmread(bytes_io.BytesIO(contents(tmp_path, shell, write))).SeriesInstanceUID
+        for write in kinds
+    }
     assert len(series) == 3
 
 
@@ -167,18 +191,26 @@ def test_a_resampled_series(tmp_path):
     options = ReadOptions(resample=True)
     volume = io.read(folder, options=options)
     result = accelsurf.segment(volume, start=far < 11, flow="gradient", max_steps=2, resample=True)
-    dataset = pydicom.dcmread(bytes_io.BytesIO(contents(tmp_path, result, dicom.write_structure_set)))
+    dataset = pydicom.dcmread(
+        bytes_io.BytesIO(contents(tmp_path, result, dicom.write_structure_set))
+    )
     ((mask, planes),) = rasterised(dataset, result.geometry)
     assert dice(mask, result.labels > 0) >= 0.99 and 5 in planes
     for item in dataset.ROIContourSequence[0].ContourSequence:
         k = round((float(item.ContourData[2]) - 7.0) / 2)
         assert ("ContourImageSequence" in item) == (k != 5)
-    found = highdicom.seg.segread(bytes_io.BytesIO(contents(tmp_path, result, dicom.write_segmentation)))
-    assert int(found.get_volume(combine_segments=True).array.sum()) == int((result.labels > 0).sum())
+    found = highdicom.seg.segread(
+        bytes_io.BytesIO(contents(tmp_path, result, dicom.write_segmentation))
+    )
+    assert int(found.get_volume(combine_segments=True).array.sum()) == int(
+        (result.labels > 0).sum()
+    )
 
 
 def test_refusals(tmp_path, shell):
-    plain = accelsurf.segment(shell.volume.array, start=shell.labels > 0, flow="gradient", max_steps=1)
+    plain = accelsurf.segment(
+        shell.volume.array, start=shell.labels > 0, flow="gradient", max_steps=1
+    )
     with pytest.raises(UsageError, match="not read from DICOM"):
         dicom.write_segmentation(plain, TABLE, tmp_path / "a.dcm")
     result = shell_run(tmp_path / "empty", StudyInstanceUID="")

@@ -16,8 +16,29 @@ from accelsurf.settings.run_config import RunConfig
 from tests.support.records import step_record
 
 KEYS = {
-    *("schema_version", "status", "exit_code", "error", "versions", "argv", "config", "input", "seed", "threads"),
-    *("stop", "levels", "energy", "mass", "seconds", "peak_rss_mb", "volume_mm3", "area_mm2", "components"),
+    *(
+        "schema_version",
+        "status",
+        "exit_code",
+        "error",
+        "versions",
+        "argv",
+        "config",
+        "input",
+        "seed",
+        "threads",
+    ),
+    *(
+        "stop",
+        "levels",
+        "energy",
+        "mass",
+        "seconds",
+        "peak_rss_mb",
+        "volume_mm3",
+        "area_mm2",
+        "components",
+    ),
     *("touches_border", "quality", "warnings", "outputs"),
 }
 
@@ -43,13 +64,35 @@ def finished(**changes):
         window=None,
         given=(),
         run_history=[step_record(0), step_record(1), step_record(2, kinetic=0.25)],
-        intervals=None, quality=Quality(
-            probability=0.75, next_click=(1.0, 2.0, 3.0), next_doubt=0.5, rim_fraction=0.1, border_fraction=0.25,
+        intervals=None,
+        quality=Quality(
+            probability=0.75,
+            next_click=(1.0, 2.0, 3.0),
+            next_doubt=0.5,
+            rim_fraction=0.1,
+            border_fraction=0.25,
             contrast=0.5,
-            no_edge_fraction=0.125, evidence=0.5, clicked=0.0, beyond_clicks=None, inside_like=0.25, drift=0.1,
-            compactness=0.9, parts_beyond_necks=1, growth=2.0, late_growth=0.01, unlike_learned=None, leaked=False,
-            level_overlap=None, size_spread=None, correction=None, unchanged=None, taken=None, surprise=None,
-            rests=(), warnings=(), notes=("border: 25% of it",),
+            no_edge_fraction=0.125,
+            evidence=0.5,
+            clicked=0.0,
+            beyond_clicks=None,
+            inside_like=0.25,
+            drift=0.1,
+            compactness=0.9,
+            parts_beyond_necks=1,
+            growth=2.0,
+            late_growth=0.01,
+            unlike_learned=None,
+            leaked=False,
+            level_overlap=None,
+            size_spread=None,
+            correction=None,
+            unchanged=None,
+            taken=None,
+            surprise=None,
+            rests=(),
+            warnings=(),
+            notes=("border: 25% of it",),
         ),
     )
     return SimpleNamespace(**{**values, **changes})
@@ -61,33 +104,64 @@ def test_every_key_is_there_with_and_without_a_result():
         exit_code=0,
         argv=["accelsurf", "segment"],
         config=RunConfig(seed=4, threads=2),
-        source=document.describe_input("scan.nii", geometry=Geometry((5, 4, 3), (2.0, 1.0, 0.5)), checksum="abc"),
+        source=document.describe_input(
+            "scan.nii", geometry=Geometry((5, 4, 3), (2.0, 1.0, 0.5)), checksum="abc"
+        ),
         result=finished(),
         seconds={"load": 0.5, "total": 3.0},
         warnings=["from outside"],
     )
     assert KEYS <= set(full)
     assert full["energy"] == {
-        **{"name": "chan-vese", "first": 100.0, "last": 100.0 / 3, "kinetic_last": 0.25, "mass_potential_last": 0.0},
-        **{"friction_work": 0.5, "smoothing_work": 0.25, "noise_work": 0.0, "steps_of_corrections": 0},
+        **{
+            "name": "chan-vese",
+            "first": 100.0,
+            "last": 100.0 / 3,
+            "kinetic_last": 0.25,
+            "mass_potential_last": 0.0,
+        },
+        **{
+            "friction_work": 0.5,
+            "smoothing_work": 0.25,
+            "noise_work": 0.0,
+            "steps_of_corrections": 0,
+        },
         "terms": [{"term": "chan-vese", "weight": 1.0, "balance": 1.0}],
     }
     assert full["resolved_settings"] == {"presmooth_mm": 0.5}
     assert full["mass"] is None  # constant density conserves none
     heavy = finished(config=RunConfig(flow="flowable-mass", gravity=1))
     flowable = document.build(status="ok", exit_code=0, result=heavy)
-    assert flowable["mass"]["first"] == flowable["mass"]["last"] == 3.0 and flowable["mass"]["correction"] == 0.001
+    assert (
+        flowable["mass"]["first"] == flowable["mass"]["last"] == 3.0
+        and flowable["mass"]["correction"] == 0.001
+    )
     assert "clamped" in flowable["mass"]["cure"]
-    assert full["stop"] == {"reason": "converged", "steps": 2, "time": 0.2, "message": "it moved no more"}
+    assert full["stop"] == {
+        "reason": "converged",
+        "steps": 2,
+        "time": 0.2,
+        "message": "it moved no more",
+    }
     assert full["seconds"] == {
-        **{"load": 0.5, "start": 0.1, "evolve": 2.0, "refine": None, "mesh": None, "write": None, "total": 3.0}
+        **{
+            "load": 0.5,
+            "start": 0.1,
+            "evolve": 2.0,
+            "refine": None,
+            "mesh": None,
+            "write": None,
+            "total": 3.0,
+        }
     }
     assert full["warnings"] == ["from the run", "from outside"]
     assert (full["seed"], full["threads"]) == (4, 2)
     assert full["input"]["size"] == [3, 4, 5] and full["input"]["sha256"] == "abc"
     assert full["peak_rss_mb"] is None or full["peak_rss_mb"] > 10
 
-    failed = document.build(status="failed", exit_code=3, error=document.describe_error(InputError("no", "yes")))
+    failed = document.build(
+        status="failed", exit_code=3, error=document.describe_error(InputError("no", "yes"))
+    )
     assert set(failed) == set(full)
     assert failed["error"] == {"type": "InputError", "message": "no", "hint": "yes"}
     assert failed["stop"] is None and failed["config"] is None
@@ -96,7 +170,9 @@ def test_every_key_is_there_with_and_without_a_result():
 
 
 def test_config_in_the_report_makes_the_same_run_again():
-    config = RunConfig(start=("ball:1,2,3,4", "center"), friction=0.5, mesh="stl,ply", smoothness=0.1 + 0.2)
+    config = RunConfig(
+        start=("ball:1,2,3,4", "center"), friction=0.5, mesh="stl,ply", smoothness=0.1 + 0.2
+    )
     contents = json.loads(document.to_json(document.build(status="ok", exit_code=0, config=config)))
     assert RunConfig(**contents["config"]) == config
 
@@ -109,7 +185,9 @@ def test_unexpected_error_is_one_line_with_its_type():
 
 
 def test_json_is_strict_and_takes_numpy():
-    text = document.to_json({"a": np.float32(0.5), "b": float("inf"), "c": (1, np.int64(2)), "d": np.eye(2), "é": True})
+    text = document.to_json(
+        {"a": np.float32(0.5), "b": float("inf"), "c": (1, np.int64(2)), "d": np.eye(2), "é": True}
+    )
     assert json.loads(text) == {"a": 0.5, "b": None, "c": [1, 2], "d": [[1, 0], [0, 1]], "é": True}
     assert "Infinity" not in text
 

@@ -21,7 +21,13 @@ from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.measure.surface_mesh import Surface, extract
 from accelsurf.output.pictures import canvas, preview
 from accelsurf.output.pictures.preview_content import ObjectShape, PreviewContent, marks_of
-from accelsurf.output.pictures.slice_views import click_views, main_views, shown_ranges, uncertain_views, whole_ranges
+from accelsurf.output.pictures.slice_views import (
+    click_views,
+    main_views,
+    shown_ranges,
+    uncertain_views,
+    whole_ranges,
+)
 from accelsurf.settings.wording import volume_text
 from tests.support.records import step_record
 from tests.support.shapes import ball_on_grid
@@ -32,7 +38,13 @@ pytestmark = pytest.mark.pictures
 def content(psi, geometry, **changes):
     rows = [step_record(i, restarted=i == 3) for i in range(8)]
     surface = extract(psi, geometry) if (psi < 0).any() else None
-    values = dict(image=(psi < 0).astype(np.float32), psi=psi, geometry=geometry, history=rows, surface=surface)
+    values = dict(
+        image=(psi < 0).astype(np.float32),
+        psi=psi,
+        geometry=geometry,
+        history=rows,
+        surface=surface,
+    )
     return PreviewContent(**{**values, "title": "a ball", **changes})
 
 
@@ -52,7 +64,9 @@ def test_preview_shows_contour_energies_and_surface():
     assert share_of(picture[height // 2 :], canvas.BLUE) > 1e-4  # energy
     assert share_of(picture[height // 2 :], canvas.VERMILION) > 1e-4  # kinetic energy
     corner = picture[height // 2 :, 2 * width // 3 :]
-    orange = ((corner[..., 0] > corner[..., 1] + 0.05) & (corner[..., 1] > corner[..., 2] + 0.1)).mean()
+    orange = (
+        (corner[..., 0] > corner[..., 1] + 0.05) & (corner[..., 1] > corner[..., 2] + 0.1)
+    ).mean()
     assert orange > 0.1  # the surface has the colour of its contour
 
 
@@ -81,9 +95,13 @@ def test_preview_of_one_slice_and_of_a_gradient_flow():
 
 def test_preview_without_a_single_step_and_of_a_constant_slice():
     psi, geometry = ball_on_grid()
-    picture = pixels(preview.preview_png(content(psi, geometry, history=[], image=np.zeros_like(psi))))
+    picture = pixels(
+        preview.preview_png(content(psi, geometry, history=[], image=np.zeros_like(psi)))
+    )
     assert share_of(picture[: len(picture) // 2], canvas.ORANGE) > 1e-3  # the contours
-    assert share_of(picture[len(picture) // 2 :], canvas.BLUE) < 1e-3  # no curve of the energy, only its axis' label
+    assert (
+        share_of(picture[len(picture) // 2 :], canvas.BLUE) < 1e-3
+    )  # no curve of the energy, only its axis' label
 
 
 def test_content_can_be_changed_for_another_picture():
@@ -113,9 +131,13 @@ def test_slices_are_cropped_to_the_object_its_clicks_and_a_margin():
     (z, y, x), n = shown_ranges(made), geometry.shape
     # The ball has radius 6 mm: 3 slices of 2 mm up and down, 6 voxels to the sides, and a margin around.
     assert y[0] < 14 and y[1] > 27 and y[1] - y[0] < 30 and x[1] - x[0] < 30 and z[1] - z[0] < n[0]
-    far = dataclasses.replace(made, clicks=marks_of([click("outside", (10, 50, 40))], geometry.spacing))
+    far = dataclasses.replace(
+        made, clicks=marks_of([click("outside", (10, 50, 40))], geometry.spacing)
+    )
     assert shown_ranges(far)[1][1] >= 52
-    assert shown_ranges(content(np.full_like(psi, 3.0), geometry, surface=None)) == whole_ranges(geometry)
+    assert shown_ranges(content(np.full_like(psi, 3.0), geometry, surface=None)) == whole_ranges(
+        geometry
+    )
 
 
 def test_slices_go_through_the_first_inside_click_else_through_the_largest_section():
@@ -133,11 +155,15 @@ def test_slices_go_through_the_first_inside_click_else_through_the_largest_secti
 def test_clicks_are_drawn_in_their_colours_and_late_growth_has_its_slice():
     psi, geometry = wide()
     plain = pixels(preview.preview_png(content(psi, geometry, history=[])))
-    marks = marks_of([click("inside", (10, 20, 40)), click("outside", (10, 30, 40))], geometry.spacing)
+    marks = marks_of(
+        [click("inside", (10, 20, 40)), click("outside", (10, 30, 40))], geometry.spacing
+    )
     clicked = pixels(preview.preview_png(content(psi, geometry, history=[], clicks=marks)))
     for color in (canvas.GREEN, canvas.VERMILION):
         assert share_of(plain, color) == 0 and share_of(clicked, color) > 2e-5
-    late = pixels(preview.preview_png(content(psi, geometry, history=[], late_growth=(12.0, 24.0, 40.0))))
+    late = pixels(
+        preview.preview_png(content(psi, geometry, history=[], late_growth=(12.0, 24.0, 40.0)))
+    )
     assert share_of(late[len(late) // 2 :], canvas.ORANGE) > 1e-4  # a fourth slice, below
     assert share_of(late, canvas.YELLOW) > share_of(plain, canvas.YELLOW) + 2e-5
 
@@ -160,20 +186,27 @@ def texts_of(figure):
 
 
 def test_around_the_object_30_percent_are_shown_and_the_whole_slice_is_inset(figures):
-    psi, geometry = wide((60, 90, 96), 12, (30, 40, 50))  # 12 slices of 2 mm, 24 voxels to the sides
+    psi, geometry = wide(
+        (60, 90, 96), 12, (30, 40, 50)
+    )  # 12 slices of 2 mm, 24 voxels to the sides
     ranges = shown_ranges(content(psi, geometry))
     box = [np.flatnonzero((psi < 0).any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
     for (low, high), own, least in zip(ranges, box, (3, 6, 6), strict=True):
         room = max(round(0.3 * (own[-1] + 1 - own[0])), least)
         assert (low, high) == (own[0] - room, own[-1] + 1 + room)
     preview.preview_png(content(psi, geometry))
-    insets = [axes for axes in figures[0].axes if to_hex(axes.spines["left"].get_edgecolor()) == "#ffffff"]
+    insets = [
+        axes for axes in figures[0].axes if to_hex(axes.spines["left"].get_edgecolor()) == "#ffffff"
+    ]
     assert len(insets) == 4  # in each slice
     for inset in insets:
         (part,) = inset.patches
         assert isinstance(part, Rectangle) and to_hex(part.get_edgecolor()) == canvas.YELLOW.lower()
         inner, whole = part.get_window_extent(), inset.bbox
-        assert whole.x0 <= inner.x0 < inner.x1 <= whole.x1 and whole.y0 <= inner.y0 < inner.y1 <= whole.y1
+        assert (
+            whole.x0 <= inner.x0 < inner.x1 <= whole.x1
+            and whole.y0 <= inner.y0 < inner.y1 <= whole.y1
+        )
     # Of an object that fills its image there is none.
     preview.preview_png(content(*ball_on_grid()))
     assert not any(axes.patches for axes in figures[1].axes)
@@ -188,12 +221,27 @@ def test_an_inset_covers_no_object_and_no_click(figures):
         made = content(psi, geometry, history=[])
         preview.preview_png(made)
         (axial,) = (axes for axes in figures[-1].axes if axes.get_title().startswith("Slice, z"))
-        insets = [axes.bbox for axes in figures[-1].axes if to_hex(axes.spines["left"].get_edgecolor()) == "#ffffff"]
-        within = [box for box in insets if axial.bbox.x0 <= box.x0 and box.x1 <= axial.bbox.x1 and
-                  axial.bbox.y0 <= box.y0 and box.y1 <= axial.bbox.y1]
+        insets = [
+            axes.bbox
+            for axes in figures[-1].axes
+            if to_hex(axes.spines["left"].get_edgecolor()) == "#ffffff"
+        ]
+        within = [
+            box
+            for box in insets
+            if axial.bbox.x0 <= box.x0
+            and box.x1 <= axial.bbox.x1
+            and axial.bbox.y0 <= box.y0
+            and box.y1 <= axial.bbox.y1
+        ]
         rows, columns = np.nonzero((psi < 0).any(axis=0))
         places = axial.transData.transform(
-            np.array([geometry.index_to_world((6, row, column))[:2] for row, column in zip(rows, columns, strict=True)])
+            np.array(
+                [
+                    geometry.index_to_world((6, row, column))[:2]
+                    for row, column in zip(rows, columns, strict=True)
+                ]
+            )
         )
         for box in within:
             assert not ((places > (box.x0, box.y0)) & (places < (box.x1, box.y1))).all(axis=1).any()
@@ -202,7 +250,11 @@ def test_an_inset_covers_no_object_and_no_click(figures):
 
 def test_slices_are_the_largest_panels_and_have_two_ticks_at_least(figures):
     """Also of flat and of narrow images; the energies are never larger."""
-    for of in (((20, 60, 64), 6, (10, 20, 40)), ((6, 90, 96), 40, (3, 45, 48)), ((40, 9, 80), 9, (20, 4, 40))):
+    for of in (
+        ((20, 60, 64), 6, (10, 20, 40)),
+        ((6, 90, 96), 40, (3, 45, 48)),
+        ((40, 9, 80), 9, (20, 4, 40)),
+    ):
         psi, geometry = wide(*of)
         preview.preview_png(content(psi, geometry))
         axes = {each.get_title(): each for each in figures[-1].axes if each.get_title()}
@@ -211,16 +263,23 @@ def test_slices_are_the_largest_panels_and_have_two_ticks_at_least(figures):
         assert len(slices) in (3, 4) and max(area, key=area.get) in slices
         for each in (axes[title] for title in slices):
             for axis, ends in ((each.xaxis, each.get_xlim()), (each.yaxis, each.get_ylim())):
-                shown = [tick for tick in axis.get_major_locator()() if min(ends) <= tick <= max(ends)]
+                shown = [
+                    tick for tick in axis.get_major_locator()() if min(ends) <= tick <= max(ends)
+                ]
                 assert len(shown) >= 2
 
 
 def test_ticks_are_laid_out_only_where_there_is_a_scale_and_never_for_a_title(figures, monkeypatch):
     asked = []
-    monkeypatch.setattr(matplotlib.axis.Axis, "get_tightbbox", lambda *args, **options: asked.append(args))
+    monkeypatch.setattr(
+        matplotlib.axis.Axis, "get_tightbbox", lambda *args, **options: asked.append(args)
+    )
     preview.preview_png(content(*ball_on_grid()))
     assert not asked
-    shown = {axes.get_title(): [axis.get_visible() for axis in (axes.xaxis, axes.yaxis)] for axes in figures[0].axes}
+    shown = {
+        axes.get_title(): [axis.get_visible() for axis in (axes.xaxis, axes.yaxis)]
+        for axes in figures[0].axes
+    }
     assert shown.pop("Surface") == [False, False]
     assert shown.pop("") == [False, True]  # the second scale of the energies
     assert shown.pop("Energy and kinetic energy") == [True, True]
@@ -235,7 +294,9 @@ def test_scales_are_in_the_unit_of_the_file(figures):
     titles = [axes.get_title() for axes in figures[-1].axes]
     assert "Slice, z = 20 um" in titles and not any(" mm" in title for title in titles)
     (axial,) = (axes for axes in figures[-1].axes if axes.get_title() == "Slice, z = 20 um")
-    assert axial.get_xlabel() == "x (um)" and {"40"} <= {tick.get_text() for tick in axial.get_xticklabels()}
+    assert axial.get_xlabel() == "x (um)" and {"40"} <= {
+        tick.get_text() for tick in axial.get_xticklabels()
+    }
 
 
 def test_where_to_click_next_is_drawn_with_a_slice_of_its_own_where_no_other_shows_it(figures):
@@ -244,16 +305,23 @@ def test_where_to_click_next_is_drawn_with_a_slice_of_its_own_where_no_other_sho
     for place in ((10, 20, 46), (13, 22, 42)):
         made = content(psi, geometry, history=[], next_clicks=[place])
         views = uncertain_views(made)
-        assert [(view.index, view.why) for view in views] == ([] if place[0] == 10 else [(13, "click next")])
+        assert [(view.index, view.why) for view in views] == (
+            [] if place[0] == 10 else [(13, "click next")]
+        )
         picture = pixels(preview.preview_png(made))
         assert share_of(picture, canvas.YELLOW) > 2e-5
         captions[place] = texts_of(figures[-1]).count("click next?")
     # In the slices that go through it; the first lies in two main ones, and the third is below.
     assert captions == {(10, 20, 46): 3, (13, 22, 42): 1}
-    late = content(psi, geometry, history=[], next_clicks=[(13, 22, 42)], late_growth=(12.0, 24.0, 40.0))
+    late = content(
+        psi, geometry, history=[], next_clicks=[(13, 22, 42)], late_growth=(12.0, 24.0, 40.0)
+    )
     assert [view.why for view in uncertain_views(late)] == ["latest growth", "click next"]
     preview.preview_png(late)
-    assert sum(text.startswith(("latest growth", "click next,")) for text in texts_of(figures[-1])) == 2
+    assert (
+        sum(text.startswith(("latest growth", "click next,")) for text in texts_of(figures[-1]))
+        == 2
+    )
     preview.preview_png(content(psi, geometry))
     assert "click next?" not in texts_of(figures[-1])
 
@@ -263,8 +331,12 @@ def test_an_id_is_written_away_from_the_mark_of_the_click(figures):
     whole = (slice(0, 20), slice(0, 60), slice(0, 64))
     for place in ((10, 20, 40), (10, 22, 38)):
         marks = marks_of([click("inside", place, id=70)], geometry.spacing)
-        preview.preview_png(content(psi, geometry, history=[], objects=[ObjectShape(70, whole, psi)], clicks=marks))
-        slices = [axes for axes in figures[-1].axes if any(text.get_text() == "70" for text in axes.texts)]
+        preview.preview_png(
+            content(psi, geometry, history=[], objects=[ObjectShape(70, whole, psi)], clicks=marks)
+        )
+        slices = [
+            axes for axes in figures[-1].axes if any(text.get_text() == "70" for text in axes.texts)
+        ]
         assert len(slices) == 4
         for axes in (axes for axes in slices if not axes.get_title().startswith("half-way")):
             (name,) = (text for text in axes.texts if text.get_text() == "70")
@@ -282,7 +354,11 @@ def test_what_does_not_cut_a_slice_is_not_drawn_in_it(figures):
     thin = np.ones_like(psi)
     thin[np.unravel_index(psi.argmin(), psi.shape)] = -1e-3
     corner = (slice(0, 1), slice(0, 1), slice(0, 1))
-    objects = [ObjectShape(3, whole, psi), ObjectShape(70, corner, -np.ones((1, 1, 1))), ObjectShape(80, whole, thin)]
+    objects = [
+        ObjectShape(3, whole, psi),
+        ObjectShape(70, corner, -np.ones((1, 1, 1))),
+        ObjectShape(80, whole, thin),
+    ]
     ends = np.zeros(psi.shape, bool)
     ends[0, 0, 0] = ends[-1, -1, -1] = True
     marks = marks_of([click("inside", (10, 20, 40), id=3)], geometry.spacing)
@@ -309,9 +385,14 @@ def test_objects_have_their_own_colours_in_slices_and_in_3d():
         np.concatenate([first.vertices, second.vertices]),
         np.concatenate([first.faces, second.faces + len(first.vertices)]),
     )
-    several = [one._replace(vertices=len(mesh.vertices)) for one, mesh in zip(several, (first, second), strict=True)]
+    several = [
+        one._replace(vertices=len(mesh.vertices))
+        for one, mesh in zip(several, (first, second), strict=True)
+    ]
     picture = pixels(
-        preview.preview_png(content(np.minimum(psi, other), geometry, surface=both, objects=several, history=[]))
+        preview.preview_png(
+            content(np.minimum(psi, other), geometry, surface=both, objects=several, history=[])
+        )
     )
     height, width = picture.shape[:2]
     for color in canvas.OBJECT_COLORS[:2]:
@@ -360,21 +441,34 @@ def test_the_plotting_library_is_loaded_by_the_first_picture_and_never_pyplot():
 
 @pytest.mark.parametrize(
     ("ends", "texts"),
-    [((-774.5, -700.0), {"-760", "-740", "-720", "-700"}), ((0.0, 0.3), {"0.0", "0.1", "0.2", "0.3"})],
+    [
+        ((-774.5, -700.0), {"-760", "-740", "-720", "-700"}),
+        ((0.0, 0.3), {"0.0", "0.1", "0.2", "0.3"}),
+    ],
 )
 def test_ticks_are_round_and_few(ends, texts):
     axes = canvas.Canvas(400, 400).axes(canvas.Box(50, 50, 350, 350), ends, (0, 1))
     canvas.write_scales(axes, "mm", "mm")
     axes.figure.canvas.draw()
     low, high = ends
-    shown = {text.get_text() for text in axes.get_xticklabels() if low <= text.get_position()[0] <= high + 1e-9}
+    shown = {
+        text.get_text()
+        for text in axes.get_xticklabels()
+        if low <= text.get_position()[0] <= high + 1e-9
+    }
     assert {text.replace("\u2212", "-") for text in shown} == texts
 
 
 def test_the_same_bytes_whatever_a_users_settings_of_matplotlib():
     made = content(*ball_on_grid())
     usual = preview.preview_png(made)
-    style = {"font.size": 30, "lines.linewidth": 9, "axes.grid": True, "font.family": "serif", "xtick.direction": "in"}
+    style = {
+        "font.size": 30,
+        "lines.linewidth": 9,
+        "axes.grid": True,
+        "font.family": "serif",
+        "xtick.direction": "in",
+    }
     with matplotlib.rc_context(style):
         assert preview.preview_png(made) == usual
 

@@ -46,5 +46,8 @@ def test_same_box_gives_the_same_scale():
     psi, geometry = ball_on_grid()
     small = extract(psi, geometry)
     large = extract(psi - 2, geometry)
-    scales = {render(s.vertices, s.faces, size=64, box=large.vertices).mm_per_pixel for s in (small, large)}
+    scales = {
+        render(s.vertices, s.faces, size=64, box=large.vertices).mm_per_pixel
+        for s in (small, large)
+    }
     assert len(scales) == 1

@@ -19,5 +19,9 @@ def test_trace_has_the_columns_of_a_record_in_order_and_loses_no_digit():
     read = list(csv.DictReader(io.StringIO(text)))
     assert tuple(read[0]) == tuple(TRACE_COLUMNS)
     assert float(read[0]["potential"]) == 1 / 3 and read[0]["restarted"] == "1"
-    assert float(read[1]["dt"]) == 1e-17 and read[1]["band_cells"] == "7" and read[1]["restarted"] == "0"
+    assert (
+        float(read[1]["dt"]) == 1e-17
+        and read[1]["band_cells"] == "7"
+        and read[1]["restarted"] == "0"
+    )
     assert text.endswith("\n") and "\r" not in text

@@ -36,7 +36,9 @@ def grid_of(*axes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def surface_points(kind: str) -> np.ndarray:
     """Dense points on a surface, from its parametrisation: nothing in common with the distance formulas."""
-    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 2 * np.pi, 241), np.linspace(0, np.pi, 121)))
+    u, v = (
+        a.ravel() for a in np.meshgrid(np.linspace(0, 2 * np.pi, 241), np.linspace(0, np.pi, 121))
+    )
     sphere = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=1)
     if kind == "ball":
         return 5.0 * sphere
@@ -47,7 +49,11 @@ def surface_points(kind: str) -> np.ndarray:
         return np.stack([ring * np.cos(u), ring * np.sin(u), 2.5 * np.sin(2 * v)], axis=1)
     p, q = (a.ravel() for a in np.meshgrid(np.linspace(-1, 1, 121), np.linspace(-1, 1, 121)))
     one = np.ones_like(p)
-    faces = [np.roll(np.stack([s * one, p, q], axis=1), axis, axis=1) for s in (-1, 1) for axis in range(3)]
+    faces = [
+        np.roll(np.stack([s * one, p, q], axis=1), axis, axis=1)
+        for s in (-1, 1)
+        for axis in range(3)
+    ]
     return np.concatenate(faces) * [4.0, 3.0, 5.0]
 
 
@@ -80,7 +86,9 @@ def test_vessel_distance_is_that_to_balls_along_the_tubes() -> None:
     brute = np.full(len(where), np.inf)
     for start, end, first, last in vessel._tubes:
         centres, radii = start + t * (end - start), first + t[:, 0] * (last - first)
-        brute = np.minimum(brute, (np.linalg.norm(where[:, None] - centres, axis=2) - radii).min(axis=1))
+        brute = np.minimum(
+            brute, (np.linalg.norm(where[:, None] - centres, axis=2) - radii).min(axis=1)
+        )
     np.testing.assert_allclose(vessel.distance(*where.T), brute, atol=2e-3)
     assert (brute < 0).any()
 
@@ -93,12 +101,16 @@ def test_vessel_is_one_tree_that_forks_and_thins() -> None:
         _, parent_end, _, parent_last = tubes[(number - 1) // 2]
         np.testing.assert_allclose(start, parent_end)
         assert last < first < parent_last
-    assert label(make(load_recipe("vessel").changed(noise=0.0, antialias=False)).truth.array)[1] == 1
+    assert (
+        label(make(load_recipe("vessel").changed(noise=0.0, antialias=False)).truth.array)[1] == 1
+    )
     again, other = Vessel(4.0, 20.0, tree_seed=2), Vessel(4.0, 20.0, tree_seed=3)
     np.testing.assert_array_equal(again._tubes[-1][1], tubes[-1][1])
     assert not np.allclose(other._tubes[-1][1], tubes[-1][1])
     regular = Vessel(4.0, 20.0)._tubes
-    np.testing.assert_allclose(regular[1][1] * [-1, 1, 1], regular[2][1], atol=1e-12)  # mirror images
+    np.testing.assert_allclose(
+        regular[1][1] * [-1, 1, 1], regular[2][1], atol=1e-12
+    )  # mirror images
 
 
 # --------------------------------------------------------------------------------------------- truth and image
@@ -134,9 +146,13 @@ def test_shipped_recipes_are_all_tested() -> None:
         {"kind": "two-balls", "radius": 9.3, "gap": 1.0},
     ],
 )
-def test_antialiased_image_holds_the_exact_volume(parameters: dict, spacing: tuple[float, float, float]) -> None:
+def test_antialiased_image_holds_the_exact_volume(
+    parameters: dict, spacing: tuple[float, float, float]
+) -> None:
     shape = (42, 42, round(42 / spacing[2]))
-    recipe = Recipe(**parameters, shape=shape, spacing=spacing, center=(0.31, -0.17, 0.43), antialias=True)
+    recipe = Recipe(
+        **parameters, shape=shape, spacing=spacing, center=(0.31, -0.17, 0.43), antialias=True
+    )
     phantom = make(recipe)
     measured = phantom.image.array.sum(dtype=np.float64) * recipe.geometry.voxel_volume
     # A flat face lies up to half a sample from where the samples say it is: a quarter voxel for both faces.
@@ -194,7 +210,15 @@ def test_touching_balls_touch() -> None:
 
 
 def test_noise_has_its_sigma_is_white_and_follows_the_seed() -> None:
-    recipe = Recipe(kind="ball", radius=10.0, shape=(48, 48, 48), background=5.0, contrast=3.0, noise=2.0, seed=7)
+    recipe = Recipe(
+        kind="ball",
+        radius=10.0,
+        shape=(48, 48, 48),
+        background=5.0,
+        contrast=3.0,
+        noise=2.0,
+        seed=7,
+    )
     clean = make(recipe.changed(noise=0.0)).image.array
     noise = make(recipe).image.array - clean
     assert set(np.unique(clean)) == {5.0, 8.0}
@@ -213,7 +237,14 @@ def test_blur_is_in_mm_along_every_axis() -> None:
     for axis in range(3):
         sides = [500.0, 500.0, 500.0]
         sides[axis] = 40.0
-        recipe = Recipe(kind="box", sides=sides, shape=(56, 48, 30), spacing=(1.0, 1.25, 2.0), blur=3.0, contrast=10.0)
+        recipe = Recipe(
+            kind="box",
+            sides=sides,
+            shape=(56, 48, 30),
+            spacing=(1.0, 1.25, 2.0),
+            blur=3.0,
+            contrast=10.0,
+        )
         image = make(recipe).image.array
         distance = signed_distance(recipe)
         expected = 5.0 * (1.0 - erf(distance / (3.0 * math.sqrt(2.0))))
@@ -221,7 +252,9 @@ def test_blur_is_in_mm_along_every_axis() -> None:
 
 
 def test_bias_is_smooth_multiplicative_and_bounded() -> None:
-    recipe = Recipe(kind="ball", radius=8.0, shape=(40, 30, 20), background=100.0, contrast=50.0, seed=1)
+    recipe = Recipe(
+        kind="ball", radius=8.0, shape=(40, 30, 20), background=100.0, contrast=50.0, seed=1
+    )
     flat, biased = (make(recipe.changed(bias=b)).image.array.astype(float) for b in (0.0, 0.3))
     field = biased / flat - 1.0
     assert np.abs(field).max() <= 0.3 + 1e-6
@@ -232,7 +265,9 @@ def test_bias_is_smooth_multiplicative_and_bounded() -> None:
     assert np.abs(other / flat - 1.0 - field).max() > 0.01
     # The noise is the same with and without a bias field.
     noise = make(recipe.changed(noise=1.0)).image.array - flat
-    np.testing.assert_allclose(make(recipe.changed(noise=1.0, bias=0.3)).image.array - biased, noise, atol=1e-4)
+    np.testing.assert_allclose(
+        make(recipe.changed(noise=1.0, bias=0.3)).image.array - biased, noise, atol=1e-4
+    )
 
 
 # ------------------------------------------------------------------------------------------------------ geometry
@@ -316,7 +351,11 @@ BALL = 'kind = "ball"\nshape = [16, 16, 16]\nradius = 5.0\n'
             UsageError,
             "tube_radius 3 given, less than ring_radius",
         ),
-        ('kind = "vessel"\nshape = [9, 9, 9]\nradius = 9.0\nlength = 1.0', UsageError, "length 1 given"),
+        (
+            'kind = "vessel"\nshape = [9, 9, 9]\nradius = 9.0\nlength = 1.0',
+            UsageError,
+            "length 1 given",
+        ),
         ("kind = ball", InputError, "not TOML"),
     ],
 )
@@ -371,7 +410,9 @@ def test_changed_is_checked_and_leaves_the_original() -> None:
         Recipe(kind="ball", shape=(4, 4, 4))
 
 
-def test_recipes_come_from_the_package_when_it_carries_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_recipes_come_from_the_package_when_it_carries_them(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     assert recipe_folder().name in ("volumes_synth", "_recipes")
     installed = tmp_path / "accelsurf"
     (installed / "_recipes").mkdir(parents=True)
@@ -381,7 +422,9 @@ def test_recipes_come_from_the_package_when_it_carries_them(monkeypatch: pytest.
     assert load_recipe("mine").radius == 5.0
 
 
-def test_a_local_file_goes_before_a_shipped_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_local_file_goes_before_a_shipped_name(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert load_recipe("ball").radius == 20.0
     (tmp_path / "ball.toml").write_text(BALL)

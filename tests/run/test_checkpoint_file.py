@@ -14,7 +14,9 @@ def image(noise=8.0):
     """Two bright balls in noise."""
     z, y, x = np.indices(SHAPE) * np.array(SPACING)[:, None, None, None]
     near = np.minimum((x - 9) ** 2, (x - 21) ** 2) + (y - 11) ** 2 + (z - 12) ** 2
-    return (100.0 * (near < 6**2) + np.random.default_rng(1).normal(0, noise, SHAPE)).astype(np.float32)
+    return (100.0 * (near < 6**2) + np.random.default_rng(1).normal(0, noise, SHAPE)).astype(
+        np.float32
+    )
 
 
 def objects():
@@ -27,12 +29,25 @@ def objects():
 BALL = {"start": "ball:9,11,12,3"}
 RUNS = {
     "levels": {**BALL, "levels": 2, "max_steps": 70, "tolerance": 0.3},
-    "clicks": {"inside": "ball:9,11,12,2", "outside": "point:21,11,12", "cfl": 0.3, "max_steps": 15},
+    "clicks": {
+        "inside": "ball:9,11,12,2",
+        "outside": "point:21,11,12",
+        "cfl": 0.3,
+        "max_steps": 15,
+    },
     "objects": {"objects": objects(), "max_steps": 15},
     "noise": {**BALL, "noise": 0.2, "seed": 3, "max_steps": 12},
-    "edits": {**BALL, "edit": ["step=4 smoothness=0.4", "step=8 add=ball:21,11,12,2"], "max_steps": 14},
+    "edits": {
+        **BALL,
+        "edit": ["step=4 smoothness=0.4", "step=8 add=ball:21,11,12,2"],
+        "max_steps": 14,
+    },
     "flowable mass": {**BALL, "flow": "flowable-mass", "max_steps": 12},
-    "a correction": {"inside": "ball:9,11,12,2", "refine": ["outside=point:9,11,16"], "max_steps": 10},
+    "a correction": {
+        "inside": "ball:9,11,12,2",
+        "refine": ["outside=point:9,11,16"],
+        "max_steps": 10,
+    },
 }
 
 
@@ -42,7 +57,11 @@ class Killed(Exception):
 
 def run(options, kept=None, stop_at=None, every="1", **more):
     """A whole run; with ``stop_at`` one that is killed before that step is over."""
-    options = {**options, **more, **({} if kept is None else {"checkpoint": every, "checkpoint_to": kept})}
+    options = {
+        **options,
+        **more,
+        **({} if kept is None else {"checkpoint": every, "checkpoint_to": kept}),
+    }
     made = iter(range(10**6))
 
     def on_step(*record):
@@ -57,10 +76,21 @@ def run(options, kept=None, stop_at=None, every="1", **more):
 
 def bytes_of(result):
     """All that must be the same: but what the work took, and how often its state was written."""
-    rows = [[repr(record._replace(seconds=0.0, cells_visited=0)) for record in one.history] for one in result.objects]
+    rows = [
+        [repr(record._replace(seconds=0.0, cells_visited=0)) for record in one.history]
+        for one in result.objects
+    ]
     config = result.config.model_dump(exclude={"checkpoint"})
     psi = [one.psi.tobytes() for one in result.objects]
-    return psi, rows, result.labels.tobytes(), result.warnings, result.late_leakage, config, result.levels
+    return (
+        psi,
+        rows,
+        result.labels.tobytes(),
+        result.warnings,
+        result.late_leakage,
+        config,
+        result.levels,
+    )
 
 
 @pytest.mark.sampled(2)
@@ -108,7 +138,13 @@ def test_the_state_is_written_as_often_as_asked(tmp_path, monkeypatch):
     now = [0.0]
     monkeypatch.setattr(checkpoint_file.time, "monotonic", lambda: now[0])
     written.clear()
-    options = {**BALL, "max_steps": 11, "levels": 1, "checkpoint": "30s", "checkpoint_to": tmp_path / "b.npz"}
+    options = {
+        **BALL,
+        "max_steps": 11,
+        "levels": 1,
+        "checkpoint": "30s",
+        "checkpoint_to": tmp_path / "b.npz",
+    }
 
     def on_step(record):
         now[0] += 10.0

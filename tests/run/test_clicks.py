@@ -32,9 +32,13 @@ def phantom(grid, seed=0, radius=8.0):
     shape, spacing = GRIDS[grid]
     index = np.indices(shape, float)
     middle = [(n - 1) / 2 for n in shape]
-    distance = np.sqrt(sum(((i - m) * h) ** 2 for i, m, h in zip(index, middle, spacing, strict=True)))
+    distance = np.sqrt(
+        sum(((i - m) * h) ** 2 for i, m, h in zip(index, middle, spacing, strict=True))
+    )
     noise = np.random.default_rng(seed).normal(0, 8, shape)
-    return Volume.from_array((100.0 * (distance < radius) + noise).astype(np.float32), spacing), distance
+    return Volume.from_array(
+        (100.0 * (distance < radius) + noise).astype(np.float32), spacing
+    ), distance
 
 
 def drawn(rng, volume):
@@ -99,18 +103,31 @@ def test_every_clicked_voxel_is_on_its_side(flow, energy, grid, levels):
     inside, outside = clicks_for(rng, volume, distance, allowed)
     one, other = union(inside, volume), union(outside, volume)
     config = RunConfig(
-        **{"start": "clicks", "energy": energy, "flow": flow, "levels": levels, "threads": 1, **options},
+        **{
+            "start": "clicks",
+            "energy": energy,
+            "flow": flow,
+            "levels": levels,
+            "threads": 1,
+            **options,
+        },
         max_steps=int(rng.choice([2, 8])),
     )
     clicks = given_clicks("inside", inside, volume)
     clicks += given_clicks("outside", outside, volume) if outside else []
     seen = set()
-    with Run(volume, config, arrays={} if allowed.all() else {"mask": psi_of("mask", allowed, volume.geometry)},
-             clicks=clicks) as run:
+    with Run(
+        volume,
+        config,
+        arrays={} if allowed.all() else {"mask": psi_of("mask", allowed, volume.geometry)},
+        clicks=clicks,
+    ) as run:
         for step in run:
             # In the run itself too: on the image's own grid, and on coarser ones, whose voxels hold several.
             seen.add(step.record.level)
-            assert click_bounds(run.clicks.of(1), run.grid).is_met_by(step.surface.psi), step.record.step
+            assert click_bounds(run.clicks.of(1), run.grid).is_met_by(step.surface.psi), (
+                step.record.step
+            )
             if step.record.level == 0:
                 now = step.surface.labels > 0
                 assert now[one].all() and not now[other].any(), step.record.step
@@ -122,10 +139,17 @@ def test_every_clicked_voxel_is_on_its_side(flow, energy, grid, levels):
 def test_every_energy_of_a_click_is_tried_on_every_grid_and_with_every_flow():
     pairs = {(case[1], case[2], case[3]) for case in CASES}
     assert pairs == {
-        (energy, grid, levels) for energy in ENERGIES for grid, tried in LEVELS.items() for levels in tried
+        (energy, grid, levels)
+        for energy in ENERGIES
+        for grid, tried in LEVELS.items()
+        for levels in tried
     }
-    assert {case[:2] for case in CASES} == set(itertools.product(FLOWS, ENERGIES)) and LEVELS.keys() == GRIDS.keys()
-    assert {name.split(":")[0] for name in ENERGIES} >= {name for name, term in TERMS.items() if term.example}
+    assert {case[:2] for case in CASES} == set(
+        itertools.product(FLOWS, ENERGIES)
+    ) and LEVELS.keys() == GRIDS.keys()
+    assert {name.split(":")[0] for name in ENERGIES} >= {
+        name for name, term in TERMS.items() if term.example
+    }
 
 
 def test_without_start_and_energy_clicks_choose_both():
@@ -137,8 +161,13 @@ def test_without_start_and_energy_clicks_choose_both():
     assert result.stop.reason == "converged"
     # A click has the voxels on its rim, of which a start's surface passes through the centres.
     named = segment(volume, inside="ball:12,10,10,2.1", energy="chan-vese", threads=1, max_steps=0)
-    assert named.labels.sum() == segment(volume, start="ball:12,10,10,2.1", threads=1, max_steps=0).labels.sum()
-    both = segment(volume, inside="point:12,10,10", start="ball:12,10,10,2.1", energy="chan-vese", max_steps=0)
+    assert (
+        named.labels.sum()
+        == segment(volume, start="ball:12,10,10,2.1", threads=1, max_steps=0).labels.sum()
+    )
+    both = segment(
+        volume, inside="point:12,10,10", start="ball:12,10,10,2.1", energy="chan-vese", max_steps=0
+    )
     assert both.config.start == ("ball:12,10,10,2.1",) and both.labels.sum() == named.labels.sum()
     assert RunConfig(inside="point:1,1,1", energy="chan-vese").energy == "chan-vese"
     assert RunConfig(inside="point:1,1,1").replace(cfl=0.4).energy == "seeded"
@@ -146,7 +175,9 @@ def test_without_start_and_energy_clicks_choose_both():
     assert RunConfig().replace(inside="point:1,1,1").energy == "seeded"
     name = "mr-white-matter"
     assert RunConfig(inside="point:1,1,1", preset=name).energy == RunConfig(preset=name).energy
-    assert RunConfig(inside="point:1,1,1").replace(preset=name).energy == RunConfig(preset=name).energy
+    assert (
+        RunConfig(inside="point:1,1,1").replace(preset=name).energy == RunConfig(preset=name).energy
+    )
 
 
 def test_clicks_in_python_are_texts_masks_meshes_points_and_balls():
@@ -166,7 +197,10 @@ def test_clicks_in_python_are_texts_masks_meshes_points_and_balls():
     assert by_array.given == ("inside", "outside") and by_array.config.energy == "seeded"
     mesh = segment(volume, inside="ball:11.5,10.5,9.5,4", energy="chan-vese", max_steps=0).surface
     result = segment(volume, inside=[mesh, (2, 3, 4)], energy="chan-vese", threads=1, max_steps=0)
-    assert abs(int(result.labels.sum()) - 1 - int((distance < 4).sum())) < 20 and result.labels[4, 3, 2]
+    assert (
+        abs(int(result.labels.sum()) - 1 - int((distance < 4).sum())) < 20
+        and result.labels[4, 3, 2]
+    )
     for wrong in (5, (1, 2), [None], object()):
         with pytest.raises(UsageError, match="inside: a .* was given, expected a text, a mask"):
             segment(volume, inside=wrong)
@@ -177,10 +211,17 @@ def test_clicks_of_an_edit_hold_from_then_on_and_are_repeated(energy, tmp_path):
     volume, _ = phantom("even")
     edits = ["step=4 inside=point:2,2,2 inside=ball:20,18,3,2 outside=point:12,10,10"]
     edits.append("step=9 outside=point:12,14,10")
-    options = {"inside": "ball:9,10,10,2", "energy": energy, "edit": edits, "threads": 1, "max_steps": 16}
+    options = {
+        "inside": "ball:9,10,10,2",
+        "energy": energy,
+        "edit": edits,
+        "threads": 1,
+        "max_steps": 16,
+    }
     places = (2, 2, 2), (10, 10, 12), (10, 14, 12)
     steps = [
-        (step.record.step, *(int(step.surface.labels[place]) for place in places)) for step in evolve(volume, **options)
+        (step.record.step, *(int(step.surface.labels[place]) for place in places))
+        for step in evolve(volume, **options)
     ]
     # Step 4 begins with the click, so the surface after step 3 is the last without it.
     assert {line[1:3] for line in steps if line[0] == 3} == {(0, 1)}
@@ -188,7 +229,9 @@ def test_clicks_of_an_edit_hold_from_then_on_and_are_repeated(energy, tmp_path):
     assert {line[3] for line in steps if line[0] >= 9} == {0} and steps[8][3] == 1
     result = segment(volume, **options)
     labels = result.labels
-    assert result.edits_done == 2 and labels[2, 2, 2] and labels[3, 18, 20] and not labels[10, 10, 12]
+    assert (
+        result.edits_done == 2 and labels[2, 2, 2] and labels[3, 18, 20] and not labels[10, 10, 12]
+    )
     file = tmp_path / "run.toml"
     file.write_text(result.config.to_toml())
     again = segment(volume, config=RunConfig.from_toml(file))
@@ -218,8 +261,10 @@ def test_a_checkpoint_has_the_clicks_of_its_time():
 
 def two_balls(tmp_path, rows, header="id,x,y,z,r,side"):
     index = np.indices((24, 24, 44), float)
-    image = sum(100.0 * (sum((i - m) ** 2 for i, m in zip(index, middle, strict=True)) < 64)
-                for middle in ((11.5, 11.5, 11), (11.5, 11.5, 31)))
+    image = sum(
+        100.0 * (sum((i - m) ** 2 for i, m in zip(index, middle, strict=True)) < 64)
+        for middle in ((11.5, 11.5, 11), (11.5, 11.5, 31))
+    )
     image += np.random.default_rng(1).normal(0, 6, image.shape)
     file = tmp_path / "objects.csv"
     file.write_text("\n".join([header, *rows]))
@@ -227,7 +272,11 @@ def two_balls(tmp_path, rows, header="id,x,y,z,r,side"):
 
 
 ROWS = (
-    "1,11,11,11,1.9,inside", "7,31,11,11,1.9,inside", "7,31,13,16,1.2,outside", "1,2,21,2,,inside", "0,21,2,2,2,inside"
+    "1,11,11,11,1.9,inside",
+    "7,31,11,11,1.9,inside",
+    "7,31,13,16,1.2,outside",
+    "1,2,21,2,,inside",
+    "0,21,2,2,2,inside",
 )
 
 
@@ -261,10 +310,18 @@ def test_models_of_several_objects_are_the_same_on_any_number_of_threads(tmp_pat
 
 def test_no_object_is_left_out_of_the_steps_and_competes(tmp_path):
     volume, file = two_balls(tmp_path, ["1,11,11,11,2,inside", "0,31,11,11,2,inside"])
-    ids = {step.object_id for step in evolve(volume, objects=file, energy="threshold:50,", threads=1, max_steps=20)}
+    ids = {
+        step.object_id
+        for step in evolve(volume, objects=file, energy="threshold:50,", threads=1, max_steps=20)
+    }
     assert ids == {1}
-    whole = segment_objects(volume, two_balls(tmp_path, ["1,11,11,11,9,inside", "1,31,11,11,2,inside"])[1],
-                            energy="threshold:50,", threads=1, max_steps=20)
+    whole = segment_objects(
+        volume,
+        two_balls(tmp_path, ["1,11,11,11,9,inside", "1,31,11,11,2,inside"])[1],
+        energy="threshold:50,",
+        threads=1,
+        max_steps=20,
+    )
     assert whole.labels[11, 11, 37] == 1
     volume, file = two_balls(tmp_path, ["1,11,11,11,9,inside", "0,31,11,11,2,inside"])
     less = segment_objects(volume, file, energy="threshold:50,", threads=1, max_steps=20)
@@ -275,19 +332,31 @@ def test_outside_with_objects_is_in_none_of_them(tmp_path):
     volume, file = two_balls(tmp_path, ROWS[:3])
     edits = ["step=5 object=7 inside=point:40,2,2", "step=6 outside=point:11,13,11"]
     edits.append("step=6 object=1 outside=point:8,11,11")
-    result = segment_objects(volume, file, outside="point:31,11,9", edit=edits, threads=1, max_steps=20)
+    result = segment_objects(
+        volume, file, outside="point:31,11,9", edit=edits, threads=1, max_steps=20
+    )
     labels = result.labels
-    assert labels[9, 11, 31] == 0 and labels[2, 2, 40] == 7 and labels[11, 13, 11] == 0 and labels[11, 11, 8] != 1
+    assert (
+        labels[9, 11, 31] == 0
+        and labels[2, 2, 40] == 7
+        and labels[11, 13, 11] == 0
+        and labels[11, 11, 8] != 1
+    )
     starts = np.zeros(volume.array.shape, int)
     starts[10:13, 10:13, 10:13], starts[10:13, 10:13, 30:33] = 3, 5
-    result = segment_objects(volume, starts, outside="ball:11,16,11,1.5", energy="chan-vese", threads=1, max_steps=12)
+    result = segment_objects(
+        volume, starts, outside="ball:11,16,11,1.5", energy="chan-vese", threads=1, max_steps=12
+    )
     assert result.labels[11, 16, 11] == 0 and [one.id for one in result.objects] == [3, 5]
 
 
 def test_nothing_outside_of_the_box_is_in_the_object():
     volume, distance = phantom("even")
     box = "6,4,4,14,16,15"
-    for options in ({"inside": "ball:11,10,10,2"}, {"start": "ball:11,10,10,2", "energy": "chan-vese"}):
+    for options in (
+        {"inside": "ball:11,10,10,2"},
+        {"start": "ball:11,10,10,2", "energy": "chan-vese"},
+    ):
         result = segment(volume, box=box, threads=1, **options)
         found = np.argwhere(result.labels)[:, ::-1]
         assert (found >= (6, 4, 4)).all() and (found <= (14, 16, 15)).all() and len(found) > 500
@@ -297,8 +366,12 @@ def test_nothing_outside_of_the_box_is_in_the_object():
     with Run(volume, RunConfig(start="ball:11,10,10,2", box="10,8,8,14,12,12")) as run:
         assert run.geometry.shape == (20, 22, 24)
         assert (run.prepared.mask_distance < 0).sum() == 5 * 5 * 5
-    with Run(volume, RunConfig(start="ball:11,10,10,2", box="10,8,8,14,12,12", roi="8,6,6,16,14,14")) as run:
-        assert run.geometry.shape == (9, 9, 9) and (run.prepared.mask_distance < 0).sum() == 5 * 5 * 5
+    with Run(
+        volume, RunConfig(start="ball:11,10,10,2", box="10,8,8,14,12,12", roi="8,6,6,16,14,14")
+    ) as run:
+        assert (
+            run.geometry.shape == (9, 9, 9) and (run.prepared.mask_distance < 0).sum() == 5 * 5 * 5
+        )
 
 
 @pytest.mark.parametrize("energy", ["seeded", "chan-vese"])
@@ -319,31 +392,82 @@ def test_later_clicks_of_a_run_take_voxels_from_earlier_ones(energy):
     assert not (inside & outside).any()
     assert inside[10, 10, 15] and outside[10, 10, 12] and outside[10, 10, 17] and inside[10, 10, 11]
     assert (result.labels[inside] > 0).all() and not result.labels[outside].any()
-    again = segment(volume, **RunConfig(**result.config.model_dump()).model_dump(exclude_unset=True))
+    again = segment(
+        volume, **RunConfig(**result.config.model_dump()).model_dump(exclude_unset=True)
+    )
     assert again.psi.tobytes() == result.psi.tobytes()
 
 
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"inside": "point:90,1,1"}, InputError, "inside 'point:90,1,1': 90,1,1 lies outside of the volume"),
-        ({"inside": "ball:9,9,9,3", "outside": "point:9,9,9"}, InputError, "voxel 9,9,9 .* is clicked both"),
-        ({"inside": "ball:9,9,9,3", "box": "8,8,8,15,15,15"}, InputError, "voxel .* outside of the mask or the box"),
-        ({"inside": "point:1,1,1", "roi": "8,8,8,15,15,15"}, InputError, "voxel 1,1,1 .* outside of the region"),
-        ({"inside": "point:9,9,9", "box": "5,5"}, UsageError, "box: 5,5 was given, expected X0,Y0,Z0,X1,Y1,Z1"),
+        (
+            {"inside": "point:90,1,1"},
+            InputError,
+            "inside 'point:90,1,1': 90,1,1 lies outside of the volume",
+        ),
+        (
+            {"inside": "ball:9,9,9,3", "outside": "point:9,9,9"},
+            InputError,
+            "voxel 9,9,9 .* is clicked both",
+        ),
+        (
+            {"inside": "ball:9,9,9,3", "box": "8,8,8,15,15,15"},
+            InputError,
+            "voxel .* outside of the mask or the box",
+        ),
+        (
+            {"inside": "point:1,1,1", "roi": "8,8,8,15,15,15"},
+            InputError,
+            "voxel 1,1,1 .* outside of the region",
+        ),
+        (
+            {"inside": "point:9,9,9", "box": "5,5"},
+            UsageError,
+            "box: 5,5 was given, expected X0,Y0,Z0,X1,Y1,Z1",
+        ),
         ({"energy": "seeded"}, UsageError, "seeded was given without a click inside"),
-        ({"outside": "point:1,1,1", "energy": "seeded", "start": "center"}, UsageError, "without a click inside"),
+        (
+            {"outside": "point:1,1,1", "energy": "seeded", "start": "center"},
+            UsageError,
+            "without a click inside",
+        ),
         ({"start": "clicks"}, UsageError, "there is no click inside"),
-        ({"inside": "point:9,9,9", "size": "3"}, UsageError, "size: 3 was given, expected a volume such as 250ml"),
-        ({"inside": "point:9,9,9", "size": "0ml"}, UsageError, "size: 0ml was given, expected a volume above 0"),
-        ({"inside": "point:9,9,9", "edit": ["step=3 outside=point:9,9,9"]}, InputError, "step 3: .*nothing .* left"),
+        (
+            {"inside": "point:9,9,9", "size": "3"},
+            UsageError,
+            "size: 3 was given, expected a volume such as 250ml",
+        ),
+        (
+            {"inside": "point:9,9,9", "size": "0ml"},
+            UsageError,
+            "size: 0ml was given, expected a volume above 0",
+        ),
+        (
+            {"inside": "point:9,9,9", "edit": ["step=3 outside=point:9,9,9"]},
+            InputError,
+            "step 3: .*nothing .* left",
+        ),
         (
             {"inside": "point:9,9,9", "edit": ["step=4 outside=point:5,5,5 inside=point:5,5,5"]},
-            InputError, "edit at step 4: .*voxel 5,5,5",
+            InputError,
+            "edit at step 4: .*voxel 5,5,5",
         ),
-        ({"inside": "point:9,9,9", "edit": ["step=3 outside=blob"]}, UsageError, "edit at step 3: .*unknown kind"),
-        ({"edit": [{"step": 3, "inside": 5}]}, UsageError, "edit at step 3: inside 5 was given, expected clicks"),
-        ({"edit": ["step=3 object=2 inside=point:9,9,9"]}, UsageError, "object 2 was given, expected one of 1"),
+        (
+            {"inside": "point:9,9,9", "edit": ["step=3 outside=blob"]},
+            UsageError,
+            "edit at step 3: .*unknown kind",
+        ),
+        (
+            {"edit": [{"step": 3, "inside": 5}]},
+            UsageError,
+            "edit at step 3: inside 5 was given, expected clicks",
+        ),
+        (
+            {"edit": ["step=3 object=2 inside=point:9,9,9"]},
+            UsageError,
+            "object 2 was given, expected one of 1",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused(options, error, message):
@@ -356,9 +480,13 @@ def test_clicks_outside_of_a_mask_are_refused_or_say_nothing_new(tmp_path):
     volume, _ = phantom("even")
     mask = np.zeros(volume.array.shape, np.uint8)
     mask[4:16, 4:16, 4:16] = 1
-    with pytest.raises(InputError, match="voxel 2,2,2 .* is clicked inside, and lies outside of the mask"):
+    with pytest.raises(
+        InputError, match="voxel 2,2,2 .* is clicked inside, and lies outside of the mask"
+    ):
         segment(volume, inside="point:2,2,2", mask=mask)
-    result = segment(volume, inside="point:9,9,9", outside="point:2,2,2", mask=mask, threads=1, max_steps=3)
+    result = segment(
+        volume, inside="point:9,9,9", outside="point:2,2,2", mask=mask, threads=1, max_steps=3
+    )
     assert not result.labels[2, 2, 2] and result.labels[9, 9, 9]
     file = tmp_path / "mask.nrrd"
     io.write(Volume(mask, volume.geometry), file)

@@ -33,7 +33,10 @@ IDS = (4, 300)
 
 def distances(centres, radius):
     places = [i * h for i, h in zip(np.indices(SHAPE).astype(float), SPACING, strict=True)]
-    return [np.sqrt(sum((p - c) ** 2 for p, c in zip(places, centre, strict=True))) - radius for centre in centres]
+    return [
+        np.sqrt(sum((p - c) ** 2 for p, c in zip(places, centre, strict=True))) - radius
+        for centre in centres
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +57,17 @@ def content(run):
     for one in run.objects:
         surface = one.surface
         arrays = [surface.dense.psi, surface.dense.slot, *surface.band, *one.flow.fields]
-        records = [record._replace(seconds=0.0, cells_visited=0) for record in one.evolution.history]
-        found.append((one.id, one.corner, b"".join(np.ascontiguousarray(a).tobytes() for a in arrays), records))
+        records = [
+            record._replace(seconds=0.0, cells_visited=0) for record in one.evolution.history
+        ]
+        found.append(
+            (
+                one.id,
+                one.corner,
+                b"".join(np.ascontiguousarray(a).tobytes() for a in arrays),
+                records,
+            )
+        )
     return found
 
 
@@ -84,14 +96,18 @@ def test_several_objects_run_on_levels(pair, flow):
         levels = [record.level for record in one.history]
         assert levels == sorted(levels, reverse=True) and set(levels) == {0, 1}
         assert dice(result.labels == one.id, truth == one.id) > 0.95
-    assert sum((one.psi < 0).sum() for one in result.objects) == (result.labels > 0).sum()  # none overlap
+    assert (
+        sum((one.psi < 0).sum() for one in result.objects) == (result.labels > 0).sum()
+    )  # none overlap
     again = segment_objects(volume, starts, levels=2, flow=flow, max_steps=200, threads=3)
     assert again.labels.tobytes() == result.labels.tobytes()
 
 
 def test_a_start_that_a_coarse_grid_does_not_resolve_begins_on_the_next(pair):
     volume, starts, _ = pair
-    small = np.where(np.array(distances((CENTRES[0],), 1.2))[0] < 0, IDS[0], 0) + np.where(starts == IDS[1], IDS[1], 0)
+    small = np.where(np.array(distances((CENTRES[0],), 1.2))[0] < 0, IDS[0], 0) + np.where(
+        starts == IDS[1], IDS[1], 0
+    )
     result = segment_objects(volume, small, levels=2, max_steps=5)
     assert [one.history[0].level for one in result.objects] == [0, 0]
     assert any("the start is not resolved there" in warning for warning in result.warnings)
@@ -108,7 +124,9 @@ def test_a_box_has_room_for_the_windows_of_the_energy_on_each_level(pair):
                 run.step()
             # 2 sqrt(6/5) R = 13.1 mm, in voxels of 1 mm on the finest level, and three more.
             one = run.objects[0]
-            box = roomy_box(np.array([9, 13, 13]), np.array([11, 15, 15]), one._setup.reach, one.grid)
+            box = roomy_box(
+                np.array([9, 13, 13]), np.array([11, 15, 15]), one._setup.reach, one.grid
+            )
             assert box[2].stop == 15 + 17
 
 
@@ -124,7 +142,9 @@ def test_a_setting_changes_for_all_objects_and_a_ball_for_one(pair):
     for one in edited.objects:
         assert [record.step for record in one.history if record.edits] == [4, 6]
     # Before the first edit nothing differs; the ball, in the other object's place, is the first one's.
-    assert [r.volume_mm3 for r in edited.objects[0].history[:4]] == [r.volume_mm3 for r in plain.objects[0].history[:4]]
+    assert [r.volume_mm3 for r in edited.objects[0].history[:4]] == [
+        r.volume_mm3 for r in plain.objects[0].history[:4]
+    ]
     gained = edited.by_id[4].history[6].volume_mm3 - edited.by_id[4].history[5].volume_mm3
     assert gained > 0.7 * 4 / 3 * np.pi * 4**3
     assert not (edited.by_id[4].psi.shape == plain.by_id[4].psi.shape)  # its grid grew
@@ -166,7 +186,9 @@ def test_an_object_that_has_converged_goes_on_after_an_edit(pair):
     volume, starts, _ = pair
     plain = segment_objects(volume, starts, max_steps=200)
     steps = max(one.stop.steps for one in plain.objects)
-    edited = segment_objects(volume, starts, max_steps=200, edit=[f"step={steps - 1} smoothness=0.1"])
+    edited = segment_objects(
+        volume, starts, max_steps=200, edit=[f"step={steps - 1} smoothness=0.1"]
+    )
     assert {one.stop.reason for one in edited.objects} == {"converged"}
     for one in edited.objects:
         assert one.stop.steps >= plain.by_id[one.id].stop.steps
@@ -187,13 +209,18 @@ def test_the_leak_guard_changes_with_an_edit(pair):
 
 def test_an_edit_holds_for_an_object_whose_coarse_level_failed(pair):
     volume = pair[0]
-    small, large = (distances((centre,), radius)[0] < 0 for centre, radius in zip(CENTRES, (2.9, 7.5), strict=True))
+    small, large = (
+        distances((centre,), radius)[0] < 0
+        for centre, radius in zip(CENTRES, (2.9, 7.5), strict=True)
+    )
     starts = np.where(small, 4, 0) + np.where(large, 300, 0)
     config = RunConfig(levels=2, smoothness=1.0, max_steps=30, edit=["step=6 smoothness=0 cfl=0.3"])
     with Run(volume, config, objects=starts) as run:
         while run.level > 0:
             run.step()
-        ended_on = {one.id: [r for r in one.evolution.history if r.level == 1] for one in run.objects}
+        ended_on = {
+            one.id: [r for r in one.evolution.history if r.level == 1] for one in run.objects
+        }
         assert len(ended_on[4]) < 6  # it vanished on the coarse level, before the edit
         assert all(one.evolution.limits.cfl == 0.3 for one in run.objects)
 
@@ -202,11 +229,16 @@ def test_an_edit_holds_for_an_object_whose_coarse_level_failed(pair):
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"])
+@pytest.mark.parametrize(
+    "flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"]
+)
 def test_several_objects_go_back_and_on_bit_for_bit(pair, flow):
     volume, starts, _ = pair
     config = RunConfig(flow=flow, max_steps=24, edit=["step=9 add=ball:29,14,5,4 object=4"])
-    with Run(volume, config, objects=starts) as straight, Run(volume, config, objects=starts) as back:
+    with (
+        Run(volume, config, objects=starts) as straight,
+        Run(volume, config, objects=starts) as back,
+    ):
         stepped(straight, 20)
         checkpoints = {}
         for _ in range(20):
@@ -219,7 +251,9 @@ def test_several_objects_go_back_and_on_bit_for_bit(pair, flow):
             assert back.step_number == k
             stepped(back, 20 - k)
             assert content(back) == content(straight), k
-        assert result_of(ended(back)).labels.tobytes() == result_of(ended(straight)).labels.tobytes()
+        assert (
+            result_of(ended(back)).labels.tobytes() == result_of(ended(straight)).labels.tobytes()
+        )
 
 
 SAVED = {
@@ -239,19 +273,28 @@ SAVED = {
 @pytest.mark.parametrize("name", SAVED)
 def test_a_run_goes_on_from_a_file_with_the_same_bytes(pair, tmp_path, name, several):
     volume, starts, _ = pair
-    config = RunConfig(max_steps=26, threads=1, **({} if several else {"start": "ball:14,14,13,5"}), **SAVED[name])
+    config = RunConfig(
+        max_steps=26, threads=1, **({} if several else {"start": "ball:14,14,13,5"}), **SAVED[name]
+    )
     objects = starts if several else None
     with Run(volume, config, objects=objects) as straight:
         stepped(straight, 11)
-        save_checkpoint(tmp_path / "run.checkpoint", straight.checkpoint(), checkpoint_header(straight))
+        save_checkpoint(
+            tmp_path / "run.checkpoint", straight.checkpoint(), checkpoint_header(straight)
+        )
         whole = result_of(ended(straight))
     with Run(volume, config, objects=objects) as other:
         other.restore(load_checkpoint(tmp_path / "run.checkpoint", other))
         assert other.step_number == 11
         resumed = result_of(ended(other))
         assert content(other) == content(straight)
-    assert resumed.labels.tobytes() == whole.labels.tobytes() and resumed.psi.tobytes() == whole.psi.tobytes()
-    assert [s[1:] for s in resumed.levels] == [s[1:] for s in whole.levels] and resumed.warnings == whole.warnings
+    assert (
+        resumed.labels.tobytes() == whole.labels.tobytes()
+        and resumed.psi.tobytes() == whole.psi.tobytes()
+    )
+    assert [s[1:] for s in resumed.levels] == [
+        s[1:] for s in whole.levels
+    ] and resumed.warnings == whole.warnings
 
 
 def test_a_checkpoint_of_another_run_is_refused(pair, tmp_path):
@@ -273,7 +316,12 @@ def test_a_checkpoint_of_another_run_is_refused(pair, tmp_path):
         Run(volume, config, channels=[volume], objects=starts),
     ]
     for run in others:
-        with run, pytest.raises(InputError, match="a checkpoint of (another image or start|other settings: )"):
+        with (
+            run,
+            pytest.raises(
+                InputError, match="a checkpoint of (another image or start|other settings: )"
+            ),
+        ):
             load_checkpoint(path, run)
 
 
@@ -343,7 +391,10 @@ def test_an_energy_of_ones_own_moves_several_objects_as_a_named_one_does(pair):
     made = segment_objects(volume, starts, energy=lambda image, spacing: own(image), **given)
     named = segment_objects(volume, starts, energy="chan-vese:area=0", **given)
     assert made.energy == "custom: ChanVese" and named.energy == "chan-vese:area=0"
-    assert made.labels.tobytes() == named.labels.tobytes() and made.psi.tobytes() == named.psi.tobytes()
+    assert (
+        made.labels.tobytes() == named.labels.tobytes()
+        and made.psi.tobytes() == named.psi.tobytes()
+    )
     with pytest.raises(UsageError, match="several were given: the energy has one image"):
         segment_objects(volume, starts, energy=ChanVese(volume.array, 0.0))
 
@@ -351,8 +402,16 @@ def test_an_energy_of_ones_own_moves_several_objects_as_a_named_one_does(pair):
 def test_the_name_of_ones_own_energy_outlives_an_edit(pair):
     volume, _, _ = pair
     edits = ["step=3 cfl=0.3"]
-    made = segment(volume, start="ball:14,14,13,5", energy=lambda image, _: ChanVese(image), max_steps=6, edit=edits)
-    assert made.energy == "custom: ChanVese" and made.report["config"]["energy"] == "custom: ChanVese"
+    made = segment(
+        volume,
+        start="ball:14,14,13,5",
+        energy=lambda image, _: ChanVese(image),
+        max_steps=6,
+        edit=edits,
+    )
+    assert (
+        made.energy == "custom: ChanVese" and made.report["config"]["energy"] == "custom: ChanVese"
+    )
 
 
 # ------------------------------------------------------------------------------------------- one result for all
@@ -364,7 +423,11 @@ def test_one_result_with_a_tuple_of_objects(pair):
     many = segment_objects(volume, starts, max_steps=10)
     assert type(one) is type(many) is accelsurf.Result is accelsurf.ObjectsResult
     assert [o.id for o in one.objects] == [1] and not one.has_ids
-    assert [o.id for o in many.objects] == list(IDS) and many.has_ids and many.by_id[300] is many.objects[1]
+    assert (
+        [o.id for o in many.objects] == list(IDS)
+        and many.has_ids
+        and many.by_id[300] is many.objects[1]
+    )
     assert one.objects[0].psi is one.psi and one.history is one.objects[0].history
     assert many.volume_mm3 == pytest.approx(sum(o.volume_mm3 for o in many.objects))
     assert len(repr(one)) < 120 and len(repr(many)) < 120 and len(repr(many.objects[0])) < 120
@@ -390,7 +453,9 @@ def test_segment_takes_objects_too(pair, tmp_path):
 BALL = {"max_steps": 6, "levels": 1}
 CORNERS = np.array([[5.0, 5, 5], [20, 5, 5], [5, 20, 5], [5, 5, 20]])
 OPEN_MESH = SimpleNamespace(vertices=CORNERS, faces=np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3]]))
-WRONG_FACES = SimpleNamespace(vertices=CORNERS, faces=np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 9]]))
+WRONG_FACES = SimpleNamespace(
+    vertices=CORNERS, faces=np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 9]])
+)
 
 
 def test_starts_as_arrays_volumes_meshes_and_balls(pair):
@@ -402,7 +467,10 @@ def test_starts_as_arrays_volumes_meshes_and_balls(pair):
     text = segment(volume, start="ball:14,14,13,5", **BALL)
     assert segment(volume, start=[(14, 14, 13, 5)], **BALL).psi.tobytes() == text.psi.tobytes()
     two = segment(volume, start=[(14, 14, 13, 5), (29, 14, 13, 4)], **BALL)
-    assert two.psi.tobytes() == segment(volume, start=("ball:14,14,13,5", "ball:29,14,13,4"), **BALL).psi.tobytes()
+    assert (
+        two.psi.tobytes()
+        == segment(volume, start=("ball:14,14,13,5", "ball:29,14,13,4"), **BALL).psi.tobytes()
+    )
     by_mesh = segment(volume, start=text.surface, max_steps=0, levels=1)
     assert dice(by_mesh.labels > 0, text.labels > 0) > 0.97
     inside = np.zeros(SHAPE, bool)
@@ -412,8 +480,12 @@ def test_starts_as_arrays_volumes_meshes_and_balls(pair):
     assert by_mask.report["config"]["start"] == "given as an array"
     with pytest.raises(InputError, match="start array: lies outside of the mask"):
         segment(volume, start=mask, mask=~inside & (np.indices(SHAPE)[2] > 35), **BALL)
-    learned = segment(volume, start="ball:14,14,13,5", energy="likelihood:update=no", foreground=mask, **BALL)
-    assert learned.terms[0]["inside"]["mean"] == pytest.approx(float(volume.array[mask].mean()), abs=0.02)
+    learned = segment(
+        volume, start="ball:14,14,13,5", energy="likelihood:update=no", foreground=mask, **BALL
+    )
+    assert learned.terms[0]["inside"]["mean"] == pytest.approx(
+        float(volume.array[mask].mean()), abs=0.02
+    )
 
 
 @pytest.mark.parametrize(
@@ -421,7 +493,11 @@ def test_starts_as_arrays_volumes_meshes_and_balls(pair):
     [
         (np.zeros(SHAPE, bool), InputError, "start: the mask is empty"),
         (np.ones((3, 4, 5)), GeometryError, r"start: an array of shape \(3, 4, 5\) was given"),
-        (Volume(np.ones(SHAPE, np.uint8), Geometry(SHAPE, (1.0, 1.0, 2.0))), GeometryError, "on another grid"),
+        (
+            Volume(np.ones(SHAPE, np.uint8), Geometry(SHAPE, (1.0, 1.0, 2.0))),
+            GeometryError,
+            "on another grid",
+        ),
         ([(1, 2, 3)], UsageError, "start: a list was given, expected a text"),
         (OPEN_MESH, InputError, "start: the mesh: .* open edges, expected a closed surface"),
         (WRONG_FACES, InputError, "start: the mesh: its triangles name points"),
@@ -442,13 +518,24 @@ def test_strict_takes_several_objects(pair, tmp_path, capsys):
     volume, starts, _ = pair
     io.write(volume, tmp_path / "cells.nii.gz")
     io.write_labels(volume.with_array(starts.astype(np.uint16)), tmp_path / "starts.nii.gz")
-    words = [str(tmp_path / "cells.nii.gz"), "--objects", str(tmp_path / "starts.nii.gz"), "--max-steps", "12"]
+    words = [
+        str(tmp_path / "cells.nii.gz"),
+        "--objects",
+        str(tmp_path / "starts.nii.gz"),
+        "--max-steps",
+        "12",
+    ]
     out = tmp_path / "out"
     levels = ["--levels", "2", "--edit", "step=3 smoothness=0.3"]
     assert execute(["segment", *words, *levels, "-o", str(out), "--strict", "--quiet"]) == 4
     assert "object 4: max-steps" in capsys.readouterr().err
     names = {path.name for path in out.iterdir()}
-    assert {"cells_surface_4.ply", "cells_surface_300.ply", "cells_objects.csv", "cells_seg.nii.gz"} <= names
+    assert {
+        "cells_surface_4.ply",
+        "cells_surface_300.ply",
+        "cells_objects.csv",
+        "cells_seg.nii.gz",
+    } <= names
 
 
 def test_an_object_that_fills_the_volume_is_told_and_the_others_are_written(tmp_path, capsys):
@@ -459,6 +546,15 @@ def test_an_object_that_fills_the_volume_is_told_and_the_others_are_written(tmp_
     volume = Volume.from_array(image)
     io.write(volume, tmp_path / "a.nii.gz")
     io.write_labels(volume.with_array(starts), tmp_path / "s.nii.gz")
-    words = [str(tmp_path / "a.nii.gz"), "--objects", str(tmp_path / "s.nii.gz"), "--energy", "threshold:,5"]
-    assert execute(["segment", *words, "-o", str(tmp_path / "out"), "--quiet", "--max-steps", "200"]) == 5
+    words = [
+        str(tmp_path / "a.nii.gz"),
+        "--objects",
+        str(tmp_path / "s.nii.gz"),
+        "--energy",
+        "threshold:,5",
+    ]
+    assert (
+        execute(["segment", *words, "-o", str(tmp_path / "out"), "--quiet", "--max-steps", "200"])
+        == 5
+    )
     assert "filled" in capsys.readouterr().err

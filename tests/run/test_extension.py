@@ -17,7 +17,9 @@ SHAPE, SPACING = (20, 28, 40), (1.5, 1.0, 1.0)
 
 
 def distance(centre: tuple[float, float, float], radius: float) -> np.ndarray:
-    places = [i * h - c for i, h, c in zip(np.indices(SHAPE).astype(float), SPACING, centre, strict=True)]
+    places = [
+        i * h - c for i, h, c in zip(np.indices(SHAPE).astype(float), SPACING, centre, strict=True)
+    ]
     return np.sqrt(sum(p**2 for p in places)) - radius
 
 
@@ -26,7 +28,9 @@ TRUTH = [one < 0 for one in AWAY]
 
 
 def image(noise: float = 0.3, balls: int = 2) -> Volume:
-    sharp = np.clip(0.5 - np.min(AWAY[:balls], axis=0), 0, 1) + np.random.default_rng(5).normal(0, noise, SHAPE)
+    sharp = np.clip(0.5 - np.min(AWAY[:balls], axis=0), 0, 1) + np.random.default_rng(5).normal(
+        0, noise, SHAPE
+    )
     return Volume.from_array(sharp.astype(np.float32), SPACING)
 
 
@@ -38,7 +42,9 @@ FLOWS = ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum",
 def test_every_flow_finds_the_object_by_a_fast_march(flow: str) -> None:
     """As by closest points, to a hundredth in Dice, by another way."""
     given = {"start": "ball:12,13.5,14,5", "flow": flow, "levels": 1, "max_steps": 60, "threads": 1}
-    march, closest = (segment(image(0.3, 1), extension=one, **given) for one in ("fast-marching", "closest-point"))
+    march, closest = (
+        segment(image(0.3, 1), extension=one, **given) for one in ("fast-marching", "closest-point")
+    )
     dice = [metrics.dice(np.asarray(one.labels) > 0, TRUTH[0]) for one in (march, closest)]
     assert dice[0] > 0.93 and abs(dice[0] - dice[1]) < 0.015
     assert march.psi.tobytes() != closest.psi.tobytes()
@@ -51,21 +57,32 @@ def run_of(**changes) -> RunConfig:
 def ended(run: Run) -> list[bytes]:
     for _ in run:
         pass
-    return [b"".join(np.ascontiguousarray(a).tobytes() for a in one.surface.band) for one in run.objects]
+    return [
+        b"".join(np.ascontiguousarray(a).tobytes() for a in one.surface.band) for one in run.objects
+    ]
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "changes",
-    [{"start": "ball:12,13.5,14,5", "levels": 2, "edit": ["step=6 add=ball:28,13.5,14,3"]}, {"flow": "flowable-mass"}],
+    [
+        {"start": "ball:12,13.5,14,5", "levels": 2, "edit": ["step=6 add=ball:28,13.5,14,3"]},
+        {"flow": "flowable-mass"},
+    ],
 )
 def test_a_run_goes_on_from_a_file_with_the_same_bytes(tmp_path, changes) -> None:
     """On levels and with several objects; every surface, also one that an edit or a grid makes anew, marches."""
-    starts = None if "start" in changes else 3 * (AWAY[0] < -4).astype(np.int32) + 8 * (AWAY[1] < -3).astype(np.int32)
+    starts = (
+        None
+        if "start" in changes
+        else 3 * (AWAY[0] < -4).astype(np.int32) + 8 * (AWAY[1] < -3).astype(np.int32)
+    )
     with Run(image(), run_of(**changes), objects=starts) as straight:
         for _ in range(11):
             straight.step()
-        save_checkpoint(tmp_path / "run.checkpoint", straight.checkpoint(), checkpoint_header(straight))
+        save_checkpoint(
+            tmp_path / "run.checkpoint", straight.checkpoint(), checkpoint_header(straight)
+        )
         assert all(one.surface.extension == "fast-marching" for one in straight.objects)
         want = ended(straight)
         assert all(one.surface.extension == "fast-marching" for one in straight.objects)

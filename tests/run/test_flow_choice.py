@@ -20,7 +20,9 @@ def ball(noise: float, n: int = 24) -> NDArray[np.float32]:
     """A ball of contrast 1 in the middle."""
     z, y, x = np.indices((n, n, n)) - 0.5 * n
     image = 1.0 * (z**2 + y**2 + x**2 < (0.3 * n) ** 2)
-    return (100.0 * (image + np.random.default_rng(5).normal(0.0, noise, image.shape))).astype(np.float32)
+    return (100.0 * (image + np.random.default_rng(5).normal(0.0, noise, image.shape))).astype(
+        np.float32
+    )
 
 
 def chosen(image: NDArray[np.float32], **settings: object) -> tuple[str, str]:
@@ -28,7 +30,9 @@ def chosen(image: NDArray[np.float32], **settings: object) -> tuple[str, str]:
     config = RunConfig(**{**START, **settings})
     with Run(Volume.from_array(image), config) as run:
         assert run.config.flow == run.settings.flow == config.flow
-        moved = {ConstantDensity: "constant-density", Gradient: "gradient"}[type(run.objects[0].evolution.flow)]
+        moved = {ConstantDensity: "constant-density", Gradient: "gradient"}[
+            type(run.objects[0].evolution.flow)
+        ]
         assert moved == run.flow_choice.applied(config).flow
         return moved, run.flow_choice.why
 
@@ -37,9 +41,16 @@ def chosen(image: NDArray[np.float32], **settings: object) -> tuple[str, str]:
 def test_energy_and_settings_decide(noise: float) -> None:
     image = ball(noise)
     assert chosen(image)[0] == chosen(image, smoothness=0.1)[0] == "constant-density"
-    assert chosen(image, energy="threshold:50,")[0] == chosen(image, energy="threshold:50, + 0.1*area")[0] == "gradient"
+    assert (
+        chosen(image, energy="threshold:50,")[0]
+        == chosen(image, energy="threshold:50, + 0.1*area")[0]
+        == "gradient"
+    )
     assert chosen(image, energy="threshold:50, + local-region:R=4")[0] == "constant-density"
-    assert chosen(image, inside="ball:12,12,12,3vox", start="clicks", energy="seeded")[0] == "constant-density"
+    assert (
+        chosen(image, inside="ball:12,12,12,3vox", start="clicks", energy="seeded")[0]
+        == "constant-density"
+    )
     found, why = chosen(image, energy="threshold:50,", k=3.0)
     assert found == "constant-density" and "k was given" in why
     assert chosen(image, energy="threshold:50,", diffusion=0.5)[0] == "gradient"
@@ -49,7 +60,9 @@ def test_the_report_says_which_flow_and_why_and_the_settings_stay_open() -> None
     result = segment(ball(0.0), **START, energy="threshold:50,")
     report = report_of(result)
     assert report["config"]["flow"] == "auto" and report["resolved_settings"]["flow"] == "gradient"
-    assert report["resolved_settings"]["flow_why"].startswith("descent, as under bounds of brightness ")
+    assert report["resolved_settings"]["flow_why"].startswith(
+        "descent, as under bounds of brightness "
+    )
     given = segment(ball(0.0), **START, flow="sobolev").resolved_settings
     assert (given["flow"], given["flow_why"]) == ("sobolev", "sobolev, as it was given")
 
@@ -58,7 +71,10 @@ def test_the_report_says_which_flow_and_why_and_the_settings_stay_open() -> None
 def test_it_is_the_same_run_as_with_that_flow(energy: str) -> None:
     image, given = ball(0.4), {**START, "energy": energy}
     found = segment(image, **given)
-    assert found.psi.tobytes() == segment(image, **given, flow=found.resolved_settings["flow"]).psi.tobytes()
+    assert (
+        found.psi.tobytes()
+        == segment(image, **given, flow=found.resolved_settings["flow"]).psi.tobytes()
+    )
 
 
 def test_an_edit_does_not_choose_again_but_for_a_setting_of_momentum() -> None:

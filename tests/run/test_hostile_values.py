@@ -17,13 +17,19 @@ def ball(dtype=np.float32):
 
 
 def run(image, **options):
-    return segment(image, **{"start": "ball:5.5,5.5,5.5,3", "max_steps": 2, "threads": 1, "levels": 1, **options})
+    return segment(
+        image,
+        **{"start": "ball:5.5,5.5,5.5,3", "max_steps": 2, "threads": 1, "levels": 1, **options},
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda a: a.__setitem__((1, 2, 3), np.finfo(np.float32).max), r"1 voxel is \(first at index x=3, y=2, z=1\)"),
+        (
+            lambda a: a.__setitem__((1, 2, 3), np.finfo(np.float32).max),
+            r"1 voxel is \(first at index x=3, y=2, z=1\)",
+        ),
         (lambda a: a.__setitem__(slice(0, 6), -3e38), "864 voxels are"),
         (lambda a: np.multiply(a, 3e38 / 100, out=a), "beyond 1e\\+30"),
         (lambda a: np.multiply(a, 1e-44, out=a), "a range of at least 1e-30"),
@@ -49,7 +55,9 @@ def test_values_of_other_units_are_segmented(factor):
 def test_the_mask_of_a_masked_array_is_not_ignored():
     image = np.ma.masked_greater(ball(), 90.0)
     for given in (image, image[5]):
-        with pytest.raises(InputError, match=r"a masked array with \d+ masked of \d+ values") as caught:
+        with pytest.raises(
+            InputError, match=r"a masked array with \d+ masked of \d+ values"
+        ) as caught:
             run(given)
         assert "filled" in caught.value.hint
     with pytest.raises(InputError, match="masked array"):
@@ -62,7 +70,11 @@ def test_the_mask_of_a_masked_array_is_not_ignored():
     np.testing.assert_array_equal(nothing_masked.labels, run(ball()).labels)
 
 
-NUMBERS = [key for key, field in RunConfig.model_fields.items() if "float" in str(field.annotation) and key != "edit"]
+NUMBERS = [
+    key
+    for key, field in RunConfig.model_fields.items()
+    if "float" in str(field.annotation) and key != "edit"
+]
 
 
 @pytest.mark.sampled
@@ -111,7 +123,12 @@ def test_the_largest_and_smallest_numbers_make_no_warning(key, value):
     # Warnings are errors in these tests.
     value = {"high": 20.0, "low": 0.1}[value] if key == "k" else {"high": 1e12, "low": 1e-18}[value]
     try:
-        result = run(ball(), seed=1, **{key: value}, flow="flowable-mass" if key == "gravity" else "constant-density")
+        result = run(
+            ball(),
+            seed=1,
+            **{key: value},
+            flow="flowable-mass" if key == "gravity" else "constant-density",
+        )
     except AccelsurfError as error:
         assert error.hint
     else:

@@ -28,7 +28,9 @@ def test_it_is_the_far_end_of_what_was_filled_last(mask, levels):
     assert result.labels[14, 14, 54]  # it has got there
     z, y, x = result.late_leakage
     assert x > 40 and abs(y - 14) < 7 and abs(z - 14) < 7
-    assert result.labels[int(z), int(y), int(x)]  # a voxel of the object, through which a slice shows it
+    assert result.labels[
+        int(z), int(y), int(x)
+    ]  # a voxel of the object, through which a slice shows it
 
 
 @pytest.mark.slow
@@ -46,7 +48,13 @@ def test_it_is_on_a_thin_object_too_and_goes_with_what_a_correction_takes_away()
     disk = ((x - 20) ** 2 + (y - 20) ** 2 < 14**2) & (abs(z - 19) < 2)
     noise = np.random.default_rng(0).normal(0, 5, disk.shape)
     image = (100.0 * disk + noise).astype(np.float32)
-    result = segment(image, inside="ball:20,20,19,1.5", start="ball:20,20,19,3", energy="threshold:50,", threads=1)
+    result = segment(
+        image,
+        inside="ball:20,20,19,1.5",
+        start="ball:20,20,19,3",
+        energy="threshold:50,",
+        threads=1,
+    )
     place = tuple(int(v) for v in result.late_leakage)
     assert result.labels[place]
     at = ",".join(str(v) for v in place[::-1])
@@ -58,9 +66,20 @@ def test_the_nearest_voxel_is_found_however_far_it_is():
     labels = np.zeros((9, 40, 50), np.uint8)
     labels[8, 2, 3] = labels[0, 39, 49] = 2
     inside = (labels > 0).__getitem__
-    assert nearest_inside((2.5, 20.0, 20.0), inside, labels.shape, (1.0, 1.0, 1.0)) == (8.0, 2.0, 3.0)
-    assert nearest_inside((2.5, 20.0, 20.0), inside, labels.shape, (9.0, 1.0, 1.0)) == (0.0, 39.0, 49.0)
-    assert nearest_inside((2.5, 20.0, 20.0), (labels > 9).__getitem__, labels.shape, (1.0, 1.0, 1.0)) is None
+    assert nearest_inside((2.5, 20.0, 20.0), inside, labels.shape, (1.0, 1.0, 1.0)) == (
+        8.0,
+        2.0,
+        3.0,
+    )
+    assert nearest_inside((2.5, 20.0, 20.0), inside, labels.shape, (9.0, 1.0, 1.0)) == (
+        0.0,
+        39.0,
+        49.0,
+    )
+    assert (
+        nearest_inside((2.5, 20.0, 20.0), (labels > 9).__getitem__, labels.shape, (1.0, 1.0, 1.0))
+        is None
+    )
 
 
 def test_there_is_none_where_nothing_grew():

@@ -19,7 +19,9 @@ PLAIN = "chan-vese:area=0"
 def cube(noise, seed=1):
     truth = np.zeros((N,) * 3, bool)
     truth[(slice(N // 4, 3 * N // 4),) * 3] = True
-    return truth, (truth + np.random.default_rng(seed).normal(0, noise, truth.shape)).astype(np.float32)
+    return truth, (truth + np.random.default_rng(seed).normal(0, noise, truth.shape)).astype(
+        np.float32
+    )
 
 
 @pytest.mark.sampled(1)
@@ -34,7 +36,9 @@ def test_a_surface_does_not_follow_raw_noise(seed):
 
 def test_without_noise_every_byte_is_that_of_the_plain_energy():
     image = cube(0.0)[1]
-    plain, found = (segment(image, start=START, energy=energy, threads=1) for energy in (PLAIN, "chan-vese"))
+    plain, found = (
+        segment(image, start=START, energy=energy, threads=1) for energy in (PLAIN, "chan-vese")
+    )
     assert found.terms[0]["area"] == 0.0
     assert found.psi.tobytes() == plain.psi.tobytes()
 
@@ -74,9 +78,17 @@ def test_a_start_that_it_would_pull_in_is_told_with_what_to_try():
     truth, image = cube(3.0)
     result = segment(image, start="ball:24,24,24,2.5vox", max_steps=1, levels=1, threads=1)
     (line,) = result.warnings
-    assert line.startswith("area: the start has a radius of about ") and "try --energy chan-vese:area=" in line
+    assert (
+        line.startswith("area: the start has a radius of about ")
+        and "try --energy chan-vese:area=" in line
+    )
     less = line.split("try --energy ")[1].split(",")[0]
-    assert segment(image, start="ball:24,24,24,2.5vox", energy=less, max_steps=1, levels=1, threads=1).warnings == []
+    assert (
+        segment(
+            image, start="ball:24,24,24,2.5vox", energy=less, max_steps=1, levels=1, threads=1
+        ).warnings
+        == []
+    )
 
 
 def test_a_start_that_is_large_enough_is_not_copied_for_that(monkeypatch):

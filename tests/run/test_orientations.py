@@ -24,7 +24,11 @@ ENERGIES = {
     "local-region, descent": {"energy": "local-region", "presmooth": 0.8, "flow": "gradient"},
 }
 #: The same without presmoothing, for what holds in noise.
-NOISY = {"chan-vese": {}, "local-region": {"energy": "local-region"}, "threshold": {"energy": "threshold:125,"}}
+NOISY = {
+    "chan-vese": {},
+    "local-region": {"energy": "local-region"},
+    "threshold": {"energy": "threshold:125,"},
+}
 #: The same on levels: blocks lie around the middle of the grid, for odd sizes too.
 LEVELS = {
     "2 levels": {"presmooth": 0.8, "levels": 2},
@@ -38,8 +42,20 @@ _first: dict[str, np.ndarray] = {}
 def scan() -> Volume:
     """Two touching balls off the middle of an oblique, anisotropic grid of odd and even sizes: blur, bias, noise."""
     recipe = recipes.Recipe(
-        kind="two-balls", shape=(46, 33, 19), spacing=SPACING, radius=9, gap=0, center=(2, -1.5, 1),
-        rotation=(10, -5, 20), background=100, contrast=50, antialias=True, blur=0.7, bias=0.1, noise=5, seed=3,
+        kind="two-balls",
+        shape=(46, 33, 19),
+        spacing=SPACING,
+        radius=9,
+        gap=0,
+        center=(2, -1.5, 1),
+        rotation=(10, -5, 20),
+        background=100,
+        contrast=50,
+        antialias=True,
+        blur=0.7,
+        bias=0.1,
+        noise=5,
+        seed=3,
     )
     return recipes.make(recipe).image
 
@@ -103,7 +119,10 @@ def distances(one: Result, other: Result) -> np.ndarray:
     """Distance (mm) of two surfaces at the vertices of one: the difference of their psi there."""
     psi = [
         ndimage.map_coordinates(
-            result.objects[0].psi, result.geometry.world_to_index(one.surface.vertices).T, order=1, mode="nearest"
+            result.objects[0].psi,
+            result.geometry.world_to_index(one.surface.vertices).T,
+            order=1,
+            mode="nearest",
         )
         for result in (one, other)
     ]

@@ -53,8 +53,12 @@ def test_inside_the_region_it_is_the_run_on_the_cropped_volume(direction):
     alone = segment(part, start=at(centre, 6))
     np.testing.assert_array_equal(whole.psi[box], alone.psi)
     assert whole.labels.shape == volume.array.shape and dice(whole.labels, truth) > 0.98
-    np.testing.assert_allclose(whole.surface.vertices.mean(axis=0), alone.surface.vertices.mean(axis=0), atol=1e-4)
-    assert whole.volume_mm3 == alone.volume_mm3 and whole.surface.area == pytest.approx(alone.surface.area, rel=1e-5)
+    np.testing.assert_allclose(
+        whole.surface.vertices.mean(axis=0), alone.surface.vertices.mean(axis=0), atol=1e-4
+    )
+    assert whole.volume_mm3 == alone.volume_mm3 and whole.surface.area == pytest.approx(
+        alone.surface.area, rel=1e-5
+    )
 
 
 def test_a_region_in_world_mm_lies_where_it_says_and_cuts_the_object_there():
@@ -63,7 +67,9 @@ def test_a_region_in_world_mm_lies_where_it_says_and_cuts_the_object_there():
     result = segment(volume, start=at((x, y, z), 4), roi=text)
     world = volume.geometry.index_to_world(np.moveaxis(np.indices(truth.shape), 0, -1))
     within = world[..., 0] <= x + 3
-    assert not (result.labels > 0)[~within].any() and dice(result.labels[within], truth[within]) > 0.98
+    assert (
+        not (result.labels > 0)[~within].any() and dice(result.labels[within], truth[within]) > 0.98
+    )
     # The wall of the cut is half a voxel beyond the last one.
     last = world[..., 0][within].max()
     assert result.surface.vertices[:, 0].max() == pytest.approx(last + 0.4, abs=0.05)
@@ -95,12 +101,20 @@ def masked(tmp_path, volume, mask, name="mask.nii.gz"):
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("levels", ["auto", 2])
-@pytest.mark.parametrize("flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"])
+@pytest.mark.parametrize(
+    "flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"]
+)
 def test_the_surface_never_leaves_the_mask(tmp_path, flow, levels):
     volume, truth, centre = ball()
     x = np.arange(46)[None, None, :]
     mask = np.broadcast_to(x < 27, truth.shape)
-    words = dict(start=at(centre, 4), flow=flow, mask=masked(tmp_path, volume, mask), levels=levels, max_steps=300)
+    words = dict(
+        start=at(centre, 4),
+        flow=flow,
+        mask=masked(tmp_path, volume, mask),
+        levels=levels,
+        max_steps=300,
+    )
     seen = []
     for step in evolve(volume, **words):
         if step.record.level == 0:
@@ -186,7 +200,9 @@ def test_a_channel_is_chosen_by_its_number():
     (first, second), _ = two_channels()
     words = dict(start="ball:15,15,15,5vox", max_steps=100)
     swapped = segment(first, channels=[second], energy="chan-vese:channel=2", **words)
-    np.testing.assert_array_equal(swapped.labels, segment(second, energy="chan-vese", **words).labels)
+    np.testing.assert_array_equal(
+        swapped.labels, segment(second, energy="chan-vese", **words).labels
+    )
     with pytest.raises(UsageError, match="channel 3 of chan-vese was given, expected 1 to 2"):
         segment(first, channels=[second], energy="chan-vese:channel=3", **words)
 
@@ -225,32 +241,73 @@ def test_a_run_ends_when_the_object_is_larger_than_it_may_be():
 def test_the_command_line_has_them_all(tmp_path, capsys):
     volume, truth, centre = ball()
     (tmp_path / "a").mkdir()
-    io.write(Volume(volume.array.astype(np.float32), volume.geometry), tmp_path / "a" / "scan.nii.gz")
+    io.write(
+        Volume(volume.array.astype(np.float32), volume.geometry), tmp_path / "a" / "scan.nii.gz"
+    )
     mask = masked(tmp_path, volume, np.broadcast_to(np.arange(46)[None, None, :] < 27, truth.shape))
     words = [
-        "segment", str(tmp_path / "a" / "scan.nii.gz"), "-o", str(tmp_path / "out"), "--start", at(centre, 4),
-        "--mask", mask, "--roi", "2,2,2,43,37,25vox", "--energy", "likelihood:update=no + 0.05*area - 0.1*balloon",
-        "--foreground", at(centre, 5), "--channel", str(tmp_path / "a" / "scan.nii.gz"), "--max-volume", "1e5",
+        "segment",
+        str(tmp_path / "a" / "scan.nii.gz"),
+        "-o",
+        str(tmp_path / "out"),
+        "--start",
+        at(centre, 4),
+        "--mask",
+        mask,
+        "--roi",
+        "2,2,2,43,37,25vox",
+        "--energy",
+        "likelihood:update=no + 0.05*area - 0.1*balloon",
+        "--foreground",
+        at(centre, 5),
+        "--channel",
+        str(tmp_path / "a" / "scan.nii.gz"),
+        "--max-volume",
+        "1e5",
     ]
     assert cli.execute(words) == 0, capsys.readouterr().err
     document = json.loads((tmp_path / "out" / "scan_report.json").read_text())
-    assert [term["term"] for term in document["energy"]["terms"]] == ["likelihood", "area", "balloon"]
+    assert [term["term"] for term in document["energy"]["terms"]] == [
+        "likelihood",
+        "area",
+        "balloon",
+    ]
     assert document["quality"]["leaked"] is False
     config = RunConfig(**document["config"])
     assert (config.mask, config.max_volume) == (mask, 1e5)
-    assert dice(io.read_labels(tmp_path / "out" / "scan_seg.nii.gz").array > 0, truth & (np.arange(46) < 27)) > 0.95
+    assert (
+        dice(
+            io.read_labels(tmp_path / "out" / "scan_seg.nii.gz").array > 0,
+            truth & (np.arange(46) < 27),
+        )
+        > 0.95
+    )
 
 
 def test_strict_turns_doubt_into_exit_5(tmp_path, capsys):
     volume, _, centre = ball()
     io.write(Volume(volume.array.astype(np.float32), volume.geometry), tmp_path / "scan.nii.gz")
-    words = ["segment", str(tmp_path / "scan.nii.gz"), "--start", at(centre, 4), "--max-volume", "2500"]
+    words = [
+        "segment",
+        str(tmp_path / "scan.nii.gz"),
+        "--start",
+        at(centre, 4),
+        "--max-volume",
+        "2500",
+    ]
     assert cli.execute([*words, "-o", str(tmp_path / "one")]) == 0
-    assert "warning: leak: the object became larger than --max-volume, 2500 mm3" in capsys.readouterr().err
+    assert (
+        "warning: leak: the object became larger than --max-volume, 2500 mm3"
+        in capsys.readouterr().err
+    )
     assert cli.execute([*words, "-o", str(tmp_path / "two"), "--strict"]) == 5
     assert "error: scan: leak" in capsys.readouterr().err
     document = json.loads((tmp_path / "two" / "scan_report.json").read_text())
-    assert (document["status"], document["exit_code"], document["error"]["type"]) == ("failed", 5, "DoubtfulError")
+    assert (document["status"], document["exit_code"], document["error"]["type"]) == (
+        "failed",
+        5,
+        "DoubtfulError",
+    )
     assert cli.execute([*words[:4], "-o", str(tmp_path / "three"), "--strict"]) == 0
 
 
@@ -264,7 +321,9 @@ def test_strict_turns_doubt_into_exit_5(tmp_path, capsys):
 )
 def test_a_file_of_channels_is_its_channels(tmp_path, suffix, sort):
     rng = np.random.default_rng(1)
-    parts = [sitk.GetImageFromArray(rng.normal(size=(5, 6, 7)).astype(np.float32)) for _ in range(3)]
+    parts = [
+        sitk.GetImageFromArray(rng.normal(size=(5, 6, 7)).astype(np.float32)) for _ in range(3)
+    ]
     for part in parts:
         part.SetSpacing((0.75, 1.0, 1.5))
         part.SetOrigin((1.0, 2.0, 3.0))
@@ -275,7 +334,11 @@ def test_a_file_of_channels_is_its_channels(tmp_path, suffix, sort):
     assert len(found) == 3
     for volume, part in zip(found, parts, strict=True):
         np.testing.assert_array_equal(volume.array, sitk.GetArrayFromImage(part))
-        assert volume.geometry.spacing == (1.5, 1.0, 0.75) and volume.geometry.origin == (1.0, 2.0, 3.0)
+        assert volume.geometry.spacing == (1.5, 1.0, 0.75) and volume.geometry.origin == (
+            1.0,
+            2.0,
+            3.0,
+        )
         assert volume.source == path
 
 
@@ -304,6 +367,9 @@ def test_the_command_line_takes_a_vector_image(tmp_path, capsys):
     images = [sitk.GetImageFromArray(part.astype(np.float32)) for part in (first, second)]
     sitk.WriteImage(sitk.Compose(*images), str(tmp_path / "two.nii.gz"))
     words = ["segment", str(tmp_path / "two.nii.gz"), "-o", str(tmp_path / "out")]
-    assert cli.execute([*words, "--start", "ball:15,15,15,5vox", "--energy", "likelihood:update=no"]) == 0
+    assert (
+        cli.execute([*words, "--start", "ball:15,15,15,5vox", "--energy", "likelihood:update=no"])
+        == 0
+    )
     labels = io.read_labels(tmp_path / "out" / "two_seg.nii.gz")
     assert dice(labels.array > 0, truth) > 0.9, capsys.readouterr().err

@@ -18,7 +18,9 @@ def parts(seed):
     at = np.indices(SHAPE)
     for _ in range(6):
         middle = random.uniform(2, np.array(SHAPE) - 2)
-        away = np.sqrt(((at - middle[:, None, None, None]) ** 2).sum(axis=0)) - random.uniform(1.5, 5.5)
+        away = np.sqrt(((at - middle[:, None, None, None]) ** 2).sum(axis=0)) - random.uniform(
+            1.5, 5.5
+        )
         psi = np.clip(away, -GAMMA, GAMMA).astype(np.float32)
         low = np.maximum(np.argwhere(psi < 0).min(axis=0) - random.integers(1, 6, 3), 0)
         high = np.argwhere(psi < 0).max(axis=0) + random.integers(2, 7, 3)
@@ -37,7 +39,11 @@ def separated_plainly(parts):
         for j in range(len(parts)):
             if j != i:
                 tie = (whole[i] == whole[j]) & (whole[i] < 0)
-                cut = np.where(tie, np.float32(-1e-6 if i < j else 1e-6), np.float32(0.5) * (whole[i] - whole[j]))
+                cut = np.where(
+                    tie,
+                    np.float32(-1e-6 if i < j else 1e-6),
+                    np.float32(0.5) * (whole[i] - whole[j]),
+                )
                 psi = np.maximum(psi, cut)
         yield corner, psi[box_at(corner, uncut.shape)]
 

@@ -25,7 +25,8 @@ def distances(shape, spacing, centres, radius):
     """Signed distance (mm) to each of some balls; centres (z, y, x) in mm."""
     places = [i * h for i, h in zip(np.indices(shape).astype(float), spacing, strict=True)]
     return [
-        np.sqrt(sum((p - c) ** 2 for p, c in zip(places, centre, strict=True))) - radius for centre in centres
+        np.sqrt(sum((p - c) ** 2 for p, c in zip(places, centre, strict=True))) - radius
+        for centre in centres
     ]
 
 
@@ -112,15 +113,22 @@ def test_starts_in_the_background_take_the_background_and_that_is_told(touching,
 def test_mass_that_meets_mass_comes_to_rest_and_gains_no_energy(flow):
     shape, centres = (22, 22, 36), [(10.5, 10.5, 11.0), (10.5, 10.5, 24.0)]
     image, truth = scene(shape, ISOTROPIC, centres, 8.0, noise=0.1)
-    result = segment_objects(image, seeds(shape, ISOTROPIC, centres, 3.5, (1, 2)), flow=flow, max_steps=400)
+    result = segment_objects(
+        image, seeds(shape, ISOTROPIC, centres, 3.5, (1, 2)), flow=flow, max_steps=400
+    )
     for own, one in result.by_id.items():
         assert one.stop.reason == "converged"
         assert dice(result.labels == own, truth == own) >= 0.95
         rows = one.history
-        energy = np.array([row.potential + row.mass_potential + row.kinetic / row.weight for row in rows])
+        energy = np.array(
+            [row.potential + row.mass_potential + row.kinetic / row.weight for row in rows]
+        )
         # Within one box U compares; kinetic energy is never more than the potential that was won.
         assert max(row.kinetic / row.weight for row in rows) <= rows[0].potential
-        assert np.isfinite(energy).all() and rows[-1].kinetic / rows[-1].weight < 0.02 * rows[0].potential
+        assert (
+            np.isfinite(energy).all()
+            and rows[-1].kinetic / rows[-1].weight < 0.02 * rows[0].potential
+        )
 
 
 def test_objects_within_a_mask(tmp_path):
@@ -147,7 +155,9 @@ def test_no_voxel_is_in_two(two):
     for place, own in enumerate(result.by_id):
         psi[place][result.by_id[own].box] = result.by_id[own].psi
     assert not ((psi[0] < 0) & (psi[1] < 0)).any()
-    assert np.array_equal(psi[0] < 0, result.labels == 7) and np.array_equal(psi[1] < 0, result.labels == 300)
+    assert np.array_equal(psi[0] < 0, result.labels == 7) and np.array_equal(
+        psi[1] < 0, result.labels == 300
+    )
     assert np.array_equal(result.psi < 0, result.labels > 0)
 
 
@@ -185,7 +195,9 @@ def test_objects_that_meet_at_the_border_come_to_rest():
     image += np.random.default_rng(0).normal(0, 0.1, image.shape).astype(np.float32)
     starts = np.zeros(image.shape, np.uint8)
     starts[3:7, 15:19, 9:13], starts[7:11, 3:7, 22:26] = 1, 2
-    result = segment_objects(image, starts, spacing=(2.2, 1.0, 1.0), energy="threshold:0.5,", max_steps=120)
+    result = segment_objects(
+        image, starts, spacing=(2.2, 1.0, 1.0), energy="threshold:0.5,", max_steps=120
+    )
     assert result.stop.reason == "converged"
     assert np.count_nonzero(result.labels[:, :, 5:35]) >= 0.995 * 14 * 22 * 30
     assert sum(row.removed_components for one in result.objects for row in one.history) <= 5
@@ -221,7 +233,9 @@ def test_cost_goes_with_the_surfaces_not_with_the_volume_times_their_number():
         shape = (20, 20, 20 * count + wide)
         centres = [(9.5, 9.5, 9.5 + 20 * i) for i in range(count)]
         image, _ = scene(shape, ISOTROPIC, centres, 6.0, noise=0.0)
-        result = segment_objects(image, seeds(shape, ISOTROPIC, centres, 4.0, range(1, count + 1)), max_steps=15)
+        result = segment_objects(
+            image, seeds(shape, ISOTROPIC, centres, 4.0, range(1, count + 1)), max_steps=15
+        )
         assert max(one.labels.shape[2] for one in result.objects) < 45
         return [sum(row.cells_visited for row in one.history) for one in result.objects]
 
@@ -237,7 +251,9 @@ def test_a_grid_that_grows_changes_nothing_for_an_energy_that_sees_only_the_plac
     starts = seeds(shape, ISOTROPIC, [(14.5, 14.5, 47.0)], 2.6, (1,))
     many = segment_objects(image, starts, **told)
     alone = accelsurf.segment(Volume.from_array(image), **told, start="ball:47,14.5,14.5,2.6")
-    assert many.by_id[1].labels.shape[2] < 90 and many.stop.reason == alone.stop.reason == "converged"
+    assert (
+        many.by_id[1].labels.shape[2] < 90 and many.stop.reason == alone.stop.reason == "converged"
+    )
     assert dice(many.labels, alone.labels) >= 0.999
 
 
@@ -256,23 +272,35 @@ def test_an_object_that_vanishes_is_a_row_and_the_others_stay():
     starts = seeds(image.shape, ISOTROPIC, [(11.5, 11.5, 12.0), (11.5, 11.5, 33.0)], 3.5, (4, 2))
     result = segment_objects(image, starts, energy="threshold:0.5,")
     assert [one.stop.reason for one in result.objects] == ["vanished", "converged"]
-    assert result.stop.reason == "converged" and result.stop.message == "of 2 objects 1 converged, 1 vanished"
+    assert (
+        result.stop.reason == "converged"
+        and result.stop.message == "of 2 objects 1 converged, 1 vanished"
+    )
     assert dice(result.labels == 4, truth == 1) > 0.97 and not (result.labels == 2).any()
     row = {one["id"]: one for one in result.report["objects"]}[2]
     assert row["volume_mm3"] == 0 and row["centroid"] is None and row["quality"] is None
 
 
 def test_one_slice_mask_roi_and_largest_volume():
-    image, _ = scene((1, 40, 64), (5.0, 1.0, 1.0), [(0.0, 20.0, 20.0), (0.0, 20.0, 42.0)], 13.0, noise=0.2)
-    starts = seeds(image.shape, (5.0, 1.0, 1.0), [(0.0, 20.0, 20.0), (0.0, 20.0, 42.0)], 5.0, (1, 2))
+    image, _ = scene(
+        (1, 40, 64), (5.0, 1.0, 1.0), [(0.0, 20.0, 20.0), (0.0, 20.0, 42.0)], 13.0, noise=0.2
+    )
+    starts = seeds(
+        image.shape, (5.0, 1.0, 1.0), [(0.0, 20.0, 20.0), (0.0, 20.0, 42.0)], 5.0, (1, 2)
+    )
     result = segment_objects(image[0], starts[0], spacing=(5.0, 1.0, 1.0))
     lens = 13**2 * (2 * np.arccos(11 / 13) - np.sin(2 * np.arccos(11 / 13))) / 2
     for one in result.objects:
         assert one.enclosed_mm2 == pytest.approx(np.pi * 13**2 - lens, rel=0.05)
         assert one.contours.length > 0
-    cut = segment_objects(image[0], starts[0], spacing=(5.0, 1.0, 1.0), roi="0,0,-1,60,22,1vox", max_volume=1500)
+    cut = segment_objects(
+        image[0], starts[0], spacing=(5.0, 1.0, 1.0), roi="0,0,-1,60,22,1vox", max_volume=1500
+    )
     assert not cut.labels[:, 23:].any() and cut.by_id[1].geometry.shape[1] <= 25
-    assert {one.stop.reason for one in cut.objects} <= {"leaked", "converged"} and cut.stop.reason == "leaked"
+    assert {one.stop.reason for one in cut.objects} <= {
+        "leaked",
+        "converged",
+    } and cut.stop.reason == "leaked"
 
 
 # ---------------------------------------------------------------------------------------------------------- starts
@@ -282,16 +310,21 @@ def test_tables_and_label_maps_say_the_same(tmp_path):
     geometry = Geometry((24, 24, 40), ISOTROPIC, (10.0, -5.0, 3.0))
     starts = seeds(geometry.shape, ISOTROPIC, [(11, 12, 12), (11, 12, 30)], 4.2, (9, 5))
     (tmp_path / "mm.csv").write_text("# balls\nid, x, y, z, r\n9,22,7,14,4.2\n5,40,7,14,4.2\n")
-    (tmp_path / "vox.csv").write_text("r_vox,id,x_vox,y_vox,z_vox\n4.2,9,12,12,11\n4.2,5,30,12,11\n")
+    (tmp_path / "vox.csv").write_text(
+        "r_vox,id,x_vox,y_vox,z_vox\n4.2,9,12,12,11\n4.2,5,30,12,11\n"
+    )
     io.write_labels(Volume(starts, geometry), tmp_path / "starts.nii.gz")
     found = {
-        name: objects.read(str(tmp_path / name), geometry, 2) for name in ("mm.csv", "vox.csv", "starts.nii.gz")
+        name: objects.read(str(tmp_path / name), geometry, 2)
+        for name in ("mm.csv", "vox.csv", "starts.nii.gz")
     }
     for read in found.values():
         assert [one.id for one in read] == [5, 9]
         for one in read:
             labels = np.zeros(geometry.shape, bool)
-            labels[tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True))] = one.psi < 0
+            labels[
+                tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True))
+            ] = one.psi < 0
             assert np.array_equal(labels, starts == one.id)
     only = objects.read(f"{tmp_path / 'starts.nii.gz'}@6-9", geometry, 2)
     assert [one.id for one in only] == [9]
@@ -311,7 +344,10 @@ GRID = Geometry((10, 12, 14), ISOTROPIC)
     ("text", "told"),
     [
         ("", "no line was given as the first line"),
-        ("id,x,y,z\n1,2,3,4\n", "id,x,y,z was given as the first line, expected columns id,x,y,z,r"),
+        (
+            "id,x,y,z\n1,2,3,4\n",
+            "id,x,y,z was given as the first line, expected columns id,x,y,z,r",
+        ),
         ("id,x,y,z,r\n", "has no row"),
         ("id,x,y,z,r\n1,5,5,5,2\n2,5,five,5,2\n", "line 3: 2,5,five,5,2 was given"),
         ("id,x,y,z,r\n1.5,5,5,5,2\n", "a whole number from 1 on"),
@@ -335,7 +371,9 @@ def test_bad_label_maps_are_told(tmp_path):
     with pytest.raises(InputError, match="must be whole numbers"):
         objects.read(np.full(GRID.shape, 0.5), GRID, 2)
     with pytest.raises(GeometryError, match="on another grid"):
-        objects.read(Volume(np.ones(GRID.shape, int), Geometry(GRID.shape, (1.0, 1.0, 2.0))), GRID, 2)
+        objects.read(
+            Volume(np.ones(GRID.shape, int), Geometry(GRID.shape, (1.0, 1.0, 2.0))), GRID, 2
+        )
     with pytest.raises(InputError, match="cannot be read|does not exist"):
         objects.read(str(tmp_path / "absent.csv"), GRID, 2)
 
@@ -357,7 +395,9 @@ def scan(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scan")
     image, _ = scene((20, 20, 36), ISOTROPIC, [(9.5, 9.5, 11.0), (9.5, 9.5, 24.0)], 7.0, noise=0.1)
     io.write(Volume(image, Geometry(image.shape, ISOTROPIC)), folder / "cells.nii.gz")
-    (folder / "starts.csv").write_text("id,x,y,z,r\n12,11,9.5,9.5,3\n700,24,9.5,9.5,3\n3,33,3,3,2.4\n")
+    (folder / "starts.csv").write_text(
+        "id,x,y,z,r\n12,11,9.5,9.5,3\n700,24,9.5,9.5,3\n3,33,3,3,2.4\n"
+    )
     return folder
 
 
@@ -366,15 +406,39 @@ def run(*words):
 
 
 def test_command_line_from_a_table_to_labels_meshes_and_rows(scan, tmp_path, capsys):
-    words = ("segment", scan / "cells.nii.gz", "--objects", scan / "starts.csv", "--energy", "threshold:0.5,")
+    words = (
+        "segment",
+        scan / "cells.nii.gz",
+        "--objects",
+        scan / "starts.csv",
+        "--energy",
+        "threshold:0.5,",
+    )
     assert run(*words, "-o", tmp_path, "--mesh", "ply,stl", "--save-sdf") == 0
     said = capsys.readouterr()
-    assert "of 3 objects 2 converged, 1 vanished" in said.out and "warning: object 3: vanished" in said.err
+    assert (
+        "of 3 objects 2 converged, 1 vanished" in said.out
+        and "warning: object 3: vanished" in said.err
+    )
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
         f"cells_{name}"
         for name in (
-            *("seg.nii.gz", "sdf.nii.gz", "surface_12.ply", "surface_12.stl", "surface_700.ply", "surface_700.stl"),
-            *("objects.csv", "report.json", "trace.csv", "preview.png", "statistics.csv", "statistics.json"),
+            *(
+                "seg.nii.gz",
+                "sdf.nii.gz",
+                "surface_12.ply",
+                "surface_12.stl",
+                "surface_700.ply",
+                "surface_700.stl",
+            ),
+            *(
+                "objects.csv",
+                "report.json",
+                "trace.csv",
+                "preview.png",
+                "statistics.csv",
+                "statistics.json",
+            ),
         )
     )
     labels = io.read_labels(tmp_path / "cells_seg.nii.gz")
@@ -385,7 +449,9 @@ def test_command_line_from_a_table_to_labels_meshes_and_rows(scan, tmp_path, cap
     assert float(rows[1]["x_mm"]) == pytest.approx(11.0, abs=0.3)
     document = json.loads((tmp_path / "cells_report.json").read_text())
     assert document["status"] == "ok" and [one["id"] for one in document["objects"]] == [3, 12, 700]
-    assert document["volume_mm3"] == pytest.approx(sum(one["volume_mm3"] for one in document["objects"]))
+    assert document["volume_mm3"] == pytest.approx(
+        sum(one["volume_mm3"] for one in document["objects"])
+    )
     trace = list(csv.DictReader((tmp_path / "cells_trace.csv").read_text().splitlines()))
     assert {row["object"] for row in trace} == {"3", "12", "700"}
     # Once more: refused, told to be strict, and with nothing left.
@@ -396,31 +462,59 @@ def test_command_line_from_a_table_to_labels_meshes_and_rows(scan, tmp_path, cap
     (tmp_path / "cells_surface_notes.ply").write_text("mine")
     (tmp_path / "cells_surface_012.ply").write_text("mine")
     (scan / "fewer.csv").write_text("id,x,y,z,r\n12,11,9.5,9.5,3\n")
-    fewer = ("segment", scan / "cells.nii.gz", "--objects", scan / "fewer.csv", "--energy", "threshold:0.5,")
+    fewer = (
+        "segment",
+        scan / "cells.nii.gz",
+        "--objects",
+        scan / "fewer.csv",
+        "--energy",
+        "threshold:0.5,",
+    )
     assert run(*fewer, "-o", tmp_path, "--overwrite", "--quiet") == 0
     assert sorted(path.name for path in tmp_path.glob("*surface*")) == [
-        "cells_surface_012.ply", "cells_surface_12.ply", "cells_surface_notes.ply",
+        "cells_surface_012.ply",
+        "cells_surface_12.ply",
+        "cells_surface_notes.ply",
     ]
     assert run(*words[:-1], "threshold:5,", "-o", tmp_path / "none") != 0
     assert not list((tmp_path / "none").glob("*surface*"))
 
 
 def test_command_line_tells_bad_objects(scan, tmp_path, capsys):
-    assert run("segment", scan / "cells.nii.gz", "--objects", scan / "absent.nii.gz", "-o", tmp_path) == 3
-    assert run("segment", scan / "cells.nii.gz", "--objects", "a.csv", "--start", "otsu", "-o", tmp_path) == 2
+    assert (
+        run("segment", scan / "cells.nii.gz", "--objects", scan / "absent.nii.gz", "-o", tmp_path)
+        == 3
+    )
+    assert (
+        run(
+            "segment",
+            scan / "cells.nii.gz",
+            "--objects",
+            "a.csv",
+            "--start",
+            "otsu",
+            "-o",
+            tmp_path,
+        )
+        == 2
+    )
     err = capsys.readouterr().err
     assert "absent.nii.gz" in err and "expected one of the two" in err
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("energy", ["threshold:learned,learned", "threshold:half:0,", "likelihood:update=no"])
+@pytest.mark.parametrize(
+    "energy", ["threshold:learned,learned", "threshold:half:0,", "likelihood:update=no"]
+)
 def test_each_object_learns_from_its_own_start(energy):
     """Two balls of other brightness, each beside something as bright as the other."""
     centres, shape = [(14.0, 14.0, 14.0), (14.0, 14.0, 42.0)], (28, 28, 56)
     away = distances(shape, ISOTROPIC, centres, 9.0)
     image = np.select([a < 0 for a in away], [300.0, 900.0], 0.0)
     image += np.random.default_rng(3).normal(0, 30, shape)
-    result = segment_objects(image, seeds(shape, ISOTROPIC, centres, 5.0, (1, 2)), spacing=1.0, energy=energy)
+    result = segment_objects(
+        image, seeds(shape, ISOTROPIC, centres, 5.0, (1, 2)), spacing=1.0, energy=energy
+    )
     for own, truth in zip((1, 2), away, strict=True):
         assert dice(result.labels == own, truth < 0) > 0.95, own
     one, two = (result.by_id[own].terms[0] for own in (1, 2))
@@ -435,11 +529,19 @@ def test_what_is_given_as_foreground_is_learned_by_all(tmp_path):
     image = np.select([a < 0 for a in away], [300.0, 900.0], 0.0)
     image += np.random.default_rng(3).normal(0, 30, shape)
     starts = seeds(shape, ISOTROPIC, centres, 5.0, (1, 2))
-    io.write_labels(Volume.from_array((starts == 2).astype(np.uint8), 1.0), tmp_path / "bright.nii.gz")
-    result = segment_objects(
-        image, starts, spacing=1.0, energy="threshold:learned,", foreground=f"label:{tmp_path / 'bright.nii.gz'}"
+    io.write_labels(
+        Volume.from_array((starts == 2).astype(np.uint8), 1.0), tmp_path / "bright.nii.gz"
     )
-    assert result.by_id[1].stop.reason == "vanished" and dice(result.labels == 2, away[1] < 0) > 0.95
+    result = segment_objects(
+        image,
+        starts,
+        spacing=1.0,
+        energy="threshold:learned,",
+        foreground=f"label:{tmp_path / 'bright.nii.gz'}",
+    )
+    assert (
+        result.by_id[1].stop.reason == "vanished" and dice(result.labels == 2, away[1] < 0) > 0.95
+    )
     assert result.terms == result.by_id[2].terms
 
 
@@ -448,18 +550,24 @@ def test_touching_nuclei_of_other_brightness():
     """Seven ellipsoids, each touching some others, blurred and in noise, on voxels twice as high as wide."""
     spacing, shape = (2.0, 1.0, 1.0), (16, 56, 56)
     rng = np.random.default_rng(8)
-    around = [(16.0, 28.0 + 14 * np.sin(a), 28.0 + 14 * np.cos(a)) for a in np.arange(6) * np.pi / 3]
+    around = [
+        (16.0, 28.0 + 14 * np.sin(a), 28.0 + 14 * np.cos(a)) for a in np.arange(6) * np.pi / 3
+    ]
     z, y, x = (i * h for i, h in zip(np.indices(shape).astype(float), spacing, strict=True))
     centres = [(16.0, 28.0, 28.0), *around]
     away = [
-        np.sqrt(((z - c[0]) / rng.uniform(0.9, 1.1)) ** 2 + (y - c[1]) ** 2 + (x - c[2]) ** 2) - 7.0 for c in centres
+        np.sqrt(((z - c[0]) / rng.uniform(0.9, 1.1)) ** 2 + (y - c[1]) ** 2 + (x - c[2]) ** 2) - 7.0
+        for c in centres
     ]
     nearest = np.argmin(away, axis=0)
     truth = np.where(np.min(away, axis=0) < 0, nearest + 1, 0)
     brightness = np.array([0.0, *rng.uniform(0.6, 1.4, 7)])
     image = ndimage.gaussian_filter(brightness[truth], (0.5, 1.0, 1.0)) + rng.normal(0, 0.15, shape)
     result = segment_objects(
-        image, seeds(shape, spacing, centres, 3.0, range(1, 8)), spacing=spacing, energy="threshold:half:0,",
+        image,
+        seeds(shape, spacing, centres, 3.0, range(1, 8)),
+        spacing=spacing,
+        energy="threshold:half:0,",
         presmooth=1.0,
     )
     found = [dice(result.labels == own, truth == own) for own in range(1, 8)]

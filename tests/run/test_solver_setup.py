@@ -30,7 +30,8 @@ def image(shape: tuple[int, int, int] = BALL) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize("shape", [BALL, (1, 24, 24)], ids=["surface", "curve"])
 @pytest.mark.parametrize(
-    "energy", [*FROM_A_START, "likelihood:histogram", "0.5*chan-vese + threshold:0.5, - 0.05*balloon"]
+    "energy",
+    [*FROM_A_START, "likelihood:histogram", "0.5*chan-vese + threshold:0.5, - 0.05*balloon"],
 )
 @pytest.mark.parametrize("flow", FLOWS)
 def test_every_flow_takes_every_energy(flow: str, energy: str, shape: tuple[int, int, int]) -> None:
@@ -50,19 +51,39 @@ def test_every_flow_takes_every_energy(flow: str, energy: str, shape: tuple[int,
 
 
 def test_settings_reach_the_flow() -> None:
-    settings = {"lam": 2, "rho": 0.5, "friction": 0.7, "diffusion": 0.25, "noise": 0.1, "noise_length": 5, "seed": 9}
+    settings = {
+        "lam": 2,
+        "rho": 0.5,
+        "friction": 0.7,
+        "diffusion": 0.25,
+        "noise": 0.1,
+        "noise_length": 5,
+        "seed": 9,
+    }
     flow = make_flow(RunConfig(flow="constant-density", k=3, **settings))
     assert isinstance(flow, ConstantDensity) and flow.noise is not None
-    assert (flow.clock.k, flow.clock.lambda_, flow.rho, flow.clock.friction, flow.diffusion) == (3, 2, 0.5, 0.7, 0.25)
-    assert (flow.noise.strength, flow.noise.length, flow.noise.seed, flow.noise.until) == (0.1, 5, 9, None)
+    assert (flow.clock.k, flow.clock.lambda_, flow.rho, flow.clock.friction, flow.diffusion) == (
+        3,
+        2,
+        0.5,
+        0.7,
+        0.25,
+    )
+    assert (flow.noise.strength, flow.noise.length, flow.noise.seed, flow.noise.until) == (
+        0.1,
+        5,
+        9,
+        None,
+    )
     heavy = make_flow(RunConfig(flow="flowable-mass", gravity=0.3, smoothness=0.2, t0=0.5, k=0.5))
     assert isinstance(heavy, FlowableMass)
     assert (heavy.gravity, heavy.support, heavy.clock.t0, heavy.diffusion) == (0.3, 0.2, 0.5, None)
     for diffusion, want in (("auto", 0.0), ("free", None), (2.0, 2.0)):
         descent = make_flow(RunConfig(flow="gradient", diffusion=diffusion))
         assert isinstance(descent, Gradient) and descent.diffusion == want
-    sobolev, momentum = make_flow(RunConfig(flow="sobolev", sobolev_length=4)), make_flow(
-        RunConfig(flow="momentum", blend=0.5)
+    sobolev, momentum = (
+        make_flow(RunConfig(flow="sobolev", sobolev_length=4)),
+        make_flow(RunConfig(flow="momentum", blend=0.5)),
     )
     assert isinstance(sobolev, Sobolev) and sobolev.length == 4
     assert isinstance(momentum, HeavyBall) and momentum.blend == 0.5
@@ -76,7 +97,9 @@ def test_the_band_is_as_wide_as_the_flow_needs() -> None:
 def test_a_setting_that_does_nothing_is_told() -> None:
     _, scan = image()
     result = segment(scan, flow="gradient", gravity=1.0, start="ball:10,12,12,4vox", max_steps=3)
-    assert result.warnings == ["gravity was given, but has no effect on flow gradient with energy chan-vese"]
+    assert result.warnings == [
+        "gravity was given, but has no effect on flow gradient with energy chan-vese"
+    ]
 
 
 @pytest.mark.slow
@@ -89,7 +112,9 @@ def test_for_k_of_at_most_1_the_clock_starts_when_the_first_step_is_made() -> No
 
 def test_a_mass_that_flows_is_waited_for_on_one_grid_too() -> None:
     for levels in (1, 2):
-        assert stop_rule(RunConfig(flow="flowable-mass"), levels).motion == 0.4 * RunConfig().tolerance
+        assert (
+            stop_rule(RunConfig(flow="flowable-mass"), levels).motion == 0.4 * RunConfig().tolerance
+        )
         assert stop_rule(RunConfig(), levels).motion == RunConfig().tolerance
 
 

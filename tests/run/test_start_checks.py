@@ -22,11 +22,15 @@ def scan(outlier=False):
 
 
 def lines(image=None, start=START, **options):
-    found = segment(scan() if image is None else image, start=start, max_steps=1, levels=1, threads=1, **options)
+    found = segment(
+        scan() if image is None else image, start=start, max_steps=1, levels=1, threads=1, **options
+    )
     return found.warnings
 
 
-@pytest.mark.parametrize("options", [{}, {"energy": "threshold:50,"}, {"energy": "threshold:learned,learned"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"energy": "threshold:50,"}, {"energy": "threshold:learned,learned"}]
+)
 def test_a_good_start_is_passed_in_silence(options):
     assert lines(**options, smoothness=0.5) == []
 
@@ -61,7 +65,9 @@ def test_the_area_weight_is_checked_as_if_the_clicks_were_not_there():
     less = float(line.split("--smoothness ")[1])
     better = segment(scan(), smoothness=less, **options)
     assert not of_area(better) and better.labels.sum() > 5000
-    assert not of_area(segment(scan(), smoothness=2.0, **{**options, "inside": "ball:20,20,20,9vox"}, max_steps=1))
+    assert not of_area(
+        segment(scan(), smoothness=2.0, **{**options, "inside": "ball:20,20,20,9vox"}, max_steps=1)
+    )
 
 
 def of_area(result):
@@ -70,13 +76,19 @@ def of_area(result):
 
 def test_outliers_in_the_start_are_told_and_learned_around():
     (line,) = lines(scan(outlier=True), energy="threshold:learned,learned")
-    assert line.startswith("start: ") and "other grey values than the rest" in line and "median-based" in line
+    assert (
+        line.startswith("start: ")
+        and "other grey values than the rest" in line
+        and "median-based" in line
+    )
     x, y, z = (float(v) for v in line.split("near ")[1].split(";")[0].split(","))
     assert all(abs(v - 20.5) < 3 for v in (x, y, z))
     x, y, z, radius = (float(v) for v in line.split("try --start ball:")[1].split(","))
     stone = np.argwhere(scan(outlier=True) > 500)[:, ::-1]
     assert np.linalg.norm(stone - np.array([x, y, z]), axis=1).min() > radius > 0.5
-    found = lines(scan(outlier=True), f"ball:{x},{y},{z},{radius}", energy="threshold:learned,learned")
+    found = lines(
+        scan(outlier=True), f"ball:{x},{y},{z},{radius}", energy="threshold:learned,learned"
+    )
     assert not [line for line in found if "other grey values" in line]
     assert lines(scan(outlier=True), energy="threshold:50,") == []  # nothing is learned
 
@@ -88,7 +100,9 @@ def test_a_click_of_two_kinds_has_a_note(radius, has_note, tmp_path, capsys):
     found = lines(image, "clicks", inside=f"ball:20,20,20,{radius}vox")
     assert len(found) == has_note
     if has_note:
-        assert found[0].startswith("note: click: 13% of it has other grey values (about 900) than the rest (101")
+        assert found[0].startswith(
+            "note: click: 13% of it has other grey values (about 900) than the rest (101"
+        )
         assert "; try" not in found[0]
         io.write(Volume(image, Geometry(SHAPE, (1.0, 1.0, 1.0))), tmp_path / "scan.nii.gz")
         words = ["--inside", f"ball:20,20,20,{radius}vox", "--max-steps", "1", "--progress", "none"]
@@ -114,16 +128,28 @@ def in_air(noise):
 @pytest.mark.parametrize("noise", [0.0, 6.0])
 @pytest.mark.parametrize("click", ["ball:6,32,30,3vox", "point:6,32,30"])
 def test_a_click_in_the_air_is_told_before_the_run(noise, click):
-    (line,) = (line for line in lines(in_air(noise), "clicks", inside=click) if line.startswith("click: "))
+    (line,) = (
+        line for line in lines(in_air(noise), "clicks", inside=click) if line.startswith("click: ")
+    )
     assert "looks like background" in line and "; try --inside" in line
 
 
 def test_a_click_in_an_object_is_no_click_in_the_background():
     large = np.full(SHAPE, 100.0) + np.random.default_rng(2).normal(0, 5, SHAPE)
-    large[:2], large[:, :2], large[:, :, -2:] = 0.0, 0.0, 0.0  # the object is 86 % of the image, up to its faces
+    large[:2], large[:, :2], large[:, :, -2:] = (
+        0.0,
+        0.0,
+        0.0,
+    )  # the object is 86 % of the image, up to its faces
     black, noisy = in_air(0.0), in_air(6.0)
-    for image, click in ((black, "ball:12,14,14,3vox"), (noisy, "point:30,25,25"), (large, "ball:20,20,20,8vox")):
-        assert not [line for line in lines(image, "clicks", inside=click) if line.startswith("click: ")]
+    for image, click in (
+        (black, "ball:12,14,14,3vox"),
+        (noisy, "point:30,25,25"),
+        (large, "ball:20,20,20,8vox"),
+    ):
+        assert not [
+            line for line in lines(image, "clicks", inside=click) if line.startswith("click: ")
+        ]
 
 
 def test_a_size_that_the_image_does_not_have_is_told():
@@ -151,7 +177,15 @@ def test_several_objects_are_named(tmp_path):
 
 def test_the_command_says_it_before_the_run_and_once(tmp_path, capsys):
     io.write(Volume(scan(), Geometry(SHAPE, (1.0, 1.0, 1.0))), tmp_path / "scan.nii.gz")
-    words = ["segment", str(tmp_path / "scan.nii.gz"), "--start", START, "--energy", "threshold:226,", "--quiet"]
+    words = [
+        "segment",
+        str(tmp_path / "scan.nii.gz"),
+        "--start",
+        START,
+        "--energy",
+        "threshold:226,",
+        "--quiet",
+    ]
     cli.execute([*words, "-o", str(tmp_path / "out"), "--progress", "json"])
     message = capsys.readouterr().err
     assert message.count("it will shrink to nothing") == 1

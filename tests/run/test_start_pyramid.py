@@ -25,10 +25,16 @@ def test_a_box_has_the_blocks_of_the_whole_grid(shape):
 
 def test_boxes_of_blocks_and_of_voxels_belong_together():
     fine, coarse = levels((17, 18, 21), (1.0, 1.0, 1.0), 2, 2)
-    for corner, shape in (((3, 4, 5), (6, 7, 8)), ((0, 0, 0), (17, 18, 21)), ((9, 9, 9), (8, 9, 12))):
+    for corner, shape in (
+        ((3, 4, 5), (6, 7, 8)),
+        ((0, 0, 0), (17, 18, 21)),
+        ((9, 9, 9), (8, 9, 12)),
+    ):
         at, counts = coarser_box(corner, shape, coarse, fine)
         box = touched_box(at, counts, coarse, fine)
-        assert all(s.start <= c and s.stop >= c + n for s, c, n in zip(box, corner, shape, strict=True))
+        assert all(
+            s.start <= c and s.stop >= c + n for s, c, n in zip(box, corner, shape, strict=True)
+        )
         assert all(s.stop <= n for s, n in zip(box, fine.shape, strict=True))
     assert finer_box((0, 0, 0), coarse.shape, coarse, fine) == ((0, 0, 0), fine.shape)
 
@@ -40,7 +46,8 @@ def test_the_start_of_an_object_is_the_same_from_either_side(axis):
     psi = np.where(np.random.default_rng(4).random((6, 7, 8)) < 0.6, -0.5, 0.5).astype(np.float32)
     corner = (0, 5, 13)
     flipped = tuple(
-        n - c - m if i == axis else c for i, (n, c, m) in enumerate(zip((17, 18, 21), corner, (6, 7, 8), strict=True))
+        n - c - m if i == axis else c
+        for i, (n, c, m) in enumerate(zip((17, 18, 21), corner, (6, 7, 8), strict=True))
     )
     at, one = StartPyramid(ObjectStart(1, corner, psi), grids).current()
     there, other = StartPyramid(ObjectStart(1, flipped, np.flip(psi, axis)), grids).current()

@@ -19,7 +19,11 @@ START = ("--start", "ball:20,22,0,6")
 OPTIONS = {"start": "ball:20,22,0,6", "smoothness": 0.2}
 Y, X = np.mgrid[:48, :56]
 TRUTH = (X - 26) ** 2 + (Y - 25) ** 2 < 14**2
-PICTURE = (60 + 110 * TRUTH + np.random.default_rng(0).normal(0, 30, TRUTH.shape)).clip(0, 255).astype(np.uint8)
+PICTURE = (
+    (60 + 110 * TRUTH + np.random.default_rng(0).normal(0, 30, TRUTH.shape))
+    .clip(0, 255)
+    .astype(np.uint8)
+)
 
 
 def run(*words):
@@ -43,7 +47,10 @@ def doors(tmp_path_factory):
 @pytest.fixture(scope="session")
 def done(doors, tmp_path_factory):
     folder = tmp_path_factory.mktemp("done2d")
-    assert run("segment", doors / "disc.png", "-o", folder, *START, "--smoothness", 0.2, "--save-sdf") == 0
+    assert (
+        run("segment", doors / "disc.png", "-o", folder, *START, "--smoothness", 0.2, "--save-sdf")
+        == 0
+    )
     return folder
 
 
@@ -63,15 +70,21 @@ def test_the_same_labels_through_every_door(doors, done):
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize("start", ["ball:20,22,0,6", "ball:20,22,0,6vox", "center", "threshold:120,300", "label"])
+@pytest.mark.parametrize(
+    "start", ["ball:20,22,0,6", "ball:20,22,0,6vox", "center", "threshold:120,300", "label"]
+)
 def test_nothing_depends_on_the_thickness_of_the_slice(start, tmp_path):
     results = []
     for thickness in (0.01, 1.0, 7.0):
         volume = Volume.from_array(PICTURE[np.newaxis], (thickness, 1.0, 1.0))
         io.write(volume, tmp_path / "a.nii.gz")
-        io.write_labels(volume.with_array((np.hypot(X - 20, Y - 22) < 6)[np.newaxis]), tmp_path / "start.nii.gz")
+        io.write_labels(
+            volume.with_array((np.hypot(X - 20, Y - 22) < 6)[np.newaxis]), tmp_path / "start.nii.gz"
+        )
         where = f"label:{tmp_path / 'start.nii.gz'}" if start == "label" else start
-        results.append(accelsurf.segment(io.read(tmp_path / "a.nii.gz"), **{**OPTIONS, "start": where}))
+        results.append(
+            accelsurf.segment(io.read(tmp_path / "a.nii.gz"), **{**OPTIONS, "start": where})
+        )
     for result in results[1:]:
         np.testing.assert_array_equal(result.labels, results[0].labels)
         np.testing.assert_allclose(result.psi, results[0].psi, atol=1e-4)
@@ -99,7 +112,10 @@ def test_measures_of_a_disc():
     assert result.contours.area == pytest.approx(result.enclosed_mm2, rel=0.01)
     assert result.area_mm2 == pytest.approx(result.length_mm * 3.0)
     assert result.volume_mm3 == pytest.approx(result.enclosed_mm2 * 3.0)
-    assert (result.report["length_mm"], result.report["enclosed_mm2"]) == (result.length_mm, result.enclosed_mm2)
+    assert (result.report["length_mm"], result.report["enclosed_mm2"]) == (
+        result.length_mm,
+        result.enclosed_mm2,
+    )
 
 
 def test_a_volume_has_no_length():
@@ -117,21 +133,42 @@ def test_a_volume_has_no_length():
 
 
 def test_what_is_written(done):
-    names = ("seg.png", "contour.vtp", "contour.csv", "sdf.tif", "report.json", "trace.csv", "preview.png")
+    names = (
+        "seg.png",
+        "contour.vtp",
+        "contour.csv",
+        "sdf.tif",
+        "report.json",
+        "trace.csv",
+        "preview.png",
+    )
     names += ("statistics.csv", "statistics.json")
     assert sorted(path.name for path in done.iterdir()) == sorted(f"disc_{name}" for name in names)
     document = report_of(done, "disc")
     kinds = [output["kind"] for output in document["outputs"]]
-    assert kinds == ["labels", "contour", "contour", "sdf", "trace", "preview", "statistics", "statistics"]
+    assert kinds == [
+        "labels",
+        "contour",
+        "contour",
+        "sdf",
+        "trace",
+        "preview",
+        "statistics",
+        "statistics",
+    ]
     assert document["length_mm"] == pytest.approx(2 * np.pi * 14, rel=0.05)
     assert document["enclosed_mm2"] == pytest.approx(np.pi * 14**2, rel=0.05)
     assert document["warnings"] == []
-    assert ((io.read(done / "disc_sdf.tif").array < 0) == (io.read(done / "disc_seg.png").array > 0)).all()
+    assert (
+        (io.read(done / "disc_sdf.tif").array < 0) == (io.read(done / "disc_seg.png").array > 0)
+    ).all()
 
 
 def test_contour_lies_where_the_disc_is(done):
     rows = np.loadtxt(done / "disc_contour.csv", delimiter=",", skiprows=1)
-    assert abs(np.hypot(rows[:, 1] - 26, rows[:, 2] - 25) - 14).max() < 1.5 and (rows[:, 3] == 0).all()
+    assert (
+        abs(np.hypot(rows[:, 1] - 26, rows[:, 2] - 25) - 14).max() < 1.5 and (rows[:, 3] == 0).all()
+    )
 
 
 def test_labels_can_be_judged_and_start_another_run(doors, done, tmp_path, capsys):
@@ -148,14 +185,19 @@ def test_area_and_length_are_printed(doors, tmp_path, capsys):
     assert run("segment", doors / "disc.tif", "-o", tmp_path, *START, "--smoothness", 0.2) == 0
     out = capsys.readouterr().out
     document = report_of(tmp_path, "disc")
-    assert f"area {document['enclosed_mm2']:.6g} mm2, length {document['length_mm']:.6g} mm, 1 component" in out
+    assert (
+        f"area {document['enclosed_mm2']:.6g} mm2, length {document['length_mm']:.6g} mm, 1 component"
+        in out
+    )
     assert "mm3" not in out and (tmp_path / "disc_seg.tif").is_file()
 
 
 def test_colour_and_a_lost_place_are_warned_of(tmp_path, capsys):
     colours = np.stack([PICTURE, PICTURE // 2, PICTURE], axis=-1)
     Image.fromarray(colours).save(tmp_path / "cell.png")
-    assert run("segment", tmp_path / "cell.png", "-o", tmp_path / "a", *START, "--max-steps", 2) == 0
+    assert (
+        run("segment", tmp_path / "cell.png", "-o", tmp_path / "a", *START, "--max-steps", 2) == 0
+    )
     assert "warning: a colour image: its luminance" in capsys.readouterr().err
     moved = Volume.from_array(PICTURE[np.newaxis], 1.0, (5.0, 0.0, 0.0))
     io.write(moved, tmp_path / "moved.nii")
@@ -172,7 +214,11 @@ def test_colour_and_a_lost_place_are_warned_of(tmp_path, capsys):
     [
         ((1, 12, 12), ("--mesh", "vtp,ply"), "mesh: ply was given for an image of one slice"),
         ((6, 12, 12), ("--mesh", "csv"), "mesh: csv was given for a volume"),
-        ((6, 12, 12), ("--format", "png"), "format: png was given for 6 slices along z, expected one"),
+        (
+            (6, 12, 12),
+            ("--format", "png"),
+            "format: png was given for 6 slices along z, expected one",
+        ),
         ((6, 1, 12), ("--format", "png"), "format: png was given for 6 slices"),
     ],
 )
@@ -185,8 +231,12 @@ def test_formats_that_do_not_suit_are_a_usage_error(shape, options, words, tmp_p
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["a_report.json"]
 
 
-@pytest.mark.parametrize("name", ["disc_seg.png", "disc_contour.vtp", "disc_contour.csv", "disc_surface.ply"])
-def test_existing_outputs_are_refused_before_the_image_is_read(name, doors, tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(
+    "name", ["disc_seg.png", "disc_contour.vtp", "disc_contour.csv", "disc_surface.ply"]
+)
+def test_existing_outputs_are_refused_before_the_image_is_read(
+    name, doors, tmp_path, capsys, monkeypatch
+):
     (tmp_path / name).write_text("kept")
     monkeypatch.setattr(io, "read", lambda *_: pytest.fail("read"))
     assert run("segment", doors / "disc.png", "-o", tmp_path, *START) == 7
@@ -198,7 +248,19 @@ def test_a_stack_is_a_volume(tmp_path):
     stack = np.repeat(PICTURE[np.newaxis], 6, axis=0)
     stack[[0, -1]] = 60
     io.write(Volume.from_array(stack, (2.0, 1.0, 1.0)), tmp_path / "stack.tif")
-    assert run("segment", tmp_path / "stack.tif", "-o", tmp_path, "--start", "ball:20,22,5,6", "--max-steps", 3) == 0
+    assert (
+        run(
+            "segment",
+            tmp_path / "stack.tif",
+            "-o",
+            tmp_path,
+            "--start",
+            "ball:20,22,5,6",
+            "--max-steps",
+            3,
+        )
+        == 0
+    )
     assert (tmp_path / "stack_surface.ply").is_file() and not list(tmp_path.glob("*contour*"))
     assert io.read(tmp_path / "stack_seg.tif").geometry.spacing == pytest.approx((2.0, 1.0, 1.0))
 

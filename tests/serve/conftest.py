@@ -29,7 +29,11 @@ def started(folder: Path, *options: str) -> Running:
     home = {"HOME": str(folder), "TMPDIR": str(folder), "XDG_CACHE_HOME": str(folder / "cache")}
     process = subprocess.Popen(
         [sys.executable, "-m", "accelsurf", "serve", "--port", "0", *options],
-        cwd=folder, env=os.environ | home, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        cwd=folder,
+        env=os.environ | home,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
     )
     assert process.stdout is not None
     line = process.stdout.readline().strip()

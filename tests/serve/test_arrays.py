@@ -39,15 +39,30 @@ SIZES, FRAME = CHUNKS + 4, CHUNKS + 20
 @pytest.mark.parametrize(
     "body",
     [
-        b"", b"NNIA", packed()[:20], packed()[:-1], packed() + b"0",
-        changed(0, b"XXXX"), changed(4, b"\2"), changed(5, b"\3"), changed(6, b"\0"), changed(6, b"\377"),
-        changed(8, b"U"), changed(SHAPE, struct.pack("<q", -4)), changed(SHAPE, struct.pack("<q", 0)),
-        changed(SHAPE, struct.pack("<q", 3)), changed(SHAPE, struct.pack("<q", 5)),
-        changed(CHUNKS, struct.pack("<I", 0)), changed(CHUNKS, struct.pack("<I", 2)),
+        b"",
+        b"NNIA",
+        packed()[:20],
+        packed()[:-1],
+        packed() + b"0",
+        changed(0, b"XXXX"),
+        changed(4, b"\2"),
+        changed(5, b"\3"),
+        changed(6, b"\0"),
+        changed(6, b"\377"),
+        changed(8, b"U"),
+        changed(SHAPE, struct.pack("<q", -4)),
+        changed(SHAPE, struct.pack("<q", 0)),
+        changed(SHAPE, struct.pack("<q", 3)),
+        changed(SHAPE, struct.pack("<q", 5)),
+        changed(CHUNKS, struct.pack("<I", 0)),
+        changed(CHUNKS, struct.pack("<I", 2)),
         changed(CHUNKS, struct.pack("<I", (1 << 32) - 1)),
-        changed(SIZES, struct.pack("<Q", 1 << 63)), changed(SIZES + 8, struct.pack("<Q", 1 << 63)),
-        changed(FRAME + 4, struct.pack("<I", 1 << 31)), changed(FRAME + 8, struct.pack("<I", 1 << 31)),
-        changed(FRAME + 8, struct.pack("<I", 0)), changed(FRAME + 12, struct.pack("<I", 1 << 31)),
+        changed(SIZES, struct.pack("<Q", 1 << 63)),
+        changed(SIZES + 8, struct.pack("<Q", 1 << 63)),
+        changed(FRAME + 4, struct.pack("<I", 1 << 31)),
+        changed(FRAME + 8, struct.pack("<I", 1 << 31)),
+        changed(FRAME + 8, struct.pack("<I", 0)),
+        changed(FRAME + 12, struct.pack("<I", 1 << 31)),
     ],
 )
 def test_damaged_arrays_are_refused(body):
@@ -59,5 +74,7 @@ def test_what_a_header_claims_is_not_allocated():
     claimed = changed(SHAPE, struct.pack("<3q", 1 << 20, 1 << 20, 1 << 20))
     with pytest.raises(arrays.TooLargeError, match=f"{1 << 60} bytes, at most {MOST}"):
         arrays.unpack(claimed, MOST)
-    with pytest.raises(InputError, match="do not fit"):  # nor where it may be as large, as the chunks are short
+    with pytest.raises(
+        InputError, match="do not fit"
+    ):  # nor where it may be as large, as the chunks are short
         arrays.unpack(claimed, 1 << 61)

@@ -12,14 +12,18 @@ from scipy import ndimage
 import accelsurf
 from tests.serve.conftest import KEY
 
-remote = pytest.importorskip("nnInteractive.inference.remote", reason="nninteractive-client is not installed")
+remote = pytest.importorskip(
+    "nnInteractive.inference.remote", reason="nninteractive-client is not installed"
+)
 
 
 def phantom(name):
     """Image, spacing, truth and a voxel deep in it."""
     if name == SCAN:
         folder = Path(os.environ["ACCELSURF_VOLUMES"])
-        image, labels = (accelsurf.read(folder / f"fluo_nuclei1136{end}.nii.gz") for end in ("", "_ref"))
+        image, labels = (
+            accelsurf.read(folder / f"fluo_nuclei1136{end}.nii.gz") for end in ("", "_ref")
+        )
         truth = labels.array == 26  # one that is whole
         depth = ndimage.distance_transform_edt(truth, sampling=image.geometry.spacing)
         middle = np.unravel_index(int(depth.argmax()), depth.shape)
@@ -32,7 +36,8 @@ def phantom(name):
     places = np.indices(shape)
     radius = 9.0 * min(spacing)
     balls = [
-        sum(((axis - at) * h) ** 2 for axis, at, h in zip(places, middle, spacing, strict=True)) < radius**2
+        sum(((axis - at) * h) ** 2 for axis, at, h in zip(places, middle, spacing, strict=True))
+        < radius**2
         for middle in middles
     ]
     image = 100.0 * np.any(balls, axis=0) + np.random.default_rng(random).normal(0, 8, shape)
@@ -40,7 +45,9 @@ def phantom(name):
 
 
 #: A client that could not begin leaves its connection to the garbage.
-LEFT_OPEN = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+LEFT_OPEN = pytest.mark.filterwarnings(
+    "ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"
+)
 #: Noisy nuclei that touch, from the tests of plant-seg.
 SCAN = "public scan"
 NEEDS_SCAN = pytest.mark.skipif("ACCELSURF_VOLUMES" not in os.environ, reason="needs the scans")
@@ -72,7 +79,9 @@ class Viewer:
         """Box and crop of a mask's part in the slice of the middle, as viewers send them."""
         only = np.zeros(mask.shape, bool)
         place = [slice(None)] * 3
-        place[self.slice_axis] = slice(self.middle[self.slice_axis], self.middle[self.slice_axis] + 1)
+        place[self.slice_axis] = slice(
+            self.middle[self.slice_axis], self.middle[self.slice_axis] + 1
+        )
         only[tuple(place)] = mask[tuple(place)]
         box = [[int(p.min()), int(p.max()) + 1] for p in np.nonzero(only)]
         return box, only[tuple(slice(*side) for side in box)].astype(np.uint8)
@@ -86,7 +95,9 @@ def library(viewer, masks):
     """Labels by the library alone: clicks of masks on sides, with the first axis of one place first."""
     axes = (2, 0, 1) if viewer.image.shape[2] == 1 else (0, 1, 2)
     spacing = tuple(viewer.spacing[axis] for axis in axes)
-    session = accelsurf.ClickSession(np.ascontiguousarray(viewer.image.transpose(axes)), spacing=spacing)
+    session = accelsurf.ClickSession(
+        np.ascontiguousarray(viewer.image.transpose(axes)), spacing=spacing
+    )
     for side, mask in masks:
         turned = mask.transpose(axes)
         box = ndimage.find_objects(turned.astype(np.uint8))[0]
@@ -110,14 +121,20 @@ def outlined(viewer, box, crop):
     step = min(h for h, n in zip(viewer.spacing, viewer.image.shape, strict=True) if n > 1)
     wide = np.ones([1 if axis == viewer.slice_axis else 5 for axis in range(3)], bool)
     spacing = [h for axis, h in enumerate(viewer.spacing) if axis != viewer.slice_axis]
-    flat = ndimage.distance_transform_edt(np.squeeze(drawn[tuple(place)], viewer.slice_axis), sampling=spacing)
+    flat = ndimage.distance_transform_edt(
+        np.squeeze(drawn[tuple(place)], viewer.slice_axis), sampling=spacing
+    )
     deepest = np.argwhere(flat >= flat.max() * (1 - 1e-6))
     nearest = deepest[np.argmin(((deepest - deepest.mean(axis=0)) ** 2).sum(axis=1))]
     middle = np.insert(nearest, viewer.slice_axis, box[viewer.slice_axis][0])
     rim = ndimage.binary_dilation(drawn, wide) & ~drawn & there
     rest = there & ~drawn & ~rim
     inside = ball(viewer, middle, min(0.5 * flat.max(), 7.4 * step))
-    return [(side, mask) for side, mask in (("inside", inside), ("outside", rim), ("outside", rest)) if mask.any()]
+    return [
+        (side, mask)
+        for side, mask in (("inside", inside), ("outside", rim), ("outside", rest))
+        if mask.any()
+    ]
 
 
 @pytest.mark.parametrize("name", [*PHANTOMS, pytest.param(SCAN, marks=NEEDS_SCAN)])
@@ -130,7 +147,9 @@ def test_points(server, name):
         first = viewer.labels.copy()
         other = tuple(int(i) for i in np.argwhere(~viewer.truth)[-1])
         viewer.client.add_point_interaction(other, False)
-        depth = ndimage.distance_transform_edt(first == first[other], sampling=viewer.spacing)[other]
+        depth = ndimage.distance_transform_edt(first == first[other], sampling=viewer.spacing)[
+            other
+        ]
         clicks.append(("outside", ball(viewer, other, min(0.99 * depth, 4.0 * step))))
         assert np.array_equal(viewer.labels, library(viewer, clicks))
         assert viewer.dice() > 0.6
@@ -166,7 +185,9 @@ def test_scribbles(server, name):
         beyond = np.zeros(viewer.image.shape, np.uint8)
         beyond[tuple(i for i in np.argwhere(~viewer.truth)[0])] = 1
         viewer.client.add_scribble_interaction(beyond, False)  # of the whole image's size
-        assert np.array_equal(viewer.labels, library(viewer, [("inside", drawn > 0), ("outside", beyond > 0)]))
+        assert np.array_equal(
+            viewer.labels, library(viewer, [("inside", drawn > 0), ("outside", beyond > 0)])
+        )
 
 
 @pytest.mark.parametrize(
@@ -208,7 +229,9 @@ def test_every_prompt_is_undone_and_a_reset_forgets_all(server):
 
 def test_prompts_wait_for_the_viewer_to_ask(server):
     with Viewer(server, "thick slices") as viewer:
-        assert viewer.client.add_point_interaction(viewer.middle, True, run_prediction=False) is None
+        assert (
+            viewer.client.add_point_interaction(viewer.middle, True, run_prediction=False) is None
+        )
         assert not viewer.labels.any()
         assert viewer.client._predict() is not None
         assert viewer.dice() > 0.9
@@ -232,7 +255,9 @@ def test_capabilities_say_what_there_is(server):
 @LEFT_OPEN
 def test_no_more_sessions_than_places_and_a_closed_one_is_free_again(server):
     with ExitStack() as stack:
-        viewers = [stack.enter_context(Viewer(server, "flat along the last axis")) for _ in range(3)]
+        viewers = [
+            stack.enter_context(Viewer(server, "flat along the last axis")) for _ in range(3)
+        ]
         with pytest.raises(remote.ServerAtCapacityError, match="all 3 sessions are taken"):
             Viewer(server, "flat along the last axis")
         viewers.pop().client.close()
@@ -253,5 +278,7 @@ def test_a_lease_that_has_ended_is_said_so(server):
 @LEFT_OPEN
 def test_without_the_key_nothing_is_told(server):
     with pytest.raises(Exception, match="401"):
-        remote.nnInteractiveRemoteInferenceSession(server.address, api_key="another key, as long as it")
+        remote.nnInteractiveRemoteInferenceSession(
+            server.address, api_key="another key, as long as it"
+        )
     gc.collect()

@@ -37,7 +37,10 @@ def test_a_port_that_is_taken_is_named(capsys):
 
 @pytest.mark.parametrize(
     ("number", "said", "code"),
-    [(signal.SIGINT, "", 0), (signal.SIGTERM, "interrupted: the server has ended\n", 128 + signal.SIGTERM)],
+    [
+        (signal.SIGINT, "", 0),
+        (signal.SIGTERM, "interrupted: the server has ended\n", 128 + signal.SIGTERM),
+    ],
 )
 def test_ctrl_c_ends_it_without_a_fault(tmp_path, number, said, code):
     running = started(tmp_path)

@@ -24,7 +24,9 @@ def test_flows_and_terms_use_the_settings_that_are_theirs(key):
         "term": [name for name, term in TERMS.items() if key in (*term.uses, *term.uses_to_learn)],
     }
     scope = entry(key).scope
-    assert {kind for kind, names in users.items() if names} == ({scope} if scope in users else set())
+    assert {kind for kind, names in users.items() if names} == (
+        {scope} if scope in users else set()
+    )
     assert list(acts_on(key)) == users.get(scope, [])
 
 
@@ -59,7 +61,9 @@ def test_help_names_the_unit_and_defaults_can_be_typed(key):
 
 def test_what_is_shown_of_values():
     values = {"": None, "none": (), "yes": True, "0.001": 1e-3, "a,b": ("a", "b"), "7": 7}
-    assert {text: as_typed(value) for text, value in values.items()} == {text: text for text in values}
+    assert {text: as_typed(value) for text, value in values.items()} == {
+        text: text for text in values
+    }
 
 
 def test_a_field_without_an_entry_is_refused():
@@ -83,4 +87,8 @@ def test_a_registration_can_be_removed_twice():
 def test_functions_that_a_format_names_are_there(formats):
     for form in formats.values():
         values = (getattr(form, field.name) for field in dataclasses.fields(form))
-        assert all(load(value) for value in values if isinstance(value, str) and value.startswith("accelsurf."))
+        assert all(
+            load(value)
+            for value in values
+            if isinstance(value, str) and value.startswith("accelsurf.")
+        )

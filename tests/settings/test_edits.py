@@ -29,11 +29,15 @@ def state(run):
     found = []
     for one in run.objects:
         surface = one.surface
-        records = [record._replace(seconds=0.0, cells_visited=0) for record in one.evolution.history]
+        records = [
+            record._replace(seconds=0.0, cells_visited=0) for record in one.evolution.history
+        ]
         fields = b"".join(np.ascontiguousarray(f).tobytes() for f in one.flow.fields)
         arrays = (surface.dense.psi, surface.dense.slot, *surface.band)
         data = b"".join(a.tobytes() for a in arrays) + fields
-        found.append((data, records, one.evolution.state.time, surface.inside_beyond_band, one.corner))
+        found.append(
+            (data, records, one.evolution.state.time, surface.inside_beyond_band, one.corner)
+        )
     return found
 
 
@@ -53,7 +57,11 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
     z, y, x = np.indices((1 if what == "slice" else 18, 20, 22)).astype(np.float32)
     far = np.sqrt((0 if what == "slice" else (z - 9) ** 2) + (y - 10) ** 2 + (x - 11) ** 2)
     psi = {
-        "ball": far - 6, "slice": far - 6, "border": x + y - 12, "hollow": np.abs(far - 6) - 3, "filled": 0 * far - 1,
+        "ball": far - 6,
+        "slice": far - 6,
+        "border": x + y - 12,
+        "hollow": np.abs(far - 6) - 3,
+        "filled": 0 * far - 1,
         "none": 0 * far + 1,
     }[what]
     surface = LevelSet(psi, spacing)
@@ -66,7 +74,10 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
         restore_surface(target, kept)
         for a, b in zip((target.dense.psi, target.dense.slot, *target.band), before, strict=True):
             assert a.dtype == b.dtype and np.array_equal(a, b)
-        assert target.inside_beyond_band == beyond and target.half_width == kept.requested_half_width * target._slant
+        assert (
+            target.inside_beyond_band == beyond
+            and target.half_width == kept.requested_half_width * target._slant
+        )
         assert not check_level_set(target) or what in ("filled", "none", "hollow")
     assert kept.nbytes < 40 * surface.size + surface.psi.size / 4 + 64
 
@@ -78,10 +89,21 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
 @pytest.mark.parametrize("energy", ["chan-vese", pytest.param("geodesic", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("flow", FLOWS)
 def test_going_back_and_on_is_the_same_run(flow, energy):
-    noise = {"noise": 0.05, "seed": 3, "noise_time": 50} if flow in ("constant-density", "flowable-mass") else {}
+    noise = (
+        {"noise": 0.05, "seed": 3, "noise_time": 50}
+        if flow in ("constant-density", "flowable-mass")
+        else {}
+    )
     config = RunConfig(
-        start="ball:17,15,16,6", flow=flow, energy=energy, smoothness=0.1, balloon=-0.5, levels=1, threads=1,
-        max_steps=60, **noise,
+        start="ball:17,15,16,6",
+        flow=flow,
+        energy=energy,
+        smoothness=0.1,
+        balloon=-0.5,
+        levels=1,
+        threads=1,
+        max_steps=60,
+        **noise,
     )
     straight, back = Run(volume(), config), Run(volume(), config)
     stepped(straight, 33)
@@ -105,7 +127,13 @@ def test_going_back_and_on_is_the_same_run(flow, energy):
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "energy",
-    ["likelihood", "likelihood:histogram", "local-region:R=4", "threshold:auto", "chan-vese + 0.2*local-region:R=4"],
+    [
+        "likelihood",
+        "likelihood:histogram",
+        "local-region:R=4",
+        "threshold:auto",
+        "chan-vese + 0.2*local-region:R=4",
+    ],
 )
 def test_going_back_with_any_energy_in_a_region_with_a_mask(energy, tmp_path):
     image = volume()
@@ -113,8 +141,14 @@ def test_going_back_with_any_energy_in_a_region_with_a_mask(energy, tmp_path):
     mask[:, :, :13] = 0
     io.write_labels(image.with_array(mask), tmp_path / "mask.nii.gz")
     config = RunConfig(
-        start="ball:17,15,16,6", energy=energy, levels=1, threads=1, max_steps=24, mask=str(tmp_path / "mask.nii.gz"),
-        roi="2,3,4,28,29,30vox", edit=["step=9 add=ball:21,15,16,5vox", "step=15 energy=geodesic"],
+        start="ball:17,15,16,6",
+        energy=energy,
+        levels=1,
+        threads=1,
+        max_steps=24,
+        mask=str(tmp_path / "mask.nii.gz"),
+        roi="2,3,4,28,29,30vox",
+        edit=["step=9 add=ball:21,15,16,5vox", "step=15 energy=geodesic"],
     )
     straight, back = _ended(Run(image, config)), Run(image, config)
     kept = {}
@@ -169,7 +203,11 @@ def test_keeping_changes_nothing_and_a_state_outlives_the_run():
 def test_an_energy_of_ones_own_goes_back_too():
     runs = []
     for _ in range(2):
-        run = Run(volume(), RunConfig(start="ball:17,15,16,6", levels=1), lambda image, h: ChanVese(image, 0.1))
+        run = Run(
+            volume(),
+            RunConfig(start="ball:17,15,16,6", levels=1),
+            lambda image, h: ChanVese(image, 0.1),
+        )
         kept = None
         for _ in range(9):
             kept = kept or run.checkpoint()
@@ -217,7 +255,11 @@ def test_edits_from_the_start_and_while_it_runs_are_the_same(flow):
 @pytest.mark.parametrize("flow", FLOWS)
 @pytest.mark.parametrize("other", ["constant-density", "flowable-mass", "gradient"])
 def test_another_flow_and_energy_on_the_way_and_back_again(flow, other):
-    edits = [f"step=8 flow={other}", "step=15 energy=geodesic balloon=-0.2", f"step=19 flow={flow} energy=chan-vese"]
+    edits = [
+        f"step=8 flow={other}",
+        "step=15 energy=geodesic balloon=-0.2",
+        f"step=19 flow={flow} energy=chan-vese",
+    ]
     config = RunConfig(start="ball:17,15,16,6", flow=flow, levels=1, edit=edits)
     straight, back = Run(volume(), config), Run(volume(), config)
     stepped(straight, 26)
@@ -234,22 +276,50 @@ def test_another_flow_and_energy_on_the_way_and_back_again(flow, other):
 
 
 def test_the_account_goes_on_over_edits():
-    edits = ["step=15 smoothness=0.3", "step=20 add=ball:26,15,16,4", "step=28 k=1.5 lam=2", "step=36 flow=gradient"]
+    edits = [
+        "step=15 smoothness=0.3",
+        "step=20 add=ball:26,15,16,4",
+        "step=28 k=1.5 lam=2",
+        "step=36 flow=gradient",
+    ]
     result = segment(
-        volume(), start="ball:17,15,16,6", levels=1, edit=edits, max_steps=40, diffusion=0, percentile=100,
+        volume(),
+        start="ball:17,15,16,6",
+        levels=1,
+        edit=edits,
+        max_steps=40,
+        diffusion=0,
+        percentile=100,
         flow="constant-density",
     )
     rows = [row for row in result.history if row.level == 0][:36]
     books = [
-        r.potential + r.mass_potential + r.kinetic / r.weight + r.friction_work + r.smoothing_work - r.noise_work
+        r.potential
+        + r.mass_potential
+        + r.kinetic / r.weight
+        + r.friction_work
+        + r.smoothing_work
+        - r.noise_work
         for r in rows
     ]
     won = abs(rows[0].potential)
     plain = segment(
-        volume(), start="ball:17,15,16,6", levels=1, max_steps=40, diffusion=0, percentile=100, flow="constant-density"
+        volume(),
+        start="ball:17,15,16,6",
+        levels=1,
+        max_steps=40,
+        diffusion=0,
+        percentile=100,
+        flow="constant-density",
     )
     drift = max(
-        abs(r.potential + r.kinetic / r.weight + r.friction_work + r.smoothing_work - plain.history[0].potential)
+        abs(
+            r.potential
+            + r.kinetic / r.weight
+            + r.friction_work
+            + r.smoothing_work
+            - plain.history[0].potential
+        )
         for r in plain.history[:36]
     )
     assert max(abs(b - books[0]) for b in books) < max(3 * drift, 0.01 * won), (drift / won, books)
@@ -262,16 +332,24 @@ def test_an_edit_begins_the_stop_rule_anew():
     on = segment(volume(), **options, edit=[Correction(step=plain.stop.steps)])
     # One window more, or two where the trend needs them.
     assert on.stop.reason == "converged" and on.stop.steps - plain.stop.steps in (20, 40)
-    missed = segment(volume(), **options, edit=[Correction(step=plain.stop.steps + 1, smoothness=1)])
+    missed = segment(
+        volume(), **options, edit=[Correction(step=plain.stop.steps + 1, smoothness=1)]
+    )
     assert missed.labels.tobytes() == plain.labels.tobytes()
     assert [w for w in missed.warnings if "was not made" in w] and missed.edits_done == 0
-    assert missed.report["edits"] == [{"step": plain.stop.steps + 1, "smoothness": 1, "done": False}]
+    assert missed.report["edits"] == [
+        {"step": plain.stop.steps + 1, "smoothness": 1, "done": False}
+    ]
 
 
 def test_edits_on_levels_count_steps_over_all_of_them():
     edits = ["step=5 add=ball:26,15,16,4", "step=12 smoothness=0.2"]
-    result = segment(volume((40, 40, 40), (1, 1, 1)), start="ball:17,15,16,8", levels=2, edit=edits, max_steps=60)
-    assert [row.step for row in result.history if row.edits] == [5, 12] and result.history[5].level == 1
+    result = segment(
+        volume((40, 40, 40), (1, 1, 1)), start="ball:17,15,16,8", levels=2, edit=edits, max_steps=60
+    )
+    assert [row.step for row in result.history if row.edits] == [5, 12] and result.history[
+        5
+    ].level == 1
     assert result.edits_done == 2
     assert result.history[5].volume_mm3 > result.history[4].volume_mm3 + 100
 
@@ -280,7 +358,10 @@ def test_a_ball_lands_where_it_was_put_on_any_grid():
     image = volume((20, 40, 40), (2.0, 1.0, 1.0))
     for text, centre in (("ball:30,8,20,4", (10, 8, 30)), ("ball:30,8,10,4vox", (10, 8, 30))):
         for levels in (1, 2):
-            run = Run(image, RunConfig(start="ball:12,20,18,5", levels=levels, edit=[f"step=0 add={text}"]))
+            run = Run(
+                image,
+                RunConfig(start="ball:12,20,18,5", levels=levels, edit=[f"step=0 add={text}"]),
+            )
             before = run.objects[0].surface.labels.astype(int)
             run.apply_edits()
             where = np.argwhere(run.objects[0].surface.labels - before)
@@ -288,12 +369,16 @@ def test_a_ball_lands_where_it_was_put_on_any_grid():
             found = where.mean(axis=0) * level.factors + level.first
             assert np.abs(found - centre).max() < 0.5 * max(level.factors)
             volume_mm3 = len(where) * np.prod(level.spacing)
-            assert volume_mm3 == pytest.approx(4 / 3 * np.pi * 4**3, rel=0.15 if levels == 1 else 0.4)
+            assert volume_mm3 == pytest.approx(
+                4 / 3 * np.pi * 4**3, rel=0.15 if levels == 1 else 0.4
+            )
             assert not check_level_set(run.objects[0].surface)
 
 
 def test_taking_all_away_ends_the_run():
-    result = segment(volume(), start="ball:17,15,16,6", levels=1, edit=["step=3 remove=ball:17,15,16,14"])
+    result = segment(
+        volume(), start="ball:17,15,16,6", levels=1, edit=["step=3 remove=ball:17,15,16,14"]
+    )
     assert result.stop.reason == "vanished" and result.stop.steps == 3
 
 
@@ -306,7 +391,10 @@ def test_taking_all_away_ends_the_run():
         ({"step": True}, "step true was given"),
         ("step=3 smothness=1", "edit at step 3: smothness: there is no such setting"),
         ("step=3 start=center", "edit at step 3: start cannot change while a run runs"),
-        ("step=3 smoothness=-1", "edit at step 3: smoothness: -1 was given, expected a number at least 0"),
+        (
+            "step=3 smoothness=-1",
+            "edit at step 3: smoothness: -1 was given, expected a number at least 0",
+        ),
         ("step=3 cfl=fast", "edit at step 3: cfl: fast was given"),
         ("step=3 add=box:1,1,1,2,2,2", "add box:1,1,1,2,2,2 was given, expected ball:X,Y,Z,R"),
         ("step=3 add", "words like step=30"),
@@ -322,7 +410,11 @@ def test_nonsense_is_one_clear_line(edit, message):
 
 @pytest.mark.parametrize(
     ("ball", "message"),
-    [("ball:900,0,0,5", "no voxel centre is inside it"), ("ball:1,2,3", "4 numbers"), ("ball:1,1,1,-1", "above 0")],
+    [
+        ("ball:900,0,0,5", "no voxel centre is inside it"),
+        ("ball:1,2,3", "4 numbers"),
+        ("ball:1,1,1,-1", "above 0"),
+    ],
 )
 def test_a_bad_ball_is_refused_before_anything_is_computed(ball, message):
     with pytest.raises((UsageError, InputError), match="edit at step 4") as caught:
@@ -331,8 +423,15 @@ def test_a_bad_ball_is_refused_before_anything_is_computed(ball, message):
 
 
 def test_settings_of_an_own_energy_do_not_change():
-    with pytest.raises(UsageError, match="edit at step 4: smoothness was given, but the energy is one of your own"):
-        segment(volume(), energy=lambda image, h: ChanVese(image), start="ball:17,15,16,6", edit="step=4 smoothness=1")
+    with pytest.raises(
+        UsageError, match="edit at step 4: smoothness was given, but the energy is one of your own"
+    ):
+        segment(
+            volume(),
+            energy=lambda image, h: ChanVese(image),
+            start="ball:17,15,16,6",
+            edit="step=4 smoothness=1",
+        )
 
 
 def test_toml_and_back(tmp_path):
@@ -340,8 +439,10 @@ def test_toml_and_back(tmp_path):
     path = tmp_path / "run.toml"
     path.write_text(config.to_toml())
     assert RunConfig.from_toml(path) == config
-    assert "[[edit]]\nstep = 9\nadd = \"ball:26,15,16,3\"\n" in config.to_toml()
-    assert config.at(5).smoothness == 0 and config.at(6).diffusion == 0.5 and config.at(6).edit == ()
+    assert '[[edit]]\nstep = 9\nadd = "ball:26,15,16,3"\n' in config.to_toml()
+    assert (
+        config.at(5).smoothness == 0 and config.at(6).diffusion == 0.5 and config.at(6).edit == ()
+    )
 
 
 def test_no_steps_leave_the_start():

@@ -9,9 +9,15 @@ from accelsurf.settings.run_config import RunConfig
 
 
 def test_terms_weights_and_settings():
-    one, two, three, four = parse(" 2e-1*local-region:R=8 +  geodesic:scale=1.5,contrast=.2 - 0.5*balloon + 3 * area")
+    one, two, three, four = parse(
+        " 2e-1*local-region:R=8 +  geodesic:scale=1.5,contrast=.2 - 0.5*balloon + 3 * area"
+    )
     assert (one.name, one.weight, one.settings) == ("local-region", 0.2, {"R": 8.0})
-    assert (two.name, two.weight, two.settings) == ("geodesic", 1.0, {"scale": 1.5, "contrast": 0.2})
+    assert (two.name, two.weight, two.settings) == (
+        "geodesic",
+        1.0,
+        {"scale": 1.5, "contrast": 0.2},
+    )
     assert (three.name, three.weight, three.settings) == ("balloon", -0.5, {})
     assert (four.name, four.weight) == ("area", 3.0)
 
@@ -87,7 +93,14 @@ def test_a_list_of_tables_is_the_same(tmp_path):
 
 @pytest.mark.parametrize(
     "table",
-    [5, {}, {"term": 3}, {"term": "area", "weight": "big"}, {"term": "area", "weight": True}, {"term": "x", "y": []}],
+    [
+        5,
+        {},
+        {"term": 3},
+        {"term": "area", "weight": "big"},
+        {"term": "area", "weight": True},
+        {"term": "x", "y": []},
+    ],
 )
 def test_bad_tables_are_told(table):
     with pytest.raises(UsageError, match="^energy: "):
@@ -102,28 +115,53 @@ def test_every_term_is_known_by_name_and_text_is_kept():
 
 
 def test_settings_of_terms_that_are_not_there_are_named():
-    assert RunConfig(energy="local-region + 0.2*geodesic", balance=2, edge_scale=1).unused() == ["balance"]
-    assert RunConfig(energy="threshold:1", foreground="center", epsilon=1).unused() == ["foreground", "epsilon"]
+    assert RunConfig(energy="local-region + 0.2*geodesic", balance=2, edge_scale=1).unused() == [
+        "balance"
+    ]
+    assert RunConfig(energy="threshold:1", foreground="center", epsilon=1).unused() == [
+        "foreground",
+        "epsilon",
+    ]
 
 
-@pytest.mark.parametrize("text", [
-    "chan-vese", "threshold:-50.25,300", "threshold:,auto", "threshold:half:50,learned", "threshold:20%,80%",
-    "0.5*local-region:R=8 + 0.3*geodesic:contrast=1e-09 - 0.1*balloon", "likelihood:histogram,no",
-    "-2*balloon + geodesic",
-    "threshold:123456.789", "1e-07*area + partition:0",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        "chan-vese",
+        "threshold:-50.25,300",
+        "threshold:,auto",
+        "threshold:half:50,learned",
+        "threshold:20%,80%",
+        "0.5*local-region:R=8 + 0.3*geodesic:contrast=1e-09 - 0.1*balloon",
+        "likelihood:histogram,no",
+        "-2*balloon + geodesic",
+        "threshold:123456.789",
+        "1e-07*area + partition:0",
+    ],
+)
 def test_what_is_written_reads_the_same(text):
     once = parse(text)
     again = parse(written(once))
-    assert [(term.name, term.weight) for term in again] == [(term.name, term.weight) for term in once]
+    assert [(term.name, term.weight) for term in again] == [
+        (term.name, term.weight) for term in once
+    ]
     for one, other in zip(once, again, strict=True):
         assert other.settings == {key: value for key, value in one.settings.items() if value != ""}
 
 
 def test_a_setting_of_a_term_is_changed_in_place_and_what_is_wrong_is_refused():
-    assert with_setting("2*threshold:,auto - balloon", 0, "LO", " -20 ") == "2*threshold:LO=-20,HI=auto - balloon"
+    assert (
+        with_setting("2*threshold:,auto - balloon", 0, "LO", " -20 ")
+        == "2*threshold:LO=-20,HI=auto - balloon"
+    )
     assert with_setting("threshold:10,20", 0, "HI", "") == "threshold:LO=10"
-    for place, key, value in ((1, "LO", "3"), (-1, "LO", "3"), (0, "R", "3"), (0, "LO", "30"), (0, "LO", "x,HI=3")):
+    for place, key, value in (
+        (1, "LO", "3"),
+        (-1, "LO", "3"),
+        (0, "R", "3"),
+        (0, "LO", "30"),
+        (0, "LO", "x,HI=3"),
+    ):
         with pytest.raises(UsageError, match="energy"):
             with_setting("threshold:10,20", place, key, value)
     with pytest.raises(UsageError, match="at least one bound"):

@@ -48,7 +48,9 @@ class Brighter(ImageEnergy):
 
     def value(self, surface, fraction, area):
         sums = self.sums.inside(surface, fraction)
-        return self.strength * (0.5 * sums.voxels - sums.total) * surface.voxel_volume + self.alpha * float(area.sum())
+        return self.strength * (
+            0.5 * sums.voxels - sums.total
+        ) * surface.voxel_volume + self.alpha * float(area.sum())
 
     def force(self, surface, front, curvature):
         bright = sample_at_front(self.sums.image, surface, front)
@@ -71,11 +73,18 @@ TERM = TermSpec(
     keeps_fine_edges=True,
     reach=lambda settings, largest_spacing: settings.get("strength", 1.0) * largest_spacing,
 )
-FLOW = FlowSpec("toy-flow", "a toy that descends", lambda config: Gradient(config.blend), uses=("blend",))
-COLUMN = TraceColumn(
-    "toy_cells", "cells", "a toy that counts the band", lambda surface, energy, flow: surface.size + 0.25
+FLOW = FlowSpec(
+    "toy-flow", "a toy that descends", lambda config: Gradient(config.blend), uses=("blend",)
 )
-PRESET = Preset("toy-scan", "Scans of toys.", {"cfl": 0.4}, {"cfl": "toys are slow"}, {"a toy": "it did well"})
+COLUMN = TraceColumn(
+    "toy_cells",
+    "cells",
+    "a toy that counts the band",
+    lambda surface, energy, flow: surface.size + 0.25,
+)
+PRESET = Preset(
+    "toy-scan", "Scans of toys.", {"cfl": 0.4}, {"cfl": "toys are slow"}, {"a toy": "it did well"}
+)
 
 
 def parse_toy(path):
@@ -108,13 +117,25 @@ def read_toy_mesh(content):
 
 
 IMAGE = ImageFormat(
-    "toy", "a toy that holds bytes", (".toy",), parse_toy, read_toy, write_toy, types=("uint8",), keeps="spacing",
-    distances="nrrd", is_anatomical=lambda metadata: metadata.get("toy") == "patient",
+    "toy",
+    "a toy that holds bytes",
+    (".toy",),
+    parse_toy,
+    read_toy,
+    write_toy,
+    types=("uint8",),
+    keeps="spacing",
+    distances="nrrd",
+    is_anatomical=lambda metadata: metadata.get("toy") == "patient",
 )
 MESH = MeshFormat("toymesh", "a toy that holds triangles", surface=toy_mesh, read=read_toy_mesh)
 REGISTERED = (
-    (TERMS, TERM), (FLOWS, FLOW), (TRACE_COLUMNS, COLUMN), (PRESETS, PRESET),
-    (IMAGE_FORMATS, IMAGE), (MESH_FORMATS, MESH),
+    (TERMS, TERM),
+    (FLOWS, FLOW),
+    (TRACE_COLUMNS, COLUMN),
+    (PRESETS, PRESET),
+    (IMAGE_FORMATS, IMAGE),
+    (MESH_FORMATS, MESH),
 )
 
 
@@ -144,8 +165,16 @@ ENERGY, START = "toy:strength=2 + 0.1*area", "ball:12,10,8,3vox"
 def program(*words, **environment):
     """Output of the command line with the entries, in a process of its own."""
     done = subprocess.run(
-        [sys.executable, __file__, *map(str, words)], capture_output=True, text=True, timeout=120,
-        env={**os.environ, "COLUMNS": "500", "PYTHONPATH": os.pathsep.join(sys.path), **environment},
+        [sys.executable, __file__, *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={
+            **os.environ,
+            "COLUMNS": "500",
+            "PYTHONPATH": os.pathsep.join(sys.path),
+            **environment,
+        },
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -186,7 +215,10 @@ def test_its_settings_of_the_run_mean_something_to_it(toys):
 def test_help_schema_and_messages(toys):
     assert help_of("energy").endswith("toy: a toy that wants bright voxels.")
     properties = RunConfig.json_schema()["properties"]
-    assert properties["flow"]["enum"][-1] == "toy-flow" and "toy that wants" in properties["energy"]["description"]
+    assert (
+        properties["flow"]["enum"][-1] == "toy-flow"
+        and "toy that wants" in properties["energy"]["description"]
+    )
     assert expected("flow").endswith("or toy-flow")
     assert "ome.zarr, tif, npy, toy, or for one slice png" in help_of("format")
     assert "glb, toymesh;" in help_of("mesh")
@@ -205,7 +237,9 @@ def test_what_a_term_says_about_levels_and_its_reach(toys):
 
 
 def test_a_preset(toys):
-    assert RunConfig(preset="toy-scan").cfl == 0.4 and RunConfig(preset="toy-scan", cfl=0.3).cfl == 0.3
+    assert (
+        RunConfig(preset="toy-scan").cfl == 0.4 and RunConfig(preset="toy-scan", cfl=0.3).cfl == 0.3
+    )
 
 
 # -------------------------------------------------------------------------------------------------- file formats
@@ -235,14 +269,25 @@ def test_an_image_is_read_and_written(toys, tmp_path):
 def test_a_run_with_its_files(toys, tmp_path, ending):
     io.write(bytes_volume(), tmp_path / f"ball.{ending}")
     words = ["segment", tmp_path / f"ball.{ending}", "-o", tmp_path, "--start", START, "--save-sdf"]
-    words += ["--max-steps", 30, "--mesh", "ply,toymesh", *(() if ending == "toy" else ("--format", "toy"))]
+    words += [
+        "--max-steps",
+        30,
+        "--mesh",
+        "ply,toymesh",
+        *(() if ending == "toy" else ("--format", "toy")),
+    ]
     assert cli.execute([str(word) for word in words]) == 0
     labels = io.read_labels(tmp_path / "ball_seg.toy")
     assert 300 < labels.array.sum() < 700 and labels.geometry.spacing == (1.0, 0.5, 0.5)
     assert io.read(tmp_path / "ball_sdf.nrrd").array.dtype == np.float32
     report = json.loads((tmp_path / "ball_report.json").read_text())
     written = [(entry["kind"], entry["path"].rpartition(".")[2]) for entry in report["outputs"]]
-    assert written[:4] == [("labels", "toy"), ("surface", "ply"), ("surface", "toymesh"), ("sdf", "nrrd")]
+    assert written[:4] == [
+        ("labels", "toy"),
+        ("surface", "ply"),
+        ("surface", "toymesh"),
+        ("sdf", "nrrd"),
+    ]
     files = (tmp_path / f"ball_surface.{kind}" for kind in ("toymesh", "ply"))
     ours, other = (meshes.voxels_in_mesh(file, labels.geometry) for file in files)
     np.testing.assert_array_equal(ours, other)
@@ -251,7 +296,9 @@ def test_a_run_with_its_files(toys, tmp_path, ending):
 
 def test_a_mesh_that_holds_no_contours_is_refused_for_a_slice(toys):
     grid = Geometry((1, 8, 9), (1.0, 1.0, 1.0))
-    with pytest.raises(UsageError, match="toymesh was given for an image of one slice.*expected vtp, csv"):
+    with pytest.raises(
+        UsageError, match="toymesh was given for an image of one slice.*expected vtp, csv"
+    ):
         names.check_outputs(RunConfig(mesh="toymesh"), "toy", grid)
 
 
@@ -260,33 +307,59 @@ def test_a_mesh_that_holds_no_contours_is_refused_for_a_slice(toys):
 
 def test_help_of_the_command():
     shown = program("segment", "--help-all")
-    assert "toy: a toy that wants bright voxels" in shown and "toy-flow: a toy that descends" in shown
+    assert (
+        "toy: a toy that wants bright voxels" in shown and "toy-flow: a toy that descends" in shown
+    )
     assert ".tif, .dcm, .mgz, .npy or .toy" in shown and "toymesh" in shown and "toy-scan" in shown
 
 
 def test_info(toys, capsys):
     assert cli.execute(["info"]) == 0
     shown = capsys.readouterr().out
-    assert "a toy that wants bright voxels (settings: strength)" in shown and "momentum, toy-flow" in shown
+    assert (
+        "a toy that wants bright voxels (settings: strength)" in shown
+        and "momentum, toy-flow" in shown
+    )
     assert "a toy that counts the band (cells)" in shown
     assert cli.execute(["info", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert "toy" in facts["energies"] and "toy" in facts["energy_terms"] and "toy-flow" in facts["flows"]
-    assert "toy_cells" in facts["trace_columns"] and facts["presets"]["toy-scan"]["settings"] == {"cfl": 0.4}
+    assert (
+        "toy" in facts["energies"]
+        and "toy" in facts["energy_terms"]
+        and "toy-flow" in facts["flows"]
+    )
+    assert "toy_cells" in facts["trace_columns"] and facts["presets"]["toy-scan"]["settings"] == {
+        "cfl": 0.4
+    }
     assert facts["volume_formats"][-1] == ".toy" and facts["mesh_formats"][-1] == "toymesh"
 
 
 def test_a_run_its_report_trace_and_progress(toys, tmp_path, capsys):
     io.write(volume(), tmp_path / "ball.nii.gz")
-    words = ["segment", tmp_path / "ball.nii.gz", "-o", tmp_path, "--energy", ENERGY, "--flow", "toy-flow"]
-    assert cli.execute([str(word) for word in (*words, "--start", START, "--progress", "json")]) == 0
+    words = [
+        "segment",
+        tmp_path / "ball.nii.gz",
+        "-o",
+        tmp_path,
+        "--energy",
+        ENERGY,
+        "--flow",
+        "toy-flow",
+    ]
+    assert (
+        cli.execute([str(word) for word in (*words, "--start", START, "--progress", "json")]) == 0
+    )
     report = json.loads((tmp_path / "ball_report.json").read_text())
     assert report["energy"]["terms"][0] == {"term": "toy", "weight": 1.0, "strength": 2.0}
     assert report["config"]["flow"] == "toy-flow" and report["stop"]["reason"] == "converged"
     rows = list(csv.DictReader(streams.StringIO((tmp_path / "ball_trace.csv").read_text())))
-    assert [float(row["toy_cells"]) for row in rows] == [int(row["band_cells"]) + 0.25 for row in rows]
+    assert [float(row["toy_cells"]) for row in rows] == [
+        int(row["band_cells"]) + 0.25 for row in rows
+    ]
     events = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
-    assert [row["toy_cells"] for row in events if row["event"] == "step"] == [float(row["toy_cells"]) for row in rows]
+    assert [row["toy_cells"] for row in events if row["event"] == "step"] == [
+        float(row["toy_cells"]) for row in rows
+    ]
 
 
 def test_several_objects(toys, tmp_path):
@@ -294,12 +367,21 @@ def test_several_objects(toys, tmp_path):
     starts[7:10, 9:12, 11:14] = 3
     io.write(volume(), tmp_path / "ball.nii.gz")
     io.write_labels(volume().with_array(starts), tmp_path / "starts.nii.gz")
-    words = ["segment", tmp_path / "ball.nii.gz", "-o", tmp_path, "--objects", tmp_path / "starts.nii.gz"]
+    words = [
+        "segment",
+        tmp_path / "ball.nii.gz",
+        "-o",
+        tmp_path,
+        "--objects",
+        tmp_path / "starts.nii.gz",
+    ]
     assert cli.execute([str(word) for word in (*words, "--energy", ENERGY, "--max-steps", 4)]) == 0
     report = json.loads((tmp_path / "ball_report.json").read_text())
     assert report["objects"][0]["terms"][0] == {"term": "toy", "weight": 1.0, "strength": 2.0}
     rows = list(csv.DictReader(streams.StringIO((tmp_path / "ball_trace.csv").read_text())))
-    assert [float(row["toy_cells"]) for row in rows] == [int(row["band_cells"]) + 0.25 for row in rows]
+    assert [float(row["toy_cells"]) for row in rows] == [
+        int(row["band_cells"]) + 0.25 for row in rows
+    ]
     assert len(rows) == 5 and rows[0]["object"] == "3"
 
 
@@ -318,12 +400,18 @@ def test_lists_of_the_page(toys):
 
 def test_reference_pages(toys):
     made = pages()
-    assert "## toy\n" in made["energy-terms.md"] and "how much it wants them" in made["energy-terms.md"]
+    assert (
+        "## toy\n" in made["energy-terms.md"]
+        and "how much it wants them" in made["energy-terms.md"]
+    )
     assert "| `toy-flow` | a toy that descends | `blend` | 3 |" in made["flows.md"]
     assert "| `toy_cells` | cells | a toy that counts the band |" in made["trace.md"]
     assert "| Acts on | `chan-vese`, `toy` |" in made["settings.md"]
     formats = made["file-formats.md"]
-    assert "| `toy` | a toy that holds bytes | `.toy` | uint8; signed distances go to `nrrd` | the spacing |" in formats
+    assert (
+        "| `toy` | a toy that holds bytes | `.toy` | uint8; signed distances go to `nrrd` | the spacing |"
+        in formats
+    )
     assert "| `toymesh` | a toy that holds triangles | yes | no | yes |" in formats
     assert "## toy-scan\n" in made["presets.md"]
 
@@ -353,7 +441,10 @@ def _panel():
 
     application = QApplication([])
     status = Status.preparing(RunConfig(), "", False)
-    scene, session = SimpleNamespace(geometry=volume().geometry, unit="mm"), SimpleNamespace(status=status, source=None)
+    scene, session = (
+        SimpleNamespace(geometry=volume().geometry, unit="mm"),
+        SimpleNamespace(status=status, source=None),
+    )
     actions = SimpleNamespace(scene=scene, session=session, folder=None)
     panel = SettingsPanel(actions)
     panel.show_state(SettingsFeature(actions).state(status))

@@ -22,7 +22,9 @@ def run(*words):
 @pytest.mark.parametrize("name", list(PRESETS))
 def test_every_preset_says_what_each_value_means_and_where_it_was_tried(name):
     preset = PRESETS[name]
-    assert set(preset.reasons) == set(preset.settings) and all(len(why) > 5 for why in preset.reasons.values())
+    assert set(preset.reasons) == set(preset.settings) and all(
+        len(why) > 5 for why in preset.reasons.values()
+    )
     assert preset.tried and all(len(outcome) > 5 for outcome in preset.tried.values())
     config = RunConfig(preset=name, start="ball:0,0,0,5")
     for key, value in preset.settings.items():
@@ -33,13 +35,27 @@ def test_every_preset_says_what_each_value_means_and_where_it_was_tried(name):
 
 def test_values_beside_a_preset_win_wherever_they_come_from(tmp_path, capsys):
     assert RunConfig(preset="ct-skeleton", presmooth=0.5).presmooth == 0.5
-    assert RunConfig(preset="mr-white-matter", levels="auto").levels == "auto"  # also where it is the default
+    assert (
+        RunConfig(preset="mr-white-matter", levels="auto").levels == "auto"
+    )  # also where it is the default
     file = tmp_path / "run.toml"
     file.write_text('preset = "mr-brain"\nbalance = 1.7\n')
     config = RunConfig.from_toml(file)
     assert (config.balance, config.epsilon) == (1.7, PRESETS["mr-brain"].settings["epsilon"])
     # On the command line a preset stands for options: over the file, under the options.
-    assert run("segment", "--config", file, "--preset", "ct-skeleton", "--presmooth", "0.3", "--dump-config") == 0
+    assert (
+        run(
+            "segment",
+            "--config",
+            file,
+            "--preset",
+            "ct-skeleton",
+            "--presmooth",
+            "0.3",
+            "--dump-config",
+        )
+        == 0
+    )
     dumped = capsys.readouterr().out
     (tmp_path / "dumped.toml").write_text(dumped)
     again = RunConfig.from_toml(tmp_path / "dumped.toml")
@@ -59,13 +75,21 @@ def test_a_preset_that_changes_nothing_says_so_before_the_run():
     assert RunConfig(preset="fluorescence-nucleus", **given).unused() == []  # presmooth is left
     image, said = np.zeros((20, 20, 20)), []
     image[5:15, 5:15, 5:15] = 9
-    options = {"preset": "fluorescence-nucleus", **given, "presmooth": 0.0, "max_steps": 2, "on_warning": said.append}
+    options = {
+        "preset": "fluorescence-nucleus",
+        **given,
+        "presmooth": 0.0,
+        "max_steps": 2,
+        "on_warning": said.append,
+    }
     warnings = segment(image, **options).warnings
     assert warnings == said and said[-1].startswith("preset was given, but has no effect on ")
 
 
 def test_a_preset_that_is_none_is_one_clear_line():
-    with pytest.raises(UsageError, match="preset: ct-bones was given, expected ct-skeleton, mr-brain"):
+    with pytest.raises(
+        UsageError, match="preset: ct-bones was given, expected ct-skeleton, mr-brain"
+    ):
         RunConfig(preset="ct-bones")
     with pytest.raises(UsageError, match="preset"):
         RunConfig(preset=3)
@@ -83,9 +107,10 @@ def test_info_lists_them(capsys):
 # ------------------------------------------------------------------------------------------------ on phantoms
 
 
-
 def found(preset, image, *starts, **clicks):
-    result = segment(image, spacing=SPACING, preset=preset, **({"start": starts} if starts else {}), **clicks)
+    result = segment(
+        image, spacing=SPACING, preset=preset, **({"start": starts} if starts else {}), **clicks
+    )
     assert result.stop.reason == "converged" and result.config.preset == preset
     return result.labels
 

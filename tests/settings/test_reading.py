@@ -22,7 +22,9 @@ def test_spacing_is_in_mm(text, spacing):
     assert spacing_of(text) == pytest.approx(spacing, rel=1e-12)
 
 
-@pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "0", "-1", "1,1,0", "2inch", "nan", "1e9", "mm", "1,,2", "."])
+@pytest.mark.parametrize(
+    "text", ["", "1,2", "1,2,3,4", "0", "-1", "1,1,0", "2inch", "nan", "1e9", "mm", "1,,2", "."]
+)
 def test_what_is_no_spacing_is_refused(text):
     with pytest.raises(UsageError, match="^spacing: "):
         spacing_of(text)
@@ -33,4 +35,8 @@ def test_what_is_no_spacing_is_refused(text):
 def test_settings_say_how_the_image_is_read():
     config = RunConfig(level="auto", spacing=[0.1, 0.2, 0.3], series="3")
     assert config.reading == ReadOptions(level="auto", spacing=(0.1, 0.2, 0.3), series="3")
-    assert RunConfig().reading == ReadOptions() and RunConfig(spacing=0.5).reading.spacing == (0.5, 0.5, 0.5)
+    assert RunConfig().reading == ReadOptions() and RunConfig(spacing=0.5).reading.spacing == (
+        0.5,
+        0.5,
+        0.5,
+    )

@@ -65,7 +65,7 @@ ODD = RunConfig(
         "step=3 smoothness=0.25 add='ball:1,2,3,4' inside='stroke:a b.csv' inside=point:1,2,3 outside=point:3,2,1",
         {"step": 1, "flow": "momentum", "cfl": 1 / 3, "outside": ["ball:1,2,3,4"]},
     ],
-    inside=("point:1,2,3", "stroke:\"a\" b.csv"),
+    inside=("point:1,2,3", 'stroke:"a" b.csv'),
     outside=("ball:4,5,6,7vox",),
     box="1,2,3,7,8,9",
     size="2.5cm3",
@@ -99,9 +99,14 @@ ODD = RunConfig(
 
 
 #: What cannot be given beside a start, levels and edits.
-SEVERAL = RunConfig(objects="seeds \"a\".csv@2,5-9")
-GIVEN = RunConfig(labels="almost \"right\".nii.gz@3")
-CONFIGS = {"defaults": RunConfig(), "all changed": ODD, "several objects": SEVERAL, "given labels": GIVEN}
+SEVERAL = RunConfig(objects='seeds "a".csv@2,5-9')
+GIVEN = RunConfig(labels='almost "right".nii.gz@3')
+CONFIGS = {
+    "defaults": RunConfig(),
+    "all changed": ODD,
+    "several objects": SEVERAL,
+    "given labels": GIVEN,
+}
 
 
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
@@ -113,7 +118,9 @@ def test_toml_round_trip_is_exact(config, tmp_path):
 
 def test_odd_config_changes_every_field():
     # Otherwise the round trip above could lose a field without anyone noticing.
-    same = [name for name in RunConfig.model_fields if getattr(ODD, name) == getattr(RunConfig(), name)]
+    same = [
+        name for name in RunConfig.model_fields if getattr(ODD, name) == getattr(RunConfig(), name)
+    ]
     assert same == ["objects", "labels"]  # which do not go with the others
     assert SEVERAL.objects != RunConfig().objects and GIVEN.labels != RunConfig().labels
 
@@ -171,19 +178,30 @@ def test_bad_value_is_one_clear_line(key, value, words):
     with pytest.raises(UsageError) as caught:
         RunConfig(**{key: value})
     message = str(caught.value)
-    assert message.startswith(f"{key}: ") and " was given, expected " in message and words in message
+    assert (
+        message.startswith(f"{key}: ") and " was given, expected " in message and words in message
+    )
     assert "\n" not in message
     # Before the help there may be a name that was meant.
     assert caught.value.hint.endswith(" ".join(help_of(key).split()))
 
 
 def test_text_values_are_read_as_the_command_line_gives_them():
-    config = RunConfig(cfl="0.25", max_steps="12", friction="0.5", diffusion="2", mesh="PLY, stl,ply", start="center")
+    config = RunConfig(
+        cfl="0.25",
+        max_steps="12",
+        friction="0.5",
+        diffusion="2",
+        mesh="PLY, stl,ply",
+        start="center",
+    )
     assert (config.cfl, config.max_steps, config.friction, config.diffusion) == (0.25, 12, 0.5, 2.0)
     assert config.mesh == ("ply", "stl") and config.start == ("center",)
 
 
-@pytest.mark.parametrize(("key", "near"), [("smothness", "smoothness"), ("max-steps", "max_steps"), ("Flow", "flow")])
+@pytest.mark.parametrize(
+    ("key", "near"), [("smothness", "smoothness"), ("max-steps", "max_steps"), ("Flow", "flow")]
+)
 def test_unknown_key_names_the_nearest(key, near, tmp_path):
     path = tmp_path / "run.toml"
     path.write_text(f'"{key}" = 1\n')
@@ -195,11 +213,17 @@ def test_unknown_key_names_the_nearest(key, near, tmp_path):
 @pytest.mark.parametrize(
     ("key", "value", "near"),
     [
-        ("flow", "gradent", "gradient"), ("flow", "Constant_Density", "constant-density"), ("levels", "atuo", "auto"),
-        ("mesh", "ply,slt", "stl"), ("mesh", ["ply", "ojb"], "obj"), ("energy", "chan-vse + area", "chan-vese"),
-        ("energy", "local-region:r=8", "R"), ("energy", "likelihood:update=yse", "yes"), ("restart", "of", "off"),
+        ("flow", "gradent", "gradient"),
+        ("flow", "Constant_Density", "constant-density"),
+        ("levels", "atuo", "auto"),
+        ("mesh", "ply,slt", "stl"),
+        ("mesh", ["ply", "ojb"], "obj"),
+        ("energy", "chan-vse + area", "chan-vese"),
+        ("energy", "local-region:r=8", "R"),
+        ("energy", "likelihood:update=yse", "yes"),
+        ("restart", "of", "off"),
     ],
-)  # fmt: skip
+)
 def test_a_value_that_is_no_name_tells_the_nearest(key, value, near):
     with pytest.raises(UsageError) as caught:
         RunConfig(**{key: value})
@@ -244,7 +268,9 @@ def test_schema_describes_every_field_with_its_unit():
     assert all(entry["description"].endswith(".") for entry in schema["properties"].values())
     lengths = ("smoothness", "presmooth", "diffusion")
     assert all("mm" in schema["properties"][name]["description"] for name in lengths)
-    assert all("voxels" in schema["properties"][name]["description"] for name in ("cfl", "half_width"))
+    assert all(
+        "voxels" in schema["properties"][name]["description"] for name in ("cfl", "half_width")
+    )
 
 
 @pytest.mark.parametrize("name", list(RunConfig.model_fields))
@@ -254,7 +280,11 @@ def test_expected_has_words_for_every_field(name):
 
 @pytest.mark.parametrize(
     ("values", "key"),
-    [({"noise": 0.5, "reproducible": True}, "seed"), ({"k": 1, "t0": 0}, "t0"), ({"k": 0.5, "t0": 0}, "t0")],
+    [
+        ({"noise": 0.5, "reproducible": True}, "seed"),
+        ({"k": 1, "t0": 0}, "t0"),
+        ({"k": 0.5, "t0": 0}, "t0"),
+    ],
 )
 def test_values_that_do_not_go_together_are_one_clear_line(values, key):
     with pytest.raises(UsageError) as caught:
@@ -268,4 +298,6 @@ def test_settings_that_do_nothing_are_named():
     assert RunConfig().unused() == []
     assert RunConfig(flow="gradient", k=3, diffusion=1, balance=2).unused() == ["k"]
     assert RunConfig(gravity=1, blend=0.5, balloon=1).unused() == ["balloon", "gravity", "blend"]
-    assert RunConfig(energy="geodesic", flow="momentum", blend=0.5, balloon=1, epsilon=0).unused() == ["epsilon"]
+    assert RunConfig(
+        energy="geodesic", flow="momentum", blend=0.5, balloon=1, epsilon=0
+    ).unused() == ["epsilon"]

@@ -85,7 +85,9 @@ def test_label_map(tmp_path):
     labels = np.zeros(geometry.shape, np.uint8)
     labels[3:6, 4:9, 5:11] = 7
     io.write(Volume(labels, geometry), tmp_path / "start.nii.gz")
-    psi = starts.build([f"label:{tmp_path / 'start.nii.gz'}"], Volume(np.zeros(geometry.shape), geometry))
+    psi = starts.build(
+        [f"label:{tmp_path / 'start.nii.gz'}"], Volume(np.zeros(geometry.shape), geometry)
+    )
     np.testing.assert_array_equal(psi < 0, labels > 0)
 
 
@@ -162,7 +164,10 @@ def test_a_seed_grows_to_its_radius_and_stops_at_edges(direction):
     ball = starts.build([text + "9"], flat) < 0
     # Ways along the 26 neighbours are up to a fifth longer than straight ones here, and begin at a voxel's centre.
     assert (r[ball] <= 10).all() and (ball[r < 6.5]).all()
-    scan = Volume(np.where(r < 8, 100.0, 0.0) + np.random.default_rng(1).normal(0, 2, geometry.shape), geometry)
+    scan = Volume(
+        np.where(r < 8, 100.0, 0.0) + np.random.default_rng(1).normal(0, 2, geometry.shape),
+        geometry,
+    )
     held = starts.build([text + "25"], scan) < 0
     assert np.count_nonzero(held != (r < 8)) < 0.06 * np.count_nonzero(r < 8)
 
@@ -261,10 +266,14 @@ def test_bad_words_of_the_new_kinds(text, words):
 def test_a_seed_between_two_voxels_is_the_same_from_either_side(axis):
     values = np.random.default_rng(3).normal(size=(12, 13, 14))
     centre = [5.5, 6.5, 6.0]
-    one = region_growing.grow_region(values, Geometry(values.shape, (1.0, 1.2, 0.9)), tuple(centre), 4.0)
+    one = region_growing.grow_region(
+        values, Geometry(values.shape, (1.0, 1.2, 0.9)), tuple(centre), 4.0
+    )
     centre[axis] = values.shape[axis] - 1 - centre[axis]
     flipped = np.flip(values, axis)
-    other = region_growing.grow_region(flipped, Geometry(values.shape, (1.0, 1.2, 0.9)), tuple(centre), 4.0)
+    other = region_growing.grow_region(
+        flipped, Geometry(values.shape, (1.0, 1.2, 0.9)), tuple(centre), 4.0
+    )
     assert one.any()
     np.testing.assert_array_equal(one, np.flip(other, axis))
 

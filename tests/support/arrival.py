@@ -12,7 +12,11 @@ def plain_cost(image, spacing, median, spread, edge, weights):
     length = np.sqrt(sum(part.astype(np.float64) ** 2 for part in parts))
     base, w_edge, max_edge, w_far, free, max_far = weights
     far = np.abs(image.astype(np.float64) - median) / spread
-    return base + w_edge * np.minimum(length / edge, max_edge) + w_far * np.clip(far - free, 0.0, max_far)
+    return (
+        base
+        + w_edge * np.minimum(length / edge, max_edge)
+        + w_far * np.clip(far - free, 0.0, max_far)
+    )
 
 
 def plain_times(cost, spacing, seeds, passes=None):

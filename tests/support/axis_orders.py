@@ -9,19 +9,25 @@ from accelsurf.image.volume import Volume
 
 #: (order of the index axes z, y, x; which of the new ones are run through backwards)
 Way = tuple[tuple[int, ...], tuple[bool, ...]]
-WAYS: list[Way] = [(order, flips) for order in permutations(range(3)) for flips in product((False, True), repeat=3)]
+WAYS: list[Way] = [
+    (order, flips) for order in permutations(range(3)) for flips in product((False, True), repeat=3)
+]
 
 
 def permuted(array: np.ndarray, way: Way) -> np.ndarray:
     """An array of a volume with its axes in another order, some of them backwards."""
     order, flips = way
-    return np.ascontiguousarray(np.flip(array.transpose(order), [axis for axis, flip in enumerate(flips) if flip]))
+    return np.ascontiguousarray(
+        np.flip(array.transpose(order), [axis for axis, flip in enumerate(flips) if flip])
+    )
 
 
 def restored(array: np.ndarray, way: Way) -> np.ndarray:
     """The inverse of `permuted`."""
     order, flips = way
-    return np.flip(array, [axis for axis, flip in enumerate(flips) if flip]).transpose(np.argsort(order))
+    return np.flip(array, [axis for axis, flip in enumerate(flips) if flip]).transpose(
+        np.argsort(order)
+    )
 
 
 def stored(volume: Volume, way: Way) -> Volume:

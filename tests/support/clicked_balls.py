@@ -8,7 +8,9 @@ from accelsurf.grid.clicks import Click
 
 def distance(centre, shape, spacing):
     """Distance (mm) of each voxel to the voxel ``centre`` (z, y, x)."""
-    return np.sqrt(sum(((i - c) * h) ** 2 for i, c, h in zip(np.indices(shape), centre, spacing, strict=True)))
+    return np.sqrt(
+        sum(((i - c) * h) ** 2 for i, c, h in zip(np.indices(shape), centre, spacing, strict=True))
+    )
 
 
 def ball(side, centre, radius, shape, spacing):

@@ -39,7 +39,10 @@ def main() -> None:
     session = Session(io.read(source), RunConfig(**options), name="scan", source=source)
     session.ready.result(300)
     window = Window(
-        session, io.read_labels(reference) if reference else None, Path(folder) if folder else None, theme
+        session,
+        io.read_labels(reference) if reference else None,
+        Path(folder) if folder else None,
+        theme,
     )
     window.show()
     draft = state_file.with_suffix(".draft")
@@ -52,7 +55,9 @@ def main() -> None:
             answered.append((time.time(), status.playing, status.step))
 
     def write() -> None:
-        draft.write_text(json.dumps({**places(window), **shown(session, window), "answered": answered[-50:]}))
+        draft.write_text(
+            json.dumps({**places(window), **shown(session, window), "answered": answered[-50:]})
+        )
         os.replace(draft, state_file)
 
     timers = []
@@ -81,21 +86,42 @@ def places(window: Window) -> dict[str, Any]:
                 corner.y() + round(canvas.height() * (1 - 0.5 * (bottom + top))),
             ]
     return {
-        "buttons": {name: middle(getattr(bar, name)) for name in ("restart", "back", "play", "forward")}
-        | {"undo": middle(side.changes.undo), "save": middle(side.changes.save), "timeline": ends(bar.timeline)}
+        "buttons": {
+            name: middle(getattr(bar, name)) for name in ("restart", "back", "play", "forward")
+        }
+        | {
+            "undo": middle(side.changes.undo),
+            "save": middle(side.changes.save),
+            "timeline": ends(bar.timeline),
+        }
         | {name: middle(button) for name, button in tools.tools.items()}
         | {"opacity": ends(objects.opacity)}
-        | {f"object_{name}": middle(getattr(objects, name)) for name in ("add", "merge", "remove", "nearest")}
-        | {"grey values": middle(slices.window_word), "layout": middle(slices.layout_), "level": middle(slices.level)}
+        | {
+            f"object_{name}": middle(getattr(objects, name))
+            for name in ("add", "merge", "remove", "nearest")
+        }
+        | {
+            "grey values": middle(slices.window_word),
+            "layout": middle(slices.layout_),
+            "level": middle(slices.level),
+        }
         | {"straight": middle(slices.straight)}
         | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
         | {"next uncertain": middle(side.panels["ResultPanel"].next)}
         | {f"object {row}": cell_of(objects.table, row, 2) for row in range(3)}
         | {f"color {row}": cell_of(objects.table, row, 1) for row in range(3)}
         | {f"seen {row}": cell_of(objects.table, row, 0) for row in range(3)}
-        | {name: ends(row.amount.slider) for name, row in settings.rows.items() if row.amount is not None},
-        "tiles": tiles, "dialog": dialog(), "hidden_width": hidden_width(side),
-        "rows": {key: [row.label.text(), middle(line_of(row))] for key, row in settings.rows.items()},
+        | {
+            name: ends(row.amount.slider)
+            for name, row in settings.rows.items()
+            if row.amount is not None
+        },
+        "tiles": tiles,
+        "dialog": dialog(),
+        "hidden_width": hidden_width(side),
+        "rows": {
+            key: [row.label.text(), middle(line_of(row))] for key, row in settings.rows.items()
+        },
         "energy_error": settings.rows["energy"].error.text() if settings.rows else "",
     }
 
@@ -111,8 +137,16 @@ def dialog() -> dict[str, Any]:
     shown = QApplication.activeModalWidget()
     if not isinstance(shown, QDialog):
         return {}
-    buttons = {one.text().replace("&", ""): middle(one) for one in shown.findChildren(QPushButton) if one.isVisible()}
-    codes = [middle(one) for one in shown.findChildren(QLineEdit) if one.isVisible() and one.text().startswith("#")]
+    buttons = {
+        one.text().replace("&", ""): middle(one)
+        for one in shown.findChildren(QPushButton)
+        if one.isVisible()
+    }
+    codes = [
+        middle(one)
+        for one in shown.findChildren(QLineEdit)
+        if one.isVisible() and one.text().startswith("#")
+    ]
     return {"title": shown.windowTitle(), "code": codes, **buttons}
 
 
@@ -125,16 +159,26 @@ def shown(session: Session, window: Window) -> dict[str, Any]:
     """What the session and the window say."""
     status, frame, state = session.status, window.scene.frame, window.user_actions.state()
     return {
-        "step": status.step, "playing": status.playing, "checkpoints": status.checkpoints,
+        "step": status.step,
+        "playing": status.playing,
+        "checkpoints": status.checkpoints,
         "message": window.message.text().replace("\N{ZERO WIDTH SPACE}", ""),
         "edits": [edit.model_dump() for edit in status.edits],
-        "start": status.settings.start, "settings": status.settings.model_dump(mode="json"),
+        "start": status.settings.start,
+        "settings": status.settings.model_dump(mode="json"),
         "stop": status.stop and status.stop.reason,
         "drawn": None if frame is None else [frame.step, frame.volume_mm3],
-        "color": state["color"], "theme": state["theme"], "help": window.help.isVisible(), "state": state,
-        "pixels": [window.scene.tiles.pixel_ratio, window.canvas.render_window.GetDPI()] if window.isVisible() else [],
+        "color": state["color"],
+        "theme": state["theme"],
+        "help": window.help.isVisible(),
+        "state": state,
+        "pixels": [window.scene.tiles.pixel_ratio, window.canvas.render_window.GetDPI()]
+        if window.isVisible()
+        else [],
         "clipboard": QApplication.clipboard().text(),
-        "play": window.bar.play.text(), "title": window.windowTitle(), "cursor": window.scene.cursor.tolist(),
+        "play": window.bar.play.text(),
+        "title": window.windowTitle(),
+        "cursor": window.scene.cursor.tolist(),
     }
 
 

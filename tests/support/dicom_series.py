@@ -11,7 +11,11 @@ from pydicom.encaps import encapsulate
 from pydicom.uid import ExplicitVRLittleEndian, JPEGLSLossless
 
 WEIGHTS = np.array([3.0, -5.0, 7.0])
-CT, ENHANCED_CT, SECONDARY = "1.2.840.10008.5.1.4.1.1.2", "1.2.840.10008.5.1.4.1.1.2.1", "1.2.840.10008.5.1.4.1.1.7"
+CT, ENHANCED_CT, SECONDARY = (
+    "1.2.840.10008.5.1.4.1.1.2",
+    "1.2.840.10008.5.1.4.1.1.2.1",
+    "1.2.840.10008.5.1.4.1.1.7",
+)
 
 
 def values_at(points):
@@ -45,7 +49,10 @@ class Series:
         """The centres of a slice's pixels, (rows, columns, 3)."""
         turn = np.array(self.orientation, float)
         row, column = np.mgrid[: self.rows, : self.columns]
-        along_row, along_column = column[..., None] * self.spacing[1], row[..., None] * self.spacing[0]
+        along_row, along_column = (
+            column[..., None] * self.spacing[1],
+            row[..., None] * self.spacing[0],
+        )
         return np.array(position) + along_row * turn[:3] + along_column * turn[3:]
 
     def dataset(self, number):
@@ -54,8 +61,15 @@ class Series:
         one = Dataset()
         one.file_meta = FileMetaDataset()
         one.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-        one.SOPClassUID, one.SOPInstanceUID = CT, f"{self.uid}.{number + 1}" if self.uid else f"1.9.{number}"
-        one.StudyInstanceUID, one.SeriesInstanceUID, one.FrameOfReferenceUID = "1.2.3", self.uid, "1.2.3.9"
+        one.SOPClassUID, one.SOPInstanceUID = (
+            CT,
+            f"{self.uid}.{number + 1}" if self.uid else f"1.9.{number}",
+        )
+        one.StudyInstanceUID, one.SeriesInstanceUID, one.FrameOfReferenceUID = (
+            "1.2.3",
+            self.uid,
+            "1.2.3.9",
+        )
         one.PatientID, one.PatientName, one.Modality, one.SeriesNumber = "P1", "Nobody", "CT", 2
         one.StudyDate, one.StudyTime, one.SeriesDescription = "20200102", "101112", "phantom"
         one.StudyID, one.PatientBirthDate, one.PatientSex, one.AccessionNumber = "1", "", "O", ""
@@ -63,7 +77,10 @@ class Series:
         one.Rows, one.Columns, one.InstanceNumber = self.rows, self.columns, number + 1
         one.ImagePositionPatient = [float(part) for part in np.round(position, 9)]
         one.ImageOrientationPatient = [float(part) for part in np.round(self.orientation, 12)]
-        one.PixelSpacing, one.SliceThickness = list(self.spacing), 9.0  # the thickness is not the distance
+        one.PixelSpacing, one.SliceThickness = (
+            list(self.spacing),
+            9.0,
+        )  # the thickness is not the distance
         one.SamplesPerPixel, one.PhotometricInterpretation = 1, "MONOCHROME2"
         one.BitsAllocated, one.BitsStored, one.HighBit, one.PixelRepresentation = 16, 16, 15, 1
         one.PixelData = values_at(self.points(position)).tobytes()
@@ -107,7 +124,13 @@ def enhanced(series, slopes=None):
     """All slices as one enhanced file, in the order of ``positions``."""
     count = len(series.positions)
     one = series.dataset(0)
-    for name in ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing", "SliceThickness", "InstanceNumber"):
+    for name in (
+        "ImagePositionPatient",
+        "ImageOrientationPatient",
+        "PixelSpacing",
+        "SliceThickness",
+        "InstanceNumber",
+    ):
         delattr(one, name)
     one.SOPClassUID, one.NumberOfFrames = ENHANCED_CT, count
     shared, turn, size = Dataset(), Dataset(), Dataset()

@@ -24,10 +24,18 @@ def _common(geometry: Geometry, sop_class: str, instance: str):
     dataset.file_meta.TransferSyntaxUID = "1.2.840.10008.1.2.1"
     dataset.file_meta.MediaStorageSOPClassUID = dataset.SOPClassUID = sop_class
     dataset.file_meta.MediaStorageSOPInstanceUID = dataset.SOPInstanceUID = instance
-    dataset.StudyInstanceUID, dataset.SeriesInstanceUID, dataset.FrameOfReferenceUID = STUDY, SERIES, FRAME
+    dataset.StudyInstanceUID, dataset.SeriesInstanceUID, dataset.FrameOfReferenceUID = (
+        STUDY,
+        SERIES,
+        FRAME,
+    )
     dataset.SpecificCharacterSet = "ISO_IR 100"
     dataset.PatientName, dataset.PatientID, dataset.PatientSex = "Müller^Ada", "P1", "F"
-    dataset.PatientBirthDate, dataset.StudyDate, dataset.StudyTime = "19500102", "20200304", "101112"
+    dataset.PatientBirthDate, dataset.StudyDate, dataset.StudyTime = (
+        "19500102",
+        "20200304",
+        "101112",
+    )
     dataset.SeriesDate, dataset.SeriesTime = "20200304", "111213.5"
     dataset.AccessionNumber, dataset.StudyID, dataset.ReferringPhysicianName = "A1", "S1", ""
     dataset.Manufacturer, dataset.SeriesNumber, dataset.InstanceNumber = "Scanner", 7, 1
@@ -38,7 +46,9 @@ def _common(geometry: Geometry, sop_class: str, instance: str):
     return dataset
 
 
-def write_slices(folder: Path, geometry: Geometry, order=None, values=None, **changes) -> list[Path]:
+def write_slices(
+    folder: Path, geometry: Geometry, order=None, values=None, **changes
+) -> list[Path]:
     """One file a slice, returned in the order of z; ``order`` numbers the files, ``changes`` are values of headers."""
     folder.mkdir(parents=True, exist_ok=True)
     order = range(geometry.shape[0]) if order is None else order
@@ -78,7 +88,10 @@ def write_frames(path: Path, geometry: Geometry, order=None) -> list[Path]:
         groups[number].PlanePositionSequence = [position]
         # Per frame, as some scanners write it: highdicom alone would refuse that.
         groups[number].PlaneOrientationSequence = [orientation]
-    dataset.SharedFunctionalGroupsSequence, dataset.PerFrameFunctionalGroupsSequence = [shared], groups
+    dataset.SharedFunctionalGroupsSequence, dataset.PerFrameFunctionalGroupsSequence = (
+        [shared],
+        groups,
+    )
     dataset.PixelData = np.zeros(geometry.shape, "<i2").tobytes()
     path.parent.mkdir(parents=True, exist_ok=True)
     dataset.save_as(path, enforce_file_format=True)

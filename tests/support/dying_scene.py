@@ -23,7 +23,11 @@ def program(folder: Path, deaths: dict[int, int], number: int, early: bool = Fal
     early : bool
         Before the picture is drawn, not after.
     """
-    said = {"folder": str(folder), "deaths": {str(step): times for step, times in deaths.items()}, "number": number}
+    said = {
+        "folder": str(folder),
+        "deaths": {str(step): times for step, times in deaths.items()},
+        "number": number,
+    }
     return PROGRAM.format(json.dumps({**said, "early": early}))
 
 

@@ -105,7 +105,13 @@ class Path:
         self._first = 0.0 if at_rest else 1e-3
         start = (case.r0, 0.0) if at_rest else self._series(self._first)
         solved = solve_ivp(
-            self._rates, (self._first, case.t_end), start, method="DOP853", rtol=1e-12, atol=1e-14, dense_output=True
+            self._rates,
+            (self._first, case.t_end),
+            start,
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-14,
+            dense_output=True,
         )
         assert solved.success, solved.message
         self._solution = solved.sol
@@ -147,8 +153,13 @@ def path(case: Case) -> Path:
 def descent(case: Case) -> Callable[[float], float]:
     """Radius of a case under the gradient flow, r' = -f(r)."""
     solved = solve_ivp(
-        lambda _, r: [-case.force(r[0])], (0.0, case.t_end), [case.r0],
-        method="DOP853", rtol=1e-12, atol=1e-14, dense_output=True,
+        lambda _, r: [-case.force(r[0])],
+        (0.0, case.t_end),
+        [case.r0],
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-14,
+        dense_output=True,
     )
     return lambda t: float(solved.sol(t)[0])
 
@@ -174,7 +185,9 @@ def sphere_in_well(t: float, k: float = 2.0) -> float:
 def damped_sphere_in_well(t: float, friction: float) -> float:
     """Case B with a constant friction a < 2: jinc replaced by e^(-at/2) (cos nu t + a/(2 nu) sin nu t)."""
     nu = math.sqrt(1.0 - 0.25 * friction * friction)
-    fade = math.exp(-0.5 * friction * t) * (math.cos(nu * t) + 0.5 * friction / nu * math.sin(nu * t))
+    fade = math.exp(-0.5 * friction * t) * (
+        math.cos(nu * t) + 0.5 * friction / nu * math.sin(nu * t)
+    )
     return math.sqrt(0.36 + 0.64 * fade)
 
 
@@ -215,10 +228,24 @@ def shrinking_by_descent(t: float, r0: float = 1.0, alpha: float = 0.05) -> floa
 TABLES: dict[str, dict[float, float]] = {
     "A": {0.5: 0.98742088, 1.0: 0.94868330, 1.5: 0.88034084, 2.0: 0.77459667, 2.5: 0.61237244},
     "B": {0.25: 0.99005417, 0.5: 0.96086667, 1.0: 0.85387580, 1.5: 0.71039789, 2.0: 0.58212210},
-    "C": {0.25: 0.86716700, 0.5: 0.76579395, 0.75: 0.58674465, 1.0: 0.39546571, 1.5: 0.49001547, 2.0: 0.49311263},
+    "C": {
+        0.25: 0.86716700,
+        0.5: 0.76579395,
+        0.75: 0.58674465,
+        1.0: 0.39546571,
+        1.5: 0.49001547,
+        2.0: 0.49311263,
+    },
     "D": {0.25: 0.98762953, 0.5: 0.95204047, 1.0: 0.83068992, 1.5: 0.69041572, 2.0: 0.58679133},
     "E": {0.25: 0.86814281, 0.5: 0.78104067, 1.0: 0.53734245, 1.5: 0.42357764, 2.0: 0.45572679},
-    "F": {0.25: 0.86797675, 0.5: 0.77064985, 0.75: 0.60565651, 1.0: 0.43238200, 1.5: 0.50958826, 2.0: 0.48797996},
+    "F": {
+        0.25: 0.86797675,
+        0.5: 0.77064985,
+        0.75: 0.60565651,
+        1.0: 0.43238200,
+        1.5: 0.50958826,
+        2.0: 0.48797996,
+    },
     "G": {0.25: 0.87192149, 0.5: 0.80065610, 1.0: 0.57103055, 1.5: 0.36258799, 2.0: 0.37341077},
     "H": {0.5: 0.83387976, 1.0: 0.39546571, 1.5: 0.53180316},
 }

@@ -19,7 +19,9 @@ class PlainMarch:
     the surface; ``order`` has the others as they were accepted.
     """
 
-    def __init__(self, inside: np.ndarray, h: tuple[float, ...], start: dict, half_width: float) -> None:
+    def __init__(
+        self, inside: np.ndarray, h: tuple[float, ...], start: dict, half_width: float
+    ) -> None:
         self.inside, self.h, self.half_width = inside, np.array(h), half_width
         self.known = {p: (abs(d), np.array(f, float), v) for p, (d, f, v) in start.items()}
         self.order: list[Voxel] = []
@@ -46,7 +48,9 @@ class PlainMarch:
         return (q[0], q[1], q[2]) if 0 <= q[axis] < self.inside.shape[axis] else None
 
     def _within(self, q: Voxel | None) -> bool:
-        return q in self.known and bool(np.linalg.norm(self.known[q][1] / self.h) <= self.half_width)
+        return q in self.known and bool(
+            np.linalg.norm(self.known[q][1] / self.h) <= self.half_width
+        )
 
     def _upwind(self, p: Voxel) -> list[tuple[int, int, Voxel]]:
         """(axis, side, voxel) of the nearer known neighbour along each axis."""
@@ -68,8 +72,12 @@ class PlainMarch:
         return d if d > max(one[0] for one in terms) else np.nan
 
     def _estimate(self, p: Voxel) -> float:
-        terms = sorted((self.known[q][0], self.known[q][0], self.h[axis]) for axis, _, q in self._upwind(p))
-        return next(d for n in range(len(terms), 0, -1) if not np.isnan(d := self._solve(terms[:n])))
+        terms = sorted(
+            (self.known[q][0], self.known[q][0], self.h[axis]) for axis, _, q in self._upwind(p)
+        )
+        return next(
+            d for n in range(len(terms), 0, -1) if not np.isnan(d := self._solve(terms[:n]))
+        )
 
     def _accept(self, p: Voxel) -> None:
         """Second-order distance, closest point and value of a voxel."""
@@ -84,7 +92,12 @@ class PlainMarch:
                     row = (d1, (4 * d1 - d2) / 3, 2 * h / 3)
             rows.append((q, beyond if row[2] != h else None, axis, side, row))
         d = self._solve([row[4] for row in rows])
-        self.known[p] = (min(self._estimate(p) if np.isnan(d) else d, *(row[4][0] + self.h[row[2]] for row in rows)),)
+        self.known[p] = (
+            min(
+                self._estimate(p) if np.isnan(d) else d,
+                *(row[4][0] + self.h[row[2]] for row in rows),
+            ),
+        )
         d = self.known[p][0]
         shares, points, values = [], [], []
         for q, beyond, axis, side, (d1, t, e) in rows:
@@ -92,12 +105,16 @@ class PlainMarch:
             for at, voxels, part in ((q, 1, 4 / 3 if beyond else 1.0), (beyond, 2, -1 / 3)):
                 if at is not None:
                     shares.append(w * part)
-                    points.append(self.known[at][1] + voxels * side * self.h[axis] * np.eye(3)[axis])
+                    points.append(
+                        self.known[at][1] + voxels * side * self.h[axis] * np.eye(3)[axis]
+                    )
                     values.append(self.known[at][2])
         share = np.array(shares) / sum(shares)
         foot = share @ np.array(points)
         if abs(np.linalg.norm(foot) - d) > fast_marching.TRUSTED * d:
-            foot = min((f for f, s in zip(points, shares, strict=True) if s > 0), key=np.linalg.norm)
+            foot = min(
+                (f for f, s in zip(points, shares, strict=True) if s > 0), key=np.linalg.norm
+            )
         value = share @ np.array(values)
         value = np.clip(value, min(values), max(values))
         self.known[p] = (d, foot * d / np.linalg.norm(foot), float(value))

@@ -44,7 +44,10 @@ def lattice(n: int, coarser: Triple = (1, 1, 1), flat: bool = False) -> Lattice:
     h = WIDTH / (n - 1)
     shape = [1 if flat and axis == 0 else n // c for axis, c in enumerate(coarser)]
     axes = [(np.arange(m) - 0.5 * (m - 1)) * c * h for m, c in zip(shape, coarser, strict=True)]
-    return Lattice((coarser[0] * h, coarser[1] * h, coarser[2] * h), np.stack(np.meshgrid(*axes, indexing="ij")))
+    return Lattice(
+        (coarser[0] * h, coarser[1] * h, coarser[2] * h),
+        np.stack(np.meshgrid(*axes, indexing="ij")),
+    )
 
 
 def energy_of(case: Case, radius: np.ndarray) -> Energy:
@@ -62,7 +65,12 @@ def energy_of(case: Case, radius: np.ndarray) -> Energy:
 def flow_of(case: Case) -> ConstantDensity | FlowableMass:
     made = FlowableMass if case.flowable else ConstantDensity
     return made(
-        k=case.k, lambda_=case.lambda_, rho=case.rho, friction=case.friction, diffusion=0.0, t0=case.t0 or None
+        k=case.k,
+        lambda_=case.lambda_,
+        rho=case.rho,
+        friction=case.friction,
+        diffusion=0.0,
+        t0=case.t0 or None,
     )
 
 
@@ -77,7 +85,9 @@ def steps(
     surface: LevelSet, energy: Energy, flow: Flow, dt: float, t_end: float, cfl: float = 0.5
 ) -> Iterator[tuple[float, StepRecord]]:
     """Evolve with steps of ``dt`` up to ``t_end``: after each, the time now and the row of the step."""
-    evolution = Evolution(surface, energy, flow, StepLimits(cfl, percentile=100.0, dt_max=dt), max_steps=10_000)
+    evolution = Evolution(
+        surface, energy, flow, StepLimits(cfl, percentile=100.0, dt_max=dt), max_steps=10_000
+    )
     for step in evolution:
         assert step.record.dt > 0, evolution.stop
         now = step.record.t + step.record.dt
@@ -106,7 +116,9 @@ def follow(
 
     ``radii``, if given, gets the time and the mean radius after every step.
     """
-    surface = LevelSet(on.radius - case.r0, on.spacing, 4.0 if case.flowable else 3.0, extension=extension)
+    surface = LevelSet(
+        on.radius - case.r0, on.spacing, 4.0 if case.flowable else 3.0, extension=extension
+    )
     path = exact.path(exactly or case)
     mean = point = 0.0
     for t, _ in steps(surface, energy_of(case, on.radius), flow or flow_of(case), dt, case.t_end):

@@ -33,7 +33,11 @@ class Frame:
     def inwards(self, points: np.ndarray, revolved: bool) -> np.ndarray:
         """Grid points (n, 3), z y x, in the reference's coordinates (n, 2)."""
         own = (points[:, ::-1] - self.shift) @ self.turn.T
-        return np.stack([np.hypot(own[:, 0], own[:, 1]), own[:, 2]], axis=1) if revolved else own[:, :2]
+        return (
+            np.stack([np.hypot(own[:, 0], own[:, 1]), own[:, 2]], axis=1)
+            if revolved
+            else own[:, :2]
+        )
 
     def outwards(self, points: np.ndarray, revolved: bool, around: int = 16) -> np.ndarray:
         """Reference points (n, 2) as grid points (m, 3), z y x; a surface of revolution at ``around`` angles."""
@@ -41,7 +45,10 @@ class Frame:
         if revolved:
             angle = 2.0 * np.pi * (np.arange(around) + 0.3) / around
             r, z = points[points[:, 0] > 0].T
-            own = np.stack([np.outer(np.cos(angle), r), np.outer(np.sin(angle), r), np.tile(z, (around, 1))], axis=-1)
+            own = np.stack(
+                [np.outer(np.cos(angle), r), np.outer(np.sin(angle), r), np.tile(z, (around, 1))],
+                axis=-1,
+            )
             own = own.reshape(-1, 3)
         return np.asarray((own @ self.turn + self.shift)[:, ::-1])
 
@@ -81,7 +88,12 @@ def nearest(curve: Curve, points: np.ndarray, count: int = 4096) -> Nearest:
     bend = at.bend[index]
     distance = out + 0.5 * bend * along**2 / np.maximum(1.0 + bend * out, 0.1)
     density = np.ones(count) if fine.density is None else fine.density
-    slope = (np.roll(density, -1) - np.roll(density, 1))[index] * count / (4.0 * np.pi) / at.stretch[index]
+    slope = (
+        (np.roll(density, -1) - np.roll(density, 1))[index]
+        * count
+        / (4.0 * np.pi)
+        / at.stretch[index]
+    )
     return Nearest(distance, density[index] + slope * along)
 
 
@@ -91,7 +103,12 @@ def flow_of(law: Law) -> Flow:
         return Gradient()
     made = FlowableMass if law.model == "flowable-mass" else ConstantDensity
     return made(
-        k=law.k, lambda_=law.lambda_, rho=law.rho, friction=law.friction, diffusion=law.diffusion, t0=law.t0 or None
+        k=law.k,
+        lambda_=law.lambda_,
+        rho=law.rho,
+        friction=law.friction,
+        diffusion=law.diffusion,
+        t0=law.t0 or None,
     )
 
 
@@ -108,11 +125,15 @@ def psi_at(surface: LevelSet, on: Lattice, frame: Frame, curve: Curve) -> np.nda
     """psi (m,), mm, at the points of a reference: how far inside the surface they lie, or outside (> 0)."""
     axes = [np.unique(on.points[axis]) for axis in range(3)]
     wide = [axis for axis in range(3) if len(axes[axis]) > 1]
-    psi = RegularGridInterpolator([axes[axis] for axis in wide], np.squeeze(surface.psi).astype(float), "cubic")
+    psi = RegularGridInterpolator(
+        [axes[axis] for axis in wide], np.squeeze(surface.psi).astype(float), "cubic"
+    )
     return np.asarray(psi(frame.outwards(curve.points, curve.revolved)[:, wide]))
 
 
-def compare(surface: LevelSet, on: Lattice, frame: Frame, curve: Curve, density: np.ndarray | None = None) -> Misfit:
+def compare(
+    surface: LevelSet, on: Lattice, frame: Frame, curve: Curve, density: np.ndarray | None = None
+) -> Misfit:
     """Compare the zero level of psi with the reference, both ways."""
     found = frame.inwards(surface_points(surface, on), curve.revolved)
     here = nearest(curve, found)
@@ -144,10 +165,14 @@ class Run:
     """The program on a setup, step by step."""
 
     def __init__(self, setup: Setup, law: Law, flow: Flow | None = None) -> None:
-        self.surface = LevelSet(setup.psi, setup.spacing, 4.0 if law.model == "flowable-mass" else 3.0)
+        self.surface = LevelSet(
+            setup.psi, setup.spacing, 4.0 if law.model == "flowable-mass" else 3.0
+        )
         self.flow = flow or flow_of(law)
         energy = RegionField(setup.field, law.alpha)
-        self.evolution = Evolution(self.surface, energy, self.flow, StepLimits(0.5, 100.0), max_steps=100_000)
+        self.evolution = Evolution(
+            self.surface, energy, self.flow, StepLimits(0.5, 100.0), max_steps=100_000
+        )
         self.time = 0.0
 
     def until(self, end: float, dt: float) -> None:
@@ -166,7 +191,13 @@ class Run:
 
 
 def evolve(
-    start: Curve, force: Force, law: Law, on: Lattice, times: Sequence[float], dt: float, frame: Frame = UPRIGHT
+    start: Curve,
+    force: Force,
+    law: Law,
+    on: Lattice,
+    times: Sequence[float],
+    dt: float,
+    frame: Frame = UPRIGHT,
 ) -> list[Misfit]:
     """Evolve a start by the program with steps of about ``dt``; its misfits at ``times``."""
     run, misfits = Run(set_up(start, force, on, frame), law), []

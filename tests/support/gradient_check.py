@@ -25,7 +25,9 @@ def coordinates(grid):
 def smooth_field(grid, seed, width=5.0):
     """A random field, smooth over ``width`` mm, of size 1."""
     shape, spacing = GRIDS[grid]
-    field = gaussian_filter(np.random.default_rng(seed).normal(size=shape), [width / h for h in spacing], mode="wrap")
+    field = gaussian_filter(
+        np.random.default_rng(seed).normal(size=shape), [width / h for h in spacing], mode="wrap"
+    )
     return field / np.abs(field).max()
 
 

@@ -60,7 +60,14 @@ def code_lines(text: str, tree: ast.Module) -> int:
         documented = isinstance(node, (ast.Module, ast.ClassDef, *FUNCTIONS))
         if documented and ast.get_docstring(node, clean=False) is not None:
             docstrings |= set(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
-    no_code = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+    no_code = {
+        tokenize.COMMENT,
+        tokenize.NL,
+        tokenize.NEWLINE,
+        tokenize.INDENT,
+        tokenize.DEDENT,
+        tokenize.ENDMARKER,
+    }
     lines = {
         line
         for token in tokenize.generate_tokens(io.StringIO(text).readline)
@@ -91,7 +98,9 @@ def modules() -> dict[str, Module]:
                     full = f"{node.module}.{alias.name}"
                     target = full if full in found else node.module
                     if target in found and target != module.name:
-                        (module.type_imports if id(node) in for_types else module.imports).add(target)
+                        (module.type_imports if id(node) in for_types else module.imports).add(
+                            target
+                        )
     return found
 
 
@@ -159,7 +168,11 @@ def unnamed_tuples(module: Module) -> Iterator[str]:
             continue
         for argument in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs):
             note = ast.unparse(argument.annotation) if argument.annotation else ""
-            if re.match(r"['\"]?tuple\[", note) and "..." not in note and re.search(r"[A-Z]\w+|None|bool", note):
+            if (
+                re.match(r"['\"]?tuple\[", note)
+                and "..." not in note
+                and re.search(r"[A-Z]\w+|None|bool", note)
+            ):
                 yield module.place(node, f"{node.name}({argument.arg}: {note})")
 
 
@@ -193,7 +206,9 @@ def summaries_without_verb_or_noun(module: Module) -> Iterator[str]:
 def empty_names(module: Module) -> Iterator[str]:
     """Yield variables and parameters whose name is one of `NO_NAMES`."""
     for node in ast.walk(module.tree):
-        name = node.id if isinstance(node, ast.Name) else node.arg if isinstance(node, ast.arg) else ""
+        name = (
+            node.id if isinstance(node, ast.Name) else node.arg if isinstance(node, ast.arg) else ""
+        )
         if name in NO_NAMES:
             yield module.place(node, name)
 
@@ -239,16 +254,24 @@ PER_MODULE = {
 def figures() -> dict[str, int | list[str]]:
     """Count everything: numbers, and lists of places."""
     package = modules()
-    folders = Counter(str(m.path.parent.relative_to(ROOT)) for m in package.values() if not m.is_package)
+    folders = Counter(
+        str(m.path.parent.relative_to(ROOT)) for m in package.values() if not m.is_package
+    )
     return {
         "modules": sum(folders.values()),
         "code lines": sum(module.code for module in package.values()),
         "files of the largest folder": max(folders.values()),
-        **{name: [place for m in package.values() for place in found(m)] for name, found in PER_MODULE.items()},
+        **{
+            name: [place for m in package.values() for place in found(m)]
+            for name, found in PER_MODULE.items()
+        },
         "small modules with one user": small_modules_with_one_user(package),
-        "circles at run time": [" ".join(c) for c in circles({m.name: m.imports for m in package.values()})],
+        "circles at run time": [
+            " ".join(c) for c in circles({m.name: m.imports for m in package.values()})
+        ],
         "circles, types counted": [
-            " ".join(c) for c in circles({m.name: m.imports | m.type_imports for m in package.values()})
+            " ".join(c)
+            for c in circles({m.name: m.imports | m.type_imports for m in package.values()})
         ],
         "public names in more than three modules": names_in_many_modules(package),
     }

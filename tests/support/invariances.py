@@ -20,7 +20,10 @@ Variant = tuple[Setup, Law, Callable[[np.ndarray], np.ndarray]]
 def told_otherwise(setup: Setup, law: Law) -> Iterator[tuple[str, Variant]]:
     """Every variant of a setup on the same voxels, with its name."""
     for axis in range(3):
-        yield f"mirrored along {'zyx'[axis]}", (mirrored(setup, axis), law, lambda psi, a=axis: np.flip(psi, a))
+        yield (
+            f"mirrored along {'zyx'[axis]}",
+            (mirrored(setup, axis), law, lambda psi, a=axis: np.flip(psi, a)),
+        )
     for axes in list(itertools.permutations(range(3)))[1:]:
         back = tuple(np.argsort(axes))
         yield (
@@ -29,7 +32,9 @@ def told_otherwise(setup: Setup, law: Law) -> Iterator[tuple[str, Variant]]:
         )
     for factor in (2.0, 1e-3):
         # beta_t = w f/rho + ...: f is a length here, and alpha a length squared.
-        scaled = Setup(setup.psi * factor, setup.field * factor, tuple(h * factor for h in setup.spacing))
+        scaled = Setup(
+            setup.psi * factor, setup.field * factor, tuple(h * factor for h in setup.spacing)
+        )
         other = replace(law, alpha=law.alpha * factor**2)
         yield f"lengths x {factor:g}", (scaled, other, lambda psi, f=factor: psi / f)
     yield "inside out", (Setup(-setup.psi, -setup.field, setup.spacing), law, lambda psi: -psi)
@@ -53,13 +58,17 @@ def psi_after(setup: Setup, law: Law, t_end: float) -> np.ndarray:
     return np.array(run.surface.psi)
 
 
-def differences(setup: Setup, law: Law, t_end: float, names: Sequence[str] = ()) -> dict[str, float]:
+def differences(
+    setup: Setup, law: Law, t_end: float, names: Sequence[str] = ()
+) -> dict[str, float]:
     """Largest difference of psi, in voxels, within a voxel of the surface, of every variant (or ``names``) at t_end."""
     h, first, found = min(setup.spacing), psi_after(setup, law, t_end), {}
     near = np.abs(first) < h
     for name, (other, other_law, back) in told_otherwise(setup, law):
         if not names or name in names:
-            found[name] = float(np.abs(back(psi_after(other, other_law, t_end)) - first)[near].max()) / h
+            found[name] = (
+                float(np.abs(back(psi_after(other, other_law, t_end)) - first)[near].max()) / h
+            )
     return found
 
 
@@ -68,7 +77,9 @@ def body(n: int) -> Setup:
     return set_up(BODY, uneven, lattice(n), OBLIQUE)
 
 
-def spread(frames: list[Frame], law: Law, n: int, t_end: float, revolved: bool) -> tuple[float, float]:
+def spread(
+    frames: list[Frame], law: Law, n: int, t_end: float, revolved: bool
+) -> tuple[float, float]:
     """How the surface depends on where the grid lies: mean and largest spread, in voxels, over ``frames``.
 
     psi is compared at the points of the reference, all points of the plane curve or of the body.
@@ -87,7 +98,10 @@ def spread(frames: list[Frame], law: Law, n: int, t_end: float, revolved: bool) 
 def shifts(n: int, count: int = 6) -> list[Frame]:
     """The oblique axis, or the tilted plane, shifted by parts of a voxel."""
     rng = np.random.default_rng(3)
-    return [replace(turned(0.4), shift=tuple(rng.uniform(-0.5, 0.5, 3) * WIDTH / (n - 1))) for _ in range(count)]
+    return [
+        replace(turned(0.4), shift=tuple(rng.uniform(-0.5, 0.5, 3) * WIDTH / (n - 1)))
+        for _ in range(count)
+    ]
 
 
 def rotations(revolved: bool, count: int = 6) -> list[Frame]:

@@ -52,11 +52,17 @@ class Law:
 
     def __post_init__(self) -> None:
         assert self.model in ("constant-density", "general", "flowable-mass", "descent"), self.model
-        assert self.diffusion == 0.0 or self.model == "constant-density", "diffusion: of constant density only"
+        assert self.diffusion == 0.0 or self.model == "constant-density", (
+            "diffusion: of constant density only"
+        )
 
     def weight(self, t: float) -> float:
         """w at time t."""
-        return self.lambda_ if self.friction is not None else self.lambda_ * self.k**2 * t ** (self.k - 2.0)
+        return (
+            self.lambda_
+            if self.friction is not None
+            else self.lambda_ * self.k**2 * t ** (self.k - 2.0)
+        )
 
     def gamma(self, t: float) -> float:
         """Friction at time t."""
@@ -86,7 +92,9 @@ def finer(values: np.ndarray, n: int) -> np.ndarray:
     """Periodic values (m, ...) at the ``n`` > m points of `parameter`."""
     spectrum = np.fft.rfft(values, axis=0)
     turn = np.exp(1j * np.arange(len(spectrum)) * (parameter(n)[0] - parameter(len(values))[0]))
-    return np.fft.irfft(spectrum * turn.reshape(-1, *[1] * (values.ndim - 1)), n, axis=0) * (n / len(values))
+    return np.fft.irfft(spectrum * turn.reshape(-1, *[1] * (values.ndim - 1)), n, axis=0) * (
+        n / len(values)
+    )
 
 
 class Geometry(NamedTuple):
@@ -123,7 +131,10 @@ class Curve:
 
     def derivative(self) -> np.ndarray:
         """X_p."""
-        return derivative(self.points - self._slope * parameter(len(self.points))[:, None]) + self._slope
+        return (
+            derivative(self.points - self._slope * parameter(len(self.points))[:, None])
+            + self._slope
+        )
 
     def geometry(self) -> Geometry:
         """Tangents, normals and curvatures."""
@@ -136,14 +147,18 @@ class Curve:
         if not self.revolved:
             return Geometry(tangent, normal, stretch, stretch, curvature, curvature)
         r = self.points[:, 0]
-        return Geometry(tangent, normal, stretch, stretch * np.abs(r), curvature - normal[:, 0] / r, curvature)
+        return Geometry(
+            tangent, normal, stretch, stretch * np.abs(r), curvature - normal[:, 0] / r, curvature
+        )
 
     def refined(self, n: int = 4096) -> Curve:
         """The same curve by ``n`` points."""
         straight, new = (self._slope * parameter(m)[:, None] for m in (len(self.points), n))
         velocity = None if self.velocity is None else finer(self.velocity, n)
         density = None if self.density is None else finer(self.density, n)
-        return Curve(finer(self.points - straight, n) + new, self.revolved, velocity, density, self.period)
+        return Curve(
+            finer(self.points - straight, n) + new, self.revolved, velocity, density, self.period
+        )
 
     def integral(self, values: np.ndarray) -> float:
         """int values dp over the curve (n,), to the accuracy of the series.
@@ -155,7 +170,9 @@ class Curve:
             return float(values.sum()) * 2.0 * np.pi / n
         mode = np.arange(1, n // 2)
         spectrum = np.fft.rfft(values)[1 : n // 2] / n * np.exp(-1j * mode * np.pi / n)
-        return float((4.0 * spectrum.real * np.sin(0.5 * np.pi * mode) / mode).sum() + np.pi * values.mean())
+        return float(
+            (4.0 * spectrum.real * np.sin(0.5 * np.pi * mode) / mode).sum() + np.pi * values.mean()
+        )
 
     def surface_integral(self, values: np.ndarray | float = 1.0) -> float:
         """int values dA (mm2 times unit), or int values ds of a plane curve; ``values`` (n,)."""
@@ -190,7 +207,11 @@ class Curve:
 
 
 def ellipse(
-    a: float, b: float, n: int = 128, centre: tuple[float, float] = (0.0, 0.0), revolved: bool = False
+    a: float,
+    b: float,
+    n: int = 128,
+    centre: tuple[float, float] = (0.0, 0.0),
+    revolved: bool = False,
 ) -> Curve:
     """Half axes ``a`` along x (r) and ``b`` along y (z)."""
     p = parameter(n)
@@ -206,7 +227,9 @@ def star(radius: Callable[[np.ndarray], np.ndarray], n: int = 128, revolved: boo
 class _Rates:
     """The right hand side of a law for the points of one start."""
 
-    def __init__(self, start: Curve, force: Force, law: Law, moving: MovingForce | None = None) -> None:
+    def __init__(
+        self, start: Curve, force: Force, law: Law, moving: MovingForce | None = None
+    ) -> None:
         self.start, self.force, self.law, self.moving = start, force, law, moving
         self.density = law.rho if start.density is None else start.density
         #: Mass per parameter.
@@ -236,7 +259,9 @@ class _Rates:
         """State (4 n,) at a small time after rest."""
         at, law = self.start.geometry(), self.law
         pull = (law.lambda_ * self.pull(self.start, at) / self.density)[:, None] * at.normal
-        return np.concatenate([self.start.points + 0.5 * t**law.k * pull, 0.5 * law.k * t ** (law.k - 1.0) * pull])
+        return np.concatenate(
+            [self.start.points + 0.5 * t**law.k * pull, 0.5 * law.k * t ** (law.k - 1.0) * pull]
+        )
 
     def __call__(self, t: float, state: np.ndarray) -> np.ndarray:
         law, moving = self.law, self.moving
@@ -254,7 +279,11 @@ class _Rates:
         if law.model == "flowable-mass":
             change = (w * pull * at.measure / self.mass)[:, None] * at.normal - gamma * velocity
         elif law.model == "general":
-            change = self.general(curve, at, velocity) + (w / law.rho * pull)[:, None] * at.normal - gamma * velocity
+            change = (
+                self.general(curve, at, velocity)
+                + (w / law.rho * pull)[:, None] * at.normal
+                - gamma * velocity
+            )
         else:
             # V = beta N: V_t = beta_t N + beta N_t, and N_t = -beta_s T for a point that moves along N.
             beta = (velocity * at.normal).sum(axis=1)
@@ -273,7 +302,9 @@ class _Rates:
             divergence += velocity[:, 0] / curve.points[:, 0]
         q = 0.5 * (velocity**2).sum(axis=1)
         along = (derivative(q) / at.stretch)[:, None] * at.tangent
-        return np.asarray(-divergence[:, None] * velocity - along - (q * at.curvature)[:, None] * at.normal)
+        return np.asarray(
+            -divergence[:, None] * velocity - along - (q * at.curvature)[:, None] * at.normal
+        )
 
 
 def solve(
@@ -297,7 +328,13 @@ def solve(
         first = min(1e-6 ** (1.0 / law.k), 0.5 * times[0])
         state = rates.first(first)
     solved = solve_ivp(
-        rates, (first, times[-1]), state.ravel(), method="DOP853", t_eval=times, rtol=tolerance, atol=0.01 * tolerance
+        rates,
+        (first, times[-1]),
+        state.ravel(),
+        method="DOP853",
+        t_eval=times,
+        rtol=tolerance,
+        atol=0.01 * tolerance,
     )
     assert solved.success, solved.message
     curves = []

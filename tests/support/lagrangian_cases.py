@@ -59,7 +59,9 @@ class Problem:
     def misfit(self, n: int) -> Misfit:
         """The largest misfit in voxels on a grid."""
         h = WIDTH / (n - 1)
-        found = evolve(self.start, self.force, self.law, self.grid(n), self.times, self.step * h, self.frame)
+        found = evolve(
+            self.start, self.force, self.law, self.grid(n), self.times, self.step * h, self.frame
+        )
         return in_voxels(found, h)
 
     def study(self, sizes: tuple[int, ...]) -> dict[str, Any]:
@@ -85,7 +87,9 @@ PLANE: dict[str, Problem] = {
     "along the grid": Problem(Law(CONSTANT, alpha=0.03)),
     "k = 1.5": Problem(Law(CONSTANT, k=1.5), TILTED),
     "k = 3": Problem(Law(CONSTANT, k=3.0, alpha=0.03), TILTED),
-    "k = 3, lambda 2, rho 1/2": Problem(Law(CONSTANT, 3.0, 2.0, 0.5, alpha=0.03), TILTED, times=(0.3, 0.6, 0.9)),
+    "k = 3, lambda 2, rho 1/2": Problem(
+        Law(CONSTANT, 3.0, 2.0, 0.5, alpha=0.03), TILTED, times=(0.3, 0.6, 0.9)
+    ),
     "constant friction": Problem(Law(CONSTANT, friction=1.0, alpha=0.03), TILTED),
     "flowable, area weight": Problem(Law(FLOWABLE, alpha=0.03), TILTED),
     "flowable, no area weight": Problem(Law(FLOWABLE), TILTED),
@@ -111,7 +115,9 @@ SPACE: dict[str, Problem] = {
     "oblique, k = 3": Problem(Law(CONSTANT, k=3.0, alpha=0.03), OBLIQUE, BODY, uneven),
     "flowable, oblique": Problem(Law(FLOWABLE, alpha=0.03), OBLIQUE, BODY, uneven),
     "oblique, 2:1:1": Problem(Law(CONSTANT, alpha=0.03), OBLIQUE, BODY, uneven, (2, 1, 1)),
-    "flowable, oblique, 2:1:1": Problem(Law(FLOWABLE, alpha=0.03), OBLIQUE, BODY, uneven, (2, 1, 1)),
+    "flowable, oblique, 2:1:1": Problem(
+        Law(FLOWABLE, alpha=0.03), OBLIQUE, BODY, uneven, (2, 1, 1)
+    ),
 }
 #: Mass drawn out to a fifth on one side.
 DRAWN_OUT = Problem(Law(FLOWABLE, alpha=0.02), TILTED, SEED, soft_region, times=(0.8, 1.2, 1.4))

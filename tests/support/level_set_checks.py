@@ -54,7 +54,9 @@ def _cells(count: int) -> str:
 
 
 def _finite(surface: LevelSet) -> str:
-    bad = ~np.isfinite(surface.dense.psi[surface.band.cells]) | ~np.isfinite(surface.band.to_closest).all(axis=1)
+    bad = ~np.isfinite(surface.dense.psi[surface.band.cells]) | ~np.isfinite(
+        surface.band.to_closest
+    ).all(axis=1)
     return f"psi is not finite at {_cells(int(bad.sum()))}" if bad.any() else ""
 
 
@@ -73,7 +75,9 @@ def _distances(surface: LevelSet) -> str:
         return f"psi is not the distance to the closest point at {_cells(int(bad.sum()))}"
     far = voxels_along(*band.to_closest.astype(np.float64).T, g) > surface.half_width * (1 + 1e-6)
     if far.any():
-        return f"{_cells(int(far.sum()))} further than {surface.half_width:g} voxels from the surface"
+        return (
+            f"{_cells(int(far.sum()))} further than {surface.half_width:g} voxels from the surface"
+        )
     bad = surface.dense.psi[band.cells] != band.psi
     return f"the volume's psi is not the band's at {_cells(int(bad.sum()))}" if bad.any() else ""
 
@@ -108,7 +112,11 @@ def _closed(surface: LevelSet) -> str:
 def _slope(surface: LevelSet) -> str:
     slopes = upwind_slopes(surface)
     error = abs(float(np.mean(slopes)) - 1.0) if slopes.size else 0.0
-    return f"|grad psi| is off 1 by {error:.2f} on average beside the front" if error > SLOPE_TOLERANCE else ""
+    return (
+        f"|grad psi| is off 1 by {error:.2f} on average beside the front"
+        if error > SLOPE_TOLERANCE
+        else ""
+    )
 
 
 def _residuals(surface: LevelSet) -> str:
@@ -125,7 +133,14 @@ def upwind_slopes(surface: LevelSet) -> np.ndarray:
     # Upwind from the front: as if every cell moved away from it.
     away = -surface.band.psi
     surface.workers.parallel(
-        differences.upwind_norms, surface.size, surface.dense.psi, surface.grid, surface.band, away, front, norm
+        differences.upwind_norms,
+        surface.size,
+        surface.dense.psi,
+        surface.grid,
+        surface.band,
+        away,
+        front,
+        norm,
     )
     return norm[front]
 
@@ -134,6 +149,12 @@ def closest_point_residuals(surface: LevelSet) -> np.ndarray:
     """Distance of psi from 0 (m,), in voxels of the smallest spacing, at the closest points within a voxel."""
     front, value = surface.front(1.0), np.empty(surface.size, np.float32)
     surface.workers.parallel(
-        motion.sample_image, surface.size, surface.dense.psi, surface.grid, surface.band, front, value
+        motion.sample_image,
+        surface.size,
+        surface.dense.psi,
+        surface.grid,
+        surface.band,
+        front,
+        value,
     )
     return np.asarray(np.abs(value[front]) / min(surface.grid.hz, surface.grid.hy, surface.grid.hx))

@@ -27,7 +27,9 @@ ROD_END = 104
 
 def distance_to(middle, radius):
     """Signed distance, mm, to a ball."""
-    steps = [(i - c) * h for i, c, h in zip(np.indices(SHAPE), middle, GEOMETRY.spacing, strict=True)]
+    steps = [
+        (i - c) * h for i, c, h in zip(np.indices(SHAPE), middle, GEOMETRY.spacing, strict=True)
+    ]
     return np.sqrt(sum(step**2 for step in steps)) - radius
 
 

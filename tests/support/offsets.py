@@ -35,7 +35,9 @@ class Offset:
         r = (np.arange(count) + 0.5) * step
         z = (np.arange(2 * count) + 0.5) * step - 0.5 * WIDTH
         points = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1)
-        inside = np.clip(0.5 - (self.distance(points.reshape(-1, 2)) - self.growth) / step, 0.0, 1.0)
+        inside = np.clip(
+            0.5 - (self.distance(points.reshape(-1, 2)) - self.growth) / step, 0.0, 1.0
+        )
         return float(2.0 * np.pi * step**2 * (inside.reshape(count, -1) * r[:, None]).sum())
 
 
@@ -64,7 +66,9 @@ def torus(points: np.ndarray) -> np.ndarray:
 
 def dumbbell(points: np.ndarray) -> np.ndarray:
     """Two smooth lobes with a waist of radius 0.22."""
-    return nearest(star(lambda angle: 0.22 + 0.93 * np.sin(angle) ** 2, 256, revolved=True), points).distance
+    return nearest(
+        star(lambda angle: 0.22 + 0.93 * np.sin(angle) ** 2, 256, revolved=True), points
+    ).distance
 
 
 MERGE, CLOSE, SPLIT = Offset(two_balls, 0.3), Offset(torus, 0.34), Offset(dumbbell, -0.24)

@@ -26,7 +26,10 @@ def main() -> None:
     options: dict[str, Any] = dict(word.split("=", 1) for word in sys.argv[3:])
     folder = options.pop("result", None)
     app = application()
-    window = MainWindow(Opening(RunConfig(**options), recent), ViewerSettings(None if folder is None else Path(folder)))
+    window = MainWindow(
+        Opening(RunConfig(**options), recent),
+        ViewerSettings(None if folder is None else Path(folder)),
+    )
     window.show()
     draft = state_file.with_suffix(".draft")
     #: The longest time between two turns of the window's loop, seconds.
@@ -37,7 +40,9 @@ def main() -> None:
         turns[:] = now, max(turns[1], now - turns[0])
 
     def write() -> None:
-        draft.write_text(json.dumps(said(window) | {"places": places(window), "longest_turn": turns[1]}))
+        draft.write_text(
+            json.dumps(said(window) | {"places": places(window), "longest_turn": turns[1]})
+        )
         os.replace(draft, state_file)
 
     timers = []
@@ -59,12 +64,24 @@ def said(window: MainWindow) -> dict[str, Any]:
     if inner is not None:
         status, frame = inner.session.status, inner.scene.frame
         now |= {
-            "name": inner.session.name, "shape": inner.scene.geometry.shape, "step": status.step, "ready": status.ready,
-            "drawn": frame is not None and frame.has_surface, "dice": inner.scene.dice, "message": inner.message.text(),
-            "settings": status.settings.model_dump(mode="json"), "alive": inner.session.is_alive,
+            "name": inner.session.name,
+            "shape": inner.scene.geometry.shape,
+            "step": status.step,
+            "ready": status.ready,
+            "drawn": frame is not None and frame.has_surface,
+            "dice": inner.scene.dice,
+            "message": inner.message.text(),
+            "settings": status.settings.model_dump(mode="json"),
+            "alive": inner.session.is_alive,
             "folder": str(inner.user_actions.folder),
         }
-    now["dialog"] = dialog.text() if isinstance(dialog, QMessageBox) else type(dialog).__name__ if dialog else ""
+    now["dialog"] = (
+        dialog.text()
+        if isinstance(dialog, QMessageBox)
+        else type(dialog).__name__
+        if dialog
+        else ""
+    )
     return now
 
 
@@ -74,7 +91,11 @@ def places(window: MainWindow) -> dict[str, list[int]]:
     page, dialog = window.start_page, window.dialog
     if page is not None:
         found |= {"open_file": middle(page.open_file), "open_folder": middle(page.open_folder)}
-        found |= {f"{name}-{n}": at for name in ("recent", "phantoms") for n, at in rows(getattr(page, name))}
+        found |= {
+            f"{name}-{n}": at
+            for name in ("recent", "phantoms")
+            for n, at in rows(getattr(page, name))
+        }
     if isinstance(dialog, QMessageBox):
         found |= {f"answer-{one.property('name')}": middle(one) for one in dialog.buttons()}
     elif dialog is not None:

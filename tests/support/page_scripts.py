@@ -44,6 +44,8 @@ def run_in_node(template, state, script):
         pytest.skip("Node or trame is missing")
     vue = Path(client.origin).parent / "module" / "vue3-www" / "vue.global.js"
     given = json.dumps({"template": template, "state": state, "vue": str(vue)})
-    done = subprocess.run([node, "-e", PRELUDE + script], input=given, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [node, "-e", PRELUDE + script], input=given, capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == 0, done.stderr
     return [json.loads(line) for line in done.stdout.splitlines()]

@@ -16,6 +16,7 @@ CLICK, BEYOND = "ball:14,16,24,4", "ball:32,32,24,2"
 
 def part_and_whole() -> tuple[Volume, NDArray[Any], NDArray[Any]]:
     """The image, the part and the whole."""
+
     def ball(middle: tuple[int, int, int], radius: float) -> NDArray[Any]:
         return np.asarray(clicked_balls.distance(middle, SHAPE, SPACING) <= radius)
 

@@ -22,7 +22,10 @@ def grid_of(shape, spacing) -> Grid:
 
 def coordinates(shape, spacing, centre):
     """(z, y, x) in mm from ``centre`` (mm), three arrays."""
-    return np.meshgrid(*(np.arange(n) * h - c for n, h, c in zip(shape, spacing, centre, strict=True)), indexing="ij")
+    return np.meshgrid(
+        *(np.arange(n) * h - c for n, h, c in zip(shape, spacing, centre, strict=True)),
+        indexing="ij",
+    )
 
 
 def whole_band(psi, foot=None) -> tuple[DenseArrays, Band]:
@@ -37,7 +40,9 @@ def whole_band(psi, foot=None) -> tuple[DenseArrays, Band]:
 
 def smooth_noise(shape, seed, sigma=1.5) -> np.ndarray:
     """Smooth random function of standard deviation 1, float32."""
-    field = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), sigma, mode="nearest")
+    field = ndimage.gaussian_filter(
+        np.random.default_rng(seed).standard_normal(shape), sigma, mode="nearest"
+    )
     return np.asarray(field / field.std(), np.float32)
 
 
@@ -64,7 +69,9 @@ def interpolate(array, positions):
     array, positions = np.asarray(array, float), np.atleast_2d(np.asarray(positions, float))
     axes = [axis_weights(positions[:, a], array.shape[a]) for a in range(3)]
     nodes = [base[:, None] + np.arange(w.shape[1]) for base, w, _, _ in axes]
-    block = array[nodes[0][:, :, None, None], nodes[1][:, None, :, None], nodes[2][:, None, None, :]]
+    block = array[
+        nodes[0][:, :, None, None], nodes[1][:, None, :, None], nodes[2][:, None, None, :]
+    ]
     gradient = np.empty_like(positions)
     for along in (None, 0, 1, 2):
         z, y, x = (axes[b][2] if b == along else axes[b][1] for b in range(3))
@@ -115,7 +122,9 @@ def limited_interpolant(array, position, spacing, most):
 
 def linear(array, positions):
     """Linear interpolation clamped to the border."""
-    return ndimage.map_coordinates(np.asarray(array, float), np.atleast_2d(positions).T, order=1, mode="nearest")
+    return ndimage.map_coordinates(
+        np.asarray(array, float), np.atleast_2d(positions).T, order=1, mode="nearest"
+    )
 
 
 def known_linear(values, known, position):
@@ -134,7 +143,9 @@ def known_linear(values, known, position):
 
 def has_stencil(present, position):
     """Whether all nodes of the cubic interpolation at ``position`` are among the ``present`` voxels."""
-    axes = [axis_weights(np.array([p], float), n) for p, n in zip(position, present.shape, strict=True)]
+    axes = [
+        axis_weights(np.array([p], float), n) for p, n in zip(position, present.shape, strict=True)
+    ]
     return bool(present[tuple(slice(b[0], b[0] + w.shape[1]) for b, w, _, _ in axes)].all())
 
 
@@ -220,7 +231,9 @@ def closest_points(psi, spacing, cells, parts=4):
 
 def distance(psi, spacing, cells, parts=4):
     """Signed distance (mm) of ``cells`` (m, 3) from the zero level of the interpolant of psi, by brute force."""
-    gap = np.linalg.norm(closest_points(psi, spacing, cells, parts) - np.asarray(cells) * np.asarray(spacing), axis=1)
+    gap = np.linalg.norm(
+        closest_points(psi, spacing, cells, parts) - np.asarray(cells) * np.asarray(spacing), axis=1
+    )
     return np.where(np.asarray(psi)[tuple(np.asarray(cells).T)] < 0, -gap, gap)
 
 
@@ -263,7 +276,9 @@ def iterated(psi, spacing, cell, foot):
     foot, past, least = np.asarray(foot, float), (np.zeros(3), 0.0, 1.0, 0.0), np.inf
     for iteration in range(closest.MAX_ITERATIONS):
         value, gradient = interpolate(psi, cell + foot / h)
-        foot, status, past, margins = corrected(iteration, foot, (value[0], *(gradient[0] / h)), past, h)
+        foot, status, past, margins = corrected(
+            iteration, foot, (value[0], *(gradient[0] / h)), past, h
+        )
         least = min(least, *margins)
         if status != closest.ACTIVE:
             break
@@ -296,8 +311,13 @@ def march_in_order(grid, cells, foot, state, half_width):
     From the feet of the slots that are not OPEN in ``state``, which stay. A foot may come closer on its way (to a
     third cell, past one that has a closer one): a cell that is passed then takes it over and hands it on once more.
     """
-    known = {int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN}
-    fixed, waiting = set(known), {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
+    known = {
+        int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN
+    }
+    fixed, waiting = (
+        set(known),
+        {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN},
+    )
     h, best, queue = np.array(grid[3:]), {}, []
 
     def hand_on(cell):
@@ -332,21 +352,27 @@ def march_by_rounds(psi, grid, cells, foot, state, half_width):
     Those stay. A cell looks where a neighbour within ``half_width`` has changed, takes the closest over when it is so
     by `CLOSER`, and hands it on. Its first foot is polished at once, others at last. Returns the number of those too.
     """
-    known = {int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN}
+    known = {
+        int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN
+    }
     asked = {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
     changed = [int(c) for c, s in zip(cells, state, strict=True) if s == march.EDGE]
     fixed, band, later, h = set(known), set(known) | asked, set(), np.array(grid[3:])
 
     def polished(cell, f):
         feet = np.array([f], np.float32)
-        march.refine_feet(0, 1, psi, grid, np.array([cell]), np.array([0]), feet, (np.zeros(1, np.float32), False))
+        march.refine_feet(
+            0, 1, psi, grid, np.array([cell]), np.array([0]), feet, (np.zeros(1, np.float32), False)
+        )
         return feet[0]
 
     while True:
         for cell in changed:
             f = known[cell].astype(float)
             for target, step in cells_beside(cell, grid):
-                if np.linalg.norm(f / h) <= half_width and (target in band or enters(f, step, grid, half_width)):
+                if np.linalg.norm(f / h) <= half_width and (
+                    target in band or enters(f, step, grid, half_width)
+                ):
                     asked.add(target)
         asked -= fixed
         band |= asked
@@ -354,7 +380,9 @@ def march_by_rounds(psi, grid, cells, foot, state, half_width):
             break
         taken = {}
         for cell in asked:
-            offers = [known[other] + step for other, step in cells_beside(cell, grid) if other in known]
+            offers = [
+                known[other] + step for other, step in cells_beside(cell, grid) if other in known
+            ]
             lengths = [np.sqrt((offer**2).sum()) for offer in offers]
             own = known.get(cell, np.full(3, np.inf)).astype(float)
             least = np.sqrt((own**2).sum()) - march.MIN_GAIN * h.min()
@@ -372,7 +400,9 @@ def front_cells(psi):
     front = np.zeros(inside.shape, bool)
     for a in range(3):
         crossing = np.diff(inside, axis=a)
-        front |= np.insert(crossing, 0, False, axis=a) | np.insert(crossing, crossing.shape[a], False, axis=a)
+        front |= np.insert(crossing, 0, False, axis=a) | np.insert(
+            crossing, crossing.shape[a], False, axis=a
+        )
     return front
 
 
@@ -385,7 +415,9 @@ def padded(psi, border):
     for a in range(3):
         ends = []
         for order in (1, -1):
-            one, two, three = (np.take(out, [order * i - (order < 0)], axis=a, mode="wrap") for i in range(3))
+            one, two, three = (
+                np.take(out, [order * i - (order < 0)], axis=a, mode="wrap") for i in range(3)
+            )
             if border == "mirrored" or out.shape[a] == 1:
                 ends.append(one)
             elif border == "straight" or out.shape[a] == 2:
@@ -413,7 +445,9 @@ def derivatives(psi, spacing, mirrored=False):
     for a, b in itertools.product(range(3), repeat=2):
         ea, eb = unit[a], unit[b]
         if a == b:
-            second[..., a, a] = (shifted(*ea) - 2 * shifted(0, 0, 0) + shifted(*-ea)) / spacing[a] ** 2
+            second[..., a, a] = (shifted(*ea) - 2 * shifted(0, 0, 0) + shifted(*-ea)) / spacing[
+                a
+            ] ** 2
         else:
             sum_ = shifted(*ea + eb, wide=across) + shifted(*-ea - eb, wide=across)
             sum_ = sum_ - shifted(*ea - eb, wide=across) - shifted(*eb - ea, wide=across)
@@ -439,7 +473,9 @@ def surface_curvature(psi, spacing, mirrored=False):
     k = principal_curvatures(psi, spacing, mirrored)
     bend = 1 - np.asarray(psi, float)[..., None] * k
     most = 2 / min(spacing)
-    moved = np.where(bend.prod(axis=-1) > 0.2, (k / np.where(bend == 0, 1, bend)).sum(axis=-1), k.sum(axis=-1))
+    moved = np.where(
+        bend.prod(axis=-1) > 0.2, (k / np.where(bend == 0, 1, bend)).sum(axis=-1), k.sum(axis=-1)
+    )
     return np.clip(moved, -most, most)
 
 
@@ -489,7 +525,9 @@ def known_slopes(values, present, spacing):
             for step in (-1, 1):
                 other = cell + step * np.eye(3, dtype=int)[a]
                 if 0 <= other[a] < present.shape[a] and present[tuple(other)]:
-                    sides.append((float(values[tuple(other)]) - float(values[tuple(cell)])) / (step * h))
+                    sides.append(
+                        (float(values[tuple(other)]) - float(values[tuple(cell)])) / (step * h)
+                    )
             out[(*cell, a)] = np.mean(sides) if sides else 0.0
     return out
 
@@ -516,7 +554,12 @@ def cut_voxel(psi, gradient, spacing):
     u = np.linalg.svd(normal[None])[2][1:]
     angle = np.arctan2(*((ring - middle) @ u.T).T)
     ring = ring[np.argsort(angle)] - middle
-    area = 0.5 * abs(sum(np.dot(normal, np.cross(p, q)) for p, q in zip(ring, np.roll(ring, -1, axis=0), strict=True)))
+    area = 0.5 * abs(
+        sum(
+            np.dot(normal, np.cross(p, q))
+            for p, q in zip(ring, np.roll(ring, -1, axis=0), strict=True)
+        )
+    )
     return solid.volume / h.prod(), area
 
 
@@ -524,7 +567,9 @@ def smeared_share(s, epsilon):
     """Share inside at signed distance ``s`` (voxels): the integral of the delta function from s to epsilon."""
     if abs(s) >= epsilon:
         return float(s < 0)
-    return integrate.quad(lambda t: (1 + np.cos(np.pi * t / epsilon)) / (2 * epsilon), s, epsilon)[0]
+    return integrate.quad(lambda t: (1 + np.cos(np.pi * t / epsilon)) / (2 * epsilon), s, epsilon)[
+        0
+    ]
 
 
 def laplacian(values, present, spacing):
@@ -541,7 +586,9 @@ def laplacian(values, present, spacing):
 
 def kick(beta, gain, curvature, damping, dm):
     """beta+ solves beta+ - beta = gain - damping (beta + beta+)/2 + dm beta beta+ H/2."""
-    return (beta - damping * beta / 2 + gain) / np.maximum(1 + damping / 2 - dm * beta * curvature / 2, 0.2)
+    return (beta - damping * beta / 2 + gain) / np.maximum(
+        1 + damping / 2 - dm * beta * curvature / 2, 0.2
+    )
 
 
 def departure(velocity, present, spacing, target, dt, rounds=3, farthest=2.0):

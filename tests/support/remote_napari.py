@@ -32,7 +32,8 @@ def phantom() -> tuple[NDArray[np.float32], tuple[float, float, float], tuple[in
     scale, middle = (3.0, 1.0, 1.0), (8, 24, 20)
     places = np.indices((16, 48, 64))
     balls = [
-        sum(((axis - at) * h) ** 2 for axis, at, h in zip(places, ball, scale, strict=True)) < 12.0**2
+        sum(((axis - at) * h) ** 2 for axis, at, h in zip(places, ball, scale, strict=True))
+        < 12.0**2
         for ball in (middle, (8, 24, 43))
     ]
     image = 100.0 * np.any(balls, axis=0) + np.random.default_rng(5).normal(0, 8, places.shape[1:])
@@ -43,7 +44,12 @@ class RemoteNapari:
     """A window of napari with an image, and the plug-in beside it, connected with a server."""
 
     def __init__(
-        self, image: NDArray[np.float32], scale: Sequence[float], address: str, key: str, name: str = "scan"
+        self,
+        image: NDArray[np.float32],
+        scale: Sequence[float],
+        address: str,
+        key: str,
+        name: str = "scan",
     ) -> None:
         self.viewer = napari.Viewer()
         self.window = self.viewer.window._qt_window
@@ -131,11 +137,15 @@ class RemoteNapari:
         Image.fromarray(shown).convert("RGB").quantize(64).save(path, optimize=True)
 
 
-def circle(middle: Sequence[float], radius: float, count: int = 16) -> list[tuple[float, float, float]]:
+def circle(
+    middle: Sequence[float], radius: float, count: int = 16
+) -> list[tuple[float, float, float]]:
     """Return voxels of a circle in a slice."""
     z, y, x = middle
     turns = np.linspace(0, 2 * np.pi, count)
-    return [(z, y + radius * float(np.sin(turn)), x + radius * float(np.cos(turn))) for turn in turns]
+    return [
+        (z, y + radius * float(np.sin(turn)), x + radius * float(np.cos(turn))) for turn in turns
+    ]
 
 
 def main() -> None:

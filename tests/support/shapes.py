@@ -15,7 +15,12 @@ def spheroid(on: Lattice) -> LevelSet:
 
 def ball_on_grid(shape=(12, 16, 20), spacing=(2.0, 1.0, 1.0), direction=None, radius=6.0):
     """psi of a ball in the middle of a grid, and the grid."""
-    geometry = Geometry(shape, spacing, (-3.0, 4.0, 5.0), np.eye(3) if direction is None else direction)
-    grid = np.meshgrid(*((np.arange(n) - (n - 1) / 2) * h for n, h in zip(shape, spacing, strict=True)), indexing="ij")
+    geometry = Geometry(
+        shape, spacing, (-3.0, 4.0, 5.0), np.eye(3) if direction is None else direction
+    )
+    grid = np.meshgrid(
+        *((np.arange(n) - (n - 1) / 2) * h for n, h in zip(shape, spacing, strict=True)),
+        indexing="ij",
+    )
     psi = (np.sqrt(sum(g**2 for g in grid)) - radius).astype(np.float32)
     return psi, geometry

@@ -15,7 +15,9 @@ def at(session, step):
 def labels_of(session, folder):
     """Bytes of the labels that it saves, and the file that repeats the run."""
     session.save(folder, ("labels", "run"), overwrite=True).result(60)
-    return io.read_labels(folder / "surface_seg.nii.gz").array.tobytes(), folder / "surface_run.toml"
+    return io.read_labels(
+        folder / "surface_seg.nii.gz"
+    ).array.tobytes(), folder / "surface_run.toml"
 
 
 def views(session, seconds=20.0):

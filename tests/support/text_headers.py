@@ -16,7 +16,6 @@ def refuse(path, words, family=InputError):
     assert caught.value.hint or "finite numbers" in words
 
 
-
 def text_header(suffix, **changes):
     """Lines of a plain header; a change of None takes a line out."""
     lines = {
@@ -43,4 +42,7 @@ def text_header(suffix, **changes):
     if suffix == ".nrrd":
         return ("NRRD0004\n" + "".join(f"{k}: {v}\n" for k, v in kept) + "\n").encode()
     data = lines.get("ElementDataFile", "LOCAL")
-    return ("".join(f"{k} = {v}\n" for k, v in kept if k != "ElementDataFile") + f"ElementDataFile = {data}\n").encode()
+    return (
+        "".join(f"{k} = {v}\n" for k, v in kept if k != "ElementDataFile")
+        + f"ElementDataFile = {data}\n"
+    ).encode()

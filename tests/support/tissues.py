@@ -17,7 +17,9 @@ Labels = NDArray[np.int32]
 Shape = tuple[int, int, int]
 
 
-def _finished(values: NDArray[np.float64], blur: float, noise: float, random: np.random.Generator) -> Image:
+def _finished(
+    values: NDArray[np.float64], blur: float, noise: float, random: np.random.Generator
+) -> Image:
     """Values after a scanner: blurred (sigma in voxels), with noise."""
     smooth = ndimage.gaussian_filter(values, blur)
     return np.asarray(smooth + random.normal(0.0, noise, values.shape), np.float32)
@@ -29,7 +31,12 @@ def _from_middle(shape: Shape) -> Iterator[NDArray[np.float64]]:
 
 
 def membrane_cells(
-    shape: Shape = (48, 96, 96), count: int = 33, *, membrane: float = 1.2, noise: float = 0.25, seed: int = 0
+    shape: Shape = (48, 96, 96),
+    count: int = 33,
+    *,
+    membrane: float = 1.2,
+    noise: float = 0.25,
+    seed: int = 0,
 ) -> tuple[Image, Labels, NDArray[np.int64]]:
     """Cells that fill the volume, equally bright inside, between bright membranes.
 
@@ -72,7 +79,10 @@ def membrane_cells(
     wall = 0.5 * (distances[:, 1] - distances[:, 0]).reshape(shape) < membrane
     found = (nearest[:, 0] + 1).astype(np.int32).reshape(shape)
     inner = ndimage.distance_transform_edt(~wall)
-    centres = [np.unravel_index(int(np.argmax(np.where(found == n, inner, -1.0))), shape) for n in range(1, count + 1)]
+    centres = [
+        np.unravel_index(int(np.argmax(np.where(found == n, inner, -1.0))), shape)
+        for n in range(1, count + 1)
+    ]
     image = _finished(wall.astype(float), 0.7, noise, random)
     return image, found, np.array(centres, np.int64)
 
@@ -88,23 +98,34 @@ def nuclei(shape: Shape, count: int, *, seed: int = 0) -> tuple[Image, Labels]:
         apart = np.linalg.norm(places - at, axis=1).min(initial=99.0)
         if apart > 11.0 and (at >= 5.0).all() and (at <= size - 6.0).all():
             places = np.vstack([places, at])
-    truth, far, image = np.zeros(shape, np.int32), np.ones(shape, np.float32), np.full(shape, 20.0, np.float32)
+    truth, far, image = (
+        np.zeros(shape, np.int32),
+        np.ones(shape, np.float32),
+        np.full(shape, 20.0, np.float32),
+    )
     for number, at in enumerate(places, 1):
         box = tuple(slice(max(int(a) - 9, 0), int(a) + 10) for a in at)
         axes, bright = random.uniform(5.0, 8.0, 3), random.uniform(80.0, 120.0)
-        z, y, x = (((np.arange(*s.indices(n)) - a) / r) ** 2 for s, n, a, r in zip(box, shape, at, axes, strict=True))
+        z, y, x = (
+            ((np.arange(*s.indices(n)) - a) / r) ** 2
+            for s, n, a, r in zip(box, shape, at, axes, strict=True)
+        )
         away = (z[:, None, None] + y[:, None] + x).astype(np.float32)
         nearer = away < far[box]
         far[box][nearer], truth[box][nearer], image[box][nearer] = away[nearer], number, bright
     return _finished(image, 1.0, 15.0, random), truth
 
 
-def tumour(shape: Shape = (40, 64, 64), *, noise: float = 8.0, seed: int = 0) -> tuple[Image, Labels]:
+def tumour(
+    shape: Shape = (40, 64, 64), *, noise: float = 8.0, seed: int = 0
+) -> tuple[Image, Labels]:
     """A lobed mass with a bright rim and a dim middle in homogeneous tissue, as with contrast agent in MR."""
     random = np.random.default_rng(seed)
     z, y, x = _from_middle(shape)
     angle = np.arctan2(y, x)
-    radius = np.sqrt(x**2 + y**2 + (1.3 * z) ** 2) / (1 + 0.15 * np.sin(3 * angle) + 0.1 * np.cos(2 * angle + z / 6))
+    radius = np.sqrt(x**2 + y**2 + (1.3 * z) ** 2) / (
+        1 + 0.15 * np.sin(3 * angle) + 0.1 * np.cos(2 * angle + z / 6)
+    )
     inside = radius < 15
     values = np.full(shape, 80.0)
     values[inside] = 130.0
@@ -114,7 +135,9 @@ def tumour(shape: Shape = (40, 64, 64), *, noise: float = 8.0, seed: int = 0) ->
     return _finished(values, 0.7, noise, random), inside.astype(np.int32)
 
 
-def organelle(shape: Shape = (40, 72, 72), *, noise: float = 12.0, seed: int = 0) -> tuple[Image, Labels]:
+def organelle(
+    shape: Shape = (40, 72, 72), *, noise: float = 12.0, seed: int = 0
+) -> tuple[Image, Labels]:
     """A cell in electron microscopy: as bright as its surroundings, in a dark membrane, with dark organelles inside."""
     random = np.random.default_rng(seed)
     z, y, x = _from_middle(shape)

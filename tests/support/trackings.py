@@ -30,7 +30,10 @@ class Tracking(NamedTuple):
 
 
 def piece_of(ball: Ball, geometry: Geometry) -> SurfacePiece:
-    places = [(np.arange(n) - c) * h for n, c, h in zip(geometry.shape, ball.center, geometry.spacing, strict=True)]
+    places = [
+        (np.arange(n) - c) * h
+        for n, c, h in zip(geometry.shape, ball.center, geometry.spacing, strict=True)
+    ]
     if geometry.slice_axis is not None:
         places[geometry.slice_axis] = np.zeros(1)
     z, y, x = np.meshgrid(*places, indexing="ij")
@@ -39,7 +42,9 @@ def piece_of(ball: Ball, geometry: Geometry) -> SurfacePiece:
     return SurfacePiece(corner_of(box), psi[box].copy())
 
 
-def object_of(own: int, ball: Ball, geometry: Geometry, before: Ball | None = None) -> TrackedObject:
+def object_of(
+    own: int, ball: Ball, geometry: Geometry, before: Ball | None = None
+) -> TrackedObject:
     is_2d = geometry.slice_axis is not None
     thick = geometry.spacing[geometry.slice_axis] if is_2d else 0.0
     volume = math.pi * ball.radius**2 * thick if is_2d else 4 / 3 * math.pi * ball.radius**3
@@ -47,11 +52,15 @@ def object_of(own: int, ball: Ball, geometry: Geometry, before: Ball | None = No
     centroid = tuple(float(v) for v in geometry.index_to_world(ball.center))
     velocity = (0.0, 0.0, 0.0)
     if before is not None:
-        velocity = tuple(b - a for a, b in zip(geometry.index_to_world(before.center), centroid, strict=True))
+        velocity = tuple(
+            b - a for a, b in zip(geometry.index_to_world(before.center), centroid, strict=True)
+        )
     predicted = None if before is None else piece_of(before, geometry)
     quality = 0.9 if ball.seen else 0.0
     piece = piece_of(ball, geometry)
-    return TrackedObject(own, piece, predicted, velocity, volume, area, centroid, ball.seen, quality)
+    return TrackedObject(
+        own, piece, predicted, velocity, volume, area, centroid, ball.seen, quality
+    )
 
 
 def tracking(
@@ -64,7 +73,9 @@ def tracking(
     volumes, objects = [], []
     for number, balls in enumerate(frames):
         before = frames[number - 1] if number else {}
-        found = tuple(object_of(own, ball, geometry, before.get(own)) for own, ball in sorted(balls.items()))
+        found = tuple(
+            object_of(own, ball, geometry, before.get(own)) for own, ball in sorted(balls.items())
+        )
         image = np.zeros(geometry.shape, np.float32)
         for one in found:
             if one.seen:
@@ -98,7 +109,10 @@ def dividing_cells() -> Tracking:
         if number < 3:
             balls[2] = Ball((5.0, 14.0, 12.0), 4.0)
         else:
-            balls |= {3: Ball((5.0, 14.0, 12.0 - 2 * number), 2.5), 4: Ball((5.0, 14.0, 12.0 + 2 * number), 2.5)}
+            balls |= {
+                3: Ball((5.0, 14.0, 12.0 - 2 * number), 2.5),
+                4: Ball((5.0, 14.0, 12.0 + 2 * number), 2.5),
+            }
         frames.append(balls)
     links = [Link(2, 3, 3, "division"), Link(2, 4, 3, "division")]
     return tracking(geometry, frames, links, [0.0, 0.5, 1.0, 1.5, 2.0])
@@ -110,9 +124,12 @@ def flat_cells() -> Tracking:
     frames: list[dict[int, Ball]] = []
     for number in range(4):
         if number < 3:
-            frames.append({
-                1: Ball((0.0, 12.0, 7.0 + 2 * number), 2.0), 2: Ball((0.0, 12.0, 25.0 - 2 * number), 2.0)
-            })
+            frames.append(
+                {
+                    1: Ball((0.0, 12.0, 7.0 + 2 * number), 2.0),
+                    2: Ball((0.0, 12.0, 25.0 - 2 * number), 2.0),
+                }
+            )
         else:
             frames.append({3: Ball((0.0, 12.0, 16.0), 2.8)})
     return tracking(geometry, frames, [Link(1, 3, 3, "merging"), Link(2, 3, 3, "merging")])

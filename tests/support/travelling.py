@@ -33,7 +33,9 @@ def ball(geometry: Geometry, centre: Sequence[float], radius: float) -> np.ndarr
     return ellipsoid(geometry, centre, (radius, radius, radius))
 
 
-def off_ellipsoid(momentum: SurfaceMomentum, centre: Sequence[float], axes: Sequence[float]) -> float:
+def off_ellipsoid(
+    momentum: SurfaceMomentum, centre: Sequence[float], axes: Sequence[float]
+) -> float:
     """The largest distance (mm, first order) of a surface's points from an ellipsoid."""
     on = momentum._boxed
     points = on.closest_points()[on.surface.front(1.0)] - np.asarray(centre, float)

@@ -76,7 +76,11 @@ class Trip:
         self.called.add(path)
         if path not in self.files and self._counts(frame):
             self.files[path] = code.co_qualname
-        if code.co_name == KERNEL and frame.f_back is not None and frame.f_back.f_code.co_name == CALLER:
+        if (
+            code.co_name == KERNEL
+            and frame.f_back is not None
+            and frame.f_back.f_code.co_name == CALLER
+        ):
             self.ended = True
 
     def lines(self) -> list[str]:
@@ -97,7 +101,12 @@ def _is_import(frame: FrameType) -> bool:
 def arguments(frame: FrameType) -> Iterator[Any]:
     """Yield the arguments of a call, self among them; of a function of a function what it has from there, too."""
     code = frame.f_code
-    count = code.co_argcount + code.co_kwonlyargcount + bool(code.co_flags & 0x04) + bool(code.co_flags & 0x08)
+    count = (
+        code.co_argcount
+        + code.co_kwonlyargcount
+        + bool(code.co_flags & 0x04)
+        + bool(code.co_flags & 0x08)
+    )
     for name in (*code.co_varnames[:count], *code.co_freevars):
         if name in frame.f_locals:
             yield frame.f_locals[name]
@@ -124,7 +133,9 @@ def holds(value: Any, wanted: Callable[[Any], bool]) -> bool:
     if wanted(value):
         return True
     for part in parts(value):
-        if wanted(part) or (isinstance(part, (tuple, list, dict)) and any(wanted(each) for each in parts(part))):
+        if wanted(part) or (
+            isinstance(part, (tuple, list, dict)) and any(wanted(each) for each in parts(part))
+        ):
             return True
         if isinstance(value, (tuple, list, dict)) and any(wanted(each) for each in parts(part)):
             return True
@@ -157,7 +168,11 @@ def _is_click(value: Any) -> bool:
         return value.startswith(("ball:", "point:", "path:")) and value not in (SEED, START)
     if type(value).__name__ == "Click":
         return bool(value.box[2].start <= NEW[0] < value.box[2].stop)
-    if isinstance(value, (tuple, list, np.ndarray)) and getattr(value, "shape", (3,)) == (3,) and len(value) == 3:
+    if (
+        isinstance(value, (tuple, list, np.ndarray))
+        and getattr(value, "shape", (3,)) == (3,)
+        and len(value) == 3
+    ):
         if all(isinstance(each, (float, int)) for each in value):
             return any(np.abs(np.subtract(value, place)).max() < 0.6 for place in (NEW, NEW[::-1]))
     return type(value).__name__ == "Picked"
@@ -172,7 +187,11 @@ def image() -> np.ndarray:
 
 def options(clicked: bool) -> RunConfig:
     """Return the settings of a run from a click, or from a ball."""
-    return RunConfig(inside=SEED, levels=1, threads=1) if clicked else RunConfig(start=START, levels=1, threads=1)
+    return (
+        RunConfig(inside=SEED, levels=1, threads=1)
+        if clicked
+        else RunConfig(start=START, levels=1, threads=1)
+    )
 
 
 def argument_trip(wanted: Callable[[Any], bool], clicked: bool) -> Trip:
@@ -199,7 +218,11 @@ def click_trip(clicked: bool, after_end: bool) -> Trip:
     from accelsurf.viewer.scene.scene import Scene
 
     at: list[float] = []
-    trip = Trip(lambda frame: any(holds(each, lambda it: has_click(it) or _among(it, at)) for each in arguments(frame)))
+    trip = Trip(
+        lambda frame: any(
+            holds(each, lambda it: has_click(it) or _among(it, at)) for each in arguments(frame)
+        )
+    )
     volume = Volume.from_array(image())
     threading.setprofile(trip._see)  # the session's thread is seen from its beginning
     try:

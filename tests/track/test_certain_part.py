@@ -45,7 +45,9 @@ def test_growth_and_a_change_of_shape_pass(sphere: BoxedSurface) -> None:
     longer = 0.5 * (3.0 * along(sphere)[:, 0] ** 2 - 1.0)
     passed = certain_part(sphere, longer)
     share = float((passed * longer).sum() / (longer**2).sum())
-    assert 0.93 < share < 1.01 and mean_square(sphere, passed - longer) < 0.01 * mean_square(sphere, longer)
+    assert 0.93 < share < 1.01 and mean_square(sphere, passed - longer) < 0.01 * mean_square(
+        sphere, longer
+    )
     assert not certain_part(sphere, np.zeros(size)).any()
 
 
@@ -70,7 +72,9 @@ def test_it_is_the_same_with_unequal_spacing_and_in_one_slice() -> None:
     disc = np.hypot(y[:, None] - 17.5, x - 17.5)[None]
     for psi, geometry in ((away - 10.0, spaced), (disc - 10.0, flat)):
         on = boxed_surface(psi.astype(np.float32), (0, 0, 0), geometry, 4.0, Workers(1))
-        np.testing.assert_allclose(certain_part(on, np.full(on.surface.size, -0.4)), -0.4, rtol=1e-3)
+        np.testing.assert_allclose(
+            certain_part(on, np.full(on.surface.size, -0.4)), -0.4, rtol=1e-3
+        )
 
 
 def test_a_ball_in_noise_coasts_as_a_ball() -> None:
@@ -83,7 +87,9 @@ def test_a_ball_in_noise_coasts_as_a_ball() -> None:
     random = np.random.default_rng(3)
     for frame in range(1, 5):
         momentum.predict(1.0)
-        psi = ball(ROOM, (15.5, 15.5, 9.0 + frame), 6.0) + random.normal(0, 0.4, ROOM.shape).astype(np.float32)
+        psi = ball(ROOM, (15.5, 15.5, 9.0 + frame), 6.0) + random.normal(0, 0.4, ROOM.shape).astype(
+            np.float32
+        )
         momentum.correct(whole(psi.astype(np.float32)), 1.0, Gains())
     for _ in range(4):
         momentum.predict(1.0)

@@ -10,7 +10,14 @@ from benchmarks.tracking_closing import WANTED, ThereAndBack, apart, rows_of, su
 
 def test_there_and_back_is_the_same_as_not_having_moved() -> None:
     """A disc in noise: every frame as it was on the way there."""
-    values = {"motion": "translation", "shape": [48, 32, 1], "radius": 7.0, "speed": 2.0, "frames": 5, "noise": 0.2}
+    values = {
+        "motion": "translation",
+        "shape": [48, 32, 1],
+        "radius": 7.0,
+        "speed": 2.0,
+        "frames": 5,
+        "noise": 0.2,
+    }
     phantom = MovingPhantom(motion_from(values, "disc"))
     back = surfaces(ThereAndBack(phantom), 0, "forward", phantom.truth(0))
     each = [apart(back[n], back[8 - n], phantom) for n in range(1, 4)]

@@ -76,7 +76,9 @@ def test_friction_takes_what_differs_from_the_mean() -> None:
     momentum.start(ball(geometry, (11.5, 11.5, 9.0), 5.0), (0, 0, 0), geometry, (1.0, 0.0, 0.0))
     away = momentum._boxed.closest_points() - np.array([11.5, 11.5, 9.0])
     *velocity, density = momentum._fields
-    momentum._fields = [np.float32(f + 0.2 * a) for f, a in zip(velocity, away.T, strict=True)] + [density]
+    momentum._fields = [np.float32(f + 0.2 * a) for f, a in zip(velocity, away.T, strict=True)] + [
+        density
+    ]
     for _ in range(3):
         momentum.predict(1.0)
     grown = 5.0 * (1.0 + 0.2 * (1.0 - math.exp(-1.5)) / 0.5)
@@ -86,7 +88,9 @@ def test_friction_takes_what_differs_from_the_mean() -> None:
 
 def test_a_step_back_undoes_a_step() -> None:
     momentum = make_momentum("flowable-mass")
-    momentum.start(ellipsoid(CUBE, (11.5, 11.7, 9.0), (4.0, 5.0, 5.5)), (0, 0, 0), CUBE, (1.3, 0.2, 0.0))
+    momentum.start(
+        ellipsoid(CUBE, (11.5, 11.7, 9.0), (4.0, 5.0, 5.5)), (0, 0, 0), CUBE, (1.3, 0.2, 0.0)
+    )
     momentum.predict(2.0)
     moved = off_ellipsoid(momentum, (11.5, 11.7, 9.0), (4.0, 5.0, 5.5))
     momentum.predict(-2.0)
@@ -123,7 +127,9 @@ def test_a_single_slice_of_other_thickness_and_oblique_axes() -> None:
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     flat = Geometry((1, 30, 30), (7.0, 1.0, 0.5), direction=turned)
     momentum = make_momentum("flowable-mass")
-    momentum.start(ellipsoid(flat, (0.0, 14.0, 7.0), (1.0, 5.0, 4.0)), (0, 0, 0), flat, (1.5, 0.5, 0.0))
+    momentum.start(
+        ellipsoid(flat, (0.0, 14.0, 7.0), (1.0, 5.0, 4.0)), (0, 0, 0), flat, (1.5, 0.5, 0.0)
+    )
     before = momentum.centroid()
     momentum.predict(2.0)
     after = momentum.centroid()
@@ -152,7 +158,11 @@ def test_a_surface_goes_on_with_voxels_twice_as_large_and_back() -> None:
     momentum, again, other = (make_momentum("flowable-mass") for _ in range(3))
     momentum.start(ellipsoid(geometry, start, axes), (0, 0, 0), geometry, (3.3, 0.2, 0.0))
     other.start(ball(geometry, (12.0, 12.0, 34.0), 4.0), (0, 0, 0), geometry)
-    volumes, before, halved = momentum.volume() + other.volume(), momentum.centroid(), momentum._boxed.surface.size
+    volumes, before, halved = (
+        momentum.volume() + other.volume(),
+        momentum.centroid(),
+        momentum._boxed.surface.size,
+    )
     momentum.halve()
     momentum.halve()
     assert momentum._boxed.surface.size < 0.35 * halved
@@ -165,4 +175,6 @@ def test_a_surface_goes_on_with_voxels_twice_as_large_and_back() -> None:
     np.testing.assert_array_equal(momentum.piece.psi, again.piece.psi)
     union = momentum.merged([other])
     assert union.volume() == pytest.approx(volumes, rel=0.02)
-    assert momentum._boxed.geometry is geometry and momentum.mean_velocity()[0] == pytest.approx(3.3, abs=0.02)
+    assert momentum._boxed.geometry is geometry and momentum.mean_velocity()[0] == pytest.approx(
+        3.3, abs=0.02
+    )

@@ -19,9 +19,16 @@ from accelsurf.track.records import SurfacePiece
 from accelsurf.track.track import Tracking, track
 
 CELL = {
-    "tissue": "cell", "shape": [64, 64, 1], "radius": 15.0, "thickness": 1.0, "amplitude": 4.0, "frames": 4,
-    "travel": [2.0, 1.0, 0.0], "speckle": 0.6, "seed": 3,
-}  # fmt: skip
+    "tissue": "cell",
+    "shape": [64, 64, 1],
+    "radius": 15.0,
+    "thickness": 1.0,
+    "amplitude": 4.0,
+    "frames": 4,
+    "travel": [2.0, 1.0, 0.0],
+    "speckle": 0.6,
+    "seed": 3,
+}
 
 
 def cell(**values: object) -> TissuePhantom:
@@ -34,7 +41,9 @@ def dice(a: np.ndarray, b: np.ndarray) -> float:
     return float(2.0 * (a & b).sum() / max(1, a.sum() + b.sum()))
 
 
-def tracking(sequence: VolumeSequence | TissuePhantom, labels: np.ndarray, **settings: object) -> Tracking:
+def tracking(
+    sequence: VolumeSequence | TissuePhantom, labels: np.ndarray, **settings: object
+) -> Tracking:
     config = TrackConfig(threads=1, energy="chan-vese", levels=1, **settings)
     return Tracking(sequence, config, objects=Volume(labels, sequence.geometry))
 
@@ -55,11 +64,23 @@ def test_start_label_keeps_the_frame_in_the_middle_and_follows_both_ways(tmp_pat
     phantom = cell()
     for number in range(4):
         io.write(phantom.frame(number), tmp_path / f"frame_{number}.nii.gz")
-    io.write_labels(Volume(phantom.truth(1) * np.uint8(5), phantom.geometry), tmp_path / "given.nii.gz")
+    io.write_labels(
+        Volume(phantom.truth(1) * np.uint8(5), phantom.geometry), tmp_path / "given.nii.gz"
+    )
     words = [
-        "track", str(tmp_path / "frame_*.nii.gz"), "--start", f"label:{tmp_path / 'given.nii.gz'}", "--frame", "1",
-        "-o", str(tmp_path / "out"), "--per-frame", "--energy", "chan-vese", "--quiet",
-    ]  # fmt: skip
+        "track",
+        str(tmp_path / "frame_*.nii.gz"),
+        "--start",
+        f"label:{tmp_path / 'given.nii.gz'}",
+        "--frame",
+        "1",
+        "-o",
+        str(tmp_path / "out"),
+        "--per-frame",
+        "--energy",
+        "chan-vese",
+        "--quiet",
+    ]
     assert cli.execute(words) == 0
     found = [io.read(path).array for path in sorted((tmp_path / "out").glob("*_labels_t*.nii.gz"))]
     assert len(found) == 4
@@ -77,7 +98,14 @@ def test_a_correction_of_the_given_frame_is_made() -> None:
 
 
 def test_the_image_tells_how_a_shell_in_speckle_beats() -> None:
-    values = {"tissue": "shell", "shape": [40, 38, 44], "radius": 15.0, "thickness": 4.5, "amplitude": 4.0, "seed": 5}
+    values = {
+        "tissue": "shell",
+        "shape": [40, 38, 44],
+        "radius": 15.0,
+        "thickness": 4.5,
+        "amplitude": 4.0,
+        "seed": 5,
+    }
     phantom = phantom_from({**values, "frames": 3, "period": 6.0})
     assert isinstance(phantom, TissuePhantom)
     results = list(tracking(phantom, phantom.truth(0)))
@@ -93,7 +121,9 @@ def test_displacement_and_variance_are_those_of_a_shifted_texture() -> None:
     z, y, x = np.indices(texture.shape)
     psi = np.sqrt((z - 15.0) ** 2 + (y - 17.0) ** 2 + (x - 18.0) ** 2).astype(np.float32) - 7.0
     spacing = (2.0, 1.0, 1.0)
-    before, now = (Volume.from_array(image.astype(np.float32), spacing) for image in (texture, moved))
+    before, now = (
+        Volume.from_array(image.astype(np.float32), spacing) for image in (texture, moved)
+    )
     seen = image_motion(before, now, SurfacePiece((0, 0, 0), psi), np.zeros(3))
     assert seen is not None and seen.likeness > 0.95
     middle = np.array([[15.0, 17.0, 18.0]]) * spacing
@@ -119,17 +149,24 @@ def test_appearance_is_learned_near_the_given_surface_on_both_sides() -> None:
     assert learned is not None and learned.slope > 0
     later, moved = textured(36.0, 2)
     odds = learned.evidence(later, (0, 0, 0), moved.shape)
-    near = np.abs(np.hypot(*(np.indices((90, 90)) - np.array([30, 36])[:, None, None])) - 11)[None] < 8
+    near = (
+        np.abs(np.hypot(*(np.indices((90, 90)) - np.array([30, 36])[:, None, None])) - 11)[None] < 8
+    )
     assert dice((odds > 0) & near, moved) > 0.85
     beyond = learned.evidence(later, (0, -3, -2), (1, 96, 94))  # the frame's edge goes on
     np.testing.assert_array_equal(beyond[:, 3:93, 2:92], odds)
     np.testing.assert_array_equal(beyond[0, 0, 2:92], odds[0, 0])
-    assert appearance_of(image, SurfacePiece((0, 0, 0), np.full((1, 90, 90), -1.0, np.float32))) is None
+    assert (
+        appearance_of(image, SurfacePiece((0, 0, 0), np.full((1, 90, 90), -1.0, np.float32)))
+        is None
+    )
     flat = Volume.from_array(np.zeros((1, 90, 90), np.float32), 1.0)
     assert appearance_of(flat, SurfacePiece((0, 0, 0), psi)) is None
 
 
-@pytest.mark.parametrize(("model", "least", "most"), [("flowable-mass", 0.5, 2.0), ("none", -0.05, 0.05)])
+@pytest.mark.parametrize(
+    ("model", "least", "most"), [("flowable-mass", 0.5, 2.0), ("none", -0.05, 0.05)]
+)
 def test_a_run_in_a_frame_begins_with_the_momentum_that_is_carried(
     model: str, least: float, most: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,12 +185,18 @@ def test_a_run_in_a_frame_begins_with_the_momentum_that_is_carried(
     assert momentum.centroid()[0] == before
 
 
-def test_what_the_given_frame_looked_like_keeps_the_surface_from_drifting(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_given_frame_looked_like_keeps_the_surface_from_drifting(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     phantom, score = cell(frames=7, coherence=0.0), []
     for learn in (appearance_of, lambda *_: None):
         monkeypatch.setattr(follower, "appearance_of", learn)
         results = list(tracking(phantom, phantom.truth(0)))[3:]
-        score.append(np.mean([dice(r.labels(seen_only=False) > 0, phantom.truth(r.frame) > 0) for r in results]))
+        score.append(
+            np.mean(
+                [dice(r.labels(seen_only=False) > 0, phantom.truth(r.frame) > 0) for r in results]
+            )
+        )
     assert score[0] > score[1] + 0.04
 
 
@@ -161,7 +204,9 @@ def test_frames_without_evidence_are_marked_and_the_track_ends() -> None:
     phantom, random = cell(frames=8), np.random.default_rng(1)
     frames = [phantom.frame(n) for n in range(8)]
     for n in range(3, 8):
-        frames[n] = frames[n].with_array(random.normal(100.0, 30.0, frames[n].array.shape).astype(np.float32))
+        frames[n] = frames[n].with_array(
+            random.normal(100.0, 30.0, frames[n].array.shape).astype(np.float32)
+        )
     run = tracking(VolumeSequence(frames), phantom.truth(0), max_gap=2)
     seen = {result.frame: [one.seen for one in result.objects] for result in run}
     assert seen[2] == [True] and seen[3] == [False] and seen[7] == []
@@ -169,7 +214,9 @@ def test_frames_without_evidence_are_marked_and_the_track_ends() -> None:
     assert only.last == 2 and only.end in ("vanished", "lost")
 
 
-def test_tracks_that_cannot_be_trusted_are_said_to_be_so(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tracks_that_cannot_be_trusted_are_said_to_be_so(
+    tmp_path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A cell that fades is refused in the frames in which it has faded; one that stays is not."""
     phantom, faint = cell(), cell(inside=90.0)
     frames = [phantom.frame(n) if n < 2 else faint.frame(n) for n in range(4)]
@@ -182,13 +229,22 @@ def test_tracks_that_cannot_be_trusted_are_said_to_be_so(tmp_path, capsys: pytes
         io.write(frame, tmp_path / f"frame_{number}.nii.gz")
     io.write_labels(Volume(phantom.truth(0), phantom.geometry), tmp_path / "given.nii.gz")
     words = [
-        "track", str(tmp_path / "frame_*.nii.gz"), "--start", f"label:{tmp_path / 'given.nii.gz'}",
-        "-o", str(tmp_path / "out"), "--energy", "chan-vese",
-    ]  # fmt: skip
+        "track",
+        str(tmp_path / "frame_*.nii.gz"),
+        "--start",
+        f"label:{tmp_path / 'given.nii.gz'}",
+        "-o",
+        str(tmp_path / "out"),
+        "--energy",
+        "chan-vese",
+    ]
     assert cli.execute(words) == 0
     assert "these tracks cannot be trusted in 2 of 4 frames" in capsys.readouterr().out
     (report,) = (json.loads(path.read_text()) for path in (tmp_path / "out").glob("*_report.json"))
-    assert any("cannot be trusted in 2 of 4 frames, the first of them frame 2" in line for line in report["warnings"])
+    assert any(
+        "cannot be trusted in 2 of 4 frames, the first of them frame 2" in line
+        for line in report["warnings"]
+    )
 
 
 def test_a_tracking_of_given_labels_goes_on_to_the_same_bytes(tmp_path) -> None:
@@ -199,5 +255,7 @@ def test_a_tracking_of_given_labels_goes_on_to_the_same_bytes(tmp_path) -> None:
     begun = iter(track(phantom, objects=start, checkpoint_to=state, **settings))
     parts = [next(begun).labels().tobytes() for _ in range(3)]
     next(begun, None)
-    parts += [r.labels().tobytes() for r in track(phantom, objects=start, checkpoint_to=state, **settings)]
+    parts += [
+        r.labels().tobytes() for r in track(phantom, objects=start, checkpoint_to=state, **settings)
+    ]
     assert parts[:3] == whole[:3] and parts[-1] == whole[-1]

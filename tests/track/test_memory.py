@@ -24,13 +24,23 @@ SIDE = 80
 
 def peak_kb(folder: Path, frames: int) -> int:
     """Peak memory of a process that tracks a ball from a file."""
-    values = {"motion": "translation", "shape": [SIDE] * 3, "radius": 10.0, "speed": 0.5, "frames": frames}
+    values = {
+        "motion": "translation",
+        "shape": [SIDE] * 3,
+        "radius": 10.0,
+        "speed": 0.5,
+        "frames": frames,
+    }
     phantom = MovingPhantom(motion_from({**values, "noise": 0.1}, "long"))
     path = folder / f"{frames}.nii"
-    with io.SequenceWriter(path, phantom.geometry, phantom.times, phantom.time_unit, "float32") as writer:
+    with io.SequenceWriter(
+        path, phantom.geometry, phantom.times, phantom.time_unit, "float32"
+    ) as writer:
         for number in range(frames):
             writer.write(number, phantom.frame(number).array)
-    done = subprocess.run([sys.executable, "-c", _RUN, str(path)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", _RUN, str(path)], capture_output=True, text=True, check=True
+    )
     return int(done.stdout)
 
 

@@ -31,7 +31,9 @@ def test_the_error_falls_by_one_minus_the_gain(gain: float) -> None:
     assert off_ellipsoid(momentum, (11.5, 11.5, 12.0), (5.0,) * 3) < 0.01
 
 
-def prediction_error(momentum: SurfaceMomentum, gains: Gains, speed: float = 1.7, frames: int = 4) -> float:
+def prediction_error(
+    momentum: SurfaceMomentum, gains: Gains, speed: float = 1.7, frames: int = 4
+) -> float:
     """How far the last of some predictions is from an ellipsoid that moves along its long axis, voxels."""
     axes = (4.0, 4.5, 6.0)
     momentum.start(ellipsoid(ROOM, (9.5, 10.5, 9.0), axes), (0, 0, 0), ROOM)
@@ -65,7 +67,9 @@ def test_new_surface_gets_the_velocity_around_and_the_first_density() -> None:
     momentum.correct(whole(both), 1.0, Gains(1.0, 0.0))
     far = momentum._boxed.closest_points()[:, 2] > 20.0
     assert far.any() and momentum._fields[2] == pytest.approx(1.0, abs=1e-5)
-    assert momentum._fields[3][far] == pytest.approx(1.0) and momentum._fields[3][~far] == pytest.approx(2.0, rel=1e-4)
+    assert momentum._fields[3][far] == pytest.approx(1.0) and momentum._fields[3][
+        ~far
+    ] == pytest.approx(2.0, rel=1e-4)
 
 
 def test_a_division_and_a_merging_share_the_velocities() -> None:
@@ -73,7 +77,9 @@ def test_a_division_and_a_merging_share_the_velocities() -> None:
     left, right = ball(ROOM, (9.5, 10.5, 9.0), 4.0), ball(ROOM, (9.5, 10.5, 20.0), 4.0)
     parent = make_momentum("flowable-mass")
     parent.start(np.minimum(left, right), (0, 0, 0), ROOM)
-    parent._fields[2] = np.where(parent._boxed.closest_points()[:, 2] < 14.5, -1.0, 2.0).astype(np.float32)
+    parent._fields[2] = np.where(parent._boxed.closest_points()[:, 2] < 14.5, -1.0, 2.0).astype(
+        np.float32
+    )
     first, second = parent.split([whole(left), whole(right)])
     assert first.mean_velocity()[0] == pytest.approx(-1.0, abs=0.01)
     assert second.mean_velocity()[0] == pytest.approx(2.0, abs=0.01)
@@ -110,8 +116,18 @@ def test_a_restored_state_gives_the_same_bytes_on_any_threads(model: str) -> Non
         again.restore(saved, ROOM)
         ends: list[Any] = []
         for one in (momentum, again):
-            one.correct(whole(ellipsoid(ROOM, (9.5, 10.5, 11.0), (4.0, 5.0, 5.5))), 1.0, Gains(0.6, 0.5))
+            one.correct(
+                whole(ellipsoid(ROOM, (9.5, 10.5, 11.0), (4.0, 5.0, 5.5))), 1.0, Gains(0.6, 0.5)
+            )
             piece = one.predict(1.0)
-            ends.append((piece.corner, piece.psi.tobytes(), one.points.tobytes(), one.mean_velocity(), one.centroid()))
+            ends.append(
+                (
+                    piece.corner,
+                    piece.psi.tobytes(),
+                    one.points.tobytes(),
+                    one.mean_velocity(),
+                    one.centroid(),
+                )
+            )
     assert ends[0] == ends[1]
     np.testing.assert_array_equal(psi, before)

@@ -7,7 +7,9 @@ from accelsurf.image.volume import Volume
 from accelsurf.track.records import FrameResult, Lineage, Link, SurfacePiece, TrackedObject
 
 
-def tracked(number: int, corner: tuple[int, int, int], psi: np.ndarray, seen: bool = True) -> TrackedObject:
+def tracked(
+    number: int, corner: tuple[int, int, int], psi: np.ndarray, seen: bool = True
+) -> TrackedObject:
     piece = SurfacePiece(corner, psi.astype(np.float32))
     return TrackedObject(number, piece, None, (0.0, 0.0, 0.0), 1.0, 1.0, (0.0, 0.0, 0.0), seen, 1.0)
 
@@ -25,7 +27,14 @@ def test_labels_are_ids_and_the_deeper_surface_has_the_voxel() -> None:
 
 
 def test_parents_and_children_of_a_division_and_a_merging() -> None:
-    lineage = Lineage((), (Link(1, 2, 5, "division"), Link(1, 3, 5, "division"), Link(2, 4, 8, "merging"),
-                           Link(3, 4, 8, "merging")))
+    lineage = Lineage(
+        (),
+        (
+            Link(1, 2, 5, "division"),
+            Link(1, 3, 5, "division"),
+            Link(2, 4, 8, "merging"),
+            Link(3, 4, 8, "merging"),
+        ),
+    )
     assert lineage.children(1) == (2, 3)
     assert lineage.parents(4) == (2, 3) and lineage.parents(1) == ()

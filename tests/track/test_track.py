@@ -22,7 +22,9 @@ Discs = Sequence[tuple[float, float, float]]
 SHAPE = (40, 64)
 
 
-def plane(discs: Discs, seed: int = 0, noise: float = 5.0, shape: tuple[int, int] = SHAPE) -> Volume:
+def plane(
+    discs: Discs, seed: int = 0, noise: float = 5.0, shape: tuple[int, int] = SHAPE
+) -> Volume:
     """Discs (x, y, r) of value 100 in noise, in an image of one slice."""
     y, x = np.indices(shape).astype(float)
     image = np.random.default_rng(seed).normal(0.0, noise, shape)
@@ -35,7 +37,9 @@ def sequence(discs_at: Callable[[int], Discs], count: int, noise: float = 5.0) -
     return VolumeSequence([plane(discs_at(n), n, noise) for n in range(count)])
 
 
-def followed(frames: VolumeSequence, start: str, **options: object) -> tuple[list[FrameResult], Lineage]:
+def followed(
+    frames: VolumeSequence, start: str, **options: object
+) -> tuple[list[FrameResult], Lineage]:
     tracking = track(frames, start=start, threads=1, **options)
     return list(tracking), tracking.lineage
 
@@ -56,7 +60,10 @@ def test_of_a_prediction_that_lies_in_another_object_nothing_is_run() -> None:
     frame = plane([(20, 20, 8)])
     y, x = np.indices(SHAPE)[:, None].astype(np.float32)
     small, large = (np.hypot(x - 20, y - 20).astype(np.float32) - r for r in (3, 8))
-    config, taken = following_settings(RunConfig(threads=1), "auto"), [SurfacePiece((0, 0, 0), large)]
+    config, taken = (
+        following_settings(RunConfig(threads=1), "auto"),
+        [SurfacePiece((0, 0, 0), large)],
+    )
     found = measure([frame], [ObjectStart(2, (0, 0, 0), small)], config, occupied=taken)
     assert not found[2].surface.psi.size
     beside = np.hypot(x - 27, y - 20).astype(np.float32) - 3
@@ -67,7 +74,9 @@ def test_of_a_prediction_that_lies_in_another_object_nothing_is_run() -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("model", ["flowable-mass", "last-displacement", "none"])
 def test_a_disc_is_followed_by_each_model(model: str) -> None:
-    results, lineage = followed(sequence(lambda n: [(12 + 3 * n, 20, 7)], 6), "ball:12,20,0,5", model=model)
+    results, lineage = followed(
+        sequence(lambda n: [(12 + 3 * n, 20, 7)], 6), "ball:12,20,0,5", model=model
+    )
     assert [result.frame for result in results] == list(range(6))
     assert all(near(places(result)[1], 12 + 3 * n, 20, 0.2) for n, result in enumerate(results))
     assert [len(result.objects) for result in results] == [1] * 6
@@ -82,17 +91,27 @@ def test_a_disc_is_followed_by_each_model(model: str) -> None:
 def test_a_ball_in_a_volume_is_followed_by_its_clicks() -> None:
     z, y, x = np.indices((20, 20, 34)).astype(float)
     frames = [
-        Volume.from_array((100.0 * np.clip(5.5 - np.sqrt((z - 10) ** 2 + (y - 10) ** 2 + (x - 8 - 3 * n) ** 2), 0, 1))
-                          .astype(np.float32)) for n in range(4)
+        Volume.from_array(
+            (
+                100.0
+                * np.clip(5.5 - np.sqrt((z - 10) ** 2 + (y - 10) ** 2 + (x - 8 - 3 * n) ** 2), 0, 1)
+            ).astype(np.float32)
+        )
+        for n in range(4)
     ]
     tracking = track(VolumeSequence(frames), inside="point:8,10,10", threads=1, meshes=True)
     results = list(tracking)
     for n, result in enumerate(results):
-        one, apart = result.objects[0], 0.6 if n == 1 else 0.2  # where it first moves, nothing foretells it
+        one, apart = (
+            result.objects[0],
+            0.6 if n == 1 else 0.2,
+        )  # where it first moves, nothing foretells it
         assert one.centroid == pytest.approx((8 + 3 * n, 10, 10), abs=apart)
         assert one.mesh is not None and one.mesh.generation == 1
         assert one.mesh.vertices.mean(axis=0) == pytest.approx((8 + 3 * n, 10, 10), abs=0.2 + apart)
-    assert len({len(result.objects[0].mesh.vertices) for result in results}) == 1  # the same material points
+    assert (
+        len({len(result.objects[0].mesh.vertices) for result in results}) == 1
+    )  # the same material points
 
 
 def test_an_object_goes_on_by_its_momentum_where_frames_do_not_show_it() -> None:
@@ -102,25 +121,33 @@ def test_an_object_goes_on_by_its_momentum_where_frames_do_not_show_it() -> None
     assert near(results[5].objects[0].centroid[:2], 32, 20, 1.5)
     assert near(places(results[8])[1], 44, 20, 0.3)
     assert lineage.tracks[0].gaps == (4, 5)
-    assert (results[4].labels() == 0).all() and (results[4].labels(seen_only=False) == 1).sum() > 100
+    assert (results[4].labels() == 0).all() and (
+        results[4].labels(seen_only=False) == 1
+    ).sum() > 100
     assert results[4].objects[0].quality == 0.0
 
 
 def test_an_object_that_is_gone_ends_where_it_was_seen_last() -> None:
-    results, lineage = followed(sequence(lambda n: [(20 + n, 20, 7)] if n < 3 else [], 8), "ball:20,20,0,5", max_gap=2)
+    results, lineage = followed(
+        sequence(lambda n: [(20 + n, 20, 7)] if n < 3 else [], 8), "ball:20,20,0,5", max_gap=2
+    )
     assert lineage.tracks[0].last == 2 and lineage.tracks[0].end == "vanished"
     assert [len(result.objects) for result in results] == [1, 1, 1, 1, 1, 0, 0, 0]
 
 
 def test_a_disc_that_shrinks_beyond_what_is_expected_is_not_seen() -> None:
-    results, _ = followed(sequence(lambda n: [(30, 20, 9 if n < 2 else 3)], 4), "ball:30,20,0,5", max_gap=9)
+    results, _ = followed(
+        sequence(lambda n: [(30, 20, 9 if n < 2 else 3)], 4), "ball:30,20,0,5", max_gap=9
+    )
     assert [result.objects[0].seen for result in results] == [True, True, False, False]
 
 
 @pytest.mark.slow
 def test_brightness_may_drift_and_what_is_learned_follows_it() -> None:
     frames = [plane([(14 + 3 * n, 20, 7)], n) for n in range(6)]
-    fading = VolumeSequence([one.with_array(one.array * np.float32(0.85**n)) for n, one in enumerate(frames)])
+    fading = VolumeSequence(
+        [one.with_array(one.array * np.float32(0.85**n)) for n, one in enumerate(frames)]
+    )
     for energy in ("chan-vese", "threshold:learned,"):
         results, _ = followed(fading, "ball:14,20,0,5", energy=energy, presmooth="1vox")
         assert near(places(results[-1])[1], 29, 20, 0.5)
@@ -151,7 +178,11 @@ def test_a_division_ends_the_parent_and_begins_two_children() -> None:
     (parent, *children) = lineage.tracks
     assert parent.id == 1 and parent.end == "divided" and parent.first == 0
     assert [one.id for one in children] == [2, 3] and lineage.children(1) == (2, 3)
-    assert {one.first for one in children} == {parent.last + 1} == {link.frame for link in lineage.links}
+    assert (
+        {one.first for one in children}
+        == {parent.last + 1}
+        == {link.frame for link in lineage.links}
+    )
     last = places(results[-1])
     assert sorted(round(x) for x, _ in last.values()) == [11, 53]
     assert set(np.unique(results[-1].labels())) == {0, 2, 3}
@@ -180,14 +211,19 @@ def test_two_become_one_only_where_that_is_asked_for() -> None:
     results, lineage = followed(frames, "otsu")
     assert not lineage.links and set(places(results[6])) == {1, 2}
     results, lineage = followed(frames, "otsu", merge="yes")
-    assert lineage.parents(3) == (1, 2) and {one.end for one in lineage.tracks} == {"merged", "end of sequence"}
+    assert lineage.parents(3) == (1, 2) and {one.end for one in lineage.tracks} == {
+        "merged",
+        "end of sequence",
+    }
     assert near(places(results[-1])[3], 32, 20, 0.5)
 
 
 @pytest.mark.slow
 def test_one_that_leaves_and_comes_back_is_the_same() -> None:
     x = [14, 9, 4, -1, -6, -11, -8, -3, 2, 7, 12]
-    results, lineage = followed(sequence(lambda n: [(x[n], 20, 7), (48, 20, 7)], len(x)), "otsu", max_gap=6)
+    results, lineage = followed(
+        sequence(lambda n: [(x[n], 20, 7), (48, 20, 7)], len(x)), "otsu", max_gap=6
+    )
     first = places(results[0])
     left = next(id for id, place in first.items() if place[0] < 32)
     assert near(places(results[-1])[left], 12, 20, 0.5) and len(lineage.tracks) == 2
@@ -211,14 +247,18 @@ def test_one_that_comes_back_is_seen_from_its_first_sliver_on(model: str) -> Non
 
 
 def test_noise_at_the_border_is_no_object_that_enters() -> None:
-    image = Volume.from_array(np.random.default_rng(5).normal(0.0, 0.5, (1, 60, 80)).astype(np.float32), 1.0)
+    image = Volume.from_array(
+        np.random.default_rng(5).normal(0.0, 0.5, (1, 60, 80)).astype(np.float32), 1.0
+    )
     like = Profile((1.0, 1.0, 0.5, 0.0, 0.0, 0.0))
     assert appearing(image, [], like, (150.0, 150.0)) == []
 
 
 def test_one_that_leaves_for_good_has_left() -> None:
     _, lineage = followed(sequence(lambda n: [(14 - 5 * n, 20, 7)], 8), "ball:14,20,0,5", max_gap=1)
-    assert lineage.tracks[0].end == "left" and lineage.tracks[0].last == 4  # a sliver is there still
+    assert (
+        lineage.tracks[0].end == "left" and lineage.tracks[0].last == 4
+    )  # a sliver is there still
 
 
 def test_what_enters_is_followed_only_where_that_is_asked_for() -> None:
@@ -241,11 +281,15 @@ def test_both_ways_from_the_middle() -> None:
     results = {result.frame: result for result in tracking}
     assert list(results) == [4, 5, 6, 7, 3, 2, 1, 0]
     assert all(near(places(results[n])[1], 10 + 5 * n, 20, 0.3) for n in range(8))
-    assert results[3].objects[0].velocity[0] == pytest.approx(5.0, abs=0.5)  # of rising time, in either order
+    assert results[3].objects[0].velocity[0] == pytest.approx(
+        5.0, abs=0.5
+    )  # of rising time, in either order
     predicted = results[3].objects[0].predicted
     assert predicted is not None and not np.isnan(predicted.psi).any()
     inside = np.argwhere(predicted.psi < 0).mean(axis=0) + predicted.corner
-    assert inside[2] == pytest.approx(25.0, abs=1.0)  # it began with the velocity that the later frames have shown
+    assert inside[2] == pytest.approx(
+        25.0, abs=1.0
+    )  # it began with the velocity that the later frames have shown
     one = tracking.lineage.tracks[0]
     assert (one.first, one.last, one.gaps) == (0, 7, ())
 
@@ -256,7 +300,9 @@ def test_a_click_in_a_frame_holds_from_there_on() -> None:
 
     frames = sequence(discs, 5)
     words = "frame=2 new=5 inside=ball:46,20,0,3"
-    results, lineage = followed(frames, "ball:20,20,0,5", correct=words, energy="threshold:50,", presmooth="1vox")
+    results, lineage = followed(
+        frames, "ball:20,20,0,5", correct=words, energy="threshold:50,", presmooth="1vox"
+    )
     assert [sorted(places(result)) for result in results] == [[1], [1], [1, 5], [1, 5], [1, 5]]
     assert near(places(results[-1])[5], 46, 20, 0.5)
     assert [(one.id, one.first) for one in lineage.tracks] == [(1, 0), (5, 2)]
@@ -264,18 +310,29 @@ def test_a_click_in_a_frame_holds_from_there_on() -> None:
 
 def test_a_click_brings_back_what_was_not_seen() -> None:
     frames = sequence(lambda n: [(14, 20, 7)] if n < 2 else [(50, 20, 7)], 5)
-    lost, _ = followed(frames, "ball:14,20,0,5", energy="threshold:50,", presmooth="1vox", max_gap=9)
+    lost, _ = followed(
+        frames, "ball:14,20,0,5", energy="threshold:50,", presmooth="1vox", max_gap=9
+    )
     assert not lost[3].objects[0].seen
     words = ["frame=3 remove=1", "frame=3 new=1 inside=ball:50,20,0,4"]
     results, lineage = followed(
-        frames, "ball:14,20,0,5", energy="threshold:50,", presmooth="1vox", max_gap=9, correct=words[1]
+        frames,
+        "ball:14,20,0,5",
+        energy="threshold:50,",
+        presmooth="1vox",
+        max_gap=9,
+        correct=words[1],
     )
     assert near(places(results[4])[1], 50, 20, 0.5) and lineage.tracks[0].gaps == (2,)
 
 
 def bytes_of(results: Sequence[FrameResult]) -> list[tuple[int, bytes, tuple[float, ...]]]:
     return [
-        (one.id, one.surface.psi.tobytes(), (*one.centroid, *one.velocity, one.volume_mm3, one.quality))
+        (
+            one.id,
+            one.surface.psi.tobytes(),
+            (*one.centroid, *one.velocity, one.volume_mm3, one.quality),
+        )
         for result in results
         for one in result.objects
     ]
@@ -334,17 +391,30 @@ def test_identities_tell_divisions_and_mergings_in_either_order() -> None:
         again = Identities()
         again.restore(ids.state())
         lineage = again.lineage()
-        expected = [(1, 2, 5, "division"), (1, 3, 5, "division")] if rising else [
-            (2, 1, 4, "merging"), (3, 1, 4, "merging")
-        ]
+        expected = (
+            [(1, 2, 5, "division"), (1, 3, 5, "division")]
+            if rising
+            else [(2, 1, 4, "merging"), (3, 1, 4, "merging")]
+        )
         assert [tuple(link) for link in lineage.links] == expected
         assert lineage == ids.lineage() and ids.new_id() == 4
 
 
-def test_the_state_reads_the_first_frame_once_for_its_header(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_state_reads_the_first_frame_once_for_its_header(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = []
     header_of = track_state.header_of
-    monkeypatch.setattr(track_state, "header_of", lambda *given: made.append(1) or header_of(*given))
-    frames = [Volume.from_array(100.0 * (np.hypot(*(np.indices((24, 24)) - 11.5)) < 6)[None]) for _ in range(3)]
-    list(track(VolumeSequence(frames), start="ball:11,11,0,4vox", checkpoint_to=tmp_path / "state.npz"))
+    monkeypatch.setattr(
+        track_state, "header_of", lambda *given: made.append(1) or header_of(*given)
+    )
+    frames = [
+        Volume.from_array(100.0 * (np.hypot(*(np.indices((24, 24)) - 11.5)) < 6)[None])
+        for _ in range(3)
+    ]
+    list(
+        track(
+            VolumeSequence(frames), start="ball:11,11,0,4vox", checkpoint_to=tmp_path / "state.npz"
+        )
+    )
     assert len(made) == 1

@@ -30,8 +30,12 @@ def flat(tmp_path):
 
 def test_challenge_has_a_new_track_after_a_gap_and_the_parents_of_a_division(cells, tmp_path):
     outputs.write_challenge(cells, tmp_path / "RES")
-    assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 1 0\n2 0 2 0\n3 3 4 2\n4 3 4 2\n5 3 4 1\n"
-    for number, ids in enumerate(({1: 1, 2: 2}, {1: 1, 2: 2}, {2: 2}, {1: 5, 3: 3, 4: 4}, {1: 5, 3: 3, 4: 4})):
+    assert (
+        tmp_path / "RES" / "res_track.txt"
+    ).read_text() == "1 0 1 0\n2 0 2 0\n3 3 4 2\n4 3 4 2\n5 3 4 1\n"
+    for number, ids in enumerate(
+        ({1: 1, 2: 2}, {1: 1, 2: 2}, {2: 2}, {1: 5, 3: 3, 4: 4}, {1: 5, 3: 3, 4: 4})
+    ):
         found = io.read(tmp_path / "RES" / f"mask{number:03d}.tif").array
         labels = cells.labels(number)
         assert found.dtype == np.uint16
@@ -56,7 +60,9 @@ def test_challenge_refuses_labels_beyond_16_bits(tmp_path):
 
 def test_an_object_without_a_voxel_is_in_no_frame_of_the_challenge(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{1: Ball((0.0, 12.0, 12.0), 2.0)}] * 3)
-    made.results[1].objects[0].surface.psi[...] = 1.0  # shrunk between the voxels, and still tracked
+    made.results[1].objects[0].surface.psi[...] = (
+        1.0  # shrunk between the voxels, and still tracked
+    )
     outputs.write_challenge(set_of(made, tmp_path), tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 0 0\n2 2 2 1\n"
 
@@ -64,12 +70,30 @@ def test_an_object_without_a_voxel_is_in_no_frame_of_the_challenge(tmp_path):
 def test_spots_are_linked_over_gaps_and_divisions(cells):
     spots = spots_of(cells)
     named = [(spot.row.frame, spot.tracked.id) for spot in spots]
-    assert named == [(0, 1), (0, 2), (1, 1), (1, 2), (2, 2), (3, 1), (3, 3), (3, 4), (4, 1), (4, 3), (4, 4)]
+    assert named == [
+        (0, 1),
+        (0, 2),
+        (1, 1),
+        (1, 2),
+        (2, 2),
+        (3, 1),
+        (3, 3),
+        (3, 4),
+        (4, 1),
+        (4, 3),
+        (4, 4),
+    ]
     assert {(named[a], named[b]): kind for a, b, kind in links_of(cells, spots)} == {
-        ((0, 1), (1, 1)): "motion", ((1, 1), (3, 1)): "motion", ((3, 1), (4, 1)): "motion",
-        ((0, 2), (1, 2)): "motion", ((1, 2), (2, 2)): "motion", ((2, 2), (3, 3)): "division",
-        ((2, 2), (3, 4)): "division", ((3, 3), (4, 3)): "motion", ((3, 4), (4, 4)): "motion",
-    }  # fmt: skip
+        ((0, 1), (1, 1)): "motion",
+        ((1, 1), (3, 1)): "motion",
+        ((3, 1), (4, 1)): "motion",
+        ((0, 2), (1, 2)): "motion",
+        ((1, 2), (2, 2)): "motion",
+        ((2, 2), (3, 3)): "division",
+        ((2, 2), (3, 4)): "division",
+        ((3, 3), (4, 3)): "motion",
+        ((3, 4), (4, 4)): "motion",
+    }
 
 
 def test_a_child_without_a_parent_that_was_seen_has_no_link(cells):
@@ -83,12 +107,19 @@ def test_geff_has_nodes_edges_and_what_is_known_of_them(cells, tmp_path):
     geff_file.write_geff(cells, tmp_path / "cells.geff")
     root = zarr.open_group(tmp_path / "cells.geff", mode="r")
     about = root.attrs["geff"]
-    assert (about["directed"], [axis["name"] for axis in about["axes"]]) == (True, ["t", "z", "y", "x"])
+    assert (about["directed"], [axis["name"] for axis in about["axes"]]) == (
+        True,
+        ["t", "z", "y", "x"],
+    )
     assert (about["axes"][0]["scale"], about["axes"][0]["scaled_unit"]) == (0.5, "second")
     np.testing.assert_array_equal(root["nodes/ids"][:], np.arange(11))
     np.testing.assert_array_equal(root["edges/ids"][:][:4], [[0, 2], [1, 3], [2, 5], [3, 4]])
-    np.testing.assert_array_equal(root["nodes/props/id/values"][:], [1, 2, 1, 2, 2, 1, 3, 4, 1, 3, 4])
-    np.testing.assert_array_equal(root["nodes/props/t/values"][:], [0, 0, 1, 1, 2, 3, 3, 3, 4, 4, 4])
+    np.testing.assert_array_equal(
+        root["nodes/props/id/values"][:], [1, 2, 1, 2, 2, 1, 3, 4, 1, 3, 4]
+    )
+    np.testing.assert_array_equal(
+        root["nodes/props/t/values"][:], [0, 0, 1, 1, 2, 3, 3, 3, 4, 4, 4]
+    )
     place = [float(root[f"nodes/props/{axis}/values"][5]) for axis in "xyz"]
     assert place == [16.0, 2.0, 18.0]
     assert root["nodes/props/lineage/values"][:].tolist() == [0, 1, 0, 1, 1, 0, 1, 1, 0, 1, 1]

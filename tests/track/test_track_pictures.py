@@ -36,8 +36,15 @@ def panel(pixels: np.ndarray, number: int) -> np.ndarray:
 
 def test_film_strip_shows_prediction_and_correction(tmp_path):
     pixels = pixels_of(slices.film_strip_png(set_of(flat_cells(), tmp_path)))
-    counts = [[int(is_color(panel(pixels, n), color).sum()) for color in (SKY, ORANGE, GREEN)] for n in range(4)]
-    assert [sky > 100 for sky, _, _ in counts[1:]] == [True, True, False]  # what begins was not predicted
+    counts = [
+        [int(is_color(panel(pixels, n), color).sum()) for color in (SKY, ORANGE, GREEN)]
+        for n in range(4)
+    ]
+    assert [sky > 100 for sky, _, _ in counts[1:]] == [
+        True,
+        True,
+        False,
+    ]  # what begins was not predicted
     assert [orange > 300 for _, orange, _ in counts] == [True, True, True, False]
     assert [green > 300 for _, _, green in counts[:3]] == [True] * 3
     # object 1 moves by 1 mm to the right, of 14 mm that are 320 pixels wide; its prediction is where it was before
@@ -72,12 +79,19 @@ def test_contours_lie_on_the_objects_in_any_orientation(tmp_path, direction):
 
 def test_all_pictures_of_a_tracking_read_each_frame_for_their_view_once(tmp_path, monkeypatch):
     """Before its own panels a picture needs the part and the grey values that all share."""
-    made = tracking(Geometry((1, 16, 40), (1.0, 1.0, 1.0)), [{1: Ball((0.0, 8.0, 8.0 + n), 3.0)} for n in range(16)])
+    made = tracking(
+        Geometry((1, 16, 40), (1.0, 1.0, 1.0)),
+        [{1: Ball((0.0, 8.0, 8.0 + n), 3.0)} for n in range(16)],
+    )
     tracks = set_of(made, tmp_path)
     unpacked, read = [], []
     drawn, frame = FrameStore.drawn, type(tracks.sequence).frame
-    monkeypatch.setattr(FrameStore, "drawn", lambda self, n: (unpacked.append(n), drawn(self, n))[1])
-    monkeypatch.setattr(type(tracks.sequence), "frame", lambda self, n: (read.append(n), frame(self, n))[1])
+    monkeypatch.setattr(
+        FrameStore, "drawn", lambda self, n: (unpacked.append(n), drawn(self, n))[1]
+    )
+    monkeypatch.setattr(
+        type(tracks.sequence), "frame", lambda self, n: (read.append(n), frame(self, n))[1]
+    )
     slices.film_strip_png(tracks)
     shown = [row.frame for row in slices.picked(tracks.rows)]
     assert unpacked == [*range(16), *shown] and read == [0, *shown]

@@ -35,7 +35,13 @@ def test_the_same_tracks_are_perfect():
 def test_other_names_of_the_same_objects_cost_nothing():
     renamed = [np.where(TWO == 1, 9, np.where(TWO == 2, 1, 0))] * 3
     found = score(tracked(renamed), tracked([TWO] * 3))
-    assert (found.seg, found.tra, found.dice, found.switches, found.identities) == (1.0, 1.0, 1.0, 0, {1: 9, 2: 1})
+    assert (found.seg, found.tra, found.dice, found.switches, found.identities) == (
+        1.0,
+        1.0,
+        1.0,
+        0,
+        {1: 9, 2: 1},
+    )
 
 
 def test_overlap_is_that_of_what_covers_more_than_half():
@@ -43,7 +49,9 @@ def test_overlap_is_that_of_what_covers_more_than_half():
     result = line((0, 1), (1, 4), (0, 3), (2, 3), (0, 5))
     found = score(tracked([result]), tracked([TWO]))
     assert found.seg == pytest.approx((3 / 5 + 0) / 2)
-    assert found.operations == Operations(splits=0, missing=1, false=1, false_edges=0, missing_edges=0, changed_edges=0)
+    assert found.operations == Operations(
+        splits=0, missing=1, false=1, false_edges=0, missing_edges=0, changed_edges=0
+    )
     assert found.det == pytest.approx(1 - (10 + 1) / 20)
     assert found.dice == pytest.approx((6 / 8 + 6 / 9) / 2)
     assert found.frames == ((0, 2, 2, 1, found.dice),)
@@ -53,7 +61,9 @@ def test_a_missing_object_costs_itself_and_its_edges():
     # object 2 is missing in frame 1 of 0, 1, 2: one object and two edges to add; its own edge 0 -> 2 over the gap goes
     gap = np.where(TWO == 2, 0, TWO)
     found = score(tracked([TWO, gap, TWO]), tracked([TWO] * 3))
-    assert found.operations == Operations(splits=0, missing=1, false=0, false_edges=1, missing_edges=2, changed_edges=0)
+    assert found.operations == Operations(
+        splits=0, missing=1, false=0, false_edges=1, missing_edges=2, changed_edges=0
+    )
     anew = 10 * 6 + 1.5 * 4
     assert found.tra == pytest.approx(1 - (10 + 1 + 3) / anew)
     assert found.det == pytest.approx(1 - 10 / 60)
@@ -64,7 +74,9 @@ def test_one_object_for_two_is_split():
     both = np.where(TWO > 0, 1, 0)
     found = score(tracked([both] * 2), tracked([TWO] * 2))
     # matched by both in each frame: two splits; no edge between objects that are matched by one alone
-    assert found.operations == Operations(splits=2, missing=0, false=0, false_edges=0, missing_edges=2, changed_edges=0)
+    assert found.operations == Operations(
+        splits=2, missing=0, false=0, false_edges=0, missing_edges=2, changed_edges=0
+    )
     assert found.tra == pytest.approx(1 - (2 * 5 + 2 * 1.5) / (40 + 3))
     assert found.identities == {2: 1}
     assert found.dice == pytest.approx((0 + 12 / 16) / 2)
@@ -74,7 +86,9 @@ def test_exchanged_identities_cost_edges_not_objects():
     swapped = np.where(TWO == 1, 2, np.where(TWO == 2, 1, 0))
     found = score(tracked([TWO, TWO, swapped, swapped]), tracked([TWO] * 4))
     assert (found.seg, found.det, found.switches) == (1.0, 1.0, 2)
-    assert found.operations == Operations(splits=0, missing=0, false=0, false_edges=2, missing_edges=2, changed_edges=0)
+    assert found.operations == Operations(
+        splits=0, missing=0, false=0, false_edges=2, missing_edges=2, changed_edges=0
+    )
     assert found.tra == pytest.approx(1 - (2 * 1 + 2 * 1.5) / (80 + 9))
     assert found.dice == pytest.approx(0.5)
 
@@ -83,7 +97,9 @@ def test_a_division_that_is_taken_for_a_new_object_lacks_its_edges():
     whole, halves = line((0, 1), (1, 6)), line((0, 1), (2, 3), (3, 3))
     reference = tracked([whole, whole, halves], {2: [1], 3: [1]})
     found = score(tracked([whole, whole, halves]), reference)
-    assert found.operations == Operations(splits=0, missing=0, false=0, false_edges=0, missing_edges=2, changed_edges=0)
+    assert found.operations == Operations(
+        splits=0, missing=0, false=0, false_edges=0, missing_edges=2, changed_edges=0
+    )
     assert found.tra == pytest.approx(1 - 3 / (40 + 4.5))
 
 
@@ -91,7 +107,9 @@ def test_an_edge_of_another_meaning_is_changed():
     # the reference goes on as 1, the result says that 1 ends and 2 is its child
     own = line((0, 1), (1, 5))
     found = score(tracked([own, own, 2 * own], {2: [1]}), tracked([own] * 3))
-    assert found.operations == Operations(splits=0, missing=0, false=0, false_edges=0, missing_edges=0, changed_edges=1)
+    assert found.operations == Operations(
+        splits=0, missing=0, false=0, false_edges=0, missing_edges=0, changed_edges=1
+    )
     assert found.tra == pytest.approx(1 - 1 / (30 + 3))
     assert found.switches == 1
 
@@ -99,7 +117,9 @@ def test_an_edge_of_another_meaning_is_changed():
 def test_objects_that_are_not_there_are_deleted():
     more = line((5, 2), (1, 4), (0, 2), (2, 6), (0, 2))
     found = score(tracked([more] * 2), tracked([TWO] * 2))
-    assert found.operations == Operations(splits=0, missing=0, false=2, false_edges=0, missing_edges=0, changed_edges=0)
+    assert found.operations == Operations(
+        splits=0, missing=0, false=2, false_edges=0, missing_edges=0, changed_edges=0
+    )
     assert found.tra == pytest.approx(1 - 2 / (40 + 3))
 
 
@@ -125,4 +145,7 @@ def test_a_child_of_several_has_several_parents():
 
 
 def test_a_parent_that_was_never_seen_before_counts_for_nothing():
-    assert stretches({1: [3], 2: [2]}, {2: [1, 7]}) == [Stretch(1, 1, 3, 3, ()), Stretch(2, 2, 2, 2, ())]
+    assert stretches({1: [3], 2: [2]}, {2: [1, 7]}) == [
+        Stretch(1, 1, 3, 3, ()),
+        Stretch(2, 2, 2, 2, ()),
+    ]

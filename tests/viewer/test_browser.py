@@ -43,11 +43,21 @@ class Served:
         noise = np.random.default_rng(1).normal(0, 20, volume.array.shape)
         io.write(volume.with_array((volume.array + noise).astype(np.float32)), self.image)
         start = "ball:" + ",".join(f"{v:g}" for v in (*center, 5.0))
-        command = [sys.executable, "-m", "accelsurf", "view", str(self.image), "--browser", "--no-open"]
+        command = [
+            sys.executable,
+            "-m",
+            "accelsurf",
+            "view",
+            str(self.image),
+            "--browser",
+            "--no-open",
+        ]
         command += ["--start", start, "--threads", "1", "--output", str(self.results), *options]
         env = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
         self.log = open(folder / "log", "w+")
-        self.process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=self.log, text=True)
+        self.process = subprocess.Popen(
+            command, env=env, stdout=subprocess.PIPE, stderr=self.log, text=True
+        )
         self.address = self.process.stdout.readline().strip()
         assert self.address.startswith("http://"), self.log_text()
         parts = urlsplit(self.address)
@@ -69,7 +79,14 @@ class Served:
         return self.process.returncode
 
     def memory_mb(self):
-        return int(re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{self.process.pid}/status").read_text())[1]) / 1024
+        return (
+            int(
+                re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{self.process.pid}/status").read_text())[
+                    1
+                ]
+            )
+            / 1024
+        )
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +104,13 @@ def packed(call):
 
 
 def call_of(method, *args, number=1):
-    return {"wslink": "1.0", "id": f"rpc:test:{number}", "method": method, "args": list(args), "kwargs": {}}
+    return {
+        "wslink": "1.0",
+        "id": f"rpc:test:{number}",
+        "method": method,
+        "args": list(args),
+        "kwargs": {},
+    }
 
 
 def hello(token):
@@ -98,12 +121,16 @@ async def _talk(served, messages, headers=None, last=None):
     """Send messages; return the answers of the next moments, unpacked, or those up to the answer to call ``last``."""
     answers = []
     async with aiohttp.ClientSession() as client:
-        async with client.ws_connect(f"{served.origin}/ws", headers=headers or {}, max_msg_size=0) as ws:
+        async with client.ws_connect(
+            f"{served.origin}/ws", headers=headers or {}, max_msg_size=0
+        ) as ws:
             for message in messages:
                 if ws.closed:
                     break
                 await (ws.send_str(message) if isinstance(message, str) else ws.send_bytes(message))
-            ends = time.monotonic() + (0.4 if last is None else 30.0)  # an answer that is waited for may be late
+            ends = time.monotonic() + (
+                0.4 if last is None else 30.0
+            )  # an answer that is waited for may be late
             while time.monotonic() < ends:
                 try:
                     answer = await ws.receive(timeout=0.2)
@@ -136,11 +163,17 @@ def get(served, path, headers=None):
 def state(served):
     call = call_of("trame.state.get")
     answers = talk(served, hello(served.token), packed(call), last=call["id"])
-    return next(a["result"]["state"] for a in answers if isinstance(a.get("result"), dict) and "state" in a["result"])
+    return next(
+        a["result"]["state"]
+        for a in answers
+        if isinstance(a.get("result"), dict) and "state" in a["result"]
+    )
 
 
 def ask(served, *request):
-    return talk(served, hello(served.token), packed(call_of("trame.trigger", "ask", list(request), {})))
+    return talk(
+        served, hello(served.token), packed(call_of("trame.trigger", "ask", list(request), {}))
+    )
 
 
 def asked_step(served, request, wanted):
@@ -159,13 +192,17 @@ def test_the_token_is_never_taken_for_an_option(served):
 
 def test_who_has_the_token_is_answered(served):
     now = state(served)
-    assert now["step"] == 0 and {row["key"]: row["value"] for row in now["settings"]}["flow"] == "auto"
+    assert (
+        now["step"] == 0 and {row["key"]: row["value"] for row in now["settings"]}["flow"] == "auto"
+    )
     assert now["title"] == "ball.nii.gz"
     assert asked_step(served, "step", 1) == 1
     assert asked_step(served, "restart", 0) == 0
 
 
-@pytest.mark.parametrize("token", ["", "wrong", "wslink-secret", None, 7, ["a"], {"a": 1}, b"\xff", "x" * 10_000])
+@pytest.mark.parametrize(
+    "token", ["", "wrong", "wslink-secret", None, 7, ["a"], {"a": 1}, b"\xff", "x" * 10_000]
+)
 def test_a_wrong_token_gets_nothing(served, token):
     step = call_of("trame.trigger", "ask", ["step"], {})
     answers = talk(served, hello(token), packed(step), packed(call_of("trame.state.get")))
@@ -190,18 +227,33 @@ def broken():
     yield struct.pack("<III", 1, 0, len(body)) + body
     yield from (rng.randbytes(rng.randrange(1, 200)) for _ in range(20))
     for call in (
-        None, 1, [], {}, {"id": "a"}, {"id": 3, "method": "x"}, {"id": "a", "method": []}, {"id": "a", "method": {}},
-        {"id": "a", "method": "trame.trigger", "args": {}}, {"id": "a", "method": "trame.trigger", "args": []},
+        None,
+        1,
+        [],
+        {},
+        {"id": "a"},
+        {"id": 3, "method": "x"},
+        {"id": "a", "method": []},
+        {"id": "a", "method": {}},
+        {"id": "a", "method": "trame.trigger", "args": {}},
+        {"id": "a", "method": "trame.trigger", "args": []},
         {"id": "a", "method": "trame.trigger", "args": [[], [], {}]},
-        call_of("trame.trigger", "nothing", [], {}), call_of("application.exit"), call_of("trame.force.push", "a"),
-        call_of("trame.error.client", "x" * 5000), call_of("viewport.image.push", {"size": [10**9, 10**9]}),
-        call_of("trame.trigger", "ask", "text", {}), call_of("trame.trigger", "ask", ["size", 10**9, 10**9], {"a": 1}),
-        call_of("trame.trigger", "shown", [1e308, -1], {}), call_of("trame.trigger", "ask", [["deep"] * 100] * 20, {}),
-        call_of("trame.trigger", "ask", ["save", "../../x"], {}), call_of("trame.trigger", "ask", ["x" * 20_000], {}),
+        call_of("trame.trigger", "nothing", [], {}),
+        call_of("application.exit"),
+        call_of("trame.force.push", "a"),
+        call_of("trame.error.client", "x" * 5000),
+        call_of("viewport.image.push", {"size": [10**9, 10**9]}),
+        call_of("trame.trigger", "ask", "text", {}),
+        call_of("trame.trigger", "ask", ["size", 10**9, 10**9], {"a": 1}),
+        call_of("trame.trigger", "shown", [1e308, -1], {}),
+        call_of("trame.trigger", "ask", [["deep"] * 100] * 20, {}),
+        call_of("trame.trigger", "ask", ["save", "../../x"], {}),
+        call_of("trame.trigger", "ask", ["x" * 20_000], {}),
         call_of("trame.state.update", [{"key": "picture", "value": "javascript:alert(1)"}]),
         call_of("trame.state.update", [{"key": "trame__template_main", "value": "<h1>mine</h1>"}]),
-        call_of("trame.lifecycle.update", "server_bind"), call_of("wslink.hello", {"secret": "x"}),
-    ):  # fmt: skip
+        call_of("trame.lifecycle.update", "server_bind"),
+        call_of("wslink.hello", {"secret": "x"}),
+    ):
         yield packed(call)
 
 
@@ -211,7 +263,11 @@ def test_broken_messages_do_not_hurt(served):
         for known in (False, True):
             talk(served, *([hello(served.token)] if known else []), message)
     now = state(served)
-    assert now["step"] == 0 and "mine" not in now["trame__template_main"] and now["picture"][:5] in ("data:", "")
+    assert (
+        now["step"] == 0
+        and "mine" not in now["trame__template_main"]
+        and now["picture"][:5] in ("data:", "")
+    )
     assert served.process.poll() is None
     assert served.memory_mb() < before + 300
     assert asked_step(served, "step", 1) == 1
@@ -235,22 +291,40 @@ def test_files_are_handed_out_by_name_and_token_alone(served):
         assert get(served, "/files/ball_run.toml" + wrong)[0] == 403
     (served.results / "other.txt").write_text("not saved by the session")
     for path in (
-        "other.txt", "..%2Flog", "%2e%2e/log", "../log", "..%5Clog", "%2Fetc%2Fpasswd", "ball_run.toml%00", "", "%ff",
+        "other.txt",
+        "..%2Flog",
+        "%2e%2e/log",
+        "../log",
+        "..%5Clog",
+        "%2Fetc%2Fpasswd",
+        "ball_run.toml%00",
+        "",
+        "%ff",
         "a" * 5000,
-    ):  # fmt: skip
+    ):
         status, body, _ = get(served, f"/files/{path}?secret={served.token}")
-        assert status in (400, 403, 404, 405) and b"root:" not in body and b"not saved" not in body, path
+        assert (
+            status in (400, 403, 404, 405) and b"root:" not in body and b"not saved" not in body
+        ), path
     assert asked_step(served, "restart", 0) == 0
 
 
 def test_nothing_but_the_page_is_served(served):
     up = "..%2f" * 12
-    for path in ("/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", f"/assets/{up}etc/passwd", "/.git/config"):
+    for path in (
+        "/../../etc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        f"/assets/{up}etc/passwd",
+        "/.git/config",
+    ):
         status, body, _ = get(served, path)
         assert status in (302, 400, 403, 404) and b"root:" not in body, path
     status, body, headers = get(served, "/index.html")
     assert status == 200 and served.token.encode() not in body
-    assert "default-src 'self'" in headers["Content-Security-Policy"] and headers["Referrer-Policy"] == "no-referrer"
+    assert (
+        "default-src 'self'" in headers["Content-Security-Policy"]
+        and headers["Referrer-Policy"] == "no-referrer"
+    )
 
 
 def test_other_sites_and_other_machines_are_refused(served):
@@ -276,7 +350,10 @@ def test_idle_and_half_open_connections_are_few(served):
     """1,300 were kept. Whoever has the token comes in all the same, and stays in."""
 
     async def flood():
-        async with aiohttp.ClientSession() as session, session.ws_connect(f"{served.origin}/ws") as page:
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(f"{served.origin}/ws") as page,
+        ):
             await page.send_bytes(hello(served.token))
             assert (await page.receive(timeout=20)).type == aiohttp.WSMsgType.BINARY
             idle = []
@@ -321,7 +398,10 @@ def test_a_page_that_leaves_while_something_is_sent_fails_nothing():
         await handler.sendWrappedMessage("publish:state:0", {"step": 3})
 
     # While it is written, and while it waits to be written.
-    for error in (aiohttp.ClientConnectionResetError("Cannot write to closing transport"), ConnectionError("lost")):
+    for error in (
+        aiohttp.ClientConnectionResetError("Cannot write to closing transport"),
+        ConnectionError("lost"),
+    ):
         left, stays = Connection(error), Connection()
         asyncio.run(send(left, stays))
         assert msgpack.unpackb(stays.got[0][12:])["result"] == {"step": 3} and not left.got
@@ -377,9 +457,16 @@ def test_options_of_the_page_are_refused_for_a_window(tmp_path, capsys):
 
 
 def test_a_port_that_is_taken_is_one_line(served, capfd):
-    assert cli.execute(["view", str(served.image), "--browser", "--no-open", "--port", str(served.port)]) == 7
+    assert (
+        cli.execute(
+            ["view", str(served.image), "--browser", "--no-open", "--port", str(served.port)]
+        )
+        == 7
+    )
     error = capfd.readouterr().err
-    assert len(error.splitlines()) == 2 and f"127.0.0.1:{served.port}: cannot be listened on" in error
+    assert (
+        len(error.splitlines()) == 2 and f"127.0.0.1:{served.port}: cannot be listened on" in error
+    )
 
 
 @pytest.mark.sampled(3)
@@ -411,9 +498,16 @@ def driven(folder, *flags):
     from selenium.webdriver.chrome.service import Service
 
     options = webdriver.ChromeOptions()
-    for flag in (*viewing.CHROMIUM_FLAGS, *flags, "--window-size=1280,863", f"--user-data-dir={folder / 'profile'}"):
+    for flag in (
+        *viewing.CHROMIUM_FLAGS,
+        *flags,
+        "--window-size=1280,863",
+        f"--user-data-dir={folder / 'profile'}",
+    ):
         options.add_argument(flag)
-    options.add_experimental_option("prefs", {"download.default_directory": str(folder / "downloads")})
+    options.add_experimental_option(
+        "prefs", {"download.default_directory": str(folder / "downloads")}
+    )
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     browser = webdriver.Chrome(options=options, service=Service(driver))
     try:
@@ -443,8 +537,15 @@ def test_load_run_pause_back_slide_save_download(tmp_path):
     # What was steered in the page is the same run from the command line, byte for byte.
     again = tmp_path / "again"
     config = server.results / "ball_run.toml"
-    assert cli.execute(["segment", str(server.image), "--config", str(config), "-o", str(again), "--quiet"]) == 0
-    assert (again / "ball_seg.nii.gz").read_bytes() == (server.results / "ball_seg.nii.gz").read_bytes()
+    assert (
+        cli.execute(
+            ["segment", str(server.image), "--config", str(config), "-o", str(again), "--quiet"]
+        )
+        == 0
+    )
+    assert (again / "ball_seg.nii.gz").read_bytes() == (
+        server.results / "ball_seg.nii.gz"
+    ).read_bytes()
 
 
 def _drive(browser, server, folder):
@@ -453,7 +554,9 @@ def _drive(browser, server, folder):
 
     def slide(name, value):
         browser.execute_script(
-            "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('change'))", element(name), value
+            "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('change'))",
+            element(name),
+            value,
         )
 
     def step():
@@ -480,7 +583,9 @@ def _drive(browser, server, folder):
     from selenium.webdriver import ActionChains
 
     chains = ActionChains(browser)
-    chains.move_to_element_with_offset(element("picture"), -200, 0).click_and_hold().move_by_offset(60, 10).release()
+    chains.move_to_element_with_offset(element("picture"), -200, 0).click_and_hold().move_by_offset(
+        60, 10
+    ).release()
     chains.perform()
     until(lambda: picture() != before)
     browser.find_element("css selector", "#panel-picture summary").click()
@@ -500,9 +605,13 @@ def _drive(browser, server, folder):
     until(saved.exists)
     assert saved.read_bytes() == (server.results / "ball_seg.nii.gz").read_bytes()
     # Nothing came from elsewhere.
-    loaded = browser.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
+    loaded = browser.execute_script(
+        "return performance.getEntriesByType('resource').map(entry => entry.name)"
+    )
     assert loaded and all(name.startswith((server.origin, "data:")) for name in loaded), loaded
-    severe = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    severe = [
+        entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"
+    ]
     # trame asks a launcher first, which is not there.
     assert not [message for message in severe if "/paraview/" not in message], severe
 
@@ -519,28 +628,48 @@ def test_a_stroke_and_the_list_of_changes_in_the_page(tmp_path):
 
             def lines():
                 rows = browser.find_elements("css selector", "#history button")
-                states = (("undone" in row.get_attribute("class"), row.get_attribute("aria-current")) for row in rows)
+                states = (
+                    ("undone" in row.get_attribute("class"), row.get_attribute("aria-current"))
+                    for row in rows
+                )
                 return [(row.text, *state) for row, state in zip(rows, states, strict=True)]
 
             picture = until(lambda: browser.find_elements("id", "picture"))[0]
             until(lambda: browser.find_element("id", "state").text == "paused")
             assert [row[0] for row in lines()] == ["0: as at first"]
             picture.send_keys("o")
-            until(lambda: browser.find_element("id", "tool-outside").get_attribute("aria-checked") == "true")
+            until(
+                lambda: (
+                    browser.find_element("id", "tool-outside").get_attribute("aria-checked")
+                    == "true"
+                )
+            )
             picture.send_keys("i")
-            until(lambda: browser.find_element("id", "tool-inside").get_attribute("aria-checked") == "true")
+            until(
+                lambda: (
+                    browser.find_element("id", "tool-inside").get_attribute("aria-checked")
+                    == "true"
+                )
+            )
             width, height = picture.size["width"], picture.size["height"]
             before = picture.get_attribute("src")
-            chain = ActionChains(browser).move_to_element_with_offset(picture, int(-0.2 * width), int(-0.1 * height))
+            chain = ActionChains(browser).move_to_element_with_offset(
+                picture, int(-0.2 * width), int(-0.1 * height)
+            )
             chain.click_and_hold()
             for _ in range(4):
                 chain.move_by_offset(6, 1)
             chain.perform()
-            drawn = until(lambda: picture.get_attribute("src") != before and picture.get_attribute("src"))
+            drawn = until(
+                lambda: picture.get_attribute("src") != before and picture.get_attribute("src")
+            )
             assert len(lines()) == 1  # nothing is asked of the session before the release
             ActionChains(browser).release().perform()
             until(lambda: len(lines()) == 2)
-            assert lines()[1][0].startswith("1: inside: stroke of") and lines()[1][1:] == (False, "true")
+            assert lines()[1][0].startswith("1: inside: stroke of") and lines()[1][1:] == (
+                False,
+                "true",
+            )
             until(lambda: picture.get_attribute("src") != drawn)
             browser.find_element("id", "change-0").click()
             until(lambda: lines()[1][1] and lines()[0][2] == "true")
@@ -548,7 +677,9 @@ def test_a_stroke_and_the_list_of_changes_in_the_page(tmp_path):
             until(lambda: not lines()[1][1] and lines()[1][2] == "true")
             picture.send_keys(Keys.CONTROL, "z")
             until(lambda: lines()[1][1])
-            assert not browser.find_element("id", "next-uncertain").is_enabled()  # the run has not ended
+            assert not browser.find_element(
+                "id", "next-uncertain"
+            ).is_enabled()  # the run has not ended
     finally:
         assert server.close() == 0, server.log_text()
 

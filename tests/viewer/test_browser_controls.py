@@ -49,14 +49,18 @@ class Hand:
         mouse = made.pointer_action
         mouse.move_to(self.picture, *start).pointer_down(button=button).pause(0.2)
         mouse.move_to(self.picture, start[0] + way[0] // 2, start[1] + way[1] // 2).pause(0.2)
-        mouse.move_to(self.picture, start[0] + way[0], start[1] + way[1]).pause(0.2).pointer_up(button=button)
+        mouse.move_to(self.picture, start[0] + way[0], start[1] + way[1]).pause(0.2).pointer_up(
+            button=button
+        )
         made.perform()
 
     def at(self, place):
         """What is read out at a place: x, y, z in mm."""
         from selenium.webdriver import ActionChains
 
-        chain = ActionChains(self.browser).move_to_element_with_offset(self.picture, place[0] + 5, place[1])
+        chain = ActionChains(self.browser).move_to_element_with_offset(
+            self.picture, place[0] + 5, place[1]
+        )
         chain.pause(0.3).move_to_element_with_offset(self.picture, *place).pause(0.5).perform()
         words = self.browser.find_element("css selector", "#read-out span").text
         return [float(word) for word in words.removesuffix(" mm").split(",")]
@@ -74,14 +78,20 @@ def test_grey_values_zoom_pan_and_layouts_in_the_page(served, browser):
     width, height = hand.picture.size["width"], hand.picture.size["height"]
     axial = -width // 4, -height // 4
     hand.drag(axial, (60, -30), 2)
-    until(lambda: (now := state(served))["width"] > 1.05 * said["width"] and now["level"] > said["level"])
+    until(
+        lambda: (
+            (now := state(served))["width"] > 1.05 * said["width"] and now["level"] > said["level"]
+        )
+    )
     browser.find_element("css selector", "#window option[value=bone]").click()
     until(lambda: (state(served)["level"], state(served)["width"]) == (500, 2000))
     # Zoom with Ctrl and the wheel, around the mouse; the middle button moves what is under it.
     beside = axial[0] + 40, axial[1]
     middle, before = hand.at(axial), hand.at(beside)
     origin = ScrollOrigin.from_element(hand.picture, *axial)
-    ActionChains(browser).key_down(Keys.CONTROL).scroll_from_origin(origin, 0, -240).key_up(Keys.CONTROL).perform()
+    ActionChains(browser).key_down(Keys.CONTROL).scroll_from_origin(origin, 0, -240).key_up(
+        Keys.CONTROL
+    ).perform()
     until(lambda: abs(hand.at(beside)[0] - middle[0]) < 0.9 * abs(before[0] - middle[0]))
     assert hand.at(axial) == pytest.approx(middle, abs=0.2)
     hand.drag(axial, (40, 0), 1)
@@ -136,18 +146,25 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
     def rows():
         """The objects, once nothing is under way; from the page itself."""
         said = state(served)
-        return [] if said["playing"] or any(one["word"] != "converged" for one in said["object_rows"]) else [
-            {**one, "ml": viewing.ml(one)} for one in said["object_rows"]
-        ]  # fmt: skip
+        return (
+            []
+            if said["playing"] or any(one["word"] != "converged" for one in said["object_rows"])
+            else [{**one, "ml": viewing.ml(one)} for one in said["object_rows"]]
+        )
 
     def listed():
         """What the page's list says of each object."""
         texts = "return [...document.querySelectorAll('.objects .ml')].map(one => one.textContent)"
-        shown = [words for words in browser.execute_script(texts) if re.fullmatch(r"[\d.]+ (ml|mm3)", words)]
+        shown = [
+            words
+            for words in browser.execute_script(texts)
+            if re.fullmatch(r"[\d.]+ (ml|mm3)", words)
+        ]
         return [viewing.ml({"volume": words}) for words in shown]
 
     def count_is(count, total=None):
         """The objects, once there are so many, and the picture shows their volumes, ml together."""
+
         def is_seen(found):
             return len(found) == count and (
                 total is None or sum(one["ml"] for one in found) == pytest.approx(total, rel=0.01)
@@ -170,27 +187,38 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
             until(lambda: state(served)["object_rows"][0]["volume"].endswith(" ml"), 120)
             (first,) = count_is(1)
             # Where the mouse is goes on the clipboard, as settings take it.
-            allowed = {"permissions": ["clipboardReadWrite", "clipboardSanitizedWrite"], "origin": served.origin}
+            allowed = {
+                "permissions": ["clipboardReadWrite", "clipboardSanitizedWrite"],
+                "origin": served.origin,
+            }
             browser.execute_cdp_cmd("Browser.grantPermissions", allowed)
             place = hand.at(other)
             hand.picture.send_keys(Keys.CONTROL, "c")
             read = "const done = arguments[0]; navigator.clipboard.readText().then(done, error => done(String(error)))"
-            words = until(lambda: (text := browser.execute_async_script(read)).startswith("point:") and text)
-            assert [float(part) for part in words.removeprefix("point:").split(",")] == pytest.approx(place, abs=0.06)
+            words = until(
+                lambda: (text := browser.execute_async_script(read)).startswith("point:") and text
+            )
+            assert [
+                float(part) for part in words.removeprefix("point:").split(",")
+            ] == pytest.approx(place, abs=0.06)
             browser.find_element("id", "object-add").click()
             until(lambda: state(served)["tool"] == "size")
             hand.drag(other, (round(10 * 80 / (right - left)), 0), 0)
             two = count_is(2)
             assert two[0]["ml"] == pytest.approx(first["ml"], rel=1e-3)
             browser.find_element("css selector", f"#object-{two[1]['id']} button.name").click()
-            choice = until(lambda: browser.find_elements("css selector", "select[aria-label^='merge ']"))[0]
+            choice = until(
+                lambda: browser.find_elements("css selector", "select[aria-label^='merge ']")
+            )[0]
             choice.find_element("css selector", f"option[value='{two[0]['id']}']").click()
             (merged,) = count_is(1, sum(one["ml"] for one in two))
             hand.picture.send_keys("q")
             until(lambda: state(served)["tool"] == "split")
             hand.drag(other, (0, 0), 0)
             split = count_is(2, merged["ml"])
-            assert [one["ml"] for one in split] == pytest.approx([one["ml"] for one in two], rel=0.01)
+            assert [one["ml"] for one in split] == pytest.approx(
+                [one["ml"] for one in two], rel=0.01
+            )
             browser.find_element("css selector", f"#object-{split[1]['id']} button.name").click()
             until(lambda: browser.find_element("id", "object-remove").is_enabled())
             browser.find_element("id", "object-remove").click()

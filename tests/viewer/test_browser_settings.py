@@ -22,7 +22,12 @@ def server(tmp_path_factory):
     with driven(folder) as browser:
         made = Served(folder, "--energy", "threshold:40,160")
         browser.get(made.address)
-        until(lambda: browser.find_elements("id", "picture") and browser.find_elements("id", "energy-line"))
+        until(
+            lambda: (
+                browser.find_elements("id", "picture")
+                and browser.find_elements("id", "energy-line")
+            )
+        )
         yield made, browser
     assert made.close() == 0, made.log_text()
 
@@ -59,7 +64,9 @@ def test_the_page_has_the_rows_of_the_catalogue_and_no_others(server, element):
     shown = [" ".join(label.get_attribute("textContent").split()) for label in labels]
     units = [f" ({row['unit']})" if row["unit"] else "" for row in rows]
     marks = [" \u21ba" if row["restarts"] else "" for row in rows]
-    assert shown == [row["label"] + unit + mark for row, unit, mark in zip(rows, units, marks, strict=True)]
+    assert shown == [
+        row["label"] + unit + mark for row, unit, mark in zip(rows, units, marks, strict=True)
+    ]
     groups = browser.find_elements("css selector", "details.more > summary")
     names = [one.get_attribute("textContent") for one in groups]
     assert names == ["Expert"]
@@ -71,7 +78,9 @@ def test_the_page_has_the_rows_of_the_catalogue_and_no_others(server, element):
         elif row["kind"] in ("text", "list", "energy") and row["key"] not in ("start", "seed"):
             assert value(element, row["key"]) == row["value"], row["key"]
             options = element("set-" + row["key"]).find_elements("tag name", "option")
-            assert [one.get_attribute("value") for one in options] == [one["name"] for one in row["names"]]
+            assert [one.get_attribute("value") for one in options] == [
+                one["name"] for one in row["names"]
+            ]
             assert element("set-" + row["key"]).is_enabled() == row["enabled"]
 
 
@@ -80,8 +89,15 @@ def test_what_is_typed_stays_until_it_is_left_and_keys_stay_in_a_slider(server, 
 
     _, browser = server
     fill(browser, element, "energy-line", "threshold:40,160 + geo", enter=False)
-    until(lambda: browser.find_elements("id", "energy-error") and "in place of 'geo'" in element("energy-error").text)
-    assert line(element) == "threshold:40,160 + geo" and value(element, "energy") == "threshold:40,160"
+    until(
+        lambda: (
+            browser.find_elements("id", "energy-error")
+            and "in place of 'geo'" in element("energy-error").text
+        )
+    )
+    assert (
+        line(element) == "threshold:40,160 + geo" and value(element, "energy") == "threshold:40,160"
+    )
     browser.execute_script("arguments[0].blur()", element("energy-line"))
     until(lambda: not browser.find_elements("id", "energy-error"))
     until(lambda: line(element) == "threshold:40,160")
@@ -103,7 +119,11 @@ def test_a_region_is_typed_and_what_is_saved_repeats(server, element, tmp_path):
     until(lambda: value(element, "roi") == "4,4,2,40,36,17vox" and "roi" in element("message").text)
     for count in (1, 2, 3):
         browser.execute_script("arguments[0].click()", element("single"))
-        until(lambda count=count: element("step").text.split()[1] == str(count) and element("single").is_enabled())
+        until(
+            lambda count=count: (
+                element("step").text.split()[1] == str(count) and element("single").is_enabled()
+            )
+        )
     browser.execute_script("arguments[0].click()", element("save"))
     until(lambda: (served.results / "ball_view.png").exists())
     file = next(served.results.glob("*_run.toml"))
@@ -113,7 +133,9 @@ def test_a_region_is_typed_and_what_is_saved_repeats(server, element, tmp_path):
     again = tmp_path / "again"
     words = ["segment", str(served.image), "--config", str(file), "-o", str(again), "--quiet"]
     assert cli.execute(words) == 0
-    assert (again / "ball_seg.nii.gz").read_bytes() == (served.results / "ball_seg.nii.gz").read_bytes()
+    assert (again / "ball_seg.nii.gz").read_bytes() == (
+        served.results / "ball_seg.nii.gz"
+    ).read_bytes()
 
 
 def test_a_bad_value_changes_nothing_in_the_page_either(server, element):

@@ -50,7 +50,11 @@ def test_abandoned_commands_are_cancelled():
     commands.wake()
     commands.abandon()
     assert all(future.cancelled() for future in futures)
-    assert commands.pending == 0 and commands.is_empty and commands.wait_for(lambda: commands.pending == 0, 0)
+    assert (
+        commands.pending == 0
+        and commands.is_empty
+        and commands.wait_for(lambda: commands.pending == 0, 0)
+    )
 
 
 @pytest.mark.parametrize("wake", [CommandQueue.wake, CommandQueue.close])

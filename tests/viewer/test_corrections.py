@@ -64,13 +64,24 @@ def test_command_python_session_and_configuration_make_the_same_bytes(energy, im
 
     def here(text):  # a ball of the indices above, in the file's world
         x, y, z, r = (float(v) for v in text.removeprefix("ball:").split(","))
-        return "ball:" + ",".join(f"{v:.6g}" for v in (*volume.geometry.index_to_world((z / 1.5, y, x)), r))
+        return "ball:" + ",".join(
+            f"{v:.6g}" for v in (*volume.geometry.index_to_world((z / 1.5, y, x)), r)
+        )
 
     # Each in the words of its own: options, arguments, commands of a session.
     start = here("ball:9,8,9,3")
-    given = [f"--inside={here(FIRST)}"] if energy == "seeded" else [f"--start={start}", "--keep-state=yes"]
+    given = (
+        [f"--inside={here(FIRST)}"]
+        if energy == "seeded"
+        else [f"--start={start}", "--keep-state=yes"]
+    )
     one, two = tmp_path / "one", tmp_path / "two"
-    assert command(["segment", str(volume.source), "-o", str(one), "--levels=1", "--threads=1", *given]) == 0
+    assert (
+        command(
+            ["segment", str(volume.source), "-o", str(one), "--levels=1", "--threads=1", *given]
+        )
+        == 0
+    )
     assert command(["refine", str(one), "-o", str(two), f"--inside={here(OTHER)}"]) == 0
     assert command(["refine", str(two), *(f"--outside={here(ball)}" for ball in STROKE)]) == 0
 
@@ -86,16 +97,27 @@ def test_command_python_session_and_configuration_make_the_same_bytes(energy, im
         ended(session)
         session.add_click("inside", here(OTHER)).result(60)
         session.add_click("outside", [here(ball) for ball in STROKE]).result(60)
-        assert len(session.status.refinements) == session.status.undoable == 2 and session.status.edits == ()
+        assert (
+            len(session.status.refinements) == session.status.undoable == 2
+            and session.status.edits == ()
+        )
         session.save(tmp_path / "saved").result(60)
     again = accelsurf.segment(volume, config=RunConfig.from_toml(tmp_path / "saved/scan_run.toml"))
-    three = ["segment", str(volume.source), "-o", str(tmp_path / "three"), f"--config={tmp_path}/saved/scan_run.toml"]
+    three = [
+        "segment",
+        str(volume.source),
+        "-o",
+        str(tmp_path / "three"),
+        f"--config={tmp_path}/saved/scan_run.toml",
+    ]
     assert command(three) == 0
 
     wanted = (two / "scan_seg.nii.gz").read_bytes()
     for folder in ("saved", "three"):
         assert (tmp_path / folder / "scan_seg.nii.gz").read_bytes() == wanted
-        assert (tmp_path / folder / "scan_surface.ply").read_bytes() == (two / "scan_surface.ply").read_bytes()
+        assert (tmp_path / folder / "scan_surface.ply").read_bytes() == (
+            two / "scan_surface.ply"
+        ).read_bytes()
     assert np.array_equal(io.read(two / "scan_seg.nii.gz").array, result.labels)
     assert again.psi.tobytes() == result.psi.tobytes() and untimed(again) == untimed(result)
     # How sure it is, too: the command has read its state from a file before the last correction.
@@ -122,7 +144,9 @@ def test_undo_and_redo_of_corrections_bring_back_every_byte(image):
             session.redo().result(60)
             assert psi_shown(session).tobytes() == shown[wanted].tobytes()
         session.undo().result(60)
-        session.add_click("outside", "point:9,8,16.5").result(60)  # a new change: nothing is left to be redone
+        session.add_click("outside", "point:9,8,16.5").result(
+            60
+        )  # a new change: nothing is left to be redone
         assert session.status.redoable == 0
         with pytest.raises(UsageError, match="no undone change"):
             session.redo().result(60)
@@ -142,12 +166,17 @@ def test_a_later_stroke_wins_over_an_earlier_one_and_the_settings_repeat_it(step
             ended(session)
         paths = session.save(tmp_path, ("labels", "run")).result(60)
         lines, clicks = session.status.changes, views(session)[-1].frame.clicks
-    assert [line.line for line in lines[:2]] == ["inside: stroke of 2 places", "outside: stroke of 2 places"]
+    assert [line.line for line in lines[:2]] == [
+        "inside: stroke of 2 places",
+        "outside: stroke of 2 places",
+    ]
     labels = io.read_labels(next(path for path in paths if "_seg" in path.name)).array
     sides = {side: np.zeros(SHAPE, bool) for side in ("inside", "outside")}
     for one in clicks:
         sides[one.side][one.box] |= one.mask
-    assert sides["outside"][6, 8, 17] and not sides["inside"][6, 8, 17] and sides["inside"][6, 8, 20]
+    assert (
+        sides["outside"][6, 8, 17] and not sides["inside"][6, 8, 17] and sides["inside"][6, 8, 20]
+    )
     assert labels[sides["inside"]].all() and not labels[sides["outside"]].any()
     again = accelsurf.segment(image, config=RunConfig.from_toml(next(tmp_path.glob("*_run.toml"))))
     assert np.array_equal(again.labels, labels)
@@ -201,8 +230,12 @@ def test_nothing_of_an_undone_change_stays_in_the_picture(image, scene_of):
 
 def test_where_to_click_next_is_offered_after_the_end_and_is_that_of_the_quality():
     z, y, x = np.indices(SHAPE) * np.array(SPACING)[:, None, None, None]
-    bridge = (x > 12) & (x < 22) & (abs(y - 8) < 3)  # of nearly the balls' brightness: no edge is there
-    image = Volume.from_array((scan().array + 90.0 * bridge).clip(None, 100).astype(np.float32), SPACING)
+    bridge = (
+        (x > 12) & (x < 22) & (abs(y - 8) < 3)
+    )  # of nearly the balls' brightness: no edge is there
+    image = Volume.from_array(
+        (scan().array + 90.0 * bridge).clip(None, 100).astype(np.float32), SPACING
+    )
     beside = "ball:9,2,9,0.9"  # away from the bridge, whose end stays in doubt
     with Session(image, CONFIGS["seeded"]) as session:
         at(session, 3)
@@ -211,7 +244,10 @@ def test_where_to_click_next_is_offered_after_the_end_and_is_that_of_the_quality
         ended(session)
         until(lambda: session.status.uncertain)
         first, result = session.status.uncertain, accelsurf.segment(image, config=CONFIGS["seeded"])
-        assert first[0].world == result.quality.next_click and first[0].share == result.quality.next_doubt
+        assert (
+            first[0].world == result.quality.next_click
+            and first[0].share == result.quality.next_doubt
+        )
         session.add_click("inside", beside).result(60)
         assert session.status.uncertain == ()
         until(lambda: session.status.uncertain)
@@ -234,7 +270,9 @@ def psi_shown(session):
     frame = views(session)[-1].frame
     out = np.full(SHAPE, 9.0, np.float32)
     for surface in frame.surfaces:
-        part = tuple(slice(a, a + n) for a, n in zip(surface.offset, surface.psi.shape, strict=True))
+        part = tuple(
+            slice(a, a + n) for a, n in zip(surface.offset, surface.psi.shape, strict=True)
+        )
         out[part] = surface.psi
     return np.where(out < 0, out, np.float32(9.0))
 
@@ -243,7 +281,9 @@ def test_a_run_that_goes_on_is_corrected_again_at_its_end(image, tmp_path):
     with Session(image, CONFIGS["seeded"], name="x") as session:
         at(session, 6)
         session.add_click("outside", "point:9,8,16.5").result(60)
-        assert len(session.status.edits) == 1 and session.status.refinements == ()  # the run had not ended
+        assert (
+            len(session.status.edits) == 1 and session.status.refinements == ()
+        )  # the run had not ended
         ended(session)
         session.add_click("inside", OTHER).result(60)
         moved = session.status
@@ -256,9 +296,15 @@ def test_a_run_that_goes_on_is_corrected_again_at_its_end(image, tmp_path):
         toml = next(tmp_path.glob("*_run.toml"))
         saved = io.read(next(tmp_path.glob("x_seg.*"))).array
     again = accelsurf.segment(image, config=RunConfig.from_toml(toml))
-    assert np.array_equal(again.labels, saved) and len(again.config.refine) == 1 and len(again.config.edit) == 2
+    assert (
+        np.array_equal(again.labels, saved)
+        and len(again.config.refine) == 1
+        and len(again.config.edit) == 2
+    )
     assert again.labels[6, 8, 25] == 1
-    with Session(image, RunConfig.from_toml(toml)) as session:  # a session from it corrects at the end too
+    with Session(
+        image, RunConfig.from_toml(toml)
+    ) as session:  # a session from it corrects at the end too
         ended(session)
         assert len(session.status.refinements) == 1
         session.restart().result(60)
@@ -327,8 +373,15 @@ def test_of_several_objects_the_named_one_or_the_nearest_is_corrected(image, tmp
             session.save(tmp_path, ["labels", "run"], overwrite=True).result(60)
             saved = io.read(next(tmp_path.glob("x_seg.*"))).array
             assert np.array_equal(saved, after.labels) and not np.array_equal(saved, before.labels)
-            shown = {one.id: one.overlap(after.labels == one.id) for one in views(session)[-1].frame.surfaces}
-            assert all(common == own == (after.labels == id).sum() for id, (common, own) in shown.items())
+            shown = {
+                one.id: one.overlap(after.labels == one.id)
+                for one in views(session)[-1].frame.surfaces
+            }
+            assert all(
+                common == own == (after.labels == id).sum() for id, (common, own) in shown.items()
+            )
             session.undo().result(60)
-    again = accelsurf.segment_objects(image, config=RunConfig.from_toml(next(tmp_path.glob("*_run.toml"))))
+    again = accelsurf.segment_objects(
+        image, config=RunConfig.from_toml(next(tmp_path.glob("*_run.toml")))
+    )
     assert np.array_equal(again.labels, after.labels)

@@ -23,11 +23,15 @@ from tests.support.screen import own_screen
 
 MISSING = [name for name in ("Xvfb", "xdotool") if shutil.which(name) is None]
 MISSING += [name for name in ("PySide6", "pyvistaqt") if importlib.util.find_spec(name) is None]
-MISSING += [f"lib{name}" for name in ("xcb-cursor", "EGL") if ctypes.util.find_library(name) is None]
+MISSING += [
+    f"lib{name}" for name in ("xcb-cursor", "EGL") if ctypes.util.find_library(name) is None
+]
 ROOT = Path(__file__).parents[2]
 DRIVER = ROOT / "tests" / "support" / "desktop_driver.py"
 
-needs_screen = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)} (see scripts/test --all)")
+needs_screen = pytest.mark.skipif(
+    bool(MISSING), reason=f"not installed: {', '.join(MISSING)} (see scripts/test --all)"
+)
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 
@@ -37,7 +41,9 @@ def screen():
     with own_screen() as display:
         env = {**os.environ, "DISPLAY": display}
         end = time.monotonic() + 30
-        while subprocess.run(["xdotool", "getmouselocation"], env=env, capture_output=True).returncode:
+        while subprocess.run(
+            ["xdotool", "getmouselocation"], env=env, capture_output=True
+        ).returncode:
             if time.monotonic() > end:
                 pytest.fail(f"Xvfb does not answer on display {display!r}")
             time.sleep(0.2)
@@ -49,7 +55,12 @@ def scan(tmp_path_factory):
     z, y, x = np.indices((40, 48, 48))
     image = ((z - 20) ** 2 + (y - 24) ** 2 + (x - 24) ** 2 < 15**2) * 100.0
     path = tmp_path_factory.mktemp("scan") / "scan.nii.gz"
-    io.write(Volume.from_array((image + np.random.default_rng(0).normal(0, 30, image.shape)).astype(np.float32)), path)
+    io.write(
+        Volume.from_array(
+            (image + np.random.default_rng(0).normal(0, 30, image.shape)).astype(np.float32)
+        ),
+        path,
+    )
     return path
 
 
@@ -57,20 +68,39 @@ class Person:
     """Hands on mouse and keys, and eyes on what the window shows."""
 
     def __init__(self, screen, scan, folder, scale=1, **options):
-        self.env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb", "QT_SCALE_FACTOR": str(scale)}
+        self.env = {
+            **os.environ,
+            "DISPLAY": screen,
+            "QT_QPA_PLATFORM": "xcb",
+            "QT_SCALE_FACTOR": str(scale),
+        }
         self.state_file, self.folder = folder / "state.json", folder
         words = [f"{key}={value}" for key, value in options.items()]
         self.process = subprocess.Popen(
             [sys.executable, str(DRIVER), str(scan), str(self.state_file), *words],
-            env=self.env, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            env=self.env,
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
         )
         self.until(lambda now: now["drawn"] is not None, 180)
         # What a window manager does, which this screen has not.
-        self.do("search", "--sync", "--onlyvisible", "--name", "accelsurf - scan", "windowfocus", "--sync")
+        self.do(
+            "search",
+            "--sync",
+            "--onlyvisible",
+            "--name",
+            "accelsurf - scan",
+            "windowfocus",
+            "--sync",
+        )
         self.do("mousemove", "700", "690")
 
     def do(self, *words):
-        subprocess.run(["xdotool", *words], env=self.env, check=True, timeout=60, capture_output=True)
+        subprocess.run(
+            ["xdotool", *words], env=self.env, check=True, timeout=60, capture_output=True
+        )
 
     def key(self, *names):
         self.do("key", *names)
@@ -137,7 +167,9 @@ class Person:
             "import sys; from PySide6.QtWidgets import QApplication; app = QApplication([]); "
             "app.primaryScreen().grabWindow(0).save(sys.argv[1])"
         )
-        subprocess.run([sys.executable, "-c", code, str(path)], env=self.env, check=True, timeout=60)
+        subprocess.run(
+            [sys.executable, "-c", code, str(path)], env=self.env, check=True, timeout=60
+        )
 
     def leave(self):
         self.key("ctrl+q")
@@ -159,7 +191,11 @@ def test_run_pause_step_back_slide_save(person, scan, tmp_path):
     person.until(lambda now: now["playing"] and now["step"] > 3 and now["play"] == "Pause")
     person.key("space")
     paused = person.until(lambda now: not now["playing"] and now["drawn"][0] == now["step"])
-    assert paused["play"] == "Run" and f"step {paused['step']}" in paused["title"] and "paused" in paused["title"]
+    assert (
+        paused["play"] == "Run"
+        and f"step {paused['step']}" in paused["title"]
+        and "paused" in paused["title"]
+    )
     person.key("Right")
     on = person.until(lambda now: now["drawn"][0] == paused["step"] + 1)
     person.click("back")
@@ -173,7 +209,9 @@ def test_run_pause_step_back_slide_save(person, scan, tmp_path):
     person.drag((x + 7 + at * (width - 14), y), (x + width // 3, y), (x + 7, y))
     person.until(lambda now: now["drawn"][0] == 0)
     person.drag((x + 7, y), (x + width // 2, y), (x + 8 + width // 2, y))
-    middle = person.until(lambda now: 0 < now["drawn"][0] < on["step"] and now["drawn"][0] == now["step"])
+    middle = person.until(
+        lambda now: 0 < now["drawn"][0] < on["step"] and now["drawn"][0] == now["step"]
+    )
     assert middle["edits"] == []
     # A slider of the panel.
     person.slide("smoothness", 0.5)
@@ -187,14 +225,26 @@ def test_run_pause_step_back_slide_save(person, scan, tmp_path):
     person.until(lambda now: "saved in" in now["message"], 120)
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == [
-        "scan_preview.png", "scan_report.json", "scan_run.toml", "scan_seg.nii.gz",
-        "scan_statistics.csv", "scan_statistics.json", "scan_surface.ply", "scan_trace.csv", "scan_view.png",
+        "scan_preview.png",
+        "scan_report.json",
+        "scan_run.toml",
+        "scan_seg.nii.gz",
+        "scan_statistics.csv",
+        "scan_statistics.json",
+        "scan_surface.ply",
+        "scan_trace.csv",
+        "scan_view.png",
     ]
     person.leave()
     config = RunConfig.from_toml(tmp_path / "out/scan_run.toml")
-    assert config.edit[0].settings == {"smoothness": edit["smoothness"]} and config.max_steps == middle["step"] + 3
+    assert (
+        config.edit[0].settings == {"smoothness": edit["smoothness"]}
+        and config.max_steps == middle["step"] + 3
+    )
     again = segment(io.read(scan), config=config)
-    assert again.labels.tobytes() == io.read_labels(tmp_path / "out/scan_seg.nii.gz").array.tobytes()
+    assert (
+        again.labels.tobytes() == io.read_labels(tmp_path / "out/scan_seg.nii.gz").array.tobytes()
+    )
 
 
 @needs_screen
@@ -204,13 +254,17 @@ def test_balls_brushes_undo(person):
     before = person.now()
     person.key("b")
     person.drag((x - 60, y), (x - 20, y + 10), (x + 12, y + 8))
-    ball = person.until(lambda now: now["start"] != before["start"] and now["drawn"][1] != before["drawn"][1])
+    ball = person.until(
+        lambda now: now["start"] != before["start"] and now["drawn"][1] != before["drawn"][1]
+    )
     assert len(ball["start"]) == 1 and ball["start"][0].startswith("ball:") and ball["step"] == 0
     person.key("ctrl+z")
     person.until(lambda now: now["start"] == before["start"])
     person.click("grow")
     person.drag((x + 60, y), (x + 80, y), (x + 100, y))  # across its edge
-    grown = person.until(lambda now: len(now["edits"]) >= 2 and now["drawn"][1] > before["drawn"][1] * 1.03)
+    grown = person.until(
+        lambda now: len(now["edits"]) >= 2 and now["drawn"][1] > before["drawn"][1] * 1.03
+    )
     assert all("add" in edit for edit in grown["edits"])
     person.key("k")
     x, y = tiles["space"]
@@ -236,7 +290,9 @@ def at_left_ball(screen, folder, values):
     io.write(Volume.from_array(values.astype(np.float32)), folder / "scan.nii")
     image = io.read(folder / "scan.nii")
     place = ",".join(f"{v:g}" for v in image.geometry.index_to_world((12, 20, 16)))
-    return Person(screen, folder / "scan.nii", folder, inside=f"ball:{place},4", result=folder / "out"), image
+    return Person(
+        screen, folder / "scan.nii", folder, inside=f"ball:{place},4", result=folder / "out"
+    ), image
 
 
 @needs_screen
@@ -245,26 +301,36 @@ def test_strokes_history_and_where_to_click_next(screen, tmp_path):
     z, y, x = np.indices((24, 40, 64))
     balls = (z - 12) ** 2 + (y - 20) ** 2 + np.minimum(abs(x - 16), abs(x - 48)) ** 2 < 10**2
     bridge = (abs(y - 20) < 4) & (abs(z - 12) < 4) & (x > 16) & (x < 48)
-    values = 100.0 * balls + 80.0 * bridge * ~balls + np.random.default_rng(0).normal(0, 20, balls.shape)
+    values = (
+        100.0 * balls + 80.0 * bridge * ~balls + np.random.default_rng(0).normal(0, 20, balls.shape)
+    )
     person, image = at_left_ball(screen, tmp_path, values)
     try:
         person.key("space")
         first = person.until(lambda now: now["stop"] and now["drawn"][0] == now["step"], 120)
         doubtful = person.until(lambda now: now["state"]["uncertain"])
         person.key("n")
-        person.until(lambda now: now["state"]["uncertain_at"] == 1 and now["cursor"] != doubtful["cursor"])
+        person.until(
+            lambda now: now["state"]["uncertain_at"] == 1 and now["cursor"] != doubtful["cursor"]
+        )
         person.key("i")
         now = person.until(lambda now: now["state"]["tool"] == "inside")
         x, y = now["tiles"]["axial"]
         person.drag((x + 30, y), (x + 40, y), (x + 50, y + 4))
-        grown = person.until(lambda now: len(now["state"]["changes"]) == 1 and now["drawn"][1] != first["drawn"][1])
+        grown = person.until(
+            lambda now: len(now["state"]["changes"]) == 1 and now["drawn"][1] != first["drawn"][1]
+        )
         assert "inside: stroke of" in grown["state"]["changes"][0]["line"]
         person.key("o")
         person.until(lambda now: now["state"]["tool"] == "outside")
         person.drag((x + 45, y - 6), (x + 45, y + 6))
-        cut = person.until(lambda now: len(now["state"]["changes"]) == 2 and now["drawn"][1] != grown["drawn"][1])
+        cut = person.until(
+            lambda now: len(now["state"]["changes"]) == 2 and now["drawn"][1] != grown["drawn"][1]
+        )
         x_list, y_list = person.now()["buttons"]["change 2"]
-        person.do("mousemove", str(x_list), str(y_list), "click", "--repeat", "3", "4")  # the list is at its end
+        person.do(
+            "mousemove", str(x_list), str(y_list), "click", "--repeat", "3", "4"
+        )  # the list is at its end
         person.at_rest(lambda now: now["buttons"]["change 0"])
         person.click("change 0")
         back = person.until(lambda now: now["drawn"][1] == first["drawn"][1])
@@ -288,7 +354,9 @@ def test_strokes_history_and_where_to_click_next(screen, tmp_path):
 def test_two_objects_are_built_named_and_saved_by_mouse_and_keys(screen, tmp_path):
     z, y, x = np.indices((24, 40, 64))
     balls = (z - 12) ** 2 + (y - 20) ** 2 + np.minimum(abs(x - 16), abs(x - 48)) ** 2 < 10**2
-    person, image = at_left_ball(screen, tmp_path, 100.0 * balls + np.random.default_rng(0).normal(0, 6, balls.shape))
+    person, image = at_left_ball(
+        screen, tmp_path, 100.0 * balls + np.random.default_rng(0).normal(0, 6, balls.shape)
+    )
     try:
         person.key("space")
         first = person.until(lambda now: now["stop"] and not now["playing"], 120)
@@ -301,10 +369,15 @@ def test_two_objects_are_built_named_and_saved_by_mouse_and_keys(screen, tmp_pat
             voxels.append(int(moved["state"]["voxel"].split(",")[0]))
         pixels = 80 / (voxels[1] - voxels[0])
         person.key("u")
-        person.until(lambda now: now["state"]["object_active"] == 2 and now["state"]["tool"] == "size")
+        person.until(
+            lambda now: now["state"]["object_active"] == 2 and now["state"]["tool"] == "size"
+        )
         right = left - 40 + pixels * (48 - voxels[0])
         person.drag((right, y), (right + 5 * pixels, y), (right + 10 * pixels, y))
-        person.until(lambda now: [one["word"] for one in now["state"]["object_rows"]] == ["converged"] * 2, 120)
+        person.until(
+            lambda now: [one["word"] for one in now["state"]["object_rows"]] == ["converged"] * 2,
+            120,
+        )
         # They are drawn a moment later.
         two = person.until(lambda now: all(one["volume"] for one in now["state"]["object_rows"]))
         assert viewing.ml(two["state"]["object_rows"][1]) == pytest.approx(4.19, rel=0.15)
@@ -312,9 +385,13 @@ def test_two_objects_are_built_named_and_saved_by_mouse_and_keys(screen, tmp_pat
         person.do("mousemove", str(x), str(row), "click", "--repeat", "2", "--delay", "80", "1")
         person.do("sleep", "0.3", "type", "cyst")
         person.key("Return")
-        person.until(lambda now: [one["name"] for one in now["state"]["object_rows"]] == ["object 1", "cyst"])
+        person.until(
+            lambda now: [one["name"] for one in now["state"]["object_rows"]] == ["object 1", "cyst"]
+        )
         person.click("seen 0")
-        person.until(lambda now: [one["visible"] for one in now["state"]["object_rows"]] == [False, True])
+        person.until(
+            lambda now: [one["visible"] for one in now["state"]["object_rows"]] == [False, True]
+        )
         person.key("ctrl+s")
         person.until(lambda now: "scan_run.toml" in now["state"]["saved"], 120)
         config = RunConfig.from_toml(tmp_path / "out" / "scan_run.toml")
@@ -341,13 +418,17 @@ def test_looks_help_and_errors(person, tmp_path):
     person.picture(tmp_path / "light.png")
     import matplotlib.image
 
-    dark, light = (matplotlib.image.imread(tmp_path / f"{name}.png")[..., :3] for name in ("dark", "light"))
+    dark, light = (
+        matplotlib.image.imread(tmp_path / f"{name}.png")[..., :3] for name in ("dark", "light")
+    )
     assert dark.shape == (720, 1280, 3) and dark.mean() < 0.35 and light.mean() > dark.mean() + 0.15
     # What others have in the folder is not replaced, and the window goes on.
     (tmp_path / "out").mkdir()
     (tmp_path / "out/scan_run.toml").write_text("precious")
     person.key("ctrl+s")
-    person.until(lambda now: now["message"].startswith("Error") and "exists already" in now["message"])
+    person.until(
+        lambda now: now["message"].startswith("Error") and "exists already" in now["message"]
+    )
     assert (tmp_path / "out/scan_run.toml").read_text() == "precious"
     person.key("space")
     person.until(lambda now: now["stop"] == "converged", 120)
@@ -367,15 +448,28 @@ def test_closing_while_it_runs_is_prompt(person):
 def test_the_command_opens_the_same_window(screen, scan, tmp_path):
     env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb"}
     words = [
-        "view", str(scan), "--start", "ball:24,24,20,6", "--output", str(tmp_path / "out"), "--flow", "gradient",
+        "view",
+        str(scan),
+        "--start",
+        "ball:24,24,20,6",
+        "--output",
+        str(tmp_path / "out"),
+        "--flow",
+        "gradient",
     ]
     process = subprocess.Popen(
-        [sys.executable, "-m", "accelsurf", *words], env=env, cwd=ROOT, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, text=True,
+        [sys.executable, "-m", "accelsurf", *words],
+        env=env,
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
     )
 
     def xdotool(*words):
-        return subprocess.run(["xdotool", *words], env=env, capture_output=True, text=True, timeout=60).stdout.split()
+        return subprocess.run(
+            ["xdotool", *words], env=env, capture_output=True, text=True, timeout=60
+        ).stdout.split()
 
     def window(title):
         end = time.monotonic() + 120
@@ -429,7 +523,16 @@ main(sys.argv[1:])
 @needs_screen
 def test_the_command_draws_the_slices_before_the_run_is_prepared(screen, scan):
     env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb"}
-    words = [sys.executable, "-c", SLICES_FIRST, "view", str(scan), "--start", "ball:24,24,20,6", "--no-recent"]
+    words = [
+        sys.executable,
+        "-c",
+        SLICES_FIRST,
+        "view",
+        str(scan),
+        "--start",
+        "ball:24,24,20,6",
+        "--no-recent",
+    ]
     done = subprocess.run(words, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     greys, has_no_frame, is_prepared = done.stdout.split()
@@ -439,10 +542,21 @@ def test_the_command_draws_the_slices_before_the_run_is_prepared(screen, scan):
 @needs_screen
 def test_the_command_closes_the_window_where_the_run_cannot_be_prepared(screen, scan):
     env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb"}
-    words = [sys.executable, "-m", "accelsurf", "view", str(scan), "--start", "ball:999,24,20,6", "--no-recent"]
+    words = [
+        sys.executable,
+        "-m",
+        "accelsurf",
+        "view",
+        str(scan),
+        "--start",
+        "ball:999,24,20,6",
+        "--no-recent",
+    ]
     done = subprocess.run(words, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300)
     error = done.stderr.splitlines()
-    assert done.returncode == 3 and len(error) == 2 and error[0].startswith("error: start 'ball:999"), done.stderr
+    assert (
+        done.returncode == 3 and len(error) == 2 and error[0].startswith("error: start 'ball:999")
+    ), done.stderr
 
 
 #: Prints for several changes how many tiles were drawn, whether it is seen, and whether all is that there is to see.
@@ -511,13 +625,27 @@ window.close()
 @needs_screen
 def test_what_was_drawn_is_painted_without_being_drawn_again(screen, scan):
     env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb"}
-    done = subprocess.run([sys.executable, "-c", PAINTED, str(scan)], env=env, cwd=ROOT, capture_output=True, text=True,
-                          timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", PAINTED, str(scan)],
+        env=env,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     found = {name: words for name, *words in map(str.split, done.stdout.splitlines())}
-    assert list(found) == ["ball", "slice", "turned", "both", "larger", "theme"], done.stdout + done.stderr
-    assert all(words[1:] == ["True", "True"] for words in found.values()), found  # it is on the screen, all of it
-    assert int(found["slice"][0]) <= 3  # one tile, the cube beside the object, and a picture of nothing else
-    assert int(found["turned"][0]) >= 4 and int(found["both"][0]) >= 2 and int(found["larger"][0]) >= 5
+    assert list(found) == ["ball", "slice", "turned", "both", "larger", "theme"], (
+        done.stdout + done.stderr
+    )
+    assert all(words[1:] == ["True", "True"] for words in found.values()), (
+        found
+    )  # it is on the screen, all of it
+    assert (
+        int(found["slice"][0]) <= 3
+    )  # one tile, the cube beside the object, and a picture of nothing else
+    assert (
+        int(found["turned"][0]) >= 4 and int(found["both"][0]) >= 2 and int(found["larger"][0]) >= 5
+    )
 
 
 def test_without_a_screen_it_is_one_line(scan, monkeypatch, capsys):
@@ -536,7 +664,11 @@ class Hiding:
         self._finder, self._packages = finder, packages
 
     def find_spec(self, name, path=None, target=None):
-        return None if name.partition(".")[0] in self._packages else self._finder.find_spec(name, path, target)
+        return (
+            None
+            if name.partition(".")[0] in self._packages
+            else self._finder.find_spec(name, path, target)
+        )
 
 
 @pytest.fixture
@@ -546,7 +678,9 @@ def hide(monkeypatch):
     def hide_packages(*packages):
         for name in [name for name in sys.modules if name.partition(".")[0] in packages]:
             monkeypatch.delitem(sys.modules, name)
-        monkeypatch.setattr(sys, "meta_path", [Hiding(finder, packages) for finder in sys.meta_path])
+        monkeypatch.setattr(
+            sys, "meta_path", [Hiding(finder, packages) for finder in sys.meta_path]
+        )
         assert all(importlib.util.find_spec(package) is None for package in packages)
 
     return hide_packages
@@ -560,7 +694,10 @@ def test_without_the_packages_one_line_says_what_to_install(scan, hide, capsys):
     assert error[1].startswith('hint: pip install "accelsurf[viewer]"') and len(error) == 2
     assert command(["view", str(scan), "--browser"]) == 2
     error = capsys.readouterr().err.splitlines()
-    assert error == ["error: browser: trame is not installed", 'hint: pip install "accelsurf[viewer]"']
+    assert error == [
+        "error: browser: trame is not installed",
+        'hint: pip install "accelsurf[viewer]"',
+    ]
 
 
 def test_without_the_packages_of_the_window_the_page_is_served(scan, hide, capsys, monkeypatch):
@@ -568,13 +705,17 @@ def test_without_the_packages_of_the_window_the_page_is_served(scan, hide, capsy
     viewing.needs_graphics()
     served = []
     monkeypatch.setattr(
-        "accelsurf.viewer.page.page.serve", lambda opening, first, *given: served.append(first[0].name)
+        "accelsurf.viewer.page.page.serve",
+        lambda opening, first, *given: served.append(first[0].name),
     )
     hide("PySide6", "pyvistaqt")
     assert command(["view", str(scan), "--start", "ball:24,24,20,6"]) == 0
     assert served == ["scan"]
     error = capsys.readouterr().err
-    assert "the window needs PySide6 and pyvistaqt" in error and 'pip install "accelsurf[viewer]"' in error
+    assert (
+        "the window needs PySide6 and pyvistaqt" in error
+        and 'pip install "accelsurf[viewer]"' in error
+    )
     assert error.count("\n") == 1 and "a page in the browser opens instead" in error
 
 

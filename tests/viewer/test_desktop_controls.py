@@ -28,8 +28,12 @@ def pressed(person, name):
 
 def place_at(person, x, y):
     """What is read out at a pixel: x, y, z in mm."""
-    person.do("mousemove", str(x + 9), str(y), "sleep", "0.2", "mousemove", str(x), str(y), "sleep", "0.2")
-    return np.array([float(part) for part in person.at_rest(lambda now: now["state"]["place"]).split(",")])
+    person.do(
+        "mousemove", str(x + 9), str(y), "sleep", "0.2", "mousemove", str(x), str(y), "sleep", "0.2"
+    )
+    return np.array(
+        [float(part) for part in person.at_rest(lambda now: now["state"]["place"]).split(",")]
+    )
 
 
 def crop(person, folder, name):
@@ -44,7 +48,18 @@ def crop(person, folder, name):
 def test_grey_values_by_drag_wheel_and_list(person):
     x, y = person.now()["tiles"]["axial"]
     before = person.now()["state"]
-    person.do("mousemove", str(x), str(y), "mousedown", "3", "sleep", "0.1", "mousemove", str(x + 60), str(y - 40))
+    person.do(
+        "mousemove",
+        str(x),
+        str(y),
+        "mousedown",
+        "3",
+        "sleep",
+        "0.1",
+        "mousemove",
+        str(x + 60),
+        str(y - 40),
+    )
     person.do("sleep", "0.2", "mouseup", "3")
     now = person.until(lambda now: now["state"]["window_word"] == "")["state"]
     assert now["width"] > 1.05 * before["width"] and now["level"] > before["level"]
@@ -68,15 +83,51 @@ def test_grey_values_by_drag_wheel_and_list(person):
 def test_zoom_pan_layouts_and_copied_places(person):
     x, y = person.now()["tiles"]["axial"]
     middle, beside = place_at(person, x, y), place_at(person, x + 40, y)
-    person.do("mousemove", str(x), str(y), "keydown", "ctrl", "click", "4", "click", "4", "keyup", "ctrl")
+    person.do(
+        "mousemove", str(x), str(y), "keydown", "ctrl", "click", "4", "click", "4", "keyup", "ctrl"
+    )
     zoomed = place_at(person, x + 40, y)
     factor = np.linalg.norm(beside - middle) / np.linalg.norm(zoomed - place_at(person, x, y))
     assert factor > 1.1 and place_at(person, x, y) == pytest.approx(middle, abs=0.1)
     # Moved by shift and drag, and by the middle button, the image follows the hand.
-    person.do("mousemove", str(x), str(y), "keydown", "shift", "mousedown", "1", "mousemove", str(x + 20), str(y))
-    person.do("sleep", "0.2", "mousemove", str(x + 40), str(y), "sleep", "0.2", "mouseup", "1", "keyup", "shift")
+    person.do(
+        "mousemove",
+        str(x),
+        str(y),
+        "keydown",
+        "shift",
+        "mousedown",
+        "1",
+        "mousemove",
+        str(x + 20),
+        str(y),
+    )
+    person.do(
+        "sleep",
+        "0.2",
+        "mousemove",
+        str(x + 40),
+        str(y),
+        "sleep",
+        "0.2",
+        "mouseup",
+        "1",
+        "keyup",
+        "shift",
+    )
     assert place_at(person, x + 40, y) == pytest.approx(middle, abs=0.1)
-    person.do("mousemove", str(x + 40), str(y), "mousedown", "2", "mousemove", str(x + 20), str(y), "sleep", "0.2")
+    person.do(
+        "mousemove",
+        str(x + 40),
+        str(y),
+        "mousedown",
+        "2",
+        "mousemove",
+        str(x + 20),
+        str(y),
+        "sleep",
+        "0.2",
+    )
     person.do("mousemove", str(x), str(y), "sleep", "0.2", "mouseup", "2")
     assert place_at(person, x, y) == pytest.approx(middle, abs=0.1)
     person.key("ctrl+c")
@@ -84,7 +135,9 @@ def test_zoom_pan_layouts_and_copied_places(person):
     person.key("ctrl+shift+c")
     ball = person.until(lambda now: now["clipboard"].startswith("ball:"))["clipboard"]
     place = [float(part) for part in point.removeprefix("point:").split(",")]
-    assert place == pytest.approx(middle, abs=0.1) and ball.startswith(point.replace("point", "ball") + ",")
+    assert place == pytest.approx(middle, abs=0.1) and ball.startswith(
+        point.replace("point", "ball") + ","
+    )
     person.key("r")
     assert place_at(person, x + 40, y) == pytest.approx(beside, abs=0.1)
     # Layouts: by the list, by W, one tile alone by a double click and by 1, the chart by E, voxels by M.
@@ -96,7 +149,9 @@ def test_zoom_pan_layouts_and_copied_places(person):
     person.until(lambda now: now["state"]["layout"] == "slices" and "space" not in now["tiles"])
     x, y = person.now()["tiles"]["coronal"]
     person.do("mousemove", str(x), str(y), "click", "--repeat", "2", "--delay", "60", "1")
-    person.until(lambda now: now["state"]["layout"] == "single" and list(now["tiles"]) == ["coronal"])
+    person.until(
+        lambda now: now["state"]["layout"] == "single" and list(now["tiles"]) == ["coronal"]
+    )
     person.key("1")
     person.until(lambda now: now["state"]["layout"] == "slices")
     person.key("w", "w", "m")
@@ -108,7 +163,9 @@ def test_zoom_pan_layouts_and_copied_places(person):
 def test_objects_are_merged_split_removed_and_undone_without_a_trace(screen, tmp_path):
     z, y, x = np.indices((24, 40, 64))
     balls = (z - 12) ** 2 + (y - 20) ** 2 + np.minimum(abs(x - 16), abs(x - 48)) ** 2 < 10**2
-    person, _ = at_left_ball(screen, tmp_path, 100.0 * balls + np.random.default_rng(0).normal(0, 6, balls.shape))
+    person, _ = at_left_ball(
+        screen, tmp_path, 100.0 * balls + np.random.default_rng(0).normal(0, 6, balls.shape)
+    )
     try:
         person.key("space")
         person.until(lambda now: now["stop"] and not now["playing"], 120)
@@ -135,12 +192,16 @@ def test_objects_are_merged_split_removed_and_undone_without_a_trace(screen, tmp
         person.do("keydown", "ctrl", "mousemove", str(x), str(y), "click", "1", "keyup", "ctrl")
         pressed(person, "object_merge")
         merged = person.until(lambda now: len(settled(now)) == 1)["state"]["object_rows"]
-        assert viewing.ml(merged[0]) == pytest.approx(sum(viewing.ml(row) for row in rows), rel=0.02)
+        assert viewing.ml(merged[0]) == pytest.approx(
+            sum(viewing.ml(row) for row in rows), rel=0.02
+        )
         person.key("q")
         person.until(lambda now: now["state"]["tool"] == "split")
         person.drag((other, at_y))
         split = person.until(lambda now: len(settled(now)) == 2)["state"]["object_rows"]
-        assert [viewing.ml(row) for row in split] == pytest.approx([viewing.ml(row) for row in rows], rel=0.02)
+        assert [viewing.ml(row) for row in split] == pytest.approx(
+            [viewing.ml(row) for row in rows], rel=0.02
+        )
         person.click("object 1")
         person.until(lambda now: now["state"]["object_active"] == split[1]["id"])
         pressed(person, "object_remove")
@@ -164,7 +225,9 @@ def test_the_colour_dialog_is_opened_and_used(person, tmp_path):
         person.do("mousemove", str(x), str(y), "click", "--repeat", "2", "--delay", "60", "1")
         shown = person.until(lambda now: now["dialog"].get("code"))["dialog"]
         assert shown["title"] == "Colour of the object"
-        person.do("search", "--sync", "--onlyvisible", "--name", shown["title"], "windowfocus", "--sync")
+        person.do(
+            "search", "--sync", "--onlyvisible", "--name", shown["title"], "windowfocus", "--sync"
+        )
         return person.until(lambda now: now["dialog"] == shown)["dialog"]
 
     def pixels(name, code):
@@ -174,21 +237,37 @@ def test_the_colour_dialog_is_opened_and_used(person, tmp_path):
 
     def typed(code):
         ((x, y),) = asked()["code"]
-        person.do("mousemove", str(x), str(y), "click", "--repeat", "3", "--delay", "60", "1", "type", code)
+        person.do(
+            "mousemove",
+            str(x),
+            str(y),
+            "click",
+            "--repeat",
+            "3",
+            "--delay",
+            "60",
+            "1",
+            "type",
+            code,
+        )
 
     before = person.now()["state"]["object_rows"][0]["color"]
     assert pixels("before", "#cc33aa") == 0 and pixels("own", before) > 40
     typed("#cc33aa")
     x, y = person.now()["dialog"]["OK"]
     person.do("mousemove", str(x), str(y), "click", "1")
-    person.until(lambda now: not now["dialog"] and now["state"]["object_rows"][0]["color"] == "#cc33aa")
+    person.until(
+        lambda now: not now["dialog"] and now["state"]["object_rows"][0]["color"] == "#cc33aa"
+    )
     assert pixels("after", "#cc33aa") > 40 and pixels("own", before) == 0
     # What the dialog is closed over is not taken.
     typed("#00ff00")
     person.key("Escape")
     person.until(lambda now: not now["dialog"])
     assert person.now()["state"]["object_rows"][0]["color"] == "#cc33aa"
-    person.do("search", "--sync", "--onlyvisible", "--name", "accelsurf - scan", "windowfocus", "--sync")
+    person.do(
+        "search", "--sync", "--onlyvisible", "--name", "accelsurf - scan", "windowfocus", "--sync"
+    )
     person.leave()
 
 

@@ -27,7 +27,11 @@ def test_a_run_set_up_by_hand_is_the_same_from_the_command_line(person, scan, tm
     assert [row["key"] for row in rows] == list(now["rows"])
     for row in rows:
         label = now["rows"][row["key"]][0]
-        assert label.startswith(row["label"]) and row["unit"] in label and ("\u21ba" in label) == row["restarts"]
+        assert (
+            label.startswith(row["label"])
+            and row["unit"] in label
+            and ("\u21ba" in label) == row["restarts"]
+        )
     # The wheel over the panel scrolls it, and changes no list and no number.
     x, y = now["rows"]["energy"][1]
     person.do("mousemove", str(x), str(y - 28), "click", "5")
@@ -56,4 +60,6 @@ def test_a_run_set_up_by_hand_is_the_same_from_the_command_line(person, scan, tm
     config = RunConfig.from_toml(next((tmp_path / "out").glob("*_run.toml")))
     assert config.roi == now["settings"]["roi"] and config.presmooth == "0.5vox"
     again = segment(io.read(scan), config=config)
-    assert again.labels.tobytes() == io.read_labels(tmp_path / "out/scan_seg.nii.gz").array.tobytes()
+    assert (
+        again.labels.tobytes() == io.read_labels(tmp_path / "out/scan_seg.nii.gz").array.tobytes()
+    )

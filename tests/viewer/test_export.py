@@ -32,7 +32,9 @@ def result():
 
 def page_of(path):
     text = path.read_text()
-    return text, json.loads(re.search(r'<script id="scene" type="application/json">(.*?)</script>', text).group(1))
+    return text, json.loads(
+        re.search(r'<script id="scene" type="application/json">(.*?)</script>', text).group(1)
+    )
 
 
 def array(text, kind):
@@ -43,7 +45,11 @@ def test_a_page_has_everything_in_it(result, tmp_path):
     truth = result.volume.with_array(result.volume.array > 0)
     assert result.plot(to=tmp_path / "a.html", reference=truth) is None
     text, scene = page_of(tmp_path / "a.html")
-    assert not re.search(r"(https?:)?//[a-z]+\.[a-z]", text) and "@import" not in text and "__" not in text[:3000]
+    assert (
+        not re.search(r"(https?:)?//[a-z]+\.[a-z]", text)
+        and "@import" not in text
+        and "__" not in text[:3000]
+    )
     assert re.findall(r'(?:src|href)="(.{5})', text) == ["data:"]
     assert re.search(r"Dice (0\.9|1\.0)", text)
     box, surface, reference = scene["meshes"]
@@ -81,7 +87,10 @@ def test_colours_are_in_the_page(tmp_path):
     scene.close()
     _, document = page_of(tmp_path / "a.html")
     colors = array(document["meshes"][1]["colors"], "u1")
-    assert len(colors) == len(array(document["meshes"][1]["points"], "<f4")) and len(np.unique(colors, axis=0)) >= 2
+    assert (
+        len(colors) == len(array(document["meshes"][1]["points"], "<f4"))
+        and len(np.unique(colors, axis=0)) >= 2
+    )
 
 
 def test_a_browser_draws_the_page(result, tmp_path):
@@ -89,7 +98,11 @@ def test_a_browser_draws_the_page(result, tmp_path):
     result.plot(to=tmp_path / "a.html")
     out = tmp_path / "a.png"
     flags = ["--enable-unsafe-swiftshader", "--use-angle=swiftshader", "--window-size=1280,720"]
-    flags += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=4000", f"--screenshot={out}"]
+    flags += [
+        f"--user-data-dir={tmp_path / 'profile'}",
+        "--virtual-time-budget=4000",
+        f"--screenshot={out}",
+    ]
     command = [chromium, *viewing.CHROMIUM_FLAGS, *flags, f"file://{tmp_path / 'a.html'}"]
     subprocess.run(command, capture_output=True, timeout=120, check=True)
     with Image.open(out) as opened:
@@ -116,8 +129,9 @@ def test_pictures_and_what_cannot_be_shown(result, tmp_path):
         assert picture.size == (640, 360)
     accelsurf.show(result.volume, to=tmp_path / "b.png")
     for given, message in (
-        (dict(to="a.jpg"), "a.jpg: .jpg was given"), (dict(theme="pink"), "theme: pink"),
-    ):  # fmt: skip
+        (dict(to="a.jpg"), "a.jpg: .jpg was given"),
+        (dict(theme="pink"), "theme: pink"),
+    ):
         with pytest.raises(UsageError, match=message):
             result.plot(**({"to": tmp_path / "c.png"} | given))
     with pytest.raises(InputError, match="brain.nii: there is no such file"):
@@ -151,5 +165,7 @@ def test_segmenting_does_not_load_the_viewer():
         "accelsurf.segment(z, start='ball:8,8,8,3', max_steps=3);"
         "print(any(name.partition('.')[0] in ('pyvista', 'vtkmodules', 'trame') for name in sys.modules))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=240, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=240, check=True
+    )
     assert done.stdout.strip() == "False"

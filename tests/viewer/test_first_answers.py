@@ -51,18 +51,34 @@ def test_an_answer_is_taken_as_one_change_and_the_run_is_that_of_the_setting(ima
     with Session(volume, config()) as session:
         offered = until(lambda: session.status.answers)
         first, second = offered[:2]
-        assert numbers(session) == [(1, True), (2, False)] and first.volume_mm3 > 1.4 * second.volume_mm3
+        assert (
+            numbers(session) == [(1, True), (2, False)]
+            and first.volume_mm3 > 1.4 * second.volume_mm3
+        )
         assert dice(second.surface.inside(EVERYWHERE), part) > 0.9
         assert first.surface is None and dice(second.surface.inside(EVERYWHERE), whole) < 0.8
         assert session.status.step == 0 and session.status.changes == ()
         session.take_answer(2).result()
-        assert session.wait(60) and session.status.stop is not None and session.status.settings.answer == 2
-        back = until(lambda: numbers(session) == [(1, False), (2, True)] and session.status.answers[0].surface)
+        assert (
+            session.wait(60)
+            and session.status.stop is not None
+            and session.status.settings.answer == 2
+        )
+        back = until(
+            lambda: (
+                numbers(session) == [(1, False), (2, True)] and session.status.answers[0].surface
+            )
+        )
         shown = back.inside(EVERYWHERE)
-        assert 2.0 * np.count_nonzero(shown) == pytest.approx(first.volume_mm3, rel=0.1) and dice(shown, whole) > 0.8
+        assert (
+            2.0 * np.count_nonzero(shown) == pytest.approx(first.volume_mm3, rel=0.1)
+            and dice(shown, whole) > 0.8
+        )
         inside = viewing.look(session, lambda run: run.objects[0].surface.psi < 0).result()
         assert np.array_equal(inside, segment(volume, config=config(answer=2)).labels > 0)
-        assert [answer.volume_mm3 for answer in session.status.answers] == [answer.volume_mm3 for answer in offered]
+        assert [answer.volume_mm3 for answer in session.status.answers] == [
+            answer.volume_mm3 for answer in offered
+        ]
         session.take_answer(2).result()  # is shown already
         assert session.wait(60) and len(session.status.changes) == 1
         session.undo().result()
@@ -114,7 +130,9 @@ def test_with_a_second_object_there_is_no_choice(image):
 
 def test_a_press_without_a_drag_is_a_first_click(image):
     volume, part, _ = image
-    with Session(volume, RunConfig(start="ball:5,5,5,2", max_steps=60, levels=1, threads=1)) as session:
+    with Session(
+        volume, RunConfig(start="ball:5,5,5,2", max_steps=60, levels=1, threads=1)
+    ) as session:
         session.press(CLICK).result()
         session.release(0.0).result()
         assert session.wait(60)
@@ -142,22 +160,35 @@ def actions(image, scene_of):
 
 def test_other_answers_are_outlines_in_the_slices_until_escape_or_a_click(actions):
     said = until(lambda: actions.state()["first_answers"])
-    assert [(one["number"], one["key"], one["taken"]) for one in said[:2]] == [(1, "7", True), (2, "8", False)]
+    assert [(one["number"], one["key"], one["taken"]) for one in said[:2]] == [
+        (1, "7", True),
+        (2, "8", False),
+    ]
     assert all(one["volume"].endswith("ml") for one in said)
     others = len(said) - 1
     assert len(actions.scene.marks.answers) == others and actions.changed
     drawn = actions.scene.screenshot()
     actions.request("key", "Escape")
     said = actions.state()["first_answers"]
-    assert len(said) == others + 1 and actions.scene.marks.answers == ()  # the line stays, and the keys
+    assert (
+        len(said) == others + 1 and actions.scene.marks.answers == ()
+    )  # the line stays, and the keys
     plain = actions.scene.screenshot()
-    (left, bottom, right, top), (high, wide, _) = actions.scene.space.renderer.GetViewport(), drawn.shape
-    space = (slice(round(high * (1 - top)), round(high * (1 - bottom))), slice(round(wide * left), round(wide * right)))
+    (left, bottom, right, top), (high, wide, _) = (
+        actions.scene.space.renderer.GetViewport(),
+        drawn.shape,
+    )
+    space = (
+        slice(round(high * (1 - top)), round(high * (1 - bottom))),
+        slice(round(wide * left), round(wide * right)),
+    )
     assert np.array_equal(drawn[space], plain[space]) and not np.array_equal(drawn, plain)
     actions.request("key", "8")
     viewing.settle(actions)
     until(lambda: [one["taken"] for one in actions.state()["first_answers"][:2]] == [False, True])
-    assert len(actions.scene.marks.answers) == others and actions.session.status.settings.answer == 2
+    assert (
+        len(actions.scene.marks.answers) == others and actions.session.status.settings.answer == 2
+    )
     one = actions.scene.slice_tiles["axial"]
     lines = one._lines["answers"][0].mapper.GetInput().n_cells
     actions.scene.cursor = (14.0, 16.0, 2.0)  # beside it
@@ -180,7 +211,9 @@ def test_the_keys_are_in_the_help_and_nothing_else_has_them(actions):
     for number, key in ((1, "7"), (2, "8"), (3, "9")):
         assert (actions.keys[key].request, actions.keys[key].values) == ("take_answer", (number,))
     features = [key for feature in actions.features for key in feature.keys()]
-    assert len(set(features)) == len(features) and not set("789") & {tool.key for tool in actions.tools.values()}
+    assert len(set(features)) == len(features) and not set("789") & {
+        tool.key for tool in actions.tools.values()
+    }
 
 
 #: Two answers, the first one taken.
@@ -212,7 +245,11 @@ shown([])
 @pytest.mark.skipif(importlib.util.find_spec("PySide6") is None, reason="PySide6 is not installed")
 def test_the_window_has_a_button_for_each_answer():
     assert lines_of(ROW) == [
-        "True []", "False 3.7 ml 5.9 ml [1]", "take_answer 3", "False 3.7 ml 5.9 ml [1]", "True []",
+        "True []",
+        "False 3.7 ml 5.9 ml [1]",
+        "take_answer 3",
+        "False 3.7 ml 5.9 ml [1]",
+        "True []",
     ]
 
 
@@ -224,9 +261,25 @@ def test_the_page_has_a_button_for_each_answer():
     say(asked);
     """
     state = {
-        "picture": "data:,", "theme": "dark", "rests": [], "keys": ["7"], "choices": [], "tools": [], "tool": "look",
-        "radius_row": {"unit": "mm", "value": 1.0, "tick": 0, "low": 0, "high": 1, "power": 1, "digits": 1},
-        "as_point": "", "as_ball": "", "as_correction": "",
+        "picture": "data:,",
+        "theme": "dark",
+        "rests": [],
+        "keys": ["7"],
+        "choices": [],
+        "tools": [],
+        "tool": "look",
+        "radius_row": {
+            "unit": "mm",
+            "value": 1.0,
+            "tick": 0,
+            "low": 0,
+            "high": 1,
+            "power": 1,
+            "digits": 1,
+        },
+        "as_point": "",
+        "as_ball": "",
+        "as_correction": "",
     }
     said, asked = run_in_node(document(("tools",)), {**state, "first_answers": CHOICE}, script)
     assert said == [["3.7 ml", "true"], ["5.9 ml", "false"]]

@@ -22,7 +22,9 @@ def two_balls():
     """Two bright balls in noise; voxels are mm, (x, y, z) of their middles are (14, 18, 12) and (40, 18, 12)."""
     z, y, x = np.indices((24, 36, 54))
     inside = (z - 12) ** 2 + (y - 18) ** 2 + np.minimum(abs(x - 14), abs(x - 40)) ** 2 < 8**2
-    return Volume.from_array((100.0 * inside + np.random.default_rng(0).normal(0, 5, inside.shape)).astype(np.float32))
+    return Volume.from_array(
+        (100.0 * inside + np.random.default_rng(0).normal(0, 5, inside.shape)).astype(np.float32)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,18 +44,30 @@ def actions(tmp_path_factory):
 def begun(actions):
     """What of an object is there: to be drawn, run, saved, named."""
     state = actions.state()
-    return state["has_begun"], state["can_run"], bool(actions.scene.frame.surfaces), bool(state["result"])
+    return (
+        state["has_begun"],
+        state["can_run"],
+        bool(actions.scene.frame.surfaces),
+        bool(state["result"]),
+    )
 
 
 def test_nothing_is_there_before_it_is_asked_for(actions):
     assert begun(actions) == (False,) * 4 and actions.state()["tool"] == "size"
     assert not actions.scene.tiles.shows_space
     assert [row["word"] for row in actions.state()["object_rows"]] == ["not begun"]
-    for name, values in (("toggle", ()), ("step", ()), ("save", ()), ("set", ("preset", "mr-brain"))):
+    for name, values in (
+        ("toggle", ()),
+        ("step", ()),
+        ("save", ()),
+        ("set", ("preset", "mr-brain")),
+    ):
         actions.request(name, *values)
         viewing.settle(actions)
         assert begun(actions) == (False,) * 4, name
-        assert ("there is no object yet" in actions.state()["message"]) == (name != "set"), actions.state()["message"]
+        assert ("there is no object yet" in actions.state()["message"]) == (name != "set"), (
+            actions.state()["message"]
+        )
     assert not list(actions.folder.iterdir())
     for work in (
         lambda: actions.session.add_click("outside", "point:14,18,12"),
@@ -81,7 +95,9 @@ def test_the_first_click_inside_begins_what_can_be_run_judged_and_undone(actions
     assert volume.startswith("volume ") and volume.endswith(" ml") and interval.startswith("95 %: ")
     assert likely.endswith(" % likely to be good")
     assert float(likely.split()[0]) == round(100 * actions.session.status.probabilities[1])
-    assert [line.startswith("most doubtful at ") for line in doubt] == [True] * bool(actions.session.status.uncertain)
+    assert [line.startswith("most doubtful at ") for line in doubt] == [True] * bool(
+        actions.session.status.uncertain
+    )
     actions.request("undo")
     viewing.settle(actions)
     assert begun(actions) == (False,) * 4
@@ -110,7 +126,9 @@ def test_the_mesh_is_saved_as_it_is_chosen(actions):
     viewing.settle(actions)
     actions.request("save")
     viewing.settle(actions)
-    assert (actions.folder / "balls_surface.stl").is_file() and not list(actions.folder.glob("*.ply"))
+    assert (actions.folder / "balls_surface.stl").is_file() and not list(
+        actions.folder.glob("*.ply")
+    )
     config = RunConfig.from_toml(actions.folder / "balls_run.toml")
     assert config.mesh == ("stl",) and actions.state()["mesh"] == "stl"
 
@@ -120,20 +138,32 @@ def result(tmp_path_factory):
     """An image, and the folder of the result of a click in it."""
     folder = tmp_path_factory.mktemp("finished")
     io.write(two_balls(), folder / "balls.nii.gz")
-    words = ["segment", str(folder / "balls.nii.gz"), "--inside", "ball:14,18,12,2", "-o", str(folder / "out")]
+    words = [
+        "segment",
+        str(folder / "balls.nii.gz"),
+        "--inside",
+        "ball:14,18,12,2",
+        "-o",
+        str(folder / "out"),
+    ]
     assert execute([*words, "--quiet", "--threads", "1"]) == 0
     return folder
 
 
 def test_a_finished_run_goes_on(result, tmp_path):
     image, config = finished_run(result / "out")
-    assert image == result / "balls.nii.gz" and finished_run(result / "out" / "balls_report.json") == (image, config)
+    assert image == result / "balls.nii.gz" and finished_run(
+        result / "out" / "balls_report.json"
+    ) == (image, config)
     with Session(io.read(image), config, name="balls", source=image) as session:
         session.play().result(60)
         assert session.wait(120)
         session.save(tmp_path).result(60)
         same = "balls_seg.nii.gz"
-        assert io.read_labels(tmp_path / same).array.tobytes() == io.read_labels(result / "out" / same).array.tobytes()
+        assert (
+            io.read_labels(tmp_path / same).array.tobytes()
+            == io.read_labels(result / "out" / same).array.tobytes()
+        )
         session.add_click("inside", "ball:40,18,12,2").result(60)
         assert len(session.status.refinements) == 1
 
@@ -142,7 +172,10 @@ def test_what_is_no_finished_run_is_an_image_or_one_line(result, tmp_path):
     assert finished_run(tmp_path) is None and finished_run(result / "balls.nii.gz") is None
     report = json.loads((result / "out" / "balls_report.json").read_text())
     for change, said in (
-        ({"input": {"path": str(tmp_path / "gone.nii"), "sha256": "0"}}, "is not there, or has changed"),
+        (
+            {"input": {"path": str(tmp_path / "gone.nii"), "sha256": "0"}},
+            "is not there, or has changed",
+        ),
         ({"input": {**report["input"], "sha256": "0" * 64}}, "is not there, or has changed"),
         ({"input": None}, "names no image"),
     ):

@@ -21,7 +21,9 @@ def ball_volume(n=40, radius=11.0, spacing=(2.0, 1.0, 1.0), center=(19.0, 18.0, 
 
 
 def frames_of(volume, **options):
-    run = Run(volume, RunConfig(**{"start": "ball:24,17,26,6", "threads": 1, "max_steps": 12, **options}))
+    run = Run(
+        volume, RunConfig(**{"start": "ball:24,17,26,6", "threads": 1, "max_steps": 12, **options})
+    )
     with run:
         for step in run:
             (surface,) = Frame.of_run(run).surfaces
@@ -41,11 +43,19 @@ def test_psi_of_the_frame_is_psi_of_the_surface():
 def test_a_frame_is_a_copy():
     frames = []
     for _, surface in frames_of(ball_volume(), levels=1):
-        frames.append((surface, surface.psi.copy(), {k: q.values.copy() for k, q in surface.quantities.items()}))
+        frames.append(
+            (
+                surface,
+                surface.psi.copy(),
+                {k: q.values.copy() for k, q in surface.quantities.items()},
+            )
+        )
     assert len(frames) > 5
     for surface, psi, values in frames:
         assert np.array_equal(surface.psi, psi)
-        assert all(np.array_equal(surface.quantities[key].values, value) for key, value in values.items())
+        assert all(
+            np.array_equal(surface.quantities[key].values, value) for key, value in values.items()
+        )
     first, last = frames[0][1], frames[-1][1]
     assert not np.array_equal(first.shape, last.shape) or not np.array_equal(first, last)
 
@@ -78,7 +88,9 @@ def test_coarse_frames_lie_where_the_image_is():
         middle = np.average(np.argwhere(surface.psi < 0), axis=0)
         world = volume.geometry.index_to_world(surface.to_image(middle))
         assert np.allclose(surface.from_image(surface.to_image(middle)), middle)
-        assert np.linalg.norm(world - (55, 43, 55)) < 3.0  # truth and start have their middles near there
+        assert (
+            np.linalg.norm(world - (55, 43, 55)) < 3.0
+        )  # truth and start have their middles near there
     assert levels == {0, 1}
 
 
@@ -97,13 +109,20 @@ def test_samples_are_linear_between_cells():
     first = np.array(np.unravel_index(cells[slot], surface.shape)) - surface.offset
     for share in (0.0, 0.25, 1.0):
         wanted = (1 - share) * values[slot] + share * values[slot + 1]
-        assert surface.sample("speed", [first + (0, 0, share)])[0] == pytest.approx(wanted, rel=1e-4)
-    assert surface.sample("speed", [-np.array(surface.offset)])[0] == 0.0  # the volume's corner is in no band
+        assert surface.sample("speed", [first + (0, 0, share)])[0] == pytest.approx(
+            wanted, rel=1e-4
+        )
+    assert (
+        surface.sample("speed", [-np.array(surface.offset)])[0] == 0.0
+    )  # the volume's corner is in no band
 
 
 def test_density_is_of_flowable_mass_only():
     volume = ball_volume()
-    names = {flow: set(list(frames_of(volume, flow=flow))[-1][1].quantities) for flow in ("flowable-mass", "gradient")}
+    names = {
+        flow: set(list(frames_of(volume, flow=flow))[-1][1].quantities)
+        for flow in ("flowable-mass", "gradient")
+    }
     assert names == {"flowable-mass": {"speed", "force", "density"}, "gradient": {"speed", "force"}}
 
 
@@ -112,7 +131,9 @@ def test_max_voxels_bounds_the_copy():
     for _ in run:
         (whole,), (small,) = Frame.of_run(run).surfaces, Frame.of_run(run, max_voxels=1000).surfaces
         assert small.psi.size <= 1000 < whole.psi.size
-        assert np.array_equal(small.psi, whole.psi[:: small.stride, :: small.stride, :: small.stride])
+        assert np.array_equal(
+            small.psi, whole.psi[:: small.stride, :: small.stride, :: small.stride]
+        )
         places = np.argwhere(small.psi < 0)
         assert np.allclose(small.to_image(places), whole.to_image(places * small.stride))
 
@@ -120,7 +141,9 @@ def test_max_voxels_bounds_the_copy():
 def test_no_surface_is_a_frame_too():
     z, y, x = np.indices((20, 20, 20)) - 10.0
     volume = Volume.from_array(np.where(z**2 + y**2 + x**2 < 16, 0.0, 1.0) + 0.0 * x)
-    *_, (step, surface) = frames_of(volume, start="ball:10,10,10,3", smoothness=20, max_steps=200, levels=1)
+    *_, (step, surface) = frames_of(
+        volume, start="ball:10,10,10,3", smoothness=20, max_steps=200, levels=1
+    )
     assert step.surface.size == 0 and not surface.has_surface and surface.psi.shape == (0, 0, 0)
 
 
@@ -140,7 +163,10 @@ def test_objects_in_boxes_lie_where_they_lie_in_the_whole_image():
 
     inside = all_inside(fields.cells, whole.shape, corner, boxed.shape)
     own = StepFields(to_box(fields.cells[inside]), fields.force[inside], fields.speed[inside])
-    objects = [ObjectState(1, step.record, whole, (0, 0, 0), fields), ObjectState(2, step.record, boxed, corner, own)]
+    objects = [
+        ObjectState(1, step.record, whole, (0, 0, 0), fields),
+        ObjectState(2, step.record, boxed, corner, own),
+    ]
     frame = Frame.of(objects, pyramid.levels(volume.geometry.shape, volume.geometry.spacing, 1)[0])
     first, second = frame.surfaces
     assert [surface.id for surface in frame.surfaces] == [1, 2] and second.shape == psi.shape
@@ -148,7 +174,9 @@ def test_objects_in_boxes_lie_where_they_lie_in_the_whole_image():
     labels = volume.array > 0
     assert first.overlap(labels) == second.overlap(labels)
     common, voxels = first.overlap(labels)
-    assert frame.dice(labels, int(labels.sum())) == pytest.approx(4 * common / (2 * voxels + labels.sum()))
+    assert frame.dice(labels, int(labels.sum())) == pytest.approx(
+        4 * common / (2 * voxels + labels.sum())
+    )
     near = np.argwhere(np.abs(first.psi) < 0.4)
     there = second.from_image(first.to_image(near))
     values = first.sample("speed", near)

@@ -43,7 +43,9 @@ def actions(request, made, tracks):
     viewing.needs_graphics()
     view = SequenceView(made.sequence, 0, tracks if request.param else None)
     scene = Scene(made.sequence.frame(0), size=(640, 360))
-    with Session(made.sequence.frame(0), RunConfig(threads=1, max_steps=2), name="cells") as session:
+    with Session(
+        made.sequence.frame(0), RunConfig(threads=1, max_steps=2), name="cells"
+    ) as session:
         session.ready.result(60)
         yield Actions(session, scene, frames=view)
     scene.close()
@@ -147,7 +149,9 @@ def test_tracked_objects_keep_their_colour_and_predictions_are_drawn(actions, ma
         actions.request("frame", number)
         frame = actions.scene.frame
         assert [one.id for one in frame.surfaces] == [one.id for one in tracks.drawn(number)]
-        assert len(frame.predicted) == sum(one.predicted is not None for one in tracks.drawn(number))
+        assert len(frame.predicted) == sum(
+            one.predicted is not None for one in tracks.drawn(number)
+        )
         for one, style in zip(frame.surfaces, actions.scene.styles.of(frame), strict=True):
             assert colors.setdefault(one.id, style.color) == style.color
         assert f"frame {number} of" in actions.scene.space.title.text
@@ -211,7 +215,11 @@ def test_an_image_without_time_has_no_frames():
     with Session(volume, RunConfig(threads=1, max_steps=1)) as session:
         session.ready.result(60)
         made = Actions(session, scene)
-        assert made.state()["frames"] == 0 and "," not in made.keys and made.feature(FramesFeature).shows_run
+        assert (
+            made.state()["frames"] == 0
+            and "," not in made.keys
+            and made.feature(FramesFeature).shows_run
+        )
         made.request("frame", 1)
         assert made.message == "frame: the image has no time"
     scene.close()

@@ -142,14 +142,23 @@ def test_what_is_under_two_fingers_stays_under_them(actions):
     actions.request("tool", "look")
     cursor = actions.scene.cursor
     begin_pinch(actions)
-    assert np.allclose(actions.scene.cursor, cursor)  # the first finger has moved the slices: it was not meant
+    assert np.allclose(
+        actions.scene.cursor, cursor
+    )  # the first finger has moved the slices: it was not meant
     (x, y), (far_x, far_y) = axial(actions, FIRST), axial(actions, SECOND)
     before = [under(actions, x, y), under(actions, far_x, far_y)]
-    scale, beside = (actions.scene.slice_tiles[name].mm_per_pixel() for name in ("axial", "coronal"))
+    scale, beside = (
+        actions.scene.slice_tiles[name].mm_per_pixel() for name in ("axial", "coronal")
+    )
     # Spread by a fifth along the line between them, and moved: the two of a step one after another.
     right, down = 0.1 * (far_x - x), 0.1 * (far_y - y)
     for _ in range(2):
-        x, y, far_x, far_y = x - right + 0.004, y - down - 0.006, far_x + right + 0.004, far_y + down - 0.006
+        x, y, far_x, far_y = (
+            x - right + 0.004,
+            y - down - 0.006,
+            far_x + right + 0.004,
+            far_y + down - 0.006,
+        )
         actions.request("touch_move", x, y, 7)
         actions.request("touch_move", far_x, far_y, 8)
     after = [under(actions, x, y), under(actions, far_x, far_y)]
@@ -158,7 +167,9 @@ def test_what_is_under_two_fingers_stays_under_them(actions):
     assert actions.scene.slice_tiles["coronal"].mm_per_pixel() == beside
     actions.request("touch_up", 8)
     actions.request("touch_up", 7)
-    assert np.allclose(actions.scene.cursor, cursor) and not actions.feature(MouseFeature).is_dragging
+    assert (
+        np.allclose(actions.scene.cursor, cursor) and not actions.feature(MouseFeature).is_dragging
+    )
 
 
 def test_two_fingers_in_3d_zoom_about_their_middle(actions):
@@ -207,14 +218,23 @@ def test_fingers_that_were_lost_and_hands_beside_a_pen(actions):
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("bad", [None, True, "x", float("nan"), float("inf"), 1e308, [], {}, -0.1, 1.1, 2**40])
+@pytest.mark.parametrize(
+    "bad", [None, True, "x", float("nan"), float("inf"), 1e308, [], {}, -0.1, 1.1, 2**40]
+)
 def test_what_is_no_finger_is_refused(actions, bad):
     actions.request("tool", "inside")
     for name, values in (
-        ("touch_down", (bad, 0.5, 1, True)), ("touch_down", (0.5, bad, 1, True)), ("touch_move", (bad, 0.5, 1)),
-        ("scroll_delta", (bad, 0.5, 100, 0)), ("press", (bad, 0.5)), ("release", (bad,)), ("touch_up", (bad,)),
+        ("touch_down", (bad, 0.5, 1, True)),
+        ("touch_down", (0.5, bad, 1, True)),
+        ("touch_move", (bad, 0.5, 1)),
+        ("scroll_delta", (bad, 0.5, 100, 0)),
+        ("press", (bad, 0.5)),
+        ("release", (bad,)),
+        ("touch_up", (bad,)),
     ):
-        if name in ("release", "touch_up") and (bad is None or isinstance(bad, float) and abs(bad) < 2):
+        if name in ("release", "touch_up") and (
+            bad is None or isinstance(bad, float) and abs(bad) < 2
+        ):
             continue  # the button that is down, and numbers that a button or a finger may have
         actions.message = ""
         actions.request(name, *values)
@@ -259,7 +279,14 @@ def test_parts_of_a_notch_add_up_to_a_slice(actions):
 @pytest.mark.parametrize(
     ("delta", "mode", "slices"),
     [
-        (-100, 0, 1), (-120, 0, 1), (-53, 0, 1), (-240, 0, 2), (-3, 1, 1), (-1, 2, 1), (100, 0, -1), (0, 0, 0),
+        (-100, 0, 1),
+        (-120, 0, 1),
+        (-53, 0, 1),
+        (-240, 0, 2),
+        (-3, 1, 1),
+        (-1, 2, 1),
+        (100, 0, -1),
+        (0, 0, 0),
         (-20, 0, 0),
     ],
 )

@@ -23,7 +23,8 @@ from tests.support import dying_scene, viewing
 
 START = "ball:{},{},{},5"
 needs_ffmpeg = pytest.mark.skipif(
-    importlib.util.find_spec("imageio_ffmpeg") is None, reason='no mp4 encoder: pip install "accelsurf[viewer]"'
+    importlib.util.find_spec("imageio_ffmpeg") is None,
+    reason='no mp4 encoder: pip install "accelsurf[viewer]"',
 )
 
 
@@ -89,7 +90,18 @@ def test_the_camera_turns(image, tmp_path):
     pictures = {}
     for orbit in ("0", "90"):
         out = tmp_path / f"{orbit}.gif"
-        look = ["--size", "320x180", "--orbit", orbit, "--hold", "0.5", "--every", "1000", "--fps", "10"]
+        look = [
+            "--size",
+            "320x180",
+            "--orbit",
+            orbit,
+            "--hold",
+            "0.5",
+            "--every",
+            "1000",
+            "--fps",
+            "10",
+        ]
         look += ["--view", "front"]
         assert cli.execute(["movie", str(path), "-o", str(out), *options, *look, "--quiet"]) == 0
         pictures[orbit] = decoded(out)
@@ -110,10 +122,15 @@ def test_a_preview_is_the_last_frame(image, tmp_path, capsys):
         assert np.median(np.asarray(picture)) == 255
 
 
-def test_a_preview_of_a_folder_draws_what_is_there_without_a_step(image, tmp_path, monkeypatch, capsys):
+def test_a_preview_of_a_folder_draws_what_is_there_without_a_step(
+    image, tmp_path, monkeypatch, capsys
+):
     path, options = image
     results, look = tmp_path / "out", ["--size", "320x180", "--overwrite"]
-    assert cli.execute(["segment", str(path), "-o", str(results), "--keep-state", "yes", *options]) == 0
+    assert (
+        cli.execute(["segment", str(path), "-o", str(results), "--keep-state", "yes", *options])
+        == 0
+    )
     live, made = tmp_path / "live.png", tmp_path / "made.png"
     assert cli.execute(["movie", str(path), "--preview", "-o", str(live), *options, *look]) == 0
 
@@ -133,26 +150,48 @@ def test_a_preview_of_a_folder_draws_what_is_there_without_a_step(image, tmp_pat
     assert cli.execute(folder) == 0
     assert made.read_bytes() != live.read_bytes()
     # Without a state it is the label map.
-    assert cli.execute(["segment", str(path), "-o", str(results), "--keep-state", "no", "--overwrite", *options]) == 0
+    assert (
+        cli.execute(
+            [
+                "segment",
+                str(path),
+                "-o",
+                str(results),
+                "--keep-state",
+                "no",
+                "--overwrite",
+                *options,
+            ]
+        )
+        == 0
+    )
     assert cli.execute(folder) == 0
     difference = np.abs(decoded(made)[0].astype(int) - decoded(live)[0].astype(int)).max(axis=-1)
     assert 0 < (difference > 30).mean() < 0.05
     (results / "ball_seg.nii.gz").write_bytes(b"other")
     capsys.readouterr()
-    assert cli.execute(folder) == 3 and "was changed since it was written" in capsys.readouterr().err
+    assert (
+        cli.execute(folder) == 3 and "was changed since it was written" in capsys.readouterr().err
+    )
     assert cli.execute([*folder, "--color", "speed"]) == 2
 
 
 def test_a_result_folder_is_run_again_with_its_settings(image, tmp_path, capsys):
     path, options = image
     results = tmp_path / "out"
-    assert cli.execute(["segment", str(path), "-o", str(results), "--smoothness", "0.3", *options]) == 0
+    assert (
+        cli.execute(["segment", str(path), "-o", str(results), "--smoothness", "0.3", *options])
+        == 0
+    )
     source, config = movie_file.run_of_folder(results)
     assert (source, config.smoothness, config.max_steps, config.levels) == (path, 0.3, 25, 1)
     look = ["--size", "320x180", "--hold", "0", "--every", "5"]
     again, live = tmp_path / "again.gif", tmp_path / "live.gif"
     assert cli.execute(["movie", str(results), "-o", str(again), *look]) == 0
-    assert cli.execute(["movie", str(path), "-o", str(live), "--smoothness", "0.3", *options, *look]) == 0
+    assert (
+        cli.execute(["movie", str(path), "-o", str(live), "--smoothness", "0.3", *options, *look])
+        == 0
+    )
     assert again.read_bytes() == live.read_bytes()
     capsys.readouterr()
     assert cli.execute(["movie", str(results), "-o", str(tmp_path / "b.gif"), "--cfl", "0.4"]) == 2
@@ -181,11 +220,18 @@ def test_folders_without_a_run_are_refused(tmp_path):
     with pytest.raises(InputError, match="no report"):
         movie_file.run_of_folder(tmp_path)
     report = tmp_path / "a_report.json"
-    for text in ("", "[]", '{"config": null, "input": null}', '{"config": 3, "input": {"path": "a", "sha256": null}}'):
+    for text in (
+        "",
+        "[]",
+        '{"config": null, "input": null}',
+        '{"config": 3, "input": {"path": "a", "sha256": null}}',
+    ):
         report.write_text(text)
         with pytest.raises(InputError, match="not JSON|not the report of a run"):
             movie_file.run_of_folder(tmp_path)
-    report.write_text(json.dumps({"config": {"energy": "custom: Mine"}, "input": {"path": "a", "sha256": None}}))
+    report.write_text(
+        json.dumps({"config": {"energy": "custom: Mine"}, "input": {"path": "a", "sha256": None}})
+    )
     with pytest.raises(InputError, match="one of your own"):
         movie_file.run_of_folder(tmp_path)
     (tmp_path / "b_report.json").write_text("{}")
@@ -212,7 +258,9 @@ def test_folders_without_a_run_are_refused(tmp_path):
         ([], "-o FILE, the movie, is missing"),
     ],
 )
-def test_bad_options_cost_one_line_and_no_file(image, tmp_path, capsys, monkeypatch, given, message):
+def test_bad_options_cost_one_line_and_no_file(
+    image, tmp_path, capsys, monkeypatch, given, message
+):
     path, _ = image
     monkeypatch.chdir(tmp_path)
     assert cli.execute(["movie", str(path), *given]) == 2
@@ -237,7 +285,11 @@ def test_nothing_is_left_when_a_frame_fails(tmp_path):
         yield np.zeros((180, 320, 3), np.uint8)
         raise InputError("the disk is full")
 
-    for name in ("a.gif", "a.webp", *(["a.mp4"] if importlib.util.find_spec("imageio_ffmpeg") else [])):
+    for name in (
+        "a.gif",
+        "a.webp",
+        *(["a.mp4"] if importlib.util.find_spec("imageio_ffmpeg") else []),
+    ):
         with pytest.raises(InputError, match="disk is full"):
             movies.write_movie(tmp_path / name, frames(), (320, 180), 15.0)
         assert list(tmp_path.iterdir()) == []
@@ -278,7 +330,20 @@ def test_window_sets_the_greys_of_movies_and_their_pictures(image, tmp_path):
 # -- a process that draws and dies ---------------------------------------------------------------------------
 
 
-SHORT = ["--size", "320x180", "--hold", "0.3", "--every", "2", "--fps", "10", "--view", "front", "--color", "speed"]
+SHORT = [
+    "--size",
+    "320x180",
+    "--hold",
+    "0.3",
+    "--every",
+    "2",
+    "--fps",
+    "10",
+    "--view",
+    "front",
+    "--color",
+    "speed",
+]
 
 
 def processes_of(pid):
@@ -287,7 +352,11 @@ def processes_of(pid):
     for status in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
             state, parent = status.read_text().rpartition(")")[2].split()[:2]
-            if int(parent) == pid and state != "Z" and b"drawing" in (status.parent / "cmdline").read_bytes():
+            if (
+                int(parent) == pid
+                and state != "Z"
+                and b"drawing" in (status.parent / "cmdline").read_bytes()
+            ):
                 found.append(status.parent.name)
     return found
 
@@ -309,19 +378,34 @@ def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     volume, center = viewing.ball_image()
     io.write(volume, folder / "ball.nii.gz")
-    options = ["--start", START.format(*(f"{v:g}" for v in center)), "--threads", "1", "--max-steps", "9"]
+    options = [
+        "--start",
+        START.format(*(f"{v:g}" for v in center)),
+        "--threads",
+        "1",
+        "--max-steps",
+        "9",
+    ]
     made = (folder / "ball.nii.gz", [*options, "--levels", "1"])
     for name, words in (("a.gif", SHORT), ("a.png", [*SHORT, "--preview"])):
-        assert cli.execute(["movie", str(made[0]), "-o", str(folder / name), *made[1], *words, "--quiet"]) == 0
+        assert (
+            cli.execute(
+                ["movie", str(made[0]), "-o", str(folder / name), *made[1], *words, "--quiet"]
+            )
+            == 0
+        )
     return made, folder
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(
-    "deaths, early", [({0: 1}, True), ({2: 1}, False), ({4: 1, 6: 1}, True), ({9: 1}, False), ({-1: 1}, True)],
+    "deaths, early",
+    [({0: 1}, True), ({2: 1}, False), ({4: 1, 6: 1}, True), ({9: 1}, False), ({-1: 1}, True)],
     ids=["first", "second", "two", "last", "start"],
 )
-def test_a_process_that_dies_once_within_a_picture_costs_nothing(whole, deaths, early, tmp_path, monkeypatch, capsys):
+def test_a_process_that_dies_once_within_a_picture_costs_nothing(
+    whole, deaths, early, tmp_path, monkeypatch, capsys
+):
     made, folder = whole
     number = signal.SIGKILL if len(deaths) % 2 else signal.SIGSEGV
     (tmp_path / "notes").mkdir()
@@ -334,7 +418,9 @@ def test_a_process_that_dies_once_within_a_picture_costs_nothing(whole, deaths, 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("step", [9, 2, 6])
-def test_one_that_dies_twice_within_a_picture_repeats_the_one_before(whole, step, tmp_path, monkeypatch, capsys):
+def test_one_that_dies_twice_within_a_picture_repeats_the_one_before(
+    whole, step, tmp_path, monkeypatch, capsys
+):
     made, folder = whole
     (tmp_path / "notes").mkdir()
     program = dying_scene.program(tmp_path / "notes", {step: 2}, signal.SIGSEGV)
@@ -345,7 +431,10 @@ def test_one_that_dies_twice_within_a_picture_repeats_the_one_before(whole, step
     line = f"warning: picture {number} could not be drawn: {why}"
     assert said == [line]
     with Image.open(folder / "a.gif") as good, Image.open(tmp_path / "a.gif") as other:
-        seconds = [sum(frame.info["duration"] for frame in ImageSequence.Iterator(each)) for each in (good, other)]
+        seconds = [
+            sum(frame.info["duration"] for frame in ImageSequence.Iterator(each))
+            for each in (good, other)
+        ]
     assert seconds[0] == seconds[1]  # as many pictures, of which a GIF joins those that are equal
     frames = [decoded(folder / "a.gif"), decoded(tmp_path / "a.gif")]
     assert len(frames[1]) == len(frames[0]) - 1
@@ -357,7 +446,10 @@ def test_a_first_picture_that_cannot_be_drawn_is_left_out(whole, tmp_path, monke
     (tmp_path / "notes").mkdir()
     program = dying_scene.program(tmp_path / "notes", {0: 2}, signal.SIGKILL)
     assert movie_of(made, tmp_path / "a.gif", monkeypatch, program) == 0
-    assert "picture 1 could not be drawn: the process that draws ended 2 times; it is left" in capsys.readouterr().err
+    assert (
+        "picture 1 could not be drawn: the process that draws ended 2 times; it is left"
+        in capsys.readouterr().err
+    )
     assert len(decoded(tmp_path / "a.gif")) == len(decoded(folder / "a.gif")) - 1
 
 
@@ -372,21 +464,35 @@ def test_a_preview_is_drawn_once_more(whole, tmp_path, monkeypatch):
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(
-    "deaths, words", [({-1: 9}, SHORT), ({4: 9, 6: 9, 8: 9}, SHORT), ({9: 9}, [*SHORT, "--preview"])]
+    "deaths, words",
+    [({-1: 9}, SHORT), ({4: 9, 6: 9, 8: 9}, SHORT), ({9: 9}, [*SHORT, "--preview"])],
 )
-def test_where_nothing_can_be_drawn_one_line_says_so(whole, deaths, words, tmp_path, monkeypatch, capsys):
+def test_where_nothing_can_be_drawn_one_line_says_so(
+    whole, deaths, words, tmp_path, monkeypatch, capsys
+):
     (tmp_path / "notes").mkdir()
     program = dying_scene.program(tmp_path / "notes", deaths, signal.SIGSEGV)
     out = tmp_path / ("a.png" if "--preview" in words else "a.gif")
     assert movie_of(whole[0], out, monkeypatch, program, words) == 8
     said = capsys.readouterr().err
-    assert said.count("error:") == 1 and "the process that draws ends each time it is started" in said
+    assert (
+        said.count("error:") == 1 and "the process that draws ends each time it is started" in said
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["notes"]
 
 
 def test_a_process_that_draws_ends_with_the_one_that_began_it(image, tmp_path):
     path, options = image
-    words = [sys.executable, "-m", "accelsurf", "movie", str(path), "-o", str(tmp_path / "a.gif"), *options]
+    words = [
+        sys.executable,
+        "-m",
+        "accelsurf",
+        "movie",
+        str(path),
+        "-o",
+        str(tmp_path / "a.gif"),
+        *options,
+    ]
     words += ["--progress", "json"]
     running = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     assert running.stdout.readline()
@@ -415,7 +521,9 @@ def test_what_goes_wrong_in_the_process_that_draws_is_an_error_here(image, tmp_p
 
 def alone(arguments, **environment):
     """Run the command line in a process without a screen."""
-    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")} | environment
+    env = {
+        k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")
+    } | environment
     command = [sys.executable, "-m", "accelsurf", *map(str, arguments)]
     return subprocess.run(command, env=env, capture_output=True, text=True, timeout=240)
 
@@ -425,7 +533,9 @@ def test_pictures_need_no_screen(image, tmp_path):
     out = tmp_path / "a.png"
     done = alone(["movie", path, "--preview", "-o", out, *options])
     assert done.returncode == 0, done.stderr
-    assert out.is_file() and done.stderr == ""  # no word of VTK's about the screen that it did not find
+    assert (
+        out.is_file() and done.stderr == ""
+    )  # no word of VTK's about the screen that it did not find
 
 
 def test_without_any_driver_one_line_says_what_is_missing(image, tmp_path):
@@ -436,12 +546,20 @@ def test_without_any_driver_one_line_says_what_is_missing(image, tmp_path):
     if done.returncode == 0:
         pytest.skip("this machine draws without EGL: it has OSMesa, or a driver elsewhere")
     assert done.returncode == 8 and len(done.stderr.splitlines()) == 2, done.stderr
-    assert "neither a screen nor EGL nor OSMesa" in done.stderr and "apt install libosmesa6" in done.stderr
+    assert (
+        "neither a screen nor EGL nor OSMesa" in done.stderr
+        and "apt install libosmesa6" in done.stderr
+    )
     assert not (tmp_path / "a.png").exists()
 
 
 def test_a_report_that_names_an_image_no_system_can_have(tmp_path):
-    config = {"config": {}, "input": {"path": "v" * 5000, "sha256": None}, "status": "ok", "outputs": [1]}
+    config = {
+        "config": {},
+        "input": {"path": "v" * 5000, "sha256": None},
+        "status": "ok",
+        "outputs": [1],
+    }
     (tmp_path / "a_report.json").write_text(json.dumps(config))
     with pytest.raises(InputError, match="is not there any more"):
         movie_file.run_of_folder(tmp_path)

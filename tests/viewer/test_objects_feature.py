@@ -19,7 +19,9 @@ from tests.support import viewing
 
 @pytest.fixture
 def session():
-    with Session(scan(), RunConfig(start=press(1), energy="seeded", inside=press(1), threads=1)) as made:
+    with Session(
+        scan(), RunConfig(start=press(1), energy="seeded", inside=press(1), threads=1)
+    ) as made:
         made.ready.result(60)
         yield made
 
@@ -114,7 +116,9 @@ def test_merge_split_remove_and_undo(session, tmp_path):
     merged = saved(session, tmp_path)[0]
     assert np.array_equal(merged > 0, two > 0)
     session.objects(lambda objects: objects.split("point:38,15,17")).result(60)
-    assert session.status.objects == (1, 2) and np.array_equal(saved(session, tmp_path)[0] > 0, two > 0)
+    assert session.status.objects == (1, 2) and np.array_equal(
+        saved(session, tmp_path)[0] > 0, two > 0
+    )
     session.objects(lambda objects: objects.remove(1)).result(60)
     assert session.status.objects == (2,)
     for expected in ((1, 2), (1,), (1, 2), ()):
@@ -184,7 +188,9 @@ def test_the_list_and_how_objects_are_drawn(actions):
     assert [one["word"] for one in state["object_rows"]] == ["converged", NOT_BEGUN]
     actions.session.add_click("inside", press(2), actions.object_id).result(60)
     state = settled(actions)
-    assert [one["word"] for one in state["object_rows"]] == ["converged"] * 2 and len(state["object_rows"]) == 2
+    assert [one["word"] for one in state["object_rows"]] == ["converged"] * 2 and len(
+        state["object_rows"]
+    ) == 2
     state = ask(actions, "object_name", 2, "cyst")
     shown = {one["id"]: one["color"] for one in state["object_rows"]}
     told = actions.session.status.labels
@@ -197,14 +203,25 @@ def test_the_list_and_how_objects_are_drawn(actions):
         int(color_before[i : i + 2], 16) for i in (1, 3, 5)
     )
     ask(actions, "object_color", 2, "#0000ff")
-    assert second.prop.color.float_rgb == (0.0, 0.0, 1.0) and first.prop.color.float_rgb != (0.0, 0.0, 1.0)
+    assert second.prop.color.float_rgb == (0.0, 0.0, 1.0) and first.prop.color.float_rgb != (
+        0.0,
+        0.0,
+        1.0,
+    )
     ask(actions, "object_opacity", 2, 0.25)
     assert second.prop.opacity == 0.25 and first.prop.opacity == 1.0
     actions.scene.cursor = (38.0, 15.0, 17.0)
     tile = actions.scene.slice_tiles["axial"]
-    assert tile._lines["object 1"][0].GetVisibility() and tile._lines["object 1"][0].prop.opacity == 0.25
+    assert (
+        tile._lines["object 1"][0].GetVisibility()
+        and tile._lines["object 1"][0].prop.opacity == 0.25
+    )
     ask(actions, "object_visible", 2, False)
-    assert not second.GetVisibility() and not tile._lines["object 1"][0].GetVisibility() and first.GetVisibility()
+    assert (
+        not second.GetVisibility()
+        and not tile._lines["object 1"][0].GetVisibility()
+        and first.GetVisibility()
+    )
     assert "cyst" not in actions.scene.legend
     state = ask(actions, "object_visible", 2, True)
     assert second.GetVisibility() and state["object_rows"][1]["visible"]
@@ -230,19 +247,46 @@ def test_the_size_tool_presses_for_the_active_object(actions):
     state = settled(actions)
     assert not actions.message and [one["id"] for one in state["object_rows"]] == [1, 2]
     # The drag says the ball without the one beside it, as bright, which it touches.
-    assert 1000 * viewing.ml(state["object_rows"][1]) == pytest.approx(truth(2).sum() * 1.5, rel=0.25)
+    assert 1000 * viewing.ml(state["object_rows"][1]) == pytest.approx(
+        truth(2).sum() * 1.5, rel=0.25
+    )
 
 
 BAD = (
-    ("object_remove", 9), ("object_remove", "x"), ("object_remove", None), ("object_remove", True),
-    ("object_remove", float("nan")), ("object_name", 1, "a" * 65), ("object_name", 1, "\n"), ("object_name", 1, ""),
-    ("object_name", 1, 3), ("object_name", 1), ("object_name", 9, "a"), ("object_color", 1, "red"),
-    ("object_color", 1, "#12345"), ("object_color", 1, "#12345g"), ("object_color", 1, ["#123456"]),
-    ("object_opacity", 1, 1.5), ("object_opacity", 1, -0.1), ("object_opacity", 1, float("nan")),
-    ("object_opacity", 1, "much"), ("object_active", 9), ("object_active", "all"), ("object_active", [1]),
-    ("object_active", True), ("object_merge", 1), ("object_merge",), ("object_merge", 1, 1), ("object_merge", 1, 9),
-    ("object_split", 1, 2), ("object_split", 1, 2, float("inf")), ("object_split", 1, 2, "z"),
-    ("object_split", 1.0, 1.0, 1.0), ("object_visible", 9, True), ("object_add", 3), ("object_remove", 1),
+    ("object_remove", 9),
+    ("object_remove", "x"),
+    ("object_remove", None),
+    ("object_remove", True),
+    ("object_remove", float("nan")),
+    ("object_name", 1, "a" * 65),
+    ("object_name", 1, "\n"),
+    ("object_name", 1, ""),
+    ("object_name", 1, 3),
+    ("object_name", 1),
+    ("object_name", 9, "a"),
+    ("object_color", 1, "red"),
+    ("object_color", 1, "#12345"),
+    ("object_color", 1, "#12345g"),
+    ("object_color", 1, ["#123456"]),
+    ("object_opacity", 1, 1.5),
+    ("object_opacity", 1, -0.1),
+    ("object_opacity", 1, float("nan")),
+    ("object_opacity", 1, "much"),
+    ("object_active", 9),
+    ("object_active", "all"),
+    ("object_active", [1]),
+    ("object_active", True),
+    ("object_merge", 1),
+    ("object_merge",),
+    ("object_merge", 1, 1),
+    ("object_merge", 1, 9),
+    ("object_split", 1, 2),
+    ("object_split", 1, 2, float("inf")),
+    ("object_split", 1, 2, "z"),
+    ("object_split", 1.0, 1.0, 1.0),
+    ("object_visible", 9, True),
+    ("object_add", 3),
+    ("object_remove", 1),
 )
 
 

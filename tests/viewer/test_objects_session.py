@@ -60,11 +60,22 @@ def test_what_is_saved_repeats_the_steered_run(session, tmp_path):
     at(session, 17)
     paths = session.save(tmp_path / "saved").result(60)
     assert {
-        "surface_run.toml", "surface_seg.nii.gz", "surface_objects.csv", "surface_trace.csv", "surface_preview.png",
-        "surface_surface_3.ply", "surface_surface_8.ply", "surface_report.json", "surface_statistics.csv",
+        "surface_run.toml",
+        "surface_seg.nii.gz",
+        "surface_objects.csv",
+        "surface_trace.csv",
+        "surface_preview.png",
+        "surface_surface_3.ply",
+        "surface_surface_8.ply",
+        "surface_report.json",
+        "surface_statistics.csv",
         "surface_statistics.json",
     } == {path.name for path in paths}
-    assert [(edit.step, edit.object) for edit in session.status.edits] == [(6, 3), (6, None), (14, 3)]
+    assert [(edit.step, edit.object) for edit in session.status.edits] == [
+        (6, 3),
+        (6, None),
+        (14, 3),
+    ]
     labels = io.read_labels(tmp_path / "saved/surface_seg.nii.gz").array
     assert set(np.unique(labels)) == {0, 3, 8}
     again = repeated(tmp_path / "saved/surface_run.toml")
@@ -86,7 +97,9 @@ def test_files_of_others_are_not_replaced_and_those_of_the_session_are(session, 
     meshes = {path.name: path.read_bytes() for path in first if path.suffix == ".ply"}
     at(session, 6)
     assert session.save(tmp_path).result(60) == first
-    assert len(meshes) == 2 and all((tmp_path / name).read_bytes() != old for name, old in meshes.items())
+    assert len(meshes) == 2 and all(
+        (tmp_path / name).read_bytes() != old for name, old in meshes.items()
+    )
 
 
 def test_a_run_goes_on_after_it_converged_and_is_repeated(session, tmp_path):
@@ -142,7 +155,10 @@ def test_a_ball_without_an_object_is_the_nearest_ones(config):
     with Run(volume(), config) as run:
         for own, (z, y, x, _) in two_balls.TOUCHING.items():
             assert nearest_object(run, f"ball:{x},{y},{z},2") == own
-        assert nearest_object(run, "ball:2,14,12,2") == 3 and nearest_object(run, "ball:22,2,12,2") == 8
+        assert (
+            nearest_object(run, "ball:2,14,12,2") == 3
+            and nearest_object(run, "ball:22,2,12,2") == 8
+        )
     with Session(volume(), config) as session:
         session.edit_balls("add", ("ball:22,2,12,2",)).result(60)
         assert [edit.object for edit in session.status.edits] == [8]
@@ -151,7 +167,10 @@ def test_a_ball_without_an_object_is_the_nearest_ones(config):
 def test_bad_commands_change_nothing(session):
     at(session, 2)
     for call, message in (
-        (lambda: session.edit_balls("add", ("ball:22,2,12,2",), 5), "object 5 was given, expected one of 3, 8"),
+        (
+            lambda: session.edit_balls("add", ("ball:22,2,12,2",), 5),
+            "object 5 was given, expected one of 3, 8",
+        ),
         (lambda: session.start_from(["ball:12,14,12,4"]), "was given with objects"),
         (lambda: session.change(objects="others.nii.gz"), "objects cannot change while a run runs"),
     ):
@@ -172,7 +191,9 @@ def test_views_have_a_surface_and_a_history_of_each(session):
     at(session, 7)
     view = views(session)[-1]
     assert [surface.id for surface in view.frame.surfaces] == [3, 8] and view.frame.step == 7
-    assert [[record.step for record in history] for history in view.histories] == [list(range(8))] * 2
+    assert [[record.step for record in history] for history in view.histories] == [
+        list(range(8))
+    ] * 2
     for surface, ball in zip(view.frame.surfaces, two_balls.TOUCHING.values(), strict=True):
         assert np.linalg.norm(surface.middle() - ball[:3]) < 2 and surface.corner != (0, 0, 0)
         near = np.argwhere(np.abs(surface.psi) < 0.5)
@@ -201,7 +222,9 @@ def test_the_command_opens_a_session_of_the_objects(config, tmp_path, monkeypatc
         return session.status.objects
 
     monkeypatch.setattr(view, "front_end", lambda page, begin: begin() or page)
-    monkeypatch.setattr(view, "_open_window", lambda opening, first, *_: seen.append(objects_of(first[1])))
+    monkeypatch.setattr(
+        view, "_open_window", lambda opening, first, *_: seen.append(objects_of(first[1]))
+    )
     assert cli.execute(["view", str(tmp_path / "scan.nii.gz"), "--objects", config.objects]) == 0
     assert seen == [(3, 8)]
 
@@ -224,7 +247,9 @@ def test_a_page_changes_the_object_that_was_asked_for(session, tmp_path):
         handler.request("release")
         assert session.wait(60)
         handler.collect_results()
-        assert session.status.edits[-1].object == 8 and session.status.edits[-1].add.startswith("ball:")
+        assert session.status.edits[-1].object == 8 and session.status.edits[-1].add.startswith(
+            "ball:"
+        )
     finally:
         scene.close()
 
@@ -264,11 +289,23 @@ panel.nearest.click()
 for request in asked:
     print(*request)
 """
-    environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen", "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment)
+    environment = {
+        **os.environ,
+        "QT_QPA_PLATFORM": "offscreen",
+        "PYTHONPATH": os.pathsep.join(sys.path),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment
+    )
     assert done.stdout.splitlines() == [
         "[['object 3', '1.5 ml', 'paused'], ['cyst', '1.5 ml', 'paused']] [] 50",
-        "[0, 1]", "#0072b2",  # both rows are chosen, and the colour of the first is seen
-        "object_active 3", "object_name 8 left kidney", "object_visible 8 True", "object_opacity 8 0.25",
-        "object_merge 3 8", "object_add", "object_active nearest",
+        "[0, 1]",
+        "#0072b2",  # both rows are chosen, and the colour of the first is seen
+        "object_active 3",
+        "object_name 8 left kidney",
+        "object_visible 8 True",
+        "object_opacity 8 0.25",
+        "object_merge 3 8",
+        "object_add",
+        "object_active nearest",
     ], done.stderr

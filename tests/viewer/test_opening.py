@@ -27,7 +27,9 @@ def image(shape=(6, 7, 8), seed=0):
 @pytest.fixture
 def study(tmp_path):
     for number, columns in ((1, 9), (2, 12)):
-        series = Series(rows=10, columns=columns, uid=f"1.2.3.{number}", changes={"SeriesNumber": number})
+        series = Series(
+            rows=10, columns=columns, uid=f"1.2.3.{number}", changes={"SeriesNumber": number}
+        )
         series.stacked(6).write(tmp_path / "study" / str(number))
     return tmp_path / "study"
 
@@ -50,7 +52,8 @@ def test_the_last_twelve_are_listed_the_newest_first(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"{", b'{"a": 1}', b"[1, null, [], {}]", b"\xff\xfe", b"[" * 5000, b'["a\\u0000b"]']
+    "content",
+    [b"", b"{", b'{"a": 1}', b"[1, null, [], {}]", b"\xff\xfe", b"[" * 5000, b'["a\\u0000b"]'],
 )
 def test_a_damaged_list_is_empty_and_is_written_anew(tmp_path, content):
     path = tmp_path / "recent.json"
@@ -101,7 +104,10 @@ def served(tmp_path):
 def test_images_and_folders_are_listed_but_nothing_hidden_or_outside(served):
     entries, more = served.entries(served.root)
     assert [(one.name, one.is_image, one.is_folder) for one in entries] == [
-        ("scans", False, True), ("b.NRRD", True, False), ("cells.ome.zarr", True, False), ("in.nii", True, False),
+        ("scans", False, True),
+        ("b.NRRD", True, False),
+        ("cells.ome.zarr", True, False),
+        ("in.nii", True, False),
     ]
     assert more == 0
     assert [one.name for one in served.entries(served.root / "scans")[0]] == ["a.nii.gz"]
@@ -114,10 +120,27 @@ def test_a_list_has_an_end(tmp_path):
     assert len(entries) == MAX_ENTRIES and more == 7
 
 
-@pytest.mark.parametrize("name", [
-    "..", "../secret.nii", "scans/../../secret.nii", "/etc/passwd", "out.nii", "out", "out/x.nii", ".git/c.nii", "loop",
-    ".hidden.nii", "a\x00b", "//etc/passwd", "~/x.nii", "\ud800", "scans/.././.git", "out/../../secret",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    [
+        "..",
+        "../secret.nii",
+        "scans/../../secret.nii",
+        "/etc/passwd",
+        "out.nii",
+        "out",
+        "out/x.nii",
+        ".git/c.nii",
+        "loop",
+        ".hidden.nii",
+        "a\x00b",
+        "//etc/passwd",
+        "~/x.nii",
+        "\ud800",
+        "scans/.././.git",
+        "out/../../secret",
+    ],
+)
 def test_what_is_not_in_the_folder_is_refused_alike(served, name):
     with pytest.raises(UsageError, match="is not in the folder root") as error:
         if name.startswith("~"):  # a name like others, in the folder
@@ -128,7 +151,13 @@ def test_what_is_not_in_the_folder_is_refused_alike(served, name):
 
 
 def test_paths_in_the_folder(served):
-    for name in ("scans/a.nii.gz", "./scans/a.nii.gz", str(served.root / "scans" / "a.nii.gz"), "absent.nii", "."):
+    for name in (
+        "scans/a.nii.gz",
+        "./scans/a.nii.gz",
+        str(served.root / "scans" / "a.nii.gz"),
+        "absent.nii",
+        ".",
+    ):
         assert served.resolve(name).is_relative_to(served.root)
     assert served.shown(served.root) == "" and served.shown(served.root / "scans") == "scans"
 
@@ -139,9 +168,15 @@ def test_paths_in_the_folder(served):
 def test_series_of_a_folder_are_choices(study):
     choices = core.choices_of(study, RunConfig())
     assert [dict(one.settings) for one in choices] == [{"series": "1"}, {"series": "2"}]
-    assert choices[1].text.startswith("2  CT phantom, 12 x 10 x 6 voxels of 0.75 x 0.5 x 2 mm, axial")
+    assert choices[1].text.startswith(
+        "2  CT phantom, 12 x 10 x 6 voxels of 0.75 x 0.5 x 2 mm, axial"
+    )
     opened = core.read_image(study, RunConfig(**choices[1].settings))
-    assert opened.volume.geometry.size == (12, 10, 6) and opened.name == "study" and opened.config.series == "2"
+    assert (
+        opened.volume.geometry.size == (12, 10, 6)
+        and opened.name == "study"
+        and opened.config.series == "2"
+    )
     assert core.choices_of(study, RunConfig(series="1")) == []
     assert core.choices_of(study / "1", RunConfig()) == []  # one alone
     assert core.choices_of(study / "1" / "000.dcm", RunConfig()) == []
@@ -159,14 +194,20 @@ def test_time_points_are_choices(tmp_path):
     choices = core.choices_of(path, RunConfig())
     assert [one.text for one in choices] == [f"time point {n} of 3" for n in (1, 2, 3)]
     opened = core.read_image(path, RunConfig(**choices[2].settings))
-    assert opened.volume.array.max() == values.max() and opened.config.time_index == 2 and not opened.channels
+    assert (
+        opened.volume.array.max() == values.max()
+        and opened.config.time_index == 2
+        and not opened.channels
+    )
     assert core.choices_of(path, RunConfig(channels_from_time=True)) == []
     assert len(core.read_image(path, RunConfig(channels_from_time=True)).channels) == 2
 
 
 def test_the_level_is_that_which_fits_and_the_settings_say_it(tmp_path, monkeypatch):
     path = tmp_path / "cells.ome.zarr"
-    io.write(Volume(np.zeros((96, 96, 96), np.uint8), Geometry((96, 96, 96), (1.0, 1.0, 1.0))), path)
+    io.write(
+        Volume(np.zeros((96, 96, 96), np.uint8), Geometry((96, 96, 96), (1.0, 1.0, 1.0))), path
+    )
     assert core.read_image(path, RunConfig()).volume.geometry.shape == (96, 96, 96)
     monkeypatch.setattr(core, "allowed_bytes", lambda text, free: run_bytes(96**3, False) - 1)
     opened = core.read_image(path, RunConfig())
@@ -179,15 +220,27 @@ def test_the_level_is_that_which_fits_and_the_settings_say_it(tmp_path, monkeypa
 
 def test_options_that_a_format_lacks_are_left_out(tmp_path):
     io.write(image(), tmp_path / "a.mha")
-    opened = core.read_image(tmp_path / "a.mha", RunConfig(series="3", level="auto", smoothness=0.5))
-    assert opened.config.series is None and opened.config.level == 0 and opened.config.smoothness == 0.5
+    opened = core.read_image(
+        tmp_path / "a.mha", RunConfig(series="3", level="auto", smoothness=0.5)
+    )
+    assert (
+        opened.config.series is None
+        and opened.config.level == 0
+        and opened.config.smoothness == 0.5
+    )
 
 
 def test_what_belongs_to_one_image_is_left_behind():
     config = RunConfig(
-        inside="ball:1,2,3,4", outside="point:9,9,9", smoothness=0.3, edit=[{"step": 3, "smoothness": 1.0}],
-        roi="0,0,0,5,5,5", series="4", threads=2, flow="gradient",
-    )  # fmt: skip
+        inside="ball:1,2,3,4",
+        outside="point:9,9,9",
+        smoothness=0.3,
+        edit=[{"step": 3, "smoothness": 1.0}],
+        roi="0,0,0,5,5,5",
+        series="4",
+        threads=2,
+        flow="gradient",
+    )
     assert config.energy == "seeded"
     assert core.for_another_image(config) == RunConfig(smoothness=0.3, threads=2, flow="gradient")
 
@@ -236,7 +289,9 @@ def finish(opening, seconds=30.0):
 
 @pytest.fixture
 def opening(tmp_path):
-    return Opening(RunConfig(smoothness=0.5, start="ball:1,2,3,2"), RecentFiles(tmp_path / "recent.json"))
+    return Opening(
+        RunConfig(smoothness=0.5, start="ball:1,2,3,2"), RecentFiles(tmp_path / "recent.json")
+    )
 
 
 def test_an_image_is_read_in_a_thread_and_then_listed(opening, tmp_path):
@@ -244,7 +299,9 @@ def test_an_image_is_read_in_a_thread_and_then_listed(opening, tmp_path):
     opening.request("open", str(tmp_path / "a.nii"))
     assert opening.is_busy and opening.message == "reading a.nii ..."
     opening.request("open_phantom", "ball")
-    assert opening.failed and opening.message.startswith("something else is being opened: reading a.nii")
+    assert opening.failed and opening.message.startswith(
+        "something else is being opened: reading a.nii"
+    )
     opened = finish(opening)
     assert opened.config.start == ("ball:1,2,3,2",) and opened.name == "a" and opening.message == ""
     opening.show(Shown(), opened)
@@ -255,7 +312,11 @@ def test_an_image_is_read_in_a_thread_and_then_listed(opening, tmp_path):
 
 def test_each_further_image_has_a_folder_of_its_own_for_results(opening, tmp_path):
     folders = [opening.results_of_next(tmp_path / "out", "scan") for _ in range(3)]
-    assert [path.relative_to(tmp_path).as_posix() for path in folders] == ["out", "out/scan-2", "out/scan-3"]
+    assert [path.relative_to(tmp_path).as_posix() for path in folders] == [
+        "out",
+        "out/scan-2",
+        "out/scan-3",
+    ]
     assert opening.results_of_next(None, "scan") is None
 
 
@@ -266,9 +327,19 @@ def test_errors_are_one_line_and_nothing_is_returned(opening, tmp_path):
         assert finish(opening) is None and opening.failed
         assert opening.message and "\n" not in opening.message and len(opening.message) <= 300
     for request in (
-        ("open_recent", 0), ("open_phantom", "none"), ("choose", 0), ("answer", "open"), ("open_reference", "a.nii"),
-        ("list_folder", ""), ("open", ""), ("drop",), ("drop", "a", "b"), ("nothing",), (None,), ("open",),
-    ):  # fmt: skip
+        ("open_recent", 0),
+        ("open_phantom", "none"),
+        ("choose", 0),
+        ("answer", "open"),
+        ("open_reference", "a.nii"),
+        ("list_folder", ""),
+        ("open", ""),
+        ("drop",),
+        ("drop", "a", "b"),
+        ("nothing",),
+        (None,),
+        ("open",),
+    ):
         opening.request(*request)
         assert opening.failed and opening.message, request
         assert not opening.is_busy
@@ -279,7 +350,10 @@ def test_what_is_not_saved_is_asked_for(opening, tmp_path):
     opening.actions = Shown(unsaved=True)
     opening.request("open", str(tmp_path / "a.nii"))
     state = opening.state()
-    assert state["question"] == "Open a.nii; what was done here and is not saved will be lost?" and not opening.is_busy
+    assert (
+        state["question"] == "Open a.nii; what was done here and is not saved will be lost?"
+        and not opening.is_busy
+    )
     assert [name for name, _ in state["answers"]] == ["open", "cancel"]
     opening.request("answer", "reference")
     assert opening.failed and opening.state()["question"]
@@ -305,7 +379,11 @@ def test_what_is_dropped_may_be_a_reference(opening, tmp_path):
     assert np.array_equal(opening.actions.compared[0].array, labels.array)
     opening.request("open_reference", str(tmp_path / "other.nii"))
     assert finish(opening) is None
-    assert opening.failed and "not on the image's grid" in opening.message and len(opening.actions.compared) == 1
+    assert (
+        opening.failed
+        and "not on the image's grid" in opening.message
+        and len(opening.actions.compared) == 1
+    )
 
 
 def test_one_of_several_is_asked_for(opening, study):
@@ -322,9 +400,25 @@ def test_one_of_several_is_asked_for(opening, study):
 
 
 BAD = [
-    None, True, -1, 10**9, 1e308, float("nan"), "", "x" * 100_000, "../../etc/passwd", "/etc/passwd", "a\x00b",
-    "\ud800", [], {}, [[[]]], b"\xff", object(), "~root/.ssh",
-]  # fmt: skip
+    None,
+    True,
+    -1,
+    10**9,
+    1e308,
+    float("nan"),
+    "",
+    "x" * 100_000,
+    "../../etc/passwd",
+    "/etc/passwd",
+    "a\x00b",
+    "\ud800",
+    [],
+    {},
+    [[[]]],
+    b"\xff",
+    object(),
+    "~root/.ssh",
+]
 
 
 def test_nothing_that_a_page_sends_raises_or_opens_what_is_outside(tmp_path):
@@ -352,7 +446,11 @@ def test_a_page_goes_through_its_folder(tmp_path):
     assert made.state()["folders"] == [["scans", "scans"]] and made.state()["above"] is None
     made.request("list_folder", "scans")
     state = made.state()
-    assert state["images"] == [["a.nii.gz", "scans/a.nii.gz"]] and state["above"] == "" and state["folder"] == "scans"
+    assert (
+        state["images"] == [["a.nii.gz", "scans/a.nii.gz"]]
+        and state["above"] == ""
+        and state["folder"] == "scans"
+    )
     made.request("list_folder", "..")
     assert made.failed and made.state()["folder"] == "scans"
     made.request("open", state["images"][0][1])

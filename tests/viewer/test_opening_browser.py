@@ -28,20 +28,41 @@ class StartPage(Served):
     """`accelsurf view --browser` without an image, in a process of its own."""
 
     def __init__(self, folder, *options):
-        self.folder, self.results, self.state_home = folder / "scans", folder / "results", folder / "state"
+        self.folder, self.results, self.state_home = (
+            folder / "scans",
+            folder / "results",
+            folder / "state",
+        )
         (self.folder / "inner").mkdir(parents=True)
         volume, _ = viewing.ball_image()
         noise = np.random.default_rng(1).normal(0, 20, volume.array.shape)
-        io.write(volume.with_array((volume.array + noise).astype(np.float32)), self.folder / "ball.nii.gz")
-        io.write(volume.with_array((volume.array > 50).astype(np.uint8)), self.folder / "inner" / "labels.nrrd")
+        io.write(
+            volume.with_array((volume.array + noise).astype(np.float32)),
+            self.folder / "ball.nii.gz",
+        )
+        io.write(
+            volume.with_array((volume.array > 50).astype(np.uint8)),
+            self.folder / "inner" / "labels.nrrd",
+        )
         (self.folder / "broken.nii").write_bytes(b"no image" * 60)
         (folder / "secret.nii").write_bytes((folder / "scans" / "broken.nii").read_bytes())
-        words = [sys.executable, "-m", "accelsurf", "view", "--browser", "--no-open", "--folder", str(self.folder)]
+        words = [
+            sys.executable,
+            "-m",
+            "accelsurf",
+            "view",
+            "--browser",
+            "--no-open",
+            "--folder",
+            str(self.folder),
+        ]
         words += ["--threads", "1", "--output", str(self.results), *options]
         env = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
         env["XDG_STATE_HOME"] = str(self.state_home)
         self.log = open(folder / "log", "w+")
-        self.process = subprocess.Popen(words, env=env, stdout=subprocess.PIPE, stderr=self.log, text=True)
+        self.process = subprocess.Popen(
+            words, env=env, stdout=subprocess.PIPE, stderr=self.log, text=True
+        )
         self.address = self.process.stdout.readline().strip()
         assert self.address.startswith("http://"), self.log_text()
         parts = urlsplit(self.address)
@@ -69,13 +90,17 @@ def open_name(served):
 def test_the_folder_and_nothing_else_can_be_opened(served):
     now = state(served)
     assert [name for name, _ in now["folders"]] == ["inner"]
-    assert [name for name, _ in now["images"]] == ["ball.nii.gz", "broken.nii"] and now["recent"] == []
+    assert [name for name, _ in now["images"]] == ["ball.nii.gz", "broken.nii"] and now[
+        "recent"
+    ] == []
     outside = served.folder.parent / "secret.nii"
     for name in ("../secret.nii", str(outside), "/etc/passwd", "inner/../../secret.nii", "a\0b"):
         for request in ("open", "open_reference", "list_folder"):
             ask(served, request, name)
             now = state(served)
-            assert now["opening_failed"] and not now["is_open"] and "secret" not in str(now["images"])
+            assert (
+                now["opening_failed"] and not now["is_open"] and "secret" not in str(now["images"])
+            )
     ask(served, "drop", str(served.folder.parent / "secret.nii"))
     assert state(served)["opening_message"] == "request: drop is not known"
     ask(served, "step")
@@ -128,12 +153,16 @@ def resize(browser, width, height=800):
 
 def said(browser, selector):
     """The text of a part of the page, which may be replaced at any time."""
-    return browser.execute_script("return document.querySelector(arguments[0])?.textContent", selector)
+    return browser.execute_script(
+        "return document.querySelector(arguments[0])?.textContent", selector
+    )
 
 
 def unnamed(browser):
     """Controls in sight that a screen reader has no name for."""
-    controls = browser.find_elements("css selector", "input, select, button, a, summary, img, [role=alertdialog]")
+    controls = browser.find_elements(
+        "css selector", "input, select, button, a, summary, img, [role=alertdialog]"
+    )
     bare = [one for one in controls if one.is_displayed() and not one.accessible_name.strip()]
     return [one.get_attribute("outerHTML")[:120] for one in bare]
 
@@ -151,7 +180,9 @@ def walk(browser, limit=200):
     """Go through the page by Tab: the order of the controls in the document, and those without a visible focus."""
     from selenium.webdriver import ActionChains, Keys
 
-    browser.execute_script("document.activeElement.blur(); window.getSelection().removeAllRanges();")
+    browser.execute_script(
+        "document.activeElement.blur(); window.getSelection().removeAllRanges();"
+    )
     order, unseen, seen = [], [], set()
     for _ in range(limit):
         ActionChains(browser).send_keys(Keys.TAB).perform()
@@ -191,7 +222,9 @@ def test_from_the_start_page_to_a_saved_result_by_keys_and_mouse(served, tmp_pat
         ActionChains(browser).send_keys(Keys.ENTER).perform()
         until(lambda: browser.find_elements("id", "picture"))
         until(lambda: said(browser, "#state") == "paused")
-        browser.execute_script("document.querySelectorAll('details').forEach(one => { one.open = true })")
+        browser.execute_script(
+            "document.querySelectorAll('details').forEach(one => { one.open = true })"
+        )
         for width in WIDTHS:
             resize(browser, width)
             time.sleep(0.6)
@@ -206,7 +239,9 @@ def test_from_the_start_page_to_a_saved_result_by_keys_and_mouse(served, tmp_pat
         browser.find_element("id", "phantom-disc").click()
         until(lambda: said(browser, "h1") == "disc")
         until(lambda: said(browser, "#state") == "paused")
-        severe = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+        severe = [
+            entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"
+        ]
         assert not [message for message in severe if "/paraview/" not in message], severe
 
 
@@ -229,7 +264,9 @@ def _fold_and_touch(browser):
     # The surface is below the slices at the right.
     assert browser.find_element("id", "layout").get_attribute("value") == "one"
     x, y = round(box["x"] + 0.8 * box["width"]), round(box["y"] + 0.86 * box["height"])
-    finger.pointer_action.move_to_location(x, y).pointer_down().move_to_location(x + 60, y + 25).pointer_up()
+    finger.pointer_action.move_to_location(x, y).pointer_down().move_to_location(
+        x + 60, y + 25
+    ).pointer_up()
     finger.perform()
     until(lambda: source() != shown)
     ActionChains(browser).click(browser.find_element("id", "fold")).perform()
@@ -237,7 +274,9 @@ def _fold_and_touch(browser):
 
 
 def test_an_image_of_another_size_takes_the_place_of_the_first(served):
-    io.write(Volume.from_array(np.eye(20, dtype=np.float32)[None] * 50 + 1), served.folder / "flat.nii")
+    io.write(
+        Volume.from_array(np.eye(20, dtype=np.float32)[None] * 50 + 1), served.folder / "flat.nii"
+    )
     for name, is_flat in (("ball.nii.gz", False), ("flat.nii", True), ("ball.nii.gz", False)):
         ask(served, "open", name)
         until(lambda name=name: open_name(served) == name)

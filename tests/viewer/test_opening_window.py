@@ -27,7 +27,9 @@ def images(tmp_path):
     io.write(Volume.from_array((inside[:, :, :20] * 50).astype(np.int16)), tmp_path / "second.nrrd")
     (tmp_path / "broken.nii").write_bytes(b"nothing that is an image" * 30)
     for number, columns in ((1, 9), (2, 12)):
-        series = Series(rows=10, columns=columns, uid=f"1.2.3.{number}", changes={"SeriesNumber": number})
+        series = Series(
+            rows=10, columns=columns, uid=f"1.2.3.{number}", changes={"SeriesNumber": number}
+        )
         series.stacked(6).write(tmp_path / "study" / str(number))
     return tmp_path
 
@@ -36,20 +38,37 @@ class Visitor(Person):
     """Hands at the window that opens images."""
 
     def __init__(self, screen, folder, **options):  # noqa: F811
-        self.env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb", "QT_SCALE_FACTOR": "1"}
+        self.env = {
+            **os.environ,
+            "DISPLAY": screen,
+            "QT_QPA_PLATFORM": "xcb",
+            "QT_SCALE_FACTOR": "1",
+        }
         self.state_file, self.folder = folder / "state.json", folder
         words = [f"{key}={value}" for key, value in {"threads": "1", **options}.items()]
         driver = ROOT / "tests" / "support" / "opening_driver.py"
         self.process = subprocess.Popen(
-            [sys.executable, str(driver), str(self.state_file), str(folder / "recent.json"), *words],
-            env=self.env, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            [
+                sys.executable,
+                str(driver),
+                str(self.state_file),
+                str(folder / "recent.json"),
+                *words,
+            ],
+            env=self.env,
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
         )
         self.until(lambda now: now["title"] == "accelsurf", 180)
         self.focus()
 
     def focus(self):
         """What a window manager does, which this screen has not."""
-        self.do("search", "--sync", "--onlyvisible", "--name", "^accelsurf", "windowfocus", "--sync")
+        self.do(
+            "search", "--sync", "--onlyvisible", "--name", "^accelsurf", "windowfocus", "--sync"
+        )
 
     def click(self, name):
         x, y = self.until(lambda now: name in now["places"])["places"][name]
@@ -57,14 +76,18 @@ class Visitor(Person):
 
     def type_path(self, path):
         """Type into the dialog that opens."""
-        self.do("search", "--sync", "--onlyvisible", "--name", "Open|Labels", "windowfocus", "--sync")
+        self.do(
+            "search", "--sync", "--onlyvisible", "--name", "Open|Labels", "windowfocus", "--sync"
+        )
         self.do("sleep", "0.3", "type", "--delay", "2", str(path))
         self.do("sleep", "0.3", "key", "Return")
 
     def drop(self, *paths):
         source = subprocess.Popen(
             [sys.executable, str(ROOT / "tests" / "support" / "drag_source.py"), *map(str, paths)],
-            env=self.env, stdout=subprocess.PIPE, text=True,
+            env=self.env,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         assert source.stdout.readline() == "shown\n"
         self.do("search", "--sync", "--onlyvisible", "--name", "drag source")
@@ -109,7 +132,9 @@ def test_a_phantom_then_a_file_then_another_with_questions(visitor, images):
     visitor.key("ctrl+o")
     visitor.type_path(images / "first.nii.gz")
     now = visitor.until_open("first")
-    assert now["dice"] is None and now["title"].startswith("accelsurf - first") and now["dialog"] == ""
+    assert (
+        now["dice"] is None and now["title"].startswith("accelsurf - first") and now["dialog"] == ""
+    )
     visitor.focus()
     visitor.key("ctrl+r")
     visitor.type_path(images / "labels.nii.gz")
@@ -128,7 +153,11 @@ def test_a_phantom_then_a_file_then_another_with_questions(visitor, images):
     visitor.type_path(images / "second.nrrd")
     visitor.click("answer-open")
     now = visitor.until_open("second")
-    assert now["step"] == 0 and now["shape"] == [20, 24, 20] and now["folder"] == str(images / "out" / "second-3")
+    assert (
+        now["step"] == 0
+        and now["shape"] == [20, 24, 20]
+        and now["folder"] == str(images / "out" / "second-3")
+    )
     visitor.close()
     recent = json.loads((images / "recent.json").read_text())
     assert recent == [str(images / "second.nrrd"), str(images / "first.nii.gz")]
@@ -151,7 +180,9 @@ def test_what_cannot_be_opened_leaves_the_image(visitor, images):
     visitor.click("answer-reference")
     visitor.until(lambda now: now["dice"])
     visitor.drop(images / "first.nii.gz", images / "second.nrrd")
-    assert "2 files were dropped" in visitor.until(lambda now: "dropped" in now["message"])["message"]
+    assert (
+        "2 files were dropped" in visitor.until(lambda now: "dropped" in now["message"])["message"]
+    )
     visitor.close()
 
 
@@ -159,7 +190,9 @@ def test_what_cannot_be_opened_leaves_the_image(visitor, images):
 def test_one_of_several_in_a_folder_of_dicom(visitor, images):
     visitor.drop(images / "study")
     now = visitor.until(lambda now: now["opening"]["choices"])
-    assert len(now["opening"]["choices"]) == 2 and "12 x 10 x 6 voxels" in now["opening"]["choices"][1]
+    assert (
+        len(now["opening"]["choices"]) == 2 and "12 x 10 x 6 voxels" in now["opening"]["choices"][1]
+    )
     visitor.click("choice-1")
     visitor.click("open")
     now = visitor.until_open("study")

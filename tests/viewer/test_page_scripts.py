@@ -32,9 +32,19 @@ const press = (event) => tree.props.onKeydown(event);
 
 #: As much of the state as the panels below need.
 STATE = {
-    "picture": "data:,", "theme": "dark", "rests": [], "keys": ["Ctrl+C", "Ctrl+Shift+C", "/"], "choices": [],
-    "as_point": "point:1,2,3", "as_ball": "ball:1,2,3,4",
-    "as_correction": "", "files": [], "hints": [], "can_run": True, "result": ["volume 1 ml"], "uncertain": [],
+    "picture": "data:,",
+    "theme": "dark",
+    "rests": [],
+    "keys": ["Ctrl+C", "Ctrl+Shift+C", "/"],
+    "choices": [],
+    "as_point": "point:1,2,3",
+    "as_ball": "ball:1,2,3,4",
+    "as_correction": "",
+    "files": [],
+    "hints": [],
+    "can_run": True,
+    "result": ["volume 1 ml"],
+    "uncertain": [],
 }
 
 
@@ -43,7 +53,9 @@ def rendered(script, **state):
 
 
 def test_pointers_are_sent_as_what_they_are():
-    script = EVENTS + """
+    script = (
+        EVENTS
+        + """
     fire('picture', 'onPointerdown', touch(50, 50, 12, true));
     fire('picture', 'onPointerdown', touch(150, 25, 13, false));
     fire('picture', 'onPointermove', touch(230, -5, 13, false));
@@ -56,51 +68,74 @@ def test_pointers_are_sent_as_what_they_are():
     fire('picture', 'onPointercancel', mouse(100, 50));
     say(asked);
     """
+    )
     (asked,) = rendered(script)
     assert [one for one in asked if one[0] != "captured"] == [
-        ["touch_down", 0.25, 0.5, 12, True], ["touch_down", 0.75, 0.25, 13, False], ["touch_move", 1, 0, 13],
-        ["touch_up", 13], ["touch_cancel", 12], ["press", 0.25, 0.5, 2, True], ["move", 0.5, 0.5],
-        ["hover", 0.5, 0.5], ["release"], ["cancel"],
+        ["touch_down", 0.25, 0.5, 12, True],
+        ["touch_down", 0.75, 0.25, 13, False],
+        ["touch_move", 1, 0, 13],
+        ["touch_up", 13],
+        ["touch_cancel", 12],
+        ["press", 0.25, 0.5, 2, True],
+        ["move", 0.5, 0.5],
+        ["hover", 0.5, 0.5],
+        ["release"],
+        ["cancel"],
     ]
-    assert [one for one in asked if one[0] == "captured"] == [["captured", 12], ["captured", 13], ["captured", 1]]
+    assert [one for one in asked if one[0] == "captured"] == [
+        ["captured", 12],
+        ["captured", 13],
+        ["captured", 1],
+    ]
 
 
 def test_the_wheel_is_sent_as_the_browser_counts_it():
-    script = EVENTS + """
+    script = (
+        EVENTS
+        + """
     fire('picture', 'onWheel', at(50, 50, {deltaY: -4.25, deltaMode: 0, ctrlKey: true}));
     fire('picture', 'onWheel', at(50, 50, {deltaY: 3, deltaMode: 1, ctrlKey: false}));
     fire('picture', 'onWheel', at(50, 50, {deltaY: 0, deltaMode: 0, ctrlKey: false}));
     say(asked);
     """
+    )
     (asked,) = rendered(script)
     assert [one[3:] for one in asked] == [[-4.25, 0, True], [3, 1, False], [0, 0, False]]
 
 
 @pytest.mark.parametrize("secure", [True, False])
 def test_places_are_copied_with_and_without_a_clipboard(secure):
-    script = WINDOW + """
+    script = (
+        WINDOW
+        + """
     press(key('c', {ctrlKey: true}));
     press(key('C', {ctrlKey: true, shiftKey: true}));
     press(key('/'));
     say(copied); say(asked); say(view.document.activeElement === page);
     """
+    )
     copied, asked, has_keys = rendered(script, secure=secure, works=True, as_correction="--correct")
     assert copied == ["point:1,2,3", "ball:1,2,3,4", "--correct"] and has_keys
     assert asked == [["key", "Ctrl+C"], ["key", "Ctrl+Shift+C"], ["key", "/"]]
 
 
 def test_a_copy_that_fails_is_said():
-    (asked,) = rendered(WINDOW + "press(key('c', {ctrlKey: true})); say(asked);", secure=False, works=False)
+    (asked,) = rendered(
+        WINDOW + "press(key('c', {ctrlKey: true})); say(asked);", secure=False, works=False
+    )
     assert asked == [["key", "Ctrl+C"], ["copy_failed"]]
 
 
 def test_a_text_that_is_selected_is_copied_by_the_browser():
-    script = WINDOW + """
+    script = (
+        WINDOW
+        + """
     press(key('c', {ctrlKey: true, target: {tagName: 'INPUT', matches: (what) => what.includes('input[type=text]')}}));
     view.getSelection = () => ({isCollapsed: false});
     press(key('c', {ctrlKey: true}));
     say([copied, asked, stopped]);
     """
+    )
     assert rendered(script, secure=True, works=True) == [[[], [], 0]]
 
 

@@ -82,17 +82,43 @@ def test_run_pause_back_change_undo_save(handler, tmp_path):
     assert handler.session.status.settings.flow == "auto"
     handler.request("save")
     finish(handler)
-    assert handler.message == "" and {"ball_run.toml", "ball_seg.nii.gz"} <= set(handler.feature(FilesFeature).files)
-    assert {path.parent for path in handler.feature(FilesFeature).files.values()} == {tmp_path / "out"}
+    assert handler.message == "" and {"ball_run.toml", "ball_seg.nii.gz"} <= set(
+        handler.feature(FilesFeature).files
+    )
+    assert {path.parent for path in handler.feature(FilesFeature).files.values()} == {
+        tmp_path / "out"
+    }
     handler.request("restart")
     finish(handler)
     assert handler.session.status.step == 0
 
 
 BAD = [
-    None, True, -1, 1e308, -1e308, math.inf, math.nan, 10**400, "", "x" * 100_000, "../../etc/passwd", "a\x00b",
-    "\ud800", "<script>", [], {}, [[[[]]]], {"a": {"b": 1}}, b"\xff" * 1000, object(), ["play"], 3.5, "nan", "1e999",
-]  # fmt: skip
+    None,
+    True,
+    -1,
+    1e308,
+    -1e308,
+    math.inf,
+    math.nan,
+    10**400,
+    "",
+    "x" * 100_000,
+    "../../etc/passwd",
+    "a\x00b",
+    "\ud800",
+    "<script>",
+    [],
+    {},
+    [[[[]]]],
+    {"a": {"b": 1}},
+    b"\xff" * 1000,
+    object(),
+    ["play"],
+    3.5,
+    "nan",
+    "1e999",
+]
 
 
 def test_nothing_that_is_sent_raises_or_leaves_the_folder(handler, tmp_path):
@@ -100,11 +126,30 @@ def test_nothing_that_is_sent_raises_or_leaves_the_folder(handler, tmp_path):
     outside = tmp_path / "secret"
     outside.write_text("mine")
     handler.request("size", 640, 360)
-    for name in (*handler.names, "_set", "__init__", "request", "files", "nothing", None, 7, [], {}, ("play",)):
+    for name in (
+        *handler.names,
+        "_set",
+        "__init__",
+        "request",
+        "files",
+        "nothing",
+        None,
+        7,
+        [],
+        {},
+        ("play",),
+    ):
         if name in ("play", "toggle", "save", "step"):
             continue
         for bad in BAD:
-            for values in ((bad,), (bad, bad), (bad, bad, bad), ("smoothness", bad), (bad, 0.5, 0.5), (0.5, 0.5, bad)):
+            for values in (
+                (bad,),
+                (bad, bad),
+                (bad, bad, bad),
+                ("smoothness", bad),
+                (bad, 0.5, 0.5),
+                (0.5, 0.5, bad),
+            ):
                 handler.request(name, *values)
                 assert isinstance(handler.message, str) and len(handler.message) < 400
         handler.request(name, *range(50))
@@ -113,7 +158,10 @@ def test_nothing_that_is_sent_raises_or_leaves_the_folder(handler, tmp_path):
     width, height = handler.scene.plotter.render_window.GetSize()
     assert MIN_SIZE[0] <= width <= MAX_SIZE[0] and MIN_SIZE[1] <= height <= MAX_SIZE[1]
     assert np.isfinite(handler.scene.cursor).all()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["secret"] and outside.read_text() == "mine"
+    assert (
+        sorted(path.name for path in tmp_path.iterdir()) == ["secret"]
+        and outside.read_text() == "mine"
+    )
     handler.request("restart")
     handler.request("size", 640, 360)
     finish(handler)
@@ -121,7 +169,9 @@ def test_nothing_that_is_sent_raises_or_leaves_the_folder(handler, tmp_path):
     finish(handler)
     assert handler.session.status.ready and draw(handler).std() > 0
     status = handler.session.status.settings
-    assert all(math.isfinite(float(getattr(status, key))) for key in ("smoothness", "cfl")), SETTINGS
+    assert all(math.isfinite(float(getattr(status, key))) for key in ("smoothness", "cfl")), (
+        SETTINGS
+    )
 
 
 @pytest.mark.parametrize("what", ["../labels", "/etc", "labels/..", "", "RUN", ["labels"]])
@@ -173,7 +223,9 @@ def test_a_ball_is_placed_where_the_mouse_is(handler):
         assert handler.message == ""
         status = handler.session.status
         if not kind:
-            assert status.settings.start[0].startswith("ball:") and status.settings.start[0].endswith(",3")
+            assert status.settings.start[0].startswith("ball:") and status.settings.start[
+                0
+            ].endswith(",3")
         else:
             assert getattr(status.edits[-1], kind).startswith("ball:")
     handler.request("undo")

@@ -18,7 +18,9 @@ START = "ball:17,15,16,6"
 def volume(shape=(24, 30, 34), spacing=(1.5, 1.0, 1.0)):
     z, y, x = np.indices(shape)
     ball = ((z - 11) * spacing[0]) ** 2 + (y - 15) ** 2 + (x - 17) ** 2 < 10**2
-    return Volume.from_array((ball * 100 + np.random.default_rng(0).normal(0, 30, shape)).astype(np.float32), spacing)
+    return Volume.from_array(
+        (ball * 100 + np.random.default_rng(0).normal(0, 30, shape)).astype(np.float32), spacing
+    )
 
 
 @pytest.fixture
@@ -38,9 +40,14 @@ def test_clicks_stay_and_balls_do_not(session, tmp_path):
     session.restart_with(presmooth="1vox", max_volume=9e4).result(60)
     status = session.status
     assert status.step == 0 and status.stop is None and not status.playing
-    assert (status.settings.presmooth, status.settings.smoothness, status.settings.max_volume) == ("1vox", 0.2, 9e4)
+    assert (status.settings.presmooth, status.settings.smoothness, status.settings.max_volume) == (
+        "1vox",
+        0.2,
+        9e4,
+    )
     assert [(edit.step, edit.inside, edit.outside, edit.balls) for edit in status.edits] == [
-        (0, ("ball:17,15,16,2",), (), ()), (0, (), ("point:17,28,16", "point:16,28,16"), ()),
+        (0, ("ball:17,15,16,2",), (), ()),
+        (0, (), ("point:17,28,16", "point:16,28,16"), ()),
     ]
     assert status.message == "from the start: presmooth 1vox, max volume 90000"
     saved, toml = labels_of(at(session, 9), tmp_path)
@@ -61,45 +68,74 @@ def test_it_is_one_change_that_can_be_undone(session):
 
 
 BAD = [
-    ({"energy": "chan-vesee"}, UsageError, "chan-vese"), ({"presmooth": -1}, UsageError, "presmooth"),
-    ({"roi": "1,2,3"}, UsageError, "roi"), ({"mask": "/nowhere.nii.gz"}, InputError, "nowhere"),
-    ({"preset": "ct-boone"}, UsageError, "ct-skeleton"), ({"what": 1}, UsageError, "what"),
-    ({"roi": "0,0,0,3,3,3vox"}, InputError, "start"), ({"energy": "seeded"}, UsageError, "inside"),
-]  # fmt: skip
+    ({"energy": "chan-vesee"}, UsageError, "chan-vese"),
+    ({"presmooth": -1}, UsageError, "presmooth"),
+    ({"roi": "1,2,3"}, UsageError, "roi"),
+    ({"mask": "/nowhere.nii.gz"}, InputError, "nowhere"),
+    ({"preset": "ct-boone"}, UsageError, "ct-skeleton"),
+    ({"what": 1}, UsageError, "what"),
+    ({"roi": "0,0,0,3,3,3vox"}, InputError, "start"),
+    ({"energy": "seeded"}, UsageError, "inside"),
+]
 
 
 @pytest.mark.parametrize("settings, kind, named", BAD)
 def test_what_is_wrong_changes_nothing(session, settings, kind, named):
     at(session, 3)
-    session.add_click("inside" if "energy" not in settings else "outside", "point:3,3,16").result(60)
-    before, frame = session.status, look(session, lambda run: run.objects[0].surface.psi.copy()).result(60)
+    session.add_click("inside" if "energy" not in settings else "outside", "point:3,3,16").result(
+        60
+    )
+    before, frame = (
+        session.status,
+        look(session, lambda run: run.objects[0].surface.psi.copy()).result(60),
+    )
     with pytest.raises(kind, match=named):
         session.restart_with(**settings).result(60)
     after = session.status
     assert after.failed and named in after.message
     assert after._replace(message="", failed=False) == before._replace(message="", failed=False)
-    assert np.array_equal(look(session, lambda run: run.objects[0].surface.psi.copy()).result(60), frame)
+    assert np.array_equal(
+        look(session, lambda run: run.objects[0].surface.psi.copy()).result(60), frame
+    )
 
 
 def test_a_preset_overrides_what_was_chosen_and_gives_way_to_the_next(session):
     session.change(energy="likelihood", smoothness=0.7, percentile=90.0).result(60)
     session.restart_with(preset="mr-brain").result(60)
     now = session.status.settings
-    assert {key: getattr(now, key) for key in PRESETS["mr-brain"].settings} == dict(PRESETS["mr-brain"].settings)
+    assert {key: getattr(now, key) for key in PRESETS["mr-brain"].settings} == dict(
+        PRESETS["mr-brain"].settings
+    )
     assert now.percentile == 90.0 and now.preset == "mr-brain"
-    assert "preset mr-brain: " in session.status.message and "energy chan-vese" in session.status.message
+    assert (
+        "preset mr-brain: " in session.status.message
+        and "energy chan-vese" in session.status.message
+    )
     session.restart_with(preset="fluorescence-nucleus").result(60)
     now = session.status.settings
-    assert (now.energy, now.presmooth, now.balance, now.epsilon) == ("local-region", "1vox", 1.0, 1.5)
+    assert (now.energy, now.presmooth, now.balance, now.epsilon) == (
+        "local-region",
+        "1vox",
+        1.0,
+        1.5,
+    )
     session.restart_with(preset=None).result(60)
-    assert session.status.settings.energy == "chan-vese" and session.status.settings.percentile == 90.0
+    assert (
+        session.status.settings.energy == "chan-vese" and session.status.settings.percentile == 90.0
+    )
 
 
 @pytest.fixture
 def of_clicks():
     """Name of a preset that begins from clicks."""
     settings = {"energy": "seeded", "start": ("clicks",), "presmooth": "1vox"}
-    preset = Preset("toy-clicks", "Toys by a click.", settings, dict.fromkeys(settings, "toys"), {"a toy": "well"})
+    preset = Preset(
+        "toy-clicks",
+        "Toys by a click.",
+        settings,
+        dict.fromkeys(settings, "toys"),
+        {"a toy": "well"},
+    )
     with PRESETS.register(preset):
         yield preset.name
 
@@ -114,7 +150,10 @@ def test_a_preset_of_clicks_waits_for_them_and_then_begins_from_them(of_clicks, 
     session.restart_with(preset=of_clicks).result(60)
     now = session.status.settings
     assert (now.energy, now.start, now.inside, now.outside) == (
-        "seeded", ("clicks",), ("point:17,15,16",), ("point:1,1,1",),
+        "seeded",
+        ("clicks",),
+        ("point:17,15,16",),
+        ("point:1,1,1",),
     )
     assert session.status.edits == ()
     saved, toml = labels_of(at(session, 9), tmp_path)
@@ -126,7 +165,9 @@ def test_a_press_after_such_a_preset_keeps_what_it_says_of_the_image(of_clicks, 
     drag = session.press("ball:17,15,16,3").result(60)
     assert drag.click
     session.release(10.0).result(60)
-    assert session.status.settings.presmooth == "1vox" and session.status.settings.energy == "seeded"
+    assert (
+        session.status.settings.presmooth == "1vox" and session.status.settings.energy == "seeded"
+    )
 
 
 def test_corrections_after_the_end_are_clicks_from_the_start_then(session):
@@ -136,7 +177,9 @@ def test_corrections_after_the_end_are_clicks_from_the_start_then(session):
     session.add_click("outside", "ball:17,6,16,2").result(60)
     assert session.status.refinements
     session.restart_with(presmooth=0.5).result(60)
-    assert session.status.refinements == () and session.status.edits[0].outside == ("ball:17,6,16,2",)
+    assert session.status.refinements == () and session.status.edits[0].outside == (
+        "ball:17,6,16,2",
+    )
 
 
 def test_the_status_has_the_terms_with_every_setting_resolved(session):

@@ -17,7 +17,11 @@ from accelsurf.viewer.page.page import style_sheet
 from accelsurf.viewer.scene import colors, shapes
 from tests.support import viewing
 
-DIRECTIONS = {"straight": np.eye(3), "left-handed, oblique": viewing.TURN, "axes swapped": np.eye(3)[[2, 0, 1]]}
+DIRECTIONS = {
+    "straight": np.eye(3),
+    "left-handed, oblique": viewing.TURN,
+    "axes swapped": np.eye(3)[[2, 0, 1]],
+}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -42,7 +46,9 @@ def test_the_surface_lies_in_the_world(name, levels):
         outward = (mesh.points - center) / radii[:, None]
         normals = np.asarray(mesh.point_data.active_normals)
         assert np.median((normals * outward).sum(axis=1)) > 0.97
-    radii = np.linalg.norm(shapes.isosurface(frames[-1].surfaces[0], volume.geometry).points - center, axis=1)
+    radii = np.linalg.norm(
+        shapes.isosurface(frames[-1].surfaces[0], volume.geometry).points - center, axis=1
+    )
     assert abs(radii.mean() - 16.0) < 0.5
 
 
@@ -51,7 +57,9 @@ def test_the_surface_is_that_of_the_mesh_that_is_saved():
     frames, _ = viewing.run_frames(volume, center, levels=1)
     psi = np.full(volume.geometry.shape, 9.0, np.float32)
     (surface,) = frames[-1].surfaces
-    psi[tuple(slice(o, o + n) for o, n in zip(surface.offset, surface.psi.shape, strict=True))] = surface.psi
+    psi[tuple(slice(o, o + n) for o, n in zip(surface.offset, surface.psi.shape, strict=True))] = (
+        surface.psi
+    )
     saved = extract(psi, volume.geometry)
     mesh = shapes.isosurface(surface, volume.geometry)
     # What is shown is linear between voxels; the mesh lies so that it has the volume, h^2/(6 r) further out at most.
@@ -74,7 +82,10 @@ def test_colours_on_the_surface_are_the_quantity():
     cells, values = frames[3].surfaces[0].quantities["speed"]
     near = np.abs(np.asarray(mesh["speed"]))
     assert near.max() > 0 and near.max() <= np.abs(values).max() * 1.0001
-    assert "density" not in shapes.isosurface(frames[3].surfaces[0], volume.geometry, "density").point_data
+    assert (
+        "density"
+        not in shapes.isosurface(frames[3].surfaces[0], volume.geometry, "density").point_data
+    )
 
 
 def test_contours_lie_on_the_circle():
@@ -124,18 +135,27 @@ def test_slices_hang_as_radiologists_hang_them(scene_of):
     tiles = scene_of(volume).slice_tiles
     origin = volume.geometry.center_world()
     for name, vector, wanted in (
-        ("axial", (1, 0, 0), (1, 0)), ("axial", (0, -1, 0), (0, 1)), ("coronal", (1, 0, 0), (1, 0)),
-        ("coronal", (0, 0, 1), (0, 1)), ("sagittal", (0, 1, 0), (1, 0)), ("sagittal", (0, 0, 1), (0, 1)),
-    ):  # fmt: skip
+        ("axial", (1, 0, 0), (1, 0)),
+        ("axial", (0, -1, 0), (0, 1)),
+        ("coronal", (1, 0, 0), (1, 0)),
+        ("coronal", (0, 0, 1), (0, 1)),
+        ("sagittal", (0, 1, 0), (1, 0)),
+        ("sagittal", (0, 0, 1), (0, 1)),
+    ):
         ends = [volume.geometry.world_to_index(origin + k * np.array(vector)) for k in (0.0, 1.0)]
-        assert np.allclose(tiles[name].to_tile(ends[1]) - tiles[name].to_tile(ends[0]), wanted), (name, vector)
+        assert np.allclose(tiles[name].to_tile(ends[1]) - tiles[name].to_tile(ends[0]), wanted), (
+            name,
+            vector,
+        )
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
 def test_pictures_show_the_run(scene_of, theme):
     volume, center = viewing.ball_image()
     frames, history = viewing.run_frames(volume, center)
-    scene = scene_of(volume, theme=theme, reference=volume.with_array(volume.array > 0), size=(960, 540))
+    scene = scene_of(
+        volume, theme=theme, reference=volume.with_array(volume.array > 0), size=(960, 540)
+    )
     empty = scene.screenshot()
     assert empty.shape == (540, 960, 3)
     seen = [empty]
@@ -168,7 +188,9 @@ def test_dice_of_coarse_frames_is_near(scene_of):
     scene.update(frames[-1])
     labels = np.zeros(volume.array.shape, bool)
     (surface,) = frames[-1].surfaces
-    labels[tuple(slice(o, o + n) for o, n in zip(surface.offset, surface.psi.shape, strict=True))] = surface.psi < 0
+    labels[
+        tuple(slice(o, o + n) for o, n in zip(surface.offset, surface.psi.shape, strict=True))
+    ] = surface.psi < 0
     common = (labels & (truth.array > 0)).sum()
     assert scene.dice == pytest.approx(2 * common / (labels.sum() + truth.array.sum()), abs=1e-12)
 
@@ -275,7 +297,9 @@ def test_screenshots_are_files_too(scene_of, tmp_path):
     volume, _ = viewing.ball_image()
     scene = scene_of(volume, size=(400, 300))
     picture = scene.screenshot(tmp_path / "a.png")
-    assert np.array_equal((image.imread(tmp_path / "a.png") * 255).round().astype(np.uint8)[..., :3], picture)
+    assert np.array_equal(
+        (image.imread(tmp_path / "a.png") * 255).round().astype(np.uint8)[..., :3], picture
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
 
 
@@ -285,23 +309,34 @@ def test_triangles_face_the_way_of_their_normals(name):
     frames, _ = viewing.run_frames(volume, center, levels=1, max_steps=3)
     (surface,) = frames[-1].surfaces
     for mesh in (
-        shapes.isosurface(surface, volume.geometry), shapes.label_surface(volume.array > 0, volume.geometry)
+        shapes.isosurface(surface, volume.geometry),
+        shapes.label_surface(volume.array > 0, volume.geometry),
     ):
-        a, b, c = (np.asarray(mesh.points)[corner] for corner in np.asarray(mesh.faces).reshape(-1, 4)[:, 1:].T)
+        a, b, c = (
+            np.asarray(mesh.points)[corner]
+            for corner in np.asarray(mesh.faces).reshape(-1, 4)[:, 1:].T
+        )
         outward = (np.cross(b - a, c - a) * (a - center)).sum(axis=1)
         assert (outward > 0).mean() > 0.999
 
 
 def test_the_reference_has_a_colour_of_its_own_in_every_picture():
     assert (colors.SURFACE, colors.REFERENCE, colors.OBJECT_COLORS) == (
-        canvas.SURFACE, canvas.REFERENCE, canvas.OBJECT_COLORS
-    )  # fmt: skip
-    assert colors.REFERENCE not in colors.OBJECT_COLORS and colors.OBJECT_COLORS[0] == colors.SURFACE
+        canvas.SURFACE,
+        canvas.REFERENCE,
+        canvas.OBJECT_COLORS,
+    )
+    assert (
+        colors.REFERENCE not in colors.OBJECT_COLORS and colors.OBJECT_COLORS[0] == colors.SURFACE
+    )
 
 
 def luminance(code):
     rgb = np.array(pv.Color(code).int_rgb) / 255
-    return float(np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722])
+    return float(
+        np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        @ [0.2126, 0.7152, 0.0722]
+    )
 
 
 def contrast(one, other):
@@ -335,7 +370,10 @@ def test_the_page_has_the_accent_of_the_window_and_of_the_surface():
     for theme, known in themes.items():
         assert known["main"] == colors.SURFACE and contrast(known["on"], known["main"]) > 4.5
         for ground in (known["ground"], known["panel"]):
-            assert min(contrast(known[name], ground) for name in ("edge", "alarm", "ink", "soft")) > 4.5
+            assert (
+                min(contrast(known[name], ground) for name in ("edge", "alarm", "ink", "soft"))
+                > 4.5
+            )
         assert known["alarm"] == colors.ALARM[theme] != known["edge"]
     others = (colors.REFERENCE, *colors.OBJECT_COLORS[1:4])
     assert not [code for code in others if code.lower() in sheet.lower()]
@@ -375,7 +413,10 @@ def written(scene):
 def ticks(scene):
     """Texts at the axes of the charts."""
     axes = [axis for chart in scene._chart._charts for axis in (chart.x_axis, chart.y_axis)]
-    return [[labels.GetValue(i) for i in range(labels.GetNumberOfValues())] for labels in map(tick_labels, axes)]
+    return [
+        [labels.GetValue(i) for i in range(labels.GetNumberOfValues())]
+        for labels in map(tick_labels, axes)
+    ]
 
 
 def tick_labels(axis):
@@ -412,8 +453,13 @@ def test_text_and_lines_scale_once_with_the_screen(scene_of, ratio):
         scene.plotter.render_window.SetDPI(round(72 * own))  # as Qt does
         scene.update(frames[-1], [history])
         pictures.append(scene.screenshot().astype(float))
-    small = np.asarray(Image.fromarray(pictures[1].astype(np.uint8)).resize((640, 360), Image.Resampling.BOX))
-    ink = [float((np.abs(one - one[0, 0]).max(axis=2) > 60).mean()) for one in (pictures[0], small.astype(float))]
+    small = np.asarray(
+        Image.fromarray(pictures[1].astype(np.uint8)).resize((640, 360), Image.Resampling.BOX)
+    )
+    ink = [
+        float((np.abs(one - one[0, 0]).max(axis=2) > 60).mean())
+        for one in (pictures[0], small.astype(float))
+    ]
     assert ink[1] == pytest.approx(ink[0], rel=0.04)
     assert np.abs(small - pictures[0]).mean() < 5.0
 
@@ -423,7 +469,11 @@ def line_widths(scene):
     found = []
     for renderer in scene.plotter.render_window.GetRenderers():
         for prop in renderer.GetViewProps():
-            mesh = prop.GetMapper().GetInput() if hasattr(prop, "GetMapper") and prop.GetVisibility() else None
+            mesh = (
+                prop.GetMapper().GetInput()
+                if hasattr(prop, "GetMapper") and prop.GetVisibility()
+                else None
+            )
             if prop.IsA("vtkAnnotatedCubeActor"):
                 found.append(prop.GetTextEdgesProperty().GetLineWidth())
             elif mesh is not None and mesh.GetNumberOfLines():
@@ -449,7 +499,9 @@ def test_the_lines_of_ways_and_cube_scale_with_the_screen(scene_of, ratio):
 
 @pytest.mark.parametrize("size", [(640, 360), (1280, 720)])
 def test_letters_beside_a_thin_slab_do_not_overlap(scene_of, size):
-    volume = Volume.from_array(np.zeros((2, 200, 200), np.float32), (1.0, 1.0, 1.0), direction=np.eye(3))
+    volume = Volume.from_array(
+        np.zeros((2, 200, 200), np.float32), (1.0, 1.0, 1.0), direction=np.eye(3)
+    )
     volume.metadata[DICOM_KEY] = "1.2.3"  # its axes are a patient's
     scene = scene_of(volume, size=size)
     assert scene.anatomical

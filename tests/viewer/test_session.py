@@ -92,27 +92,50 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
         paths = session.save(tmp_path / "saved").result(120)
         status = session.status
     assert [path.name for path in paths] == [
-        "scan_run.toml", "scan_seg.nii.gz", "scan_surface.ply", "scan_trace.csv", "scan_preview.png",
-        "scan_statistics.csv", "scan_statistics.json", "scan_report.json",
+        "scan_run.toml",
+        "scan_seg.nii.gz",
+        "scan_surface.ply",
+        "scan_trace.csv",
+        "scan_preview.png",
+        "scan_statistics.csv",
+        "scan_statistics.json",
+        "scan_report.json",
     ]
     assert [edit.step for edit in status.edits] == [7, 7, 9, 21]
     code = command(
-        ["segment", str(tmp_path / "scan.nii.gz"), "--config", str(paths[0]), "-o", str(tmp_path / "again")]
+        [
+            "segment",
+            str(tmp_path / "scan.nii.gz"),
+            "--config",
+            str(paths[0]),
+            "-o",
+            str(tmp_path / "again"),
+        ]
     )
     assert code == 0
     for name in ("scan_seg.nii.gz", "scan_surface.ply"):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "saved" / name).read_bytes()
     report = json.loads((tmp_path / "again/scan_report.json").read_text())
-    assert report["stop"]["steps"] == 21 and [edit["done"] for edit in report["edits"]] == [True] * 4
+    assert (
+        report["stop"]["steps"] == 21 and [edit["done"] for edit in report["edits"]] == [True] * 4
+    )
 
     def trace(folder):  # all but the seconds
         lines = (tmp_path / folder / "scan_trace.csv").read_text().splitlines()
-        return [[v for k, v in zip(lines[0].split(","), line.split(","), strict=True) if k not in ("seconds",)]
-                for line in lines]
+        return [
+            [
+                v
+                for k, v in zip(lines[0].split(","), line.split(","), strict=True)
+                if k not in ("seconds",)
+            ]
+            for line in lines
+        ]
 
     mine, again = trace("saved"), trace("again")
     visited = again[0].index("cells_visited")
-    assert [r[:visited] + r[visited + 1 :] for r in mine] == [r[:visited] + r[visited + 1 :] for r in again]
+    assert [r[:visited] + r[visited + 1 :] for r in mine] == [
+        r[:visited] + r[visited + 1 :] for r in again
+    ]
 
 
 def test_a_run_that_converged_says_so_when_repeated(session, tmp_path):
@@ -137,13 +160,18 @@ def test_going_back_keeps_what_comes_after_until_something_changes(session, tmp_
     session.go_to(3).result(60)
     assert session.status.settings.smoothness == 0 and max(session.status.checkpoints) == 14
     session.go_to(14).result(60)
-    assert labels_of(session, tmp_path / "b")[0] == straight and session.status.settings.smoothness == 0.3
+    assert (
+        labels_of(session, tmp_path / "b")[0] == straight
+        and session.status.settings.smoothness == 0.3
+    )
     session.go_to(6).result(60)
     assert session.status.settings.smoothness == 0.3  # what the next step will be made with
     assert labels_of(at(session, 14), tmp_path / "c")[0] == straight
     session.go_to(3).result(60)
     session.change(cfl=0.4).result(60)
-    assert max(session.status.checkpoints) == 3 and [edit.step for edit in session.status.edits] == [3]
+    assert max(session.status.checkpoints) == 3 and [
+        edit.step for edit in session.status.edits
+    ] == [3]
     session.undo().result(60)
     session.wait(60)
     assert [edit.step for edit in session.status.edits] == [6]
@@ -172,7 +200,9 @@ def test_restart_keeps_the_settings_and_another_start_too(session, tmp_path):
     session.edit_balls("add", ("ball:25,15,16,4",)).result(60)
     at(session, 8).restart().result(60)
     status = session.status
-    assert status.step == 0 and [edit.model_dump() for edit in status.edits] == [{"step": 0, "smoothness": 0.4}]
+    assert status.step == 0 and [edit.model_dump() for edit in status.edits] == [
+        {"step": 0, "smoothness": 0.4}
+    ]
     saved, toml = labels_of(at(session, 9), tmp_path)
     assert segment(volume(), config=RunConfig.from_toml(toml)).labels.tobytes() == saved
     session.start_from(["ball:20,15,16,5", "ball:12,15,16,4"]).result(60)
@@ -206,7 +236,10 @@ def test_a_stroke_is_undone_whole_and_made_again_whole(session):
 def test_a_stroke_in_one_command_is_one_change_and_the_same_as_ball_by_ball(session, tmp_path):
     balls = [f"ball:{x},15,16,4" for x in (25, 27, 29)]
     session.edit_balls("add", balls).result(60)
-    assert session.status.undoable == 1 and session.status.changes[0].line == "added a stroke of 3 balls"
+    assert (
+        session.status.undoable == 1
+        and session.status.changes[0].line == "added a stroke of 3 balls"
+    )
     at_once = labels_of(session, tmp_path / "one")[0]
     session.undo().result(60)
     for ball in balls:
@@ -224,7 +257,13 @@ def test_the_steps_of_rest_stay_known_when_it_has_gone_back():
     balls = z**2 + y**2 + np.minimum(abs(x - 14), abs(x - 44)) ** 2 < 11**2
     neck = (z**2 + y**2 < 3.2**2) & (x > 14) & (x < 44)
     image = Volume.from_array((100.0 * (balls | neck)).astype(np.float32))
-    config = RunConfig(start="ball:14,13.5,13.5,4vox", energy="threshold:50,", smoothness=0.3, max_steps=300, threads=1)
+    config = RunConfig(
+        start="ball:14,13.5,13.5,4vox",
+        energy="threshold:50,",
+        smoothness=0.3,
+        max_steps=300,
+        threads=1,
+    )
     with Session(image, config) as session:
         at(session, 3)
         assert session.status.rests == ()
@@ -306,12 +345,19 @@ def test_bad_commands_are_one_line_and_change_nothing(session):
         assert message in str(caught.value)
         status = session.status
         assert status.failed and message in status.message and "\n" not in status.message
-        assert (status.step, status.edits, status.settings, status.undoable) == (3, (), before.settings, 0)
+        assert (status.step, status.edits, status.settings, status.undoable) == (
+            3,
+            (),
+            before.settings,
+            0,
+        )
     at(session, 5)
     assert not session.status.failed
 
 
-def test_an_error_in_the_solver_is_one_line_and_a_checkpoint_is_sound(session, tmp_path, monkeypatch):
+def test_an_error_in_the_solver_is_one_line_and_a_checkpoint_is_sound(
+    session, tmp_path, monkeypatch
+):
     straight = labels_of(at(session, 8), tmp_path / "a")[0]
     session.go_to(4).result(60)
     monkeypatch.setattr(ChanVese, "follow", lambda *a: 1 / 0)
@@ -353,7 +399,9 @@ def test_files_of_others_are_not_replaced_and_those_of_the_session_are(session, 
 
 
 def test_the_end_is_prompt_and_saves_first(tmp_path):
-    session = Session(volume((60, 60, 60), (1, 1, 1)), RunConfig(start="ball:20,20,20,9", max_steps=10**6))
+    session = Session(
+        volume((60, 60, 60), (1, 1, 1)), RunConfig(start="ball:20,20,20,9", max_steps=10**6)
+    )
     session.ready.result(60)
     session.play()
     saved = session.save(tmp_path, ("labels",))
@@ -362,7 +410,9 @@ def test_the_end_is_prompt_and_saves_first(tmp_path):
     assert time.perf_counter() - began < 10 and saved.result(0)[0].exists()
     with pytest.raises(UsageError, match="closed"):
         session.play().result(1)
-    assert not session.is_alive and "accelsurf session" not in [t.name for t in threading.enumerate()]
+    assert not session.is_alive and "accelsurf session" not in [
+        t.name for t in threading.enumerate()
+    ]
 
 
 # ------------------------------------------------------------------------------------------------------- what is drawn
@@ -429,8 +479,16 @@ def test_checkpoints_stay_within_their_memory_dense_at_the_end_and_sparse_before
     steps = history.steps
     assert steps[0] == 0 and steps[-2:] == (38, 39)
     gaps = np.diff(steps)
-    assert gaps.max() <= 16 and gaps[-4:].max() <= 2 and gaps[: len(gaps) // 2].mean() > gaps[-5:].mean()
-    assert history.nearest(38, 0).step == 38 and history.nearest(1, 0).step == 0 and history.nearest(38, 1) is None
+    assert (
+        gaps.max() <= 16
+        and gaps[-4:].max() <= 2
+        and gaps[: len(gaps) // 2].mean() > gaps[-5:].mean()
+    )
+    assert (
+        history.nearest(38, 0).step == 38
+        and history.nearest(1, 0).step == 0
+        and history.nearest(38, 1) is None
+    )
     history.drop_after(steps[2])
     assert history.steps == steps[:3] and history.nbytes == sum(s.nbytes for s in history)
     history.add(all_of_them[0])

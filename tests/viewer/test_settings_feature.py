@@ -68,13 +68,19 @@ def test_rows_are_the_options_of_the_command_line_in_their_order(capsys):
     assert {row["group"] for row in rows} == {"", EXPERT}
     assert {"energy", "levels", "epsilon"} <= {row["key"] for row in rows if row["group"]}
     first = [key for key in viewer_settings("first") if key not in COMMON]
-    for wanted in (COMMON, first, [row["key"] for row in rows if row["group"] and row["key"] not in first]):
+    for wanted in (
+        COMMON,
+        first,
+        [row["key"] for row in rows if row["group"] and row["key"] not in first],
+    ):
         order = [places[key.replace("_", "-")] for key in wanted]
         assert order == sorted(order)
     for row in rows:
         assert row["label"].replace(" ", "-") in places
         assert row["help"] == help_of(row["key"]) and row["unit"] == entry(row["key"]).unit
-    values = {row["key"]: str(row["value"]) for row in rows if row["kind"] not in ("switch", "slider")}
+    values = {
+        row["key"]: str(row["value"]) for row in rows if row["kind"] not in ("switch", "slider")
+    }
     assert values == {key: default_shown(key).replace("none", "") for key in values}
 
 
@@ -84,7 +90,11 @@ def test_each_kind_of_row_has_what_it_needs():
     assert {row["kind"] for row in rows.values()} == {"slider", "list", "text", "switch", "energy"}
     smooth, diffusion, flow = rows["smoothness"], rows["diffusion"], rows["flow"]
     assert (smooth["low"], smooth["high"], smooth["value"], smooth["words"]) == (0.0, 2.5, 0.0, [])
-    assert (diffusion["high"], diffusion["value"], diffusion["words"]) == (5.0, "auto", ["auto", "free"])
+    assert (diffusion["high"], diffusion["value"], diffusion["words"]) == (
+        5.0,
+        "auto",
+        ["auto", "free"],
+    )
     assert not rows["friction"]["enabled"] and smooth["enabled"]
     assert not diffusion["restarts"] and rows["levels"]["restarts"]
     assert {one["name"]: one["help"] for one in flow["names"]} == names_of("flow")
@@ -96,15 +106,25 @@ def test_each_kind_of_row_has_what_it_needs():
 @pytest.mark.parametrize("name", [name for name, term in TERMS.items() if term.sees_image])
 def test_the_settings_of_a_term_appear_when_the_energy_has_it(name):
     text = TERMS[name].example or name
-    rows = [row for row in settings_rows(RunConfig(energy=f"{text} + area"), (), 1.0) if row["term"]]
-    assert [row["term"] for row in rows] == [[0, key] for key in TERMS[name].settings if key != "channel"]
+    rows = [
+        row for row in settings_rows(RunConfig(energy=f"{text} + area"), (), 1.0) if row["term"]
+    ]
+    assert [row["term"] for row in rows] == [
+        [0, key] for key in TERMS[name].settings if key != "channel"
+    ]
     several = [{"term": name, "weight": 1.0, "channels": [{"channel": 1}, {"channel": 2}]}]
-    rows = [row for row in settings_rows(RunConfig(energy=f"{text} + area"), several, 1.0) if row["term"]]
+    rows = [
+        row
+        for row in settings_rows(RunConfig(energy=f"{text} + area"), several, 1.0)
+        if row["term"]
+    ]
     assert [row["term"] for row in rows] == [[0, key] for key in TERMS[name].settings]
     for row in rows:
         kind = TERMS[name].settings[row["term"][1]]
         assert row["label"] == f"{name} {row['term'][1]}" and kind.expected in row["help"]
-        assert [one["name"] for one in row["names"]] == (["", *kind.words] if isinstance(kind, Word) else [])
+        assert [one["name"] for one in row["names"]] == (
+            ["", *kind.words] if isinstance(kind, Word) else []
+        )
 
 
 # ------------------------------------------------------------------------------------------------------------- changes
@@ -116,13 +136,20 @@ def test_a_setting_that_may_change_is_an_edit_and_a_fixed_one_begins_another_run
     assert status.step == 1 and status.edits[0].settings == {"smoothness": 0.4}
     assert rows_of(actions)["smoothness"]["value"] == 0.4
     status = ask(actions, "set", "presmooth", " 1vox ")
-    assert status.step == 0 and status.settings.presmooth == "1vox" and status.settings.smoothness == 0.4
+    assert (
+        status.step == 0
+        and status.settings.presmooth == "1vox"
+        and status.settings.smoothness == 0.4
+    )
     ask(actions, "step")
     assert ask(actions, "set", "presmooth", "1vox").step == 1, "nothing is different"
     assert ask(actions, "set", "presmooth", "").settings.presmooth == 0.0
     assert ask(actions, "set", "stop_at_rest", True).settings.stop_at_rest is True
-    assert ask(actions, "set", "foreground", "ball:1,2,3,4vox ball:9,9,9,2vox").settings.foreground == (
-        "ball:1,2,3,4vox", "ball:9,9,9,2vox",
+    assert ask(
+        actions, "set", "foreground", "ball:1,2,3,4vox ball:9,9,9,2vox"
+    ).settings.foreground == (
+        "ball:1,2,3,4vox",
+        "ball:9,9,9,2vox",
     )
     assert rows_of(actions)["foreground"]["value"] == "ball:1,2,3,4vox ball:9,9,9,2vox"
     assert not actions.message
@@ -130,7 +157,10 @@ def test_a_setting_that_may_change_is_an_edit_and_a_fixed_one_begins_another_run
 
 def test_a_preset_is_chosen_and_says_what_it_changes(actions):
     status = ask(actions, "set", "preset", "fluorescence-nucleus")
-    assert status.settings.energy == "local-region" and status.settings.preset == "fluorescence-nucleus"
+    assert (
+        status.settings.energy == "local-region"
+        and status.settings.preset == "fluorescence-nucleus"
+    )
     assert actions.state()["message"] == (
         "from the start: preset fluorescence-nucleus: energy local-region, start otsu, presmooth 1vox"
     )
@@ -139,14 +169,29 @@ def test_a_preset_is_chosen_and_says_what_it_changes(actions):
 
 
 BAD = [
-    ("set", "energy", "chan-vesee"), ("set", "energy", "balloon"), ("set", "presmooth", "-1"), ("set", "cfl", "7"),
-    ("set", "preset", "ct-boone"), ("set", "levels", 0), ("set", "roi", "1,2"), ("set", "stop_at_rest", "yes"),
-    ("set", "start", "label:/etc/passwd"), ("set", "start", "ball:1,2,3,4 mesh:/x.stl"), ("set", "mask", "/etc/passwd"),
-    ("set", "foreground", "label:secret.nii"), ("set", "edit", "step=3"), ("set", "channel", "/etc/passwd"),
-    ("set", "smoothness", "x" * 500), ("set", "smoothness", True), ("mask", "/etc/passwd"),
-    ("set_term", 0, "R", 3), ("set_term", 5, "balance", 3), ("set_term", 0, "balance", "-3"),
-    ("set_term", 0, "balance", "2,epsilon=1"), ("set_term", 0, "balance", "2 + geodesic"),
-]  # fmt: skip
+    ("set", "energy", "chan-vesee"),
+    ("set", "energy", "balloon"),
+    ("set", "presmooth", "-1"),
+    ("set", "cfl", "7"),
+    ("set", "preset", "ct-boone"),
+    ("set", "levels", 0),
+    ("set", "roi", "1,2"),
+    ("set", "stop_at_rest", "yes"),
+    ("set", "start", "label:/etc/passwd"),
+    ("set", "start", "ball:1,2,3,4 mesh:/x.stl"),
+    ("set", "mask", "/etc/passwd"),
+    ("set", "foreground", "label:secret.nii"),
+    ("set", "edit", "step=3"),
+    ("set", "channel", "/etc/passwd"),
+    ("set", "smoothness", "x" * 500),
+    ("set", "smoothness", True),
+    ("mask", "/etc/passwd"),
+    ("set_term", 0, "R", 3),
+    ("set_term", 5, "balance", 3),
+    ("set_term", 0, "balance", "-3"),
+    ("set_term", 0, "balance", "2,epsilon=1"),
+    ("set_term", 0, "balance", "2 + geodesic"),
+]
 
 
 @pytest.mark.parametrize("request_", BAD, ids=str)
@@ -160,7 +205,11 @@ def test_what_is_wrong_changes_nothing_and_says_so_in_one_line(actions, request_
 
 def test_an_energy_is_checked_as_it_is_typed(actions):
     before = actions.session.status
-    for typed, wrong in (("chan", "chan"), ("chan-vese + ", "blank"), ("local-region:R=-1", "R of local-region")):
+    for typed, wrong in (
+        ("chan", "chan"),
+        ("chan-vese + ", "blank"),
+        ("local-region:R=-1", "R of local-region"),
+    ):
         actions.request("type_energy", typed)
         assert wrong in actions.state()["energy_error"], typed
         assert not actions.message and actions.session.status is before
@@ -168,10 +217,16 @@ def test_an_energy_is_checked_as_it_is_typed(actions):
     assert actions.state()["energy_error"] == ""
     ask(actions, "type_energy", "chan")
     status = ask(actions, "set", "energy", "local-region:R=9 + 0.1*geodesic")
-    assert status.settings.energy == "local-region:R=9 + 0.1*geodesic" and actions.state()["energy_error"] == ""
+    assert (
+        status.settings.energy == "local-region:R=9 + 0.1*geodesic"
+        and actions.state()["energy_error"] == ""
+    )
     rows = rows_of(actions)
     assert rows["local-region-0-R"]["value"] == "9" and rows["geodesic-1-scale"]["now"] == "2"
-    assert ask(actions, "set_term", 0, "R", "7.5").settings.energy == "local-region:R=7.5 + 0.1*geodesic"
+    assert (
+        ask(actions, "set_term", 0, "R", "7.5").settings.energy
+        == "local-region:R=7.5 + 0.1*geodesic"
+    )
     assert ask(actions, "set_term", 0, "R", "").settings.energy == "local-region + 0.1*geodesic"
 
 

@@ -33,10 +33,18 @@ def graphics():
 
 # What people without cones for long or middle wavelengths see, on linear RGB (Machado, Oliveira and Fernandes 2009).
 DICHROMATS = {
-    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
-    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "protanopia": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "deuteranopia": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
     "normal": np.eye(3),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", DICHROMATS)
@@ -51,8 +59,12 @@ def test_objects_and_reference_are_told_apart_with_any_colour_vision(name):
 
 def two_objects(volume):
     """A frame of two balls, each on a box of the image's grid, and a history for each."""
-    frames, history = viewing.run_frames(volume, volume.geometry.center_world(), levels=1, max_steps=8)
-    changed = [record._replace(potential=0.5 * record.potential, volume_mm3=9.0) for record in history]
+    frames, history = viewing.run_frames(
+        volume, volume.geometry.center_world(), levels=1, max_steps=8
+    )
+    changed = [
+        record._replace(potential=0.5 * record.potential, volume_mm3=9.0) for record in history
+    ]
     objects = []
     for number, middle, record in ((4, 11, history[-1]), (7, 31, changed[-1])):
         z, y, x = np.indices((16, 30, 20)).astype(np.float32)
@@ -98,7 +110,9 @@ def test_the_legend_can_be_read_in_either_theme(scene_of, theme):
     """Its text has the colour of all text; the colours that it names stand beside it."""
     volume, _ = viewing.ball_image()
     frame, histories = two_objects(volume)
-    scene = scene_of(volume, theme=theme, size=(960, 540), reference=volume.with_array(volume.array > 0))
+    scene = scene_of(
+        volume, theme=theme, size=(960, 540), reference=volume.with_array(volume.array > 0)
+    )
     scene.update(frame, histories)
     names = (*colors.OBJECT_COLORS[:2], colors.REFERENCE)
     for shown in (theme, "dark", "light"):
@@ -109,10 +123,14 @@ def test_the_legend_can_be_read_in_either_theme(scene_of, theme):
         texts = [prop for prop in scene.space.renderer.GetViewProps() if prop.IsA("vtkTextActor")]
         legend = [prop for prop in texts if prop.GetInput() in scene.legend]
         assert len(legend) == 3
-        assert all(prop.GetTextProperty().GetColor() == pytest.approx(ink, abs=1e-6) for prop in legend)
+        assert all(
+            prop.GetTextProperty().GetColor() == pytest.approx(ink, abs=1e-6) for prop in legend
+        )
     scene.update(Frame(frame.surfaces[:1]), histories[:1])
     corner = scene.screenshot()[:60, 300:480]
-    assert count(corner, names[1]) == 0 and count(corner, names[0]) > 40  # one object and the reference
+    assert (
+        count(corner, names[1]) == 0 and count(corner, names[0]) > 40
+    )  # one object and the reference
 
 
 def test_dice_of_several_objects_counts_them_all(scene_of):
@@ -143,8 +161,14 @@ def test_objects_without_a_quantity_keep_their_colour(scene_of, tmp_path):
     write_html(scene, tmp_path / "a.html")
     page = (tmp_path / "a.html").read_text()
     meshes = json.loads(re.search(r'application/json">(.*?)</script>', page).group(1))["meshes"]
-    assert ["colors" in mesh for mesh in meshes] == [False, True, False]  # the box, and both objects
-    assert meshes[2]["color"] == pytest.approx([int(second[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+    assert ["colors" in mesh for mesh in meshes] == [
+        False,
+        True,
+        False,
+    ]  # the box, and both objects
+    assert meshes[2]["color"] == pytest.approx(
+        [int(second[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    )
 
 
 # -- of a run -------------------------------------------------------------------------------------------------------
@@ -232,7 +256,9 @@ def test_the_preview_has_the_names_and_colours_that_were_given(named):
     assert has_chosen(picture[:460])
     unnamed = dataclasses.replace(content, labels=LabelTable())
     other = np.asarray(Image.open(BytesIO(preview.preview_png(unnamed))).convert("RGB"))
-    assert not has_chosen(other) and all(count(other, code) > 10 for code in colors.OBJECT_COLORS[:2])
+    assert not has_chosen(other) and all(
+        count(other, code) > 10 for code in colors.OBJECT_COLORS[:2]
+    )
     below = slice(560, 900), slice(960, None)  # the surface in 3D, which is shaded
     assert (picture[below] != other[below]).any()
 
@@ -255,18 +281,34 @@ def test_a_page_has_what_the_scene_shows(scene_of, tmp_path):
     frame, histories = two_objects(volume)
     scene = scene_of(volume)
     scene.update(frame, histories)
-    scene.restyle({4: ObjectStyle("a", "#112233", visible=False), 7: ObjectStyle("b", "#112233", opacity=0.4)})
+    scene.restyle(
+        {4: ObjectStyle("a", "#112233", visible=False), 7: ObjectStyle("b", "#112233", opacity=0.4)}
+    )
     write_html(scene, tmp_path / "a.html")
     page = (tmp_path / "a.html").read_text()
     _, surface = json.loads(re.search(r'application/json">(.*?)</script>', page).group(1))["meshes"]
-    assert surface["opacity"] == 0.4 and surface["color"] == pytest.approx([17 / 255, 34 / 255, 51 / 255])
+    assert surface["opacity"] == 0.4 and surface["color"] == pytest.approx(
+        [17 / 255, 34 / 255, 51 / 255]
+    )
 
 
 def test_a_movie_has_the_colours_that_were_given(files, tmp_path):
     image, starts = files
-    options = ["--objects", str(starts), "--threads", "1", "--max-steps", "20", "--theme", "light", "--quiet"]
+    options = [
+        "--objects",
+        str(starts),
+        "--threads",
+        "1",
+        "--max-steps",
+        "20",
+        "--theme",
+        "light",
+        "--quiet",
+    ]
     config, out = tmp_path / "run.toml", tmp_path / "last.png"
-    config.write_text(RunConfig(**NAMED).to_toml())  # --color is what a movie colours the surfaces by
+    config.write_text(
+        RunConfig(**NAMED).to_toml()
+    )  # --color is what a movie colours the surfaces by
     words = ["movie", str(image), "--preview", "-o", str(out), "--config", str(config), *options]
     assert cli.execute(words) == 0
     with Image.open(out) as opened:

@@ -39,7 +39,10 @@ def pressed():
 
 def inside_of(drag, volume_mm3):
     out = np.zeros(SHAPE, bool)
-    here = tuple(slice(first, first + n) for first, n in zip(drag.first[1:], drag.times.shape[1:], strict=True))
+    here = tuple(
+        slice(first, first + n)
+        for first, n in zip(drag.first[1:], drag.times.shape[1:], strict=True)
+    )
     for index in range(SHAPE[0]):
         plane = drag.plane(0, index, volume_mm3)
         if plane is not None:
@@ -53,7 +56,9 @@ def test_a_drag_shows_the_object_when_its_size_is_right(pressed):
     shown = inside_of(drag, 4 / 3 * np.pi * 1000)
     assert 2 * (shown & own).sum() / (shown.sum() + own.sum()) > 0.95
     for axis in (1, 2):  # the same voxels, in slices across the other axes
-        assert np.array_equal(drag.plane(axis, 18, 4189.0) < 0, np.take(inside_of(drag, 4189.0), 18, axis=axis))
+        assert np.array_equal(
+            drag.plane(axis, 18, 4189.0) < 0, np.take(inside_of(drag, 4189.0), 18, axis=axis)
+        )
 
 
 def test_a_farther_drag_is_a_larger_object_and_the_press_is_in_every_one(pressed):
@@ -81,7 +86,9 @@ def test_more_is_computed_when_a_drag_comes_near_the_end_of_what_is_known():
         for _ in range(4):
             found = dragging.at(12.0)
             session.wait(60)
-        assert found.volume_of(12.0) == pytest.approx(7238, rel=1e-3) and not found.is_near_end(12.0)
+        assert found.volume_of(12.0) == pytest.approx(7238, rel=1e-3) and not found.is_near_end(
+            12.0
+        )
         larger = inside_of(found, 4189.0)
         assert 2 * (larger & own).sum() / (larger.sum() + own.sum()) > 0.9
         # What was known before does not change.
@@ -94,12 +101,19 @@ def test_releasing_begins_the_run_that_the_same_settings_before_picture(tmp_path
         drag = session.press(PRESS).result()
         session.release(10.0).result()  # where it fits: the size counts
         settings = session.status.settings
-        assert settings.inside == (PRESS,) and settings.size == drag.size_text(10.0) and settings.energy == "seeded"
+        assert (
+            settings.inside == (PRESS,)
+            and settings.size == drag.size_text(10.0)
+            and settings.energy == "seeded"
+        )
         session.play()
         assert session.wait(120)
         session.save(tmp_path, ["run", "labels"]).result()
         session.undo().result()
-        assert session.status.settings.start == ("ball:5,5,5,2",) and session.status.settings.inside == ()
+        assert (
+            session.status.settings.start == ("ball:5,5,5,2",)
+            and session.status.settings.inside == ()
+        )
         with pytest.raises(UsageError, match="nothing was pressed"):
             session.release(10.0).result()
     config = RunConfig.from_toml(next(tmp_path.glob("*.toml")))
@@ -115,12 +129,19 @@ def test_letting_go_plays_the_run_to_its_end_and_is_one_change():
         session.release(10.0).result()
         assert session.wait(120)
         status = session.status
-        assert status.step > 0 and status.stop is not None and len(status.changes) == status.undoable == 1
+        assert (
+            status.step > 0
+            and status.stop is not None
+            and len(status.changes) == status.undoable == 1
+        )
         inside = look(session, lambda run: run.objects[0].surface.psi < 0).result()
         assert 2 * (inside & own).sum() / (inside.sum() + own.sum()) > 0.95
         session.undo().result()
         assert session.wait(60) and session.status.undoable == session.status.step == 0
-        assert session.status.settings.start == ("ball:5,5,5,2",) and session.status.settings.inside == ()
+        assert (
+            session.status.settings.start == ("ball:5,5,5,2",)
+            and session.status.settings.inside == ()
+        )
 
 
 def test_a_press_outside_or_of_several_objects_is_refused(tmp_path):
@@ -183,17 +204,26 @@ def test_while_a_size_is_dragged_the_slices_alone_are_drawn(pressed):
     scene = Scene(scan()[0], size=(640, 360))
     scene.tiles.smooth_edges(False)
     scene.cursor = (18.0, 18.0, 20.0)
-    slices = (slice(None), slice(320, None))  # the right half, with the chart in one of its quarters
+    slices = (
+        slice(None),
+        slice(320, None),
+    )  # the right half, with the chart in one of its quarters
     space = (slice(None), slice(None, 320))
     before = scene.screenshot()
     scene.mark_size(drag, 6.0)
     scene.space.renderer.camera.Azimuth(40)  # would change the picture in 3D, were it drawn
     first = scene.screenshot()
-    assert np.array_equal(first[space], before[space]) and not np.array_equal(first[slices], before[slices])
+    assert np.array_equal(first[space], before[space]) and not np.array_equal(
+        first[slices], before[slices]
+    )
     scene.mark_size(drag, 9.0)
     second = scene.screenshot()
-    assert np.array_equal(second[space], before[space]) and not np.array_equal(second[slices], first[slices])
-    scene.tiles.smooth_edges(True)  # while the button is held: a new picture, in which nothing may be missing
+    assert np.array_equal(second[space], before[space]) and not np.array_equal(
+        second[slices], first[slices]
+    )
+    scene.tiles.smooth_edges(
+        True
+    )  # while the button is held: a new picture, in which nothing may be missing
     scene.space.look_from("corner")
     assert (scene.screenshot()[space].std(axis=(0, 1)) > 0).all()
     scene.tiles.smooth_edges(False)

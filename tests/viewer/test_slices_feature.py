@@ -28,7 +28,9 @@ def test_grey_values_are_linear_between_the_ends_of_the_window():
     assert values[0] == -2000  # not changed
 
 
-@pytest.mark.parametrize("text", ["", "40", "40,0", "40,-3", "nan,3", "3,inf", "1,2,3", "Bone", "a,b"])
+@pytest.mark.parametrize(
+    "text", ["", "40", "40,0", "40,-3", "nan,3", "3,inf", "1,2,3", "Bone", "a,b"]
+)
 def test_what_is_no_window_is_refused_in_one_line(text):
     with pytest.raises(UsageError, match="expected auto, soft-tissue"):
         parse_window(text)
@@ -90,7 +92,10 @@ def part_of(picture, actions, tile):
     """The pixels of a tile."""
     height, width, _ = picture.shape
     left, bottom, right, top = actions.scene.tiles.renderer(tile).GetViewport()
-    return picture[round(height * (1 - top)) : round(height * (1 - bottom)), round(width * left) : round(width * right)]
+    return picture[
+        round(height * (1 - top)) : round(height * (1 - bottom)),
+        round(width * left) : round(width * right),
+    ]
 
 
 def test_a_drag_with_the_right_button_changes_grey_values_in_slices_alone(fresh):
@@ -99,7 +104,9 @@ def test_a_drag_with_the_right_button_changes_grey_values_in_slices_alone(fresh)
     fresh.request("press", x, y, 2)
     fresh.request("move", x + 0.05, y)
     wider = fresh.scene.window
-    assert wider.width == pytest.approx(window.width * np.exp(0.1)) and wider.level == pytest.approx(window.level)
+    assert wider.width == pytest.approx(
+        window.width * np.exp(0.1)
+    ) and wider.level == pytest.approx(window.level)
     fresh.request("move", x + 0.05, y - 0.1)
     fresh.request("release")
     assert fresh.scene.window.level == pytest.approx(window.level + 0.2 * wider.width)
@@ -114,14 +121,18 @@ def test_windows_have_names_and_numbers(fresh):
         fresh.request("window_named", name)
         assert fresh.scene.window == GreyWindow.of(*window) and fresh.state()["window_word"] == name
     fresh.request("window", "-600", 1500)
-    assert fresh.scene.window == GreyWindow.of(-600.0, 1500.0) and fresh.state()["window_word"] == ""
+    assert (
+        fresh.scene.window == GreyWindow.of(-600.0, 1500.0) and fresh.state()["window_word"] == ""
+    )
     for bad in ((1, 0), (1, -1), ("x", 1), (1e99, 1), (float("nan"), 1)):
         fresh.request("window", *bad)
         assert "was given" in fresh.message and fresh.scene.window == GreyWindow.of(-600.0, 1500.0)
     fresh.request("window_named", "auto")
     # Ball of 100 in 0: both are seen.
     # The start is in the ball; with a voxel of the outside around it both are seen.
-    assert fresh.scene.window.low <= 0 + 1 and fresh.scene.window.high >= 100 - 1 and not fresh.message
+    assert (
+        fresh.scene.window.low <= 0 + 1 and fresh.scene.window.high >= 100 - 1 and not fresh.message
+    )
 
 
 def test_the_wheel_goes_through_slices_and_zooms_with_ctrl_around_the_mouse(fresh):
@@ -139,14 +150,18 @@ def test_the_wheel_goes_through_slices_and_zooms_with_ctrl_around_the_mouse(fres
     fresh.request("press", x, y, 0, True)
     fresh.request("move", x + 0.02, y + 0.02)
     fresh.request("release")
-    assert np.allclose(fresh.scene.pick((x + 0.02) * 640, (1 - y - 0.02) * 360).world, at, atol=1e-6)
+    assert np.allclose(
+        fresh.scene.pick((x + 0.02) * 640, (1 - y - 0.02) * 360).world, at, atol=1e-6
+    )
     for _ in range(40):
         fresh.request("scroll", x, y, -100, True)
         fresh.request("press", x, y, 1)
         fresh.request("move", 1.0, 1.0)
         fresh.request("release")
     fresh.request("whole")
-    assert tile.mm_per_pixel() == pytest.approx(fresh.scene.slice_tiles["axial"].mm_per_pixel(), rel=0.5)
+    assert tile.mm_per_pixel() == pytest.approx(
+        fresh.scene.slice_tiles["axial"].mm_per_pixel(), rel=0.5
+    )
 
 
 def share_of_slices(scene):
@@ -154,12 +169,16 @@ def share_of_slices(scene):
     area = 0.0
     for tile in scene.slice_tiles.values():
         left, right, bottom, top = tile.stack.extent
-        sides = np.minimum(np.array([right - left, top - bottom]) / tile.mm_per_pixel(), tile.renderer.GetSize())
+        sides = np.minimum(
+            np.array([right - left, top - bottom]) / tile.mm_per_pixel(), tile.renderer.GetSize()
+        )
         area += float(np.prod(sides))
     return area / np.prod(scene.plotter.render_window.GetSize())
 
 
-@pytest.mark.parametrize("size", [(704, 656), (960, 600), (1600, 960), (2240, 1320), (3520, 2040), (456, 720)])
+@pytest.mark.parametrize(
+    "size", [(704, 656), (960, 600), (1600, 960), (2240, 1320), (3520, 2040), (456, 720)]
+)
 def test_slices_take_most_of_any_window_and_3d_waits_for_a_surface(fresh, size):
     new, scene = Actions(fresh.session, fresh.scene), fresh.scene
     frame = scene.frame
@@ -168,13 +187,20 @@ def test_slices_take_most_of_any_window_and_3d_waits_for_a_surface(fresh, size):
     scene.render()
     alone = share_of_slices(scene)
     assert not scene.tiles.shows_space and not scene.tiles.shows_chart
-    assert alone == max(alone, *(share_in(new, layout) for layout in ("one", "four", "slices"))) and alone > 0.5
+    assert (
+        alone == max(alone, *(share_in(new, layout) for layout in ("one", "four", "slices")))
+        and alone > 0.5
+    )
     new = Actions(fresh.session, scene)
     scene.frame = frame
     new.request("size", size[0] - 8, size[1])
     new.request("size", *size)
     scene.render()
-    assert scene.tiles.shows_space and not scene.tiles.shows_chart and 0.3 < share_of_slices(scene) < alone
+    assert (
+        scene.tiles.shows_space
+        and not scene.tiles.shows_chart
+        and 0.3 < share_of_slices(scene) < alone
+    )
     new.request("size", 640, 360)
 
 
@@ -191,7 +217,9 @@ def test_the_layout_follows_the_window_until_one_is_chosen(fresh):
         new.request("size", width, height)
         # The picture in 3D is seen whole in each, and no smaller than it must be.
         assert space.renderer.camera.parallel_scale == pytest.approx(space.fitted_scale())
-    assert tiles.large == "axial" and tiles.renderer("axial").GetViewport()[2] == 1.0  # above the others
+    assert (
+        tiles.large == "axial" and tiles.renderer("axial").GetViewport()[2] == 1.0
+    )  # above the others
     # What counts are pixels of a usual screen: this picture has as many of the device as the one before.
     new.request("size", 800, 600, 2.0)
     assert tiles.layout == "one" and tiles.renderer("axial").GetViewport()[2] == pytest.approx(0.6)
@@ -258,14 +286,21 @@ def test_the_read_out_says_place_voxel_value_and_label(fresh):
         assert said["voxel"] == f"{i}, {j}, {k}"
         assert float(said["value"]) == pytest.approx(scene.volume.array[k, j, i], rel=1e-5)
         assert np.allclose([float(v) for v in said["place"].split(",")], world, atol=0.06)
-        inside = np.linalg.norm(geometry.index_to_world([k, j, i]) - frame_center(frame, geometry)) < 6
+        inside = (
+            np.linalg.norm(geometry.index_to_world([k, j, i]) - frame_center(frame, geometry)) < 6
+        )
         assert said["label"] == (str(frame.surfaces[0].id) if inside else "0")
         assert said["as_point"] == f"point:{said['place'].replace(' ', '')}"
     fresh.request("copy_point")
     assert fresh.state()["copied"][1] == said["as_point"]
     fresh.request("key", "Ctrl+Shift+C")
-    assert fresh.state()["copied"] == (2, said["as_ball"]) or fresh.state()["copied"][1] == said["as_ball"]
-    RunConfig(start=said["as_ball"], inside=[said["as_point"]])  # what is copied is what settings take
+    assert (
+        fresh.state()["copied"] == (2, said["as_ball"])
+        or fresh.state()["copied"][1] == said["as_ball"]
+    )
+    RunConfig(
+        start=said["as_ball"], inside=[said["as_point"]]
+    )  # what is copied is what settings take
 
 
 def frame_center(frame, geometry):

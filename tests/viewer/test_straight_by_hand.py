@@ -14,7 +14,9 @@ from tests.viewer.test_desktop_controls import place_at, pressed
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 __all__ = ["screen"]
 
-TURNED = Rotation.from_euler("xyz", [10, -15, 18], degrees=True).as_matrix() @ np.diag([-1.0, -1.0, 1.0])
+TURNED = Rotation.from_euler("xyz", [10, -15, 18], degrees=True).as_matrix() @ np.diag(
+    [-1.0, -1.0, 1.0]
+)
 
 
 @pytest.fixture
@@ -24,9 +26,16 @@ def person(screen, tmp_path):
     empty = Volume.from_array(np.zeros(shape, np.float32), direction=TURNED)
     center = empty.geometry.center_world()
     where = empty.geometry.index_to_world(np.moveaxis(np.indices(shape), 0, -1))
-    image = 100.0 * (np.linalg.norm(where - center, axis=-1) < 14) + np.random.default_rng(0).normal(0, 8, shape)
+    image = 100.0 * (np.linalg.norm(where - center, axis=-1) < 14) + np.random.default_rng(
+        0
+    ).normal(0, 8, shape)
     io.write(empty.with_array(image.astype(np.float32)), tmp_path / "scan.nii.gz")
-    made = Person(screen, tmp_path / "scan.nii.gz", tmp_path, start="ball:" + ",".join(f"{v:g}" for v in (*center, 6)))
+    made = Person(
+        screen,
+        tmp_path / "scan.nii.gz",
+        tmp_path,
+        start="ball:" + ",".join(f"{v:g}" for v in (*center, 6)),
+    )
     yield made
     made.end()
 
@@ -36,7 +45,11 @@ def test_the_window_shows_an_oblique_scan_straight_and_paints_in_it(person):
     assert person.now()["state"]["straight"] and person.now()["state"]["is_oblique"]
     assert person.now()["hidden_width"] == 0, "the panels fit beside the picture"
     x, y = person.now()["tiles"]["axial"]
-    middle, right, up = place_at(person, x, y), place_at(person, x + 30, y), place_at(person, x, y - 30)
+    middle, right, up = (
+        place_at(person, x, y),
+        place_at(person, x + 30, y),
+        place_at(person, x, y - 30),
+    )
     assert right[0] > middle[0] + 1 and right[1:] == pytest.approx(middle[1:], abs=0.11)
     assert up[1] < middle[1] - 1 and up[[0, 2]] == pytest.approx(middle[[0, 2]], abs=0.11)
     # The key, and the box in the panel; along the voxels a way to the right is one along the grid's axis.
@@ -53,8 +66,14 @@ def test_the_window_shows_an_oblique_scan_straight_and_paints_in_it(person):
     person.drag((x - 8, y), (x + 8, y - 6), (x + 22, y - 12))
     now = person.until(lambda now: now["edits"] and now["edits"][-1]["inside"])
     (path,) = now["edits"][-1]["inside"]
-    places = np.array([[float(v) for v in part.split(",")] for part in path.removeprefix("path:").split(";")])
-    assert len(places) > 2 and np.ptp(places[:, 2]) < 1e-3 and places[0, 2] == pytest.approx(middle[2], abs=0.11)
+    places = np.array(
+        [[float(v) for v in part.split(",")] for part in path.removeprefix("path:").split(";")]
+    )
+    assert (
+        len(places) > 2
+        and np.ptp(places[:, 2]) < 1e-3
+        and places[0, 2] == pytest.approx(middle[2], abs=0.11)
+    )
     person.leave()
 
 
@@ -81,7 +100,9 @@ def test_the_page_shows_an_oblique_scan_straight(tmp_path):
             slider = browser.find_element("id", "slice-sagittal")
             count = int(slider.get_attribute("max"))
             browser.execute_script(
-                "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))", slider, count - 1
+                "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))",
+                slider,
+                count - 1,
             )
             until(lambda: state(served)["slices"]["sagittal"] == [count - 1, count])
     finally:

@@ -19,12 +19,18 @@ from accelsurf.viewer.scene.slices import DragLines, function_lines, surface_lin
 from tests.support import viewing
 from tests.support.viewing import settle
 
-TURNED = Rotation.from_euler("xyz", [9, -14, 20], degrees=True).as_matrix() @ np.diag([-1.0, -1.0, 1.0])
+TURNED = Rotation.from_euler("xyz", [9, -14, 20], degrees=True).as_matrix() @ np.diag(
+    [-1.0, -1.0, 1.0]
+)
 SHAPE, SPACING = (26, 44, 40), (1.8, 1.0, 1.1)
 RADIUS = 11.0
 SIZE = (900, 600)
 #: World axes to the right and up, with their signs, and across.
-HANGS = {"axial": ((0, 1), (1, -1), 2), "coronal": ((0, 1), (2, 1), 1), "sagittal": ((1, 1), (2, 1), 0)}
+HANGS = {
+    "axial": ((0, 1), (1, -1), 2),
+    "coronal": ((0, 1), (2, 1), 1),
+    "sagittal": ((1, 1), (2, 1), 0),
+}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -65,8 +71,10 @@ def pixel_of(scene, name, world):
 
 def test_only_oblique_scans_of_patients_begin_straight(scene_of):
     for direction, anatomical, straight, oblique in (
-        (TURNED, True, True, True), (TURNED, False, False, True), (np.diag([-1.0, -1.0, 1.0]), True, False, False),
-    ):  # fmt: skip
+        (TURNED, True, True, True),
+        (TURNED, False, False, True),
+        (np.diag([-1.0, -1.0, 1.0]), True, False, False),
+    ):
         scene = scene_of(scan(direction, anatomical)[0])
         assert (scene.is_straight, scene.is_oblique) == (straight, oblique)
         assert all(tile.stack.is_straight == straight for tile in scene.slice_tiles.values())
@@ -115,9 +123,16 @@ def test_the_picture_ends_where_the_image_ends(placed):
     for tile in scene.slice_tiles.values():
         left, bottom, right, top = tile.renderer.GetViewport()
         for part in np.random.default_rng(2).uniform(0.12, 0.85, (150, 2)):
-            x, y = SIZE[0] * (left + part[0] * (right - left)), SIZE[1] * (bottom + part[1] * (top - bottom))
-            agree.append((scene.pick(x, y).world is not None) == white[SIZE[1] - 1 - int(y), int(x)])
-    assert np.mean(agree) > 0.97 and len(agree) == 450  # the rest: letters, the cursor's lines, the rim
+            x, y = (
+                SIZE[0] * (left + part[0] * (right - left)),
+                SIZE[1] * (bottom + part[1] * (top - bottom)),
+            )
+            agree.append(
+                (scene.pick(x, y).world is not None) == white[SIZE[1] - 1 - int(y), int(x)]
+            )
+    assert (
+        np.mean(agree) > 0.97 and len(agree) == 450
+    )  # the rest: letters, the cursor's lines, the rim
 
 
 # ------------------------------------------------------------------------------------------------------- what is drawn
@@ -130,7 +145,12 @@ def exact_surface(volume, center):
     psi = np.linalg.norm(volume.geometry.index_to_world(index) - center, axis=-1) - RADIUS
     (surface,) = frames[-1].surfaces
     exact = dataclasses.replace(
-        surface, psi=psi.astype(np.float32), offset=(0, 0, 0), stride=1, corner=(0, 0, 0), shape=SHAPE
+        surface,
+        psi=psi.astype(np.float32),
+        offset=(0, 0, 0),
+        stride=1,
+        corner=(0, 0, 0),
+        shape=SHAPE,
     )
     return dataclasses.replace(frames[-1], surfaces=(exact,))
 
@@ -147,11 +167,15 @@ def test_the_contour_of_a_ball_is_its_circle(placed, name):
         lines = surface_lines(frame.surfaces[0], stack, number)
         circle = np.sqrt(RADIUS**2 - (stack.across(number) - center[across]) ** 2)
         away = np.linalg.norm(lines - [sign * center[right], turn * center[up]], axis=-1)
-        assert np.abs(away - circle).max() < 0.12 and len(lines) > 40  # linear between voxels of 1 to 1.8 mm
+        assert (
+            np.abs(away - circle).max() < 0.12 and len(lines) > 40
+        )  # linear between voxels of 1 to 1.8 mm
         # closed: at each end there are two segments, or four where it is at a pixel
         _, counts = np.unique(np.round(lines.reshape(-1, 2), 3), axis=0, return_counts=True)
         assert (counts % 2 == 0).all()
-    far = stack.nearest_number(scene.geometry.world_to_index(center + 1.5 * RADIUS * np.eye(3)[across]))
+    far = stack.nearest_number(
+        scene.geometry.world_to_index(center + 1.5 * RADIUS * np.eye(3)[across])
+    )
     assert len(surface_lines(frame.surfaces[0], stack, far)) == 0
 
 
@@ -168,7 +192,9 @@ def test_a_contour_ends_at_the_border_of_the_image(placed):
     known = ((index >= 0) & (index <= np.array(SHAPE) - 1)).all(axis=1)
     assert known.mean() > 0.9
     np.testing.assert_allclose(ends[known, 0], center[0], atol=1e-3)
-    middles = tile.stack.to_index(np.column_stack([lines.mean(axis=1), np.full(len(lines), tile.across)]))
+    middles = tile.stack.to_index(
+        np.column_stack([lines.mean(axis=1), np.full(len(lines), tile.across)])
+    )
     assert ((middles >= -0.5) & (middles <= np.array(SHAPE) - 0.5)).all()
     outline = tile.stack.outline(tile.across, (0, 0, 0), np.array(SHAPE) - 1)
     assert np.ptp(lines[..., 1]) > 0.7 * np.ptp(outline[:, 1])
@@ -179,8 +205,12 @@ def test_the_outline_of_a_size_is_that_of_its_values(placed):
     scene, center = placed
     scene.cursor = center
     index = np.moveaxis(np.indices(SHAPE), 0, -1)
-    times = np.linalg.norm(scene.geometry.index_to_world(index) - center, axis=-1).astype(np.float32)
-    drag = SizeDrag("ball:0,0,0,1", np.minimum(times / 14.0, 1.0), (0, 0, 0), scene.geometry.voxel_volume, 1e4)
+    times = np.linalg.norm(scene.geometry.index_to_world(index) - center, axis=-1).astype(
+        np.float32
+    )
+    drag = SizeDrag(
+        "ball:0,0,0,1", np.minimum(times / 14.0, 1.0), (0, 0, 0), scene.geometry.voxel_volume, 1e4
+    )
     for name, ((right, sign), (up, turn), across) in HANGS.items():
         tile = scene.slice_tiles[name]
         outline = DragLines()
@@ -198,7 +228,9 @@ def test_slices_in_3d_are_those_of_the_tiles(placed):
     scene.show_planes(True)
     for name, tile in scene.slice_tiles.items():
         mesh, grey = tile.in_space()
-        np.testing.assert_allclose(np.asarray(mesh.points)[:, HANGS[name][2]], tile.across, atol=1e-4)
+        np.testing.assert_allclose(
+            np.asarray(mesh.points)[:, HANGS[name][2]], tile.across, atol=1e-4
+        )
         assert grey.shape == tile.stack.size() and grey.max() > 200
     straight = scene.screenshot()
     scene.straighten(False)
@@ -213,7 +245,9 @@ def test_slices_in_3d_are_those_of_the_tiles(placed):
 @pytest.fixture
 def actions():
     volume, center = scan()
-    rough = volume.with_array(volume.array + np.random.default_rng(3).normal(0, 4, SHAPE).astype(np.float32))
+    rough = volume.with_array(
+        volume.array + np.random.default_rng(3).normal(0, 4, SHAPE).astype(np.float32)
+    )
     scene = Scene(rough, size=SIZE)
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
     with Session(rough, RunConfig(start=start, threads=1, max_steps=60), name="ball") as session:
@@ -229,7 +263,10 @@ def actions():
 
 
 def drag(actions, name, *worlds):
-    parts = [(x / SIZE[0], 1.0 - y / SIZE[1]) for x, y in (pixel_of(actions.scene, name, world) for world in worlds)]
+    parts = [
+        (x / SIZE[0], 1.0 - y / SIZE[1])
+        for x, y in (pixel_of(actions.scene, name, world) for world in worlds)
+    ]
     actions.request("press", *parts[0])
     for part in parts[1:]:
         actions.request("move", *part)
@@ -250,11 +287,16 @@ def test_a_stroke_marks_the_voxels_under_the_brush(actions, name):
     actions.request("tool", "inside")
     drag(actions, name, start, 0.5 * (start + end), end)
     strokes = scene.marks
-    drawn = {key: layer._sides > 0 for key, layer in zip(scene.slice_tiles, strokes._layers, strict=True)}
+    drawn = {
+        key: layer._sides > 0 for key, layer in zip(scene.slice_tiles, strokes._layers, strict=True)
+    }
     actions.request("release")
     settle(actions)
-    given = [text for edit in (*actions.session.status.edits, *actions.session.status.refinements)
-             for text in edit.inside or ()]  # fmt: skip
+    given = [
+        text
+        for edit in (*actions.session.status.edits, *actions.session.status.refinements)
+        for text in edit.inside or ()
+    ]
     assert len(given) == 1 and given[0].startswith("path:"), actions.message
     (click,) = read_clicks(tuple(given), "inside", scene.volume)
     named = np.zeros(SHAPE, bool)
@@ -272,7 +314,10 @@ def test_a_stroke_marks_the_voxels_under_the_brush(actions, name):
     stack = tile.stack
     left, _, bottom, _ = stack.extent
     rows, columns = np.nonzero(drawn[name])
-    places = np.array([left, bottom]) + (np.stack([columns, rows], axis=-1) + 0.5) * np.array(stack.pitch) / stack.fine
+    places = (
+        np.array([left, bottom])
+        + (np.stack([columns, rows], axis=-1) + 0.5) * np.array(stack.pitch) / stack.fine
+    )
     line = [np.array([sign * one[right], turn * one[up]]) for one in (start, end)]
     way = line[1] - line[0]
     share = np.clip((places - line[0]) @ way / (way @ way), 0.0, 1.0)
@@ -293,14 +338,18 @@ def test_the_read_out_is_of_the_voxel_under_the_mouse_and_can_be_copied(actions)
     voxel = np.rint(actions.scene.geometry.world_to_index(world)).astype(int)
     assert said["voxel"] == ", ".join(str(v) for v in voxel[::-1])
     assert float(said["value"]) == pytest.approx(actions.scene.volume.array[tuple(voxel)], rel=1e-5)
-    assert [float(v) for v in said["as_point"].removeprefix("point:").split(",")] == pytest.approx(world, abs=0.06)
+    assert [float(v) for v in said["as_point"].removeprefix("point:").split(",")] == pytest.approx(
+        world, abs=0.06
+    )
 
 
 def test_sliders_wheel_and_switch(actions):
     actions, center = actions
     scene, said = actions.scene, actions.state()
     assert said["straight"] and said["is_oblique"]
-    assert said["slices"] == {name: [tile.index + 1, tile.stack.count] for name, tile in scene.slice_tiles.items()}
+    assert said["slices"] == {
+        name: [tile.index + 1, tile.stack.count] for name, tile in scene.slice_tiles.items()
+    }
     for name, tile in scene.slice_tiles.items():
         for number in (1, tile.stack.count, tile.stack.count // 2):
             actions.request("slice", name, number)

@@ -54,7 +54,10 @@ def place_of(actions, tile, world):
         low, high = np.array(one.to_plane(0.0, 0.0)), np.array(one.to_plane(1.0, 1.0))
         share = (np.array([right, up]) - low) / (high - low)
         left, bottom, far, top = renderer.GetViewport()
-        x, y = width * (left + share[0] * (far - left)), height * (bottom + share[1] * (top - bottom))
+        x, y = (
+            width * (left + share[0] * (far - left)),
+            height * (bottom + share[1] * (top - bottom)),
+        )
     return x / width, 1.0 - y / height
 
 
@@ -71,7 +74,10 @@ def pixels(actions, color, tile="axial"):
     picture = actions.scene.screenshot().astype(float)
     height, width = picture.shape[:2]
     left, bottom, right, top = actions.scene.tiles.renderer(tile).GetViewport()
-    part = picture[round(height * (1 - top)) : round(height * (1 - bottom)), round(width * left) : round(width * right)]
+    part = picture[
+        round(height * (1 - top)) : round(height * (1 - bottom)),
+        round(width * left) : round(width * right),
+    ]
     red, green, blue = (part[..., channel] for channel in range(3))
     if color == INSIDE:
         return int(((green > red + 40) & (green > blue + 15)).sum())
@@ -79,7 +85,8 @@ def pixels(actions, color, tile="axial"):
 
 
 @pytest.mark.parametrize(
-    ("tool", "color"), [("inside", INSIDE), ("outside", OUTSIDE), ("grow", INSIDE), ("shrink", OUTSIDE)]
+    ("tool", "color"),
+    [("inside", INSIDE), ("outside", OUTSIDE), ("grow", INSIDE), ("shrink", OUTSIDE)],
 )
 def test_a_stroke_is_drawn_as_it_is_painted_and_until_the_surface_obeys(actions, tool, color):
     actions.request("cursor", 9.0, 8.0, 9.0)
@@ -254,7 +261,8 @@ def test_in_one_slice_too(scene_of):
 def test_the_settings_of_a_painted_session_make_the_same_bytes(actions, image, tmp_path):
     actions.request("radius", 1.5)
     for tool, worlds in (
-        ("inside", [(23.0, 8.0, 9.0), (27.0, 8.0, 9.0)]), ("outside", [(15.0, 4.0, 9.0), (18.0, 12.0, 9.0)]),
+        ("inside", [(23.0, 8.0, 9.0), (27.0, 8.0, 9.0)]),
+        ("outside", [(15.0, 4.0, 9.0), (18.0, 12.0, 9.0)]),
         ("inside", [(20.0, 8.0, 9.0)]),
     ):
         actions.request("cursor", *worlds[0])
@@ -270,7 +278,9 @@ def test_the_settings_of_a_painted_session_make_the_same_bytes(actions, image, t
 
 def test_the_history_leads_back_and_grey_lines_forward(actions):
     for text in ("ball:25,8,9,1.5", "point:9,8,16.5"):
-        actions.session.add_click("inside" if text.startswith("ball") else "outside", text).result(60)
+        actions.session.add_click("inside" if text.startswith("ball") else "outside", text).result(
+            60
+        )
     state = actions.state()
     assert [(one["number"], one["done"]) for one in state["changes"]] == [(1, True), (2, True)]
     actions.request("change", 0)

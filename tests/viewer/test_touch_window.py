@@ -57,8 +57,11 @@ def test_fingers_become_requests():
     first, second = asked[0][3], asked[1][3]  # Qt's own numbers of the fingers
     assert first != second
     assert asked == [
-        ["touch_down", 0.1, 0.2, first, True], ["touch_down", 0.5, 0.5, second, False],
-        ["touch_move", 0.2, 0.2, first], ["touch_move", 0.6, 0.5, second], ["touch_up", first],
+        ["touch_down", 0.1, 0.2, first, True],
+        ["touch_down", 0.5, 0.5, second, False],
+        ["touch_move", 0.2, 0.2, first],
+        ["touch_move", 0.6, 0.5, second],
+        ["touch_up", first],
         ["touch_up", second],
     ]
     assert size == [101, 51]  # from which the layout follows

@@ -40,13 +40,19 @@ def test_each_slider_resolves_hundredths_of_what_it_shows(finest, of_file):
 
 def test_lengths_and_areas_are_in_the_unit_of_the_file_and_nothing_else_is():
     in_mm, in_um = sliders(FINE), sliders(FINE, "um", RunConfig(smoothness=0.0012))
-    assert in_um["smoothness"]["unit"] == "um" and in_um["diffusion"]["unit"] == "um2 per unit of flow time"
+    assert (
+        in_um["smoothness"]["unit"] == "um"
+        and in_um["diffusion"]["unit"] == "um2 per unit of flow time"
+    )
     assert in_um["smoothness"]["high"] == pytest.approx(1000.0 * in_mm["smoothness"]["high"])
     assert in_um["diffusion"]["high"] == pytest.approx(1e6 * in_mm["diffusion"]["high"])
     assert in_um["smoothness"]["value"] == 1.2 and in_um["smoothness"]["tick"] > 600
     for key in ("cfl", "friction"):
         assert in_um[key] == in_mm[key]
-    rows = {row["key"]: row for row in settings_rows(RunConfig(presmooth=0.001, max_volume=1e-6), (), FINE, "um")}
+    rows = {
+        row["key"]: row
+        for row in settings_rows(RunConfig(presmooth=0.001, max_volume=1e-6), (), FINE, "um")
+    }
     assert (rows["presmooth"]["value"], rows["presmooth"]["unit"]) == ("1", "um")
     assert (rows["max_volume"]["value"], rows["max_volume"]["unit"]) == ("1000", "um3")
     assert rows["roi"]["unit"] == rows["box"]["unit"] == "mm"  # six numbers, as options take them
@@ -61,10 +67,14 @@ def actions():
     volume.metadata[UNIT_KEY] = "um"
     center = volume.geometry.center_world()
     where = volume.geometry.index_to_world(np.stack(np.indices(volume.array.shape), axis=-1))
-    volume = volume.with_array(100 * (np.linalg.norm(where - center, axis=-1) < 7 * FINE).astype(np.float32))
+    volume = volume.with_array(
+        100 * (np.linalg.norm(where - center, axis=-1) < 7 * FINE).astype(np.float32)
+    )
     start = "ball:" + ",".join(f"{part:.9g}" for part in (*center, 3 * FINE))
     scene = Scene(volume, size=(480, 272))
-    with Session(volume, RunConfig(start=start, threads=1, max_steps=30, levels=1), name="cell") as session:
+    with Session(
+        volume, RunConfig(start=start, threads=1, max_steps=30, levels=1), name="cell"
+    ) as session:
         session.ready.result(60)
         yield Actions(session, scene)
     scene.close()
@@ -109,8 +119,12 @@ def test_the_radius_is_set_in_micrometres_and_copied_in_mm(actions):
 
 def test_the_page_reads_unit_and_digits_from_the_rows():
     tools = page_text("tools.html")
-    assert "radius_row.unit" in tools and "toFixed(radius_row.digits)" in tools and ", mm" not in tools
-    assert "row.unit" in page_text("settings.html") and "toFixed(row.digits)" in page_text("settings.html")
+    assert (
+        "radius_row.unit" in tools and "toFixed(radius_row.digits)" in tools and ", mm" not in tools
+    )
+    assert "row.unit" in page_text("settings.html") and "toFixed(row.digits)" in page_text(
+        "settings.html"
+    )
 
 
 WINDOW = """
@@ -132,7 +146,9 @@ def test_the_slider_of_the_window_gives_small_numbers():
     """Voxels of 0.5 um in a file in mm: 0.001 is not shown as 0, and half of the slider is a quarter of its range."""
     pytest.importorskip("PySide6")
     env = {**os.environ, "QT_QPA_PLATFORM": "offscreen", "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run([sys.executable, "-c", WINDOW], env=env, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", WINDOW], env=env, capture_output=True, text=True, timeout=120
+    )
     assert done.returncode == 0, done.stderr
     shown, emitted = map(float, done.stdout.split())
     assert shown == 0.001 and emitted == pytest.approx(0.00619, rel=0.01)

@@ -24,7 +24,9 @@ def stack(tmp_path: Path) -> Path:
     """A disc that travels, as the slices of a TIFF that does not name its axis."""
     y, x = np.indices((20, 32)).astype(float)
     discs = [np.clip(5.5 - np.hypot(x - 9 - 2 * n, y - 10), 0, 1) for n in range(FRAMES)]
-    tifffile.imwrite(tmp_path / "disc.tif", (100 * np.stack(discs)).astype(np.float32), photometric="minisblack")
+    tifffile.imwrite(
+        tmp_path / "disc.tif", (100 * np.stack(discs)).astype(np.float32), photometric="minisblack"
+    )
     return tmp_path / "disc.tif"
 
 
@@ -43,9 +45,18 @@ def seen(monkeypatch) -> list[dict]:
         begun = actions.state()["frame"]
         for number in range(actions.state()["frames"]):
             actions.request("frame", number)
-            drawn = [one.id for one in scene.frame.surfaces] if first.frames.tracks is not None else []
+            drawn = (
+                [one.id for one in scene.frame.surfaces] if first.frames.tracks is not None else []
+            )
             state = actions.state()
-            found.append({"words": state["frame_words"], "lines": state["frame_lines"], "ids": drawn, "begun": begun})
+            found.append(
+                {
+                    "words": state["frame_words"],
+                    "lines": state["frame_lines"],
+                    "ids": drawn,
+                    "begun": begun,
+                }
+            )
         scene.close()
 
     monkeypatch.setattr(
@@ -63,9 +74,20 @@ def track(stack: Path, out: Path, *options: str) -> int:
 def test_a_tracking_is_opened_on_its_sequence(stack: Path, tmp_path: Path, seen) -> None:
     out = tmp_path / "out"
     assert track(stack, out, "--also", "surfaces", "--frame", "1", "--direction", "both") == 0
-    words = ("view", str(stack), "--tracks", str(out), "--frames-from-slices", "--frame-time", "0.5", "--no-recent")
+    words = (
+        "view",
+        str(stack),
+        "--tracks",
+        str(out),
+        "--frames-from-slices",
+        "--frame-time",
+        "0.5",
+        "--no-recent",
+    )
     assert cli.execute(list(words)) == 0
-    assert [one["words"] for one in seen] == [f"frame {n} of 0 to 2, {0.5 * n:.4g} s" for n in range(FRAMES)]
+    assert [one["words"] for one in seen] == [
+        f"frame {n} of 0 to 2, {0.5 * n:.4g} s" for n in range(FRAMES)
+    ]
     assert [one["ids"] for one in seen] == [[1]] * FRAMES
     assert "predicted" in seen[0]["lines"]
 
@@ -81,10 +103,15 @@ def test_slices_are_frames_without_tracks_too(stack: Path, seen) -> None:
         (("--frame-time", "2"), "frame_time: it was given without a sequence"),
         (("--frames-from-slices",), "frames_from_slices: it was given without a sequence"),
         (("IMAGE", "--frame-time", "2"), "frame_time: it was given for a single image"),
-        (("IMAGE", "--frame-time", "-1"), "frame_time: -1 was given, expected a number greater than 0"),
+        (
+            ("IMAGE", "--frame-time", "-1"),
+            "frame_time: -1 was given, expected a number greater than 0",
+        ),
     ],
 )
-def test_times_without_frames_are_refused(words, message, stack: Path, tmp_path: Path, seen, capsys) -> None:
+def test_times_without_frames_are_refused(
+    words, message, stack: Path, tmp_path: Path, seen, capsys
+) -> None:
     io.write(Volume.from_array(np.zeros((4, 5, 6), np.float32)), tmp_path / "a.nii")
     given = [str(tmp_path / "a.nii") if word == "IMAGE" else word for word in words]
     assert cli.execute(["view", *given, "--no-recent"]) == 2

@@ -10,7 +10,9 @@ from accelsurf.viewer.page.page import PANELS as page_panels
 from accelsurf.viewer.page.page import document, page_text
 from tests.support.offscreen import lines_of
 
-pytestmark = pytest.mark.skipif(importlib.util.find_spec("PySide6") is None, reason="PySide6 is not installed")
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("PySide6") is None, reason="PySide6 is not installed"
+)
 
 #: Qt without a screen, in a process of its own.
 MESSAGE = """
@@ -120,17 +122,25 @@ def test_window_and_page_have_the_same_panels_tools_and_buttons_in_the_same_orde
     titles, changes, tools, chosen, tip, bar, unbegun, shown, hidden, folded = lines_of(PANELS)
     assert tools.split()[:4] == ["Size", "Inside", "Outside", "Look"] and chosen == "Size"
     assert tip == Size.tip and len(tip) < 80
-    assert unbegun == "False False False" and folded == "['Expert']"  # nothing to run, to save, or to be judged
+    assert (
+        unbegun == "False False False" and folded == "['Expert']"
+    )  # nothing to run, to save, or to be judged
     assert (shown, hidden) == ("True []", "False []")
     page = {name: page_text(f"{name}.html") for name in (*page_panels, "canvas")}
-    summaries = [found for name in page_panels for found in re.findall(r"<summary>([A-Za-z ]+)</summary>", page[name])]
+    summaries = [
+        found
+        for name in page_panels
+        for found in re.findall(r"<summary>([A-Za-z ]+)</summary>", page[name])
+    ]
     assert summaries[: len(titles.split())] == titles.split()
     buttons = re.findall(r">(Undo|Redo|Save)</button>", page["head"])
     assert buttons == changes.split()[:3]
     found = re.findall(r">(Restart|Back|\{\{ playing .*?\}\}|Step)</button>", page["canvas"])
     assert [found[0], found[1], found[3]] == ["Restart", "Back", "Step"] and "Run" in found[2]
     assert bar == "Restart Back Run Step"
-    assert document(page_panels).index("<main>") < document(page_panels).index('aria-label="panels"')
+    assert document(page_panels).index("<main>") < document(page_panels).index(
+        'aria-label="panels"'
+    )
 
 
 def test_the_wheel_changes_a_number_only_after_it_was_clicked():

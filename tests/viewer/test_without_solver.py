@@ -15,10 +15,19 @@ from tests.viewer.test_desktop import ROOT, needs_screen, screen  # noqa: F401
 
 #: What a run needs and a picture of an image does not.
 SOLVER = (
-    "numba", "llvmlite", "skimage", "scipy.ndimage", "accelsurf.kernels._jit", "accelsurf.levelset",
-    "accelsurf.energies", "accelsurf.flows", "accelsurf.evolution.loop", "accelsurf.run.run",
-    "accelsurf.run.ensemble", "accelsurf.correct.refiner",
-)  # fmt: skip
+    "numba",
+    "llvmlite",
+    "skimage",
+    "scipy.ndimage",
+    "accelsurf.kernels._jit",
+    "accelsurf.levelset",
+    "accelsurf.energies",
+    "accelsurf.flows",
+    "accelsurf.evolution.loop",
+    "accelsurf.run.run",
+    "accelsurf.run.ensemble",
+    "accelsurf.correct.refiner",
+)
 
 NOTE = f"""
 import json, sys
@@ -27,7 +36,9 @@ def note(about):
 """
 
 #: Reads an image, draws it, prepares its run, and asks for what a session does with it; says what is loaded by then.
-DRAWN = NOTE + """
+DRAWN = (
+    NOTE
+    + """
 from pathlib import Path
 from accelsurf.cli.view import FirstImage
 from accelsurf.cli.view import _load
@@ -57,9 +68,12 @@ print(json.dumps(["later", sorted({name for name in sys.modules if name.startswi
 session.close()
 scene.close()
 """
+)
 
 #: The command itself, which ends when its run is prepared.
-COMMAND = NOTE + """
+COMMAND = (
+    NOTE
+    + """
 from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QApplication
 from accelsurf.cli import execute
@@ -79,6 +93,7 @@ code = execute(["view", sys.argv[1], "--threads", "1", "--no-recent"])
 note("prepared")
 sys.exit(code)
 """
+)
 
 
 @pytest.fixture
@@ -92,8 +107,12 @@ def ball(tmp_path):
 def said(program, ball, **environment):
     """What a program noted, in order."""
     ended = subprocess.run(
-        [sys.executable, "-c", program, str(ball)], env={**os.environ, **environment}, cwd=ROOT, capture_output=True,
-        text=True, timeout=240,
+        [sys.executable, "-c", program, str(ball)],
+        env={**os.environ, **environment},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=240,
     )
     assert ended.returncode == 0, ended.stderr
     return dict(json.loads(line) for line in ended.stdout.splitlines())

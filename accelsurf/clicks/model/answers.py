@@ -15,7 +15,16 @@ from skimage.morphology import reconstruction
 from accelsurf.clicks.model.features import CUT, SMOOTHING, at_bins, likelihood_ratio
 from accelsurf.clicks.model.fronts import MIN_RANGE, MIN_VOXELS, robust
 from accelsurf.clicks.model.windows import Floats, Mask, Window
-from accelsurf.grid.boxes import Box, bounding_box, connected_to, corner_of, on_box, placed_at, widened, with_halo
+from accelsurf.grid.boxes import (
+    Box,
+    bounding_box,
+    connected_to,
+    corner_of,
+    on_box,
+    placed_at,
+    widened,
+    with_halo,
+)
 
 #: A block is object from this probability on.
 FROM = 0.47
@@ -101,7 +110,9 @@ class Levels:
         volumes = [self.volume(level) for level in LEVELS]
         parts = [
             (before / max(after, self.window.block_mm3), level, volume)
-            for before, level, volume, after in zip(volumes, LEVELS[1:], volumes[1:], volumes[2:], strict=False)
+            for before, level, volume, after in zip(
+                volumes, LEVELS[1:], volumes[1:], volumes[2:], strict=False
+            )
             if 0.0 < volume <= PART * likeliest
         ]
         part = [Answer(*min(parts)[1:], OF_PART)] if parts else []
@@ -158,7 +169,9 @@ def grown(window: Window, box: Box, inside: Mask) -> Alike:
 def _learned(window: Window, box: Box, inside: Mask) -> tuple[float, float, Floats]:
     """Median and spread of the values in an answer, and the ratio of densities at bins of values in spreads."""
     scene, step = window.scene, window.scene.step
-    deep = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=scene.spacing)[1:-1, 1:-1, 1:-1]
+    deep = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=scene.spacing)[
+        1:-1, 1:-1, 1:-1
+    ]
     core = inside & (deep > 1.01 * step)
     if np.count_nonzero(core) < MIN_VOXELS:
         core = inside
@@ -182,7 +195,9 @@ def _smoothed(window: Window, box: Box) -> Floats:
     def smooth(part: Box) -> Floats:
         if scene.part is not None:
             scene.part.check_box(part)
-        return np.asarray(ndimage.gaussian_filter(window.image_on(part), sigma, truncate=REACH), np.float32)
+        return np.asarray(
+            ndimage.gaussian_filter(window.image_on(part), sigma, truncate=REACH), np.float32
+        )
 
     return with_halo(smooth, box, scene.shape, [int(REACH * s + 0.5) for s in sigma])
 

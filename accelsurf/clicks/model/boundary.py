@@ -34,7 +34,12 @@ MAX_BALANCE, MAX_CONTRAST = 3.0, 30.0
 
 
 def features_near(
-    image: Floats, spacing: Sequence[float], field: Floats, inside: Mask, steps: Sequence[int], near: Mask | None = None
+    image: Floats,
+    spacing: Sequence[float],
+    field: Floats,
+    inside: Mask,
+    steps: Sequence[int],
+    near: Mask | None = None,
 ) -> tuple[dict[str, NDArray[np.floating]], NDArray[np.int64]]:
     """Features of the voxels near a boundary, and which voxels those are, as flat indices.
 
@@ -59,26 +64,39 @@ def features_near(
     distance = np.full(inside.shape, np.float32(np.inf))
     if (found := bounding_box(inside)) is not None:  # farther away no distance is looked at
         box = widened(found, inside.shape, [math.ceil(reach / h) + 1 for h in mm])
-        within, beyond = (ndimage.distance_transform_edt(part, sampling=mm) for part in (inside[box], ~inside[box]))
+        within, beyond = (
+            ndimage.distance_transform_edt(part, sampling=mm)
+            for part in (inside[box], ~inside[box])
+        )
         distance[box] = beyond - within  # from voxel to voxel: half a step off on either side
     band = np.abs(distance) <= reach
     where = np.flatnonzero(band if near is None else band & near)
     counted = np.where(np.abs(distance) <= MIXED * finest, np.float32(LITTLE), np.float32(1.0))
     blocks, sides = [int(n) for n in steps], []
     for part in (counted * inside, counted * ~inside):
-        sums = [_around(block_means(values, blocks)) for values in (part, part * image, part * image * image)]
+        sums = [
+            _around(block_means(values, blocks))
+            for values in (part, part * image, part * image * image)
+        ]
         weight = np.maximum(sums[0], 1e-6)
         sides.append([_at(part_sum / weight, blocks, where, image.shape) for part_sum in sums[1:]])
     (mean_in, square_in), (mean_out, square_out) = sides
-    variance = 0.5 * (np.maximum(square_in - mean_in**2, 0.0) + np.maximum(square_out - mean_out**2, 0.0))
+    variance = 0.5 * (
+        np.maximum(square_in - mean_in**2, 0.0) + np.maximum(square_out - mean_out**2, 0.0)
+    )
     spread = np.sqrt(variance) + max(MIN_RANGE * float(np.ptp(image)), 1e-9)
     half = 0.5 * (mean_out - mean_in)
     least = np.maximum(np.abs(half), 0.05 * spread) * np.where(half < 0, -1.0, 1.0)
     middle, smooth = 0.5 * (mean_in + mean_out), gaussian_mm(image, spacing, SMOOTHING * finest)
     contrast = np.log(np.clip(2.0 * np.abs(half) / spread, 1.0 / MAX_CONTRAST, MAX_CONTRAST))
-    features: dict[str, NDArray[np.floating]] = {"contrast": contrast, "blocks": np.array(np.log2(width / finest))}
+    features: dict[str, NDArray[np.floating]] = {
+        "contrast": contrast,
+        "blocks": np.array(np.log2(width / finest)),
+    }
     for name, values in (("value", image), ("smooth value", smooth)):
-        features[name] = np.clip((values.ravel()[where] - middle) / least, -MAX_BALANCE, MAX_BALANCE)
+        features[name] = np.clip(
+            (values.ravel()[where] - middle) / least, -MAX_BALANCE, MAX_BALANCE
+        )
         features[f"{name} by contrast"] = features[name] * np.minimum(np.exp(contrast), 8.0)
     features["field"] = field.ravel()[where]
     features["distance"] = distance.ravel()[where] / width
@@ -86,7 +104,12 @@ def features_near(
 
 
 def at_boundary(
-    network: Network, image: Floats, spacing: Sequence[float], field: Floats, inside: Mask, steps: Sequence[int],
+    network: Network,
+    image: Floats,
+    spacing: Sequence[float],
+    field: Floats,
+    inside: Mask,
+    steps: Sequence[int],
     near: Mask | None = None,
 ) -> Floats:
     """Return 1 - 2 p of the probability p that a voxel is inside near a boundary with contrast, the field elsewhere.
@@ -106,7 +129,10 @@ def _around(blocks: Floats) -> Floats:
 
 
 def _at(
-    blocks: NDArray[np.floating], steps: Sequence[int], where: NDArray[np.int64], shape: Sequence[int]
+    blocks: NDArray[np.floating],
+    steps: Sequence[int],
+    where: NDArray[np.int64],
+    shape: Sequence[int],
 ) -> NDArray[np.floating]:
     """Values of blocks at voxels, linear between their middles."""
     index = np.unravel_index(where, shape)

@@ -57,4 +57,12 @@ def confidence_of(model: ClickModel) -> Confidence | None:
     both = smaller + int(np.count_nonzero(connected_to(model.field < LEVEL, clicked)))
     overlap = 2.0 * smaller / both if both else 0.0
     surprise = float(np.mean(model.surprises)) if model.surprises else None
-    return Confidence(overlap, model.spread, model.correction, model.unchanged, model.taken, surprise, model.answers)
+    return Confidence(
+        overlap,
+        model.spread,
+        model.correction,
+        model.unchanged,
+        model.taken,
+        surprise,
+        model.answers,
+    )

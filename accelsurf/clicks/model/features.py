@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.morphology import reconstruction
 
-from accelsurf.clicks.model.fronts import COST, CROSS, EDGE, MIN_RANGE, MIN_SPREAD, enough, gradient, robust, times_from
+from accelsurf.clicks.model.fronts import (
+    COST,
+    CROSS,
+    EDGE,
+    MIN_RANGE,
+    MIN_SPREAD,
+    enough,
+    gradient,
+    robust,
+    times_from,
+)
 from accelsurf.clicks.model.windows import DEEPER, Floats, Mask, Seed, Window
 from accelsurf.image.blocks import block_means
 from accelsurf.kernels.arrival import Tissue, shortest_paths
@@ -49,8 +59,12 @@ class Looks:
         steepness = gradient(self.values, (1.0, 1.0, 1.0))
         sample = enough(window.mine)
         self.median, spread = robust(self.values[sample])
-        self.noise = float(np.median(steepness[ndimage.binary_dilation(sample, CROSS, iterations=2)]))
-        self.spread = max(spread, MIN_SPREAD * self.noise, MIN_RANGE * float(np.ptp(window.values)), 1e-9)
+        self.noise = float(
+            np.median(steepness[ndimage.binary_dilation(sample, CROSS, iterations=2)])
+        )
+        self.spread = max(
+            spread, MIN_SPREAD * self.noise, MIN_RANGE * float(np.ptp(window.values)), 1e-9
+        )
         self.z = np.clip((self.values - self.median) / self.spread, -CUT, CUT).astype(np.float32)
         self.gradient = (steepness / self.spread).astype(np.float32)
         self.relative = window.size / window.step
@@ -118,15 +132,21 @@ def features_of_first(window: Window) -> Features:
         start = np.where(mine, cost, cost.max())
         barrier = reconstruction(start, cost, "erosion").astype(np.float32)
         out[f"{name} barrier"] = barrier
-        out[f"{name} barrier volume"] = _volume(_ranks(_sorted(barrier + 1e-6 * distance), z.shape), window)
-    out["ray difference"], out["ray gradient"] = _rays((np.abs(wide), edges), window.place_of(window.seed)[0])
+        out[f"{name} barrier volume"] = _volume(
+            _ranks(_sorted(barrier + 1e-6 * distance), z.shape), window
+        )
+    out["ray difference"], out["ray gradient"] = _rays(
+        (np.abs(wide), edges), window.place_of(window.seed)[0]
+    )
     beyond = (front > np.quantile(front, 0.5)) | theirs
     out["likelihood"] = _likelihood(z, ndimage.binary_dilation(mine, CROSS), beyond)
     out["wide likelihood"] = ndimage.gaussian_filter(out["likelihood"], WIDE)
     if theirs.any():
         median, spread = robust(looks.values[enough(theirs)])
         far = (
-            looks.arrival(theirs, median, max(spread, MIN_RANGE * float(np.ptp(looks.values)), 1e-9)),
+            looks.arrival(
+                theirs, median, max(spread, MIN_RANGE * float(np.ptp(looks.values)), 1e-9)
+            ),
             looks.paths(theirs),
         )
         out["front balance"] = (front - far[0]) / (front + far[0] + 1e-6)
@@ -135,7 +155,9 @@ def features_of_first(window: Window) -> Features:
     return out
 
 
-def features_of_later(window: Window, before: Mask, number: int, count: int) -> tuple[Features, Mask]:
+def features_of_later(
+    window: Window, before: Mask, number: int, count: int
+) -> tuple[Features, Mask]:
     """Features for what a later click changes, and the blocks that are on its side already.
 
     Parameters
@@ -148,13 +170,19 @@ def features_of_later(window: Window, before: Mask, number: int, count: int) -> 
     count : int
         Number of voxels of the labels, those beyond the window too.
     """
-    out, inside, radius = features_of_first(window), window.seed.click.side == "inside", window.radius
+    out, inside, radius = (
+        features_of_first(window),
+        window.seed.click.side == "inside",
+        window.radius,
+    )
     share = block_means(before.astype(np.float32), window.steps.tolist())
     share = share if inside else 1.0 - share
     side, z = share >= 0.5, out["value"]
     signed = np.full(share.shape, FAR if side.all() else -FAR)
     if side.any() and not side.all():
-        inner, outer = (ndimage.distance_transform_edt(part, sampling=window.size) for part in (side, ~side))
+        inner, outer = (
+            ndimage.distance_transform_edt(part, sampling=window.size) for part in (side, ~side)
+        )
         signed = np.clip((inner - outer) / radius, -8.0, 8.0)
     beyond = ~side & (out["distance"] > 1.3)
     out |= {
@@ -162,7 +190,9 @@ def features_of_later(window: Window, before: Mask, number: int, count: int) -> 
         "distance inside": signed,
         "click against beyond": _likelihood(z, ndimage.binary_dilation(window.mine, CROSS), beyond),
         "side against beyond": _likelihood(z, side, beyond) if side.any() else np.zeros_like(z),
-        "distance to friends": _nearest(window, window.friends) if window.friends else np.array(5.0),
+        "distance to friends": _nearest(window, window.friends)
+        if window.friends
+        else np.array(5.0),
         "number": np.array(min(number, 6.0)),
         "side": np.array(float(inside)),
         "size": _volume(np.array(max(count, 1e-9) / np.prod(window.steps)), window),
@@ -194,26 +224,44 @@ def _ranks(order: NDArray[np.int64], shape: Sequence[int]) -> Floats:
 def _levels(name: str, times: Floats, order: NDArray[np.int64], looks: Looks) -> Features:
     """Slowness of the front where a block arrives, what differs beyond it, edges along it; volume to the likeliest."""
     first, count = int(np.count_nonzero(looks.window.mine)), len(order)
-    sizes = np.unique(np.geomspace(min(max(first, 8), 0.9 * count), 0.95 * count, 60).astype(np.int64))
+    sizes = np.unique(
+        np.geomspace(min(max(first, 8), 0.9 * count), 0.95 * count, 60).astype(np.int64)
+    )
     arrived = np.maximum(times.ravel()[order], 1e-9)
-    up, down = np.minimum((sizes * 1.25).astype(int) + 1, count) - 1, np.maximum((sizes / 1.25).astype(int), 1) - 1
+    up, down = (
+        np.minimum((sizes * 1.25).astype(int) + 1, count) - 1,
+        np.maximum((sizes / 1.25).astype(int), 1) - 1,
+    )
     slow = np.log(arrived[up] / arrived[down] + 1e-9) / np.log((up + 1) / (down + 1))
     values = looks.values.ravel()[order].astype(np.float64)
     total, squares = (np.concatenate(([0.0], np.cumsum(v))) for v in (values, values * values))
     next_ = np.minimum((sizes * 1.3).astype(int) + 2, count)
     inner, shell = total[sizes] / sizes, (total[next_] - total[sizes]) / (next_ - sizes)
-    variance = squares[sizes] / sizes - inner**2 + (squares[next_] - squares[sizes]) / (next_ - sizes) - shell**2
+    variance = (
+        squares[sizes] / sizes
+        - inner**2
+        + (squares[next_] - squares[sizes]) / (next_ - sizes)
+        - shell**2
+    )
     contrast = np.abs(shell - inner) / np.sqrt(np.maximum(variance, 1e-9))
     edges = np.concatenate(([0.0], np.cumsum(looks.gradient.ravel()[order])))
     low, high = (sizes / 1.1).astype(int), np.minimum((sizes * 1.1).astype(int) + 1, count)
     edge = (edges[high] - edges[low]) / (high - low)
-    score = np.log(np.maximum(slow, 1e-3)) + np.log(np.maximum(contrast, 1e-3)) + np.log(edge + 1e-9)
-    score -= 0.5 * ((np.log(2.0) * _volume(sizes, looks.window) - np.log(TIMES_BALL)) / BALL_SPREAD) ** 2
+    score = (
+        np.log(np.maximum(slow, 1e-3)) + np.log(np.maximum(contrast, 1e-3)) + np.log(edge + 1e-9)
+    )
+    score -= (
+        0.5 * ((np.log(2.0) * _volume(sizes, looks.window) - np.log(TIMES_BALL)) / BALL_SPREAD) ** 2
+    )
     likely, n = np.exp(score - score.max()), sizes.astype(np.float64)
     best = n[np.argmax(2.0 * np.minimum(n[:, None], n) / (n[:, None] + n) @ likely)]
     rank = np.log(_ranks(order, times.shape))
     out: Features = {f"{name} to likeliest": rank - np.log(best)}
-    for part, curve in (("slowness", np.log(np.maximum(slow, 1e-3))), ("contrast", contrast), ("edge", edge)):
+    for part, curve in (
+        ("slowness", np.log(np.maximum(slow, 1e-3))),
+        ("contrast", contrast),
+        ("edge", edge),
+    ):
         out[f"{name} {part}"] = np.interp(rank, np.log(n), curve)
     return out
 
@@ -225,7 +273,9 @@ def _rays(maps: Sequence[Floats], middle: NDArray[np.float64]) -> list[Floats]:
     out = [np.zeros(shape, np.float32) for _ in maps]
     for part in (np.arange(RAY) + 0.5) / RAY:
         at = [m + (axis - m) * part for axis, m in zip(axes, middle, strict=True)]
-        places = tuple(np.clip(np.rint(a).astype(np.int32), 0, n - 1) for a, n in zip(at, shape, strict=True))
+        places = tuple(
+            np.clip(np.rint(a).astype(np.int32), 0, n - 1) for a, n in zip(at, shape, strict=True)
+        )
         for best, values in zip(out, maps, strict=True):
             np.maximum(best, values[places], out=best)
     return out
@@ -238,7 +288,9 @@ def _likelihood(z: NDArray[np.floating], sample: Mask, beyond: Mask) -> NDArray[
     return at_bins(z, likelihood_ratio(z[sample], z[beyond]))
 
 
-def likelihood_ratio(sample: NDArray[np.floating], beyond: NDArray[np.floating]) -> NDArray[np.floating]:
+def likelihood_ratio(
+    sample: NDArray[np.floating], beyond: NDArray[np.floating]
+) -> NDArray[np.floating]:
     """(p - q)/(p + q) of the densities of some values and of others, at the middles of `BINS`."""
     widths = max(2.0, 30.0 / np.sqrt(len(sample))), 2.0
     counts = (np.histogram(part, BINS)[0].astype(np.float64) for part in (sample, beyond))
@@ -262,4 +314,6 @@ def _to(faces: Mask, window: Window) -> NDArray[np.floating]:
     """Distance to a face beyond which the image goes on, in radii."""
     if not faces.any():
         return np.array(FAR)
-    return np.minimum(ndimage.distance_transform_edt(~faces, sampling=window.size) / window.radius, FAR)
+    return np.minimum(
+        ndimage.distance_transform_edt(~faces, sampling=window.size) / window.radius, FAR
+    )

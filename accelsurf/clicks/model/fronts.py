@@ -38,7 +38,14 @@ def times_from(
     passes = np.zeros(0, np.bool_) if open is None else np.ascontiguousarray(open).ravel()
     cap = np.zeros(0, np.float32) if sooner_than is None else sooner_than.ravel()
     grid = Grid(*times.shape, *(float(h) for h in spacing))
-    march(times.reshape(-1), Medium(np.ravel(image)[None], passes), tissue, grid, np.flatnonzero(seeds), cap)
+    march(
+        times.reshape(-1),
+        Medium(np.ravel(image)[None], passes),
+        tissue,
+        grid,
+        np.flatnonzero(seeds),
+        cap,
+    )
     return times
 
 
@@ -63,7 +70,11 @@ def gradient(values: Floats, spacing: Sequence[float]) -> NDArray[np.floating]:
 
 def enough(mask: Mask) -> Mask:
     """A mask, with its neighbours where it has few voxels."""
-    return mask if np.count_nonzero(mask) >= MIN_VOXELS else np.asarray(ndimage.binary_dilation(mask, CROSS))
+    return (
+        mask
+        if np.count_nonzero(mask) >= MIN_VOXELS
+        else np.asarray(ndimage.binary_dilation(mask, CROSS))
+    )
 
 
 def learned(images: Sequence[Floats], spacing: Spacing, click: Click) -> Tissue:
@@ -77,6 +88,12 @@ def learned(images: Sequence[Floats], spacing: Spacing, click: Click) -> Tissue:
         middle, spread = robust(part[sample])
         noise = float(np.median(gradient(part, spacing)[around]))
         least = max(MIN_RANGE * float(np.ptp(part)), 1e-6)
-        found.append((middle, max(spread, MIN_SPREAD * noise * smallest, least), EDGE * max(noise, least / smallest)))
+        found.append(
+            (
+                middle,
+                max(spread, MIN_SPREAD * noise * smallest, least),
+                EDGE * max(noise, least / smallest),
+            )
+        )
     median, deviation, edge = (np.array(column, np.float64) for column in zip(*found, strict=True))
     return Tissue(median, deviation, edge, np.array(COST))

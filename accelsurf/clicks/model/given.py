@@ -64,8 +64,12 @@ def model_of_mask(given: GivenMask, shape: tuple[int, int, int], spacing: Spacin
     """
     tight = bounding_box(given.mask)
     if tight is None:
-        return ClickModel(Clicks((), shape), box_at((0, 0, 0), (1, 1, 1)), np.ones((1, 1, 1), np.float32),
-                          np.zeros((1, 1, 1), np.bool_))
+        return ClickModel(
+            Clicks((), shape),
+            box_at((0, 0, 0), (1, 1, 1)),
+            np.ones((1, 1, 1), np.float32),
+            np.zeros((1, 1, 1), np.bool_),
+        )
     margin = [max(int(AROUND * (s.stop - s.start)), int(RAMP) + 1) for s in tight]
     box = widened(placed_at(tight, corner_of(given.box)), shape, margin)
     inside = on_box(given.mask, given.box, box, False)
@@ -78,8 +82,12 @@ def _ramp(inside: Mask, steps: tuple[float, ...], spacing: Spacing) -> Floats:
     if inside.all():
         return np.full(inside.shape, -1.0, np.float32)
     half, reach = 0.5 * min(steps), RAMP * min(steps)
-    within, beyond = (ndimage.distance_transform_edt(part, sampling=spacing) for part in (inside, ~inside))
-    return np.clip(np.where(inside, half - within, beyond - half) / reach, -1.0, 1.0).astype(np.float32)
+    within, beyond = (
+        ndimage.distance_transform_edt(part, sampling=spacing) for part in (inside, ~inside)
+    )
+    return np.clip(np.where(inside, half - within, beyond - half) / reach, -1.0, 1.0).astype(
+        np.float32
+    )
 
 
 def corrected_model(
@@ -109,7 +117,11 @@ def corrected_model(
         When a click looks beyond the scene's part.
     """
     goes_on = previous is not None and clicks.starts_with(previous.clicks)
-    model = previous if previous is not None and goes_on else model_of_mask(given, scene.shape, scene.spacing)
+    model = (
+        previous
+        if previous is not None and goes_on
+        else model_of_mask(given, scene.shape, scene.spacing)
+    )
     using = networks() if asked is None else asked
     seeds: list[Seed] = []  # read when first needed: a click on its side needs none
     for number, click in enumerate(clicks.clicks[len(model.clicks) :], len(model.clicks)):

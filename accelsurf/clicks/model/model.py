@@ -125,7 +125,11 @@ class ClickModel:
 
     def mean_curvature(self, spacing: Spacing) -> float:
         """Mean curvature of the object, 1/mm; 0 of a partition, whose walls are drawn to no side."""
-        return 0.0 if self.is_partition else mean_curvature(self.inside_on(whole_box(self.clicks.shape)), spacing)
+        return (
+            0.0
+            if self.is_partition
+            else mean_curvature(self.inside_on(whole_box(self.clicks.shape)), spacing)
+        )
 
     @property
     def count(self) -> int:
@@ -164,7 +168,9 @@ def click_model(
         When no click is inside; LeavesWindow when it looks beyond the scene's part.
     """
     ordered, using = in_order(clicks), networks() if asked is None else asked
-    seeds: list[Seed] = []  # clicks are read when they are first needed: of many objects most are far from each other
+    seeds: list[
+        Seed
+    ] = []  # clicks are read when they are first needed: of many objects most are far from each other
     model, done = previous, 0 if previous is None else len(previous.clicks)
     if model is None or done == 0 or not ordered.starts_with(in_order(model.clicks)):
         seeds.append(seed_of(ordered.clicks[0], scene))
@@ -214,7 +220,11 @@ class FirstBlocks(NamedTuple):
 
 
 def first_blocks(
-    scene: Scene, seed: Seed, size_mm3: float | None = None, answer: int = 1, network: Network | None = None
+    scene: Scene,
+    seed: Seed,
+    size_mm3: float | None = None,
+    answer: int = 1,
+    network: Network | None = None,
 ) -> FirstBlocks:
     """Return an answer to the first click on blocks, which is what it shows but for its boundary; see `first_model`."""
     network = networks()["first"] if network is None else network
@@ -229,7 +239,9 @@ def first_blocks(
     assert taken.level is not None
     field = _signed(probability, taken.level, found)
     field[holes_filled(found) & ~found] = JUST
-    return FirstBlocks(window, field, levels, (taken, *(other for other in answers if other is not taken)))
+    return FirstBlocks(
+        window, field, levels, (taken, *(other for other in answers if other is not taken))
+    )
 
 
 def first_model(
@@ -262,7 +274,9 @@ def first_model(
         mask = seed.click.mask_on(window.box)
         score[mask], tight = -JUST, bounding_box(mask)
     assert tight is not None  # the click is in it
-    margin = [int(AROUND * (s.stop - s.start)) + int(n) for s, n in zip(tight, window.steps, strict=True)]
+    margin = [
+        int(AROUND * (s.stop - s.start)) + int(n) for s, n in zip(tight, window.steps, strict=True)
+    ]
     part = widened(tight, score.shape, margin)
     box, score = placed_at(part, corner_of(window.box)), score[part].copy()
     if "boundary" in asked:
@@ -275,8 +289,13 @@ def first_model(
         if "boundary" in asked:
             score = _fitted(score, box, window, asked["boundary"], seed.click)
         volume = float(np.count_nonzero(score < 0) * np.prod(scene.spacing))
-        answers = (Answer(None, volume, OF_ALIKE), *(other for other in answers if other.number != OF_ALIKE))
-    made = ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.volume_spread())
+        answers = (
+            Answer(None, volume, OF_ALIKE),
+            *(other for other in answers if other.number != OF_ALIKE),
+        )
+    made = ClickModel(
+        Clicks((seed.click,), shape), box, score, score < 0, answers, levels.volume_spread()
+    )
     return _with_clicks(made, scene)
 
 
@@ -293,7 +312,12 @@ def _object(probability: Floats, answer: Answer, window: Window) -> Mask:
 
 
 def _fitted(
-    score: Floats, box: Box, window: Window, network: Network, click: Click | None, near: Mask | None = None
+    score: Floats,
+    box: Box,
+    window: Window,
+    network: Network,
+    click: Click | None,
+    near: Mask | None = None,
 ) -> Floats:
     """F on a box with its boundary fitted to the image; in one piece with a click, if given."""
     image, spacing = window.image_on(box), window.scene.spacing
@@ -332,14 +356,18 @@ def _with_right_click(model: ClickModel, click: Click, scene: Scene) -> ClickMod
     return after if is_beyond else _with_clicks(after, scene)
 
 
-def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Mapping[str, Network]) -> ClickModel:
+def with_click(
+    model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Mapping[str, Network]
+) -> ClickModel:
     """The model after one more click that corrects it, the last of ``seeds``; it was made from the others."""
     seed, known = seeds[-1], model.clicks.with_more([seeds[-1].click])
     click = seed.click
     inside = click.side == "inside"
     least = ADDED if inside else 1.0 - ADDED
     for window in _windows(scene, seeds):
-        features, side = features_of_later(window, model.inside_on(window.box), len(seeds), model.count)
+        features, side = features_of_later(
+            window, model.inside_on(window.box), len(seeds), model.count
+        )
         probability = asked_of(features, asked["later"], window)
         probability[window.theirs] = 0.0
         found = connected_to(((probability > least) & ~side) | window.mine, window.mine)
@@ -349,21 +377,32 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
     field[side] = np.maximum(field[side], SIDE)
     change = window.on_voxels(field)
     tight = bounding_box(change > 0) if inside else None
-    box = model.box if tight is None else enclosing(model.box, placed_at(tight, corner_of(window.box)))
+    box = (
+        model.box
+        if tight is None
+        else enclosing(model.box, placed_at(tight, corner_of(window.box)))
+    )
     score, change = model.field_on(box), on_box(change, window.box, box, -1.0)
     sign = -1.0 if inside else 1.0
     was_there = (score < 0) == inside
     turned = (change > 0) & ~was_there
-    before, score = score, np.where(turned, sign * np.maximum(change, JUST), score).astype(np.float32)
+    before, score = (
+        score,
+        np.where(turned, sign * np.maximum(change, JUST), score).astype(np.float32),
+    )
     if "boundary" in asked and turned.any():
         changed = bounding_box(turned)
         assert changed is not None
         part = widened(changed, turned.shape, [WIDE * int(n) for n in window.steps])
         part = counted_from(common(placed_at(part, corner_of(box)), window.box), corner_of(box))
         near = ndimage.maximum_filter(turned[part], [2 * int(n) + 1 for n in window.steps])
-        score[part] = _fitted(score[part], placed_at(part, corner_of(box)), window, asked["boundary"], None, near)
+        score[part] = _fitted(
+            score[part], placed_at(part, corner_of(box)), window, asked["boundary"], None, near
+        )
         score[was_there] = before[was_there]
-    after = _with_clicks(replace(model, clicks=known, box=box, field=score, inside=score < 0), scene)
+    after = _with_clicks(
+        replace(model, clicks=known, box=box, field=score, inside=score < 0), scene
+    )
     if not inside:
         after = without_cut_off(after, model)
     width = radius_of_count(max(after.count, 1), scene)
@@ -372,7 +411,9 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
     wrong = model.field_on(click.box)[click.mask] * (1.0 if inside else -1.0)
     surprises = (*model.surprises, float(np.clip(wrong, -1.0, 1.0).mean()))
     taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
-    return replace(after, correction=seed.radius / width, unchanged=unchanged, taken=taken, surprises=surprises)
+    return replace(
+        after, correction=seed.radius / width, unchanged=unchanged, taken=taken, surprises=surprises
+    )
 
 
 def without_cut_off(model: ClickModel, before: ClickModel) -> ClickModel:
@@ -397,7 +438,9 @@ def asked_of(features: Features, network: Network, window: Window) -> Floats:
     return out
 
 
-def _windows(scene: Scene, seeds: Sequence[Seed], size_mm3: float | None = None) -> Iterator[Window]:
+def _windows(
+    scene: Scene, seeds: Sequence[Seed], size_mm3: float | None = None
+) -> Iterator[Window]:
     """Windows around the last click with room for a size, from near to far, until one holds all of the image.
 
     Those of a click whose radius says little of the object's go on beyond the last scale.
@@ -428,7 +471,9 @@ def _with_clicks(model: ClickModel, scene: Scene) -> ClickModel:
         field[~scene.open[box]] = np.maximum(field[~scene.open[box]], JUST)
     for click in clicks:
         if overlap(click.box, box):
-            here, there = shared(corner_of(box), field.shape, corner_of(click.box), click.mask.shape)
+            here, there = shared(
+                corner_of(box), field.shape, corner_of(click.box), click.mask.shape
+            )
             field[here][click.mask[there]] = CLICKED[click.side]
     return replace(model, box=box, field=field, inside=field < 0)
 

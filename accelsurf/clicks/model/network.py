@@ -54,7 +54,9 @@ class Network:
     layers: tuple[Layer, ...]
     around: tuple[Layer, ...] = ()
 
-    def probability(self, features: Mapping[str, NDArray[np.floating]], shape: tuple[int, ...]) -> Floats:
+    def probability(
+        self, features: Mapping[str, NDArray[np.floating]], shape: tuple[int, ...]
+    ) -> Floats:
         """Probability of each block, by features of this shape, or of no dimension where they are the same for all."""
         values = self.standardised(features, shape)
         answer = self.logits(values)
@@ -62,10 +64,14 @@ class Network:
             answer = logits_around(self.around, values, answer)
         return np.asarray(expit(answer), np.float32)
 
-    def standardised(self, features: Mapping[str, NDArray[np.floating]], shape: tuple[int, ...]) -> Floats:
+    def standardised(
+        self, features: Mapping[str, NDArray[np.floating]], shape: tuple[int, ...]
+    ) -> Floats:
         """Features (n, *shape) less their means, in their standard deviations, cut; 0 where unknown."""
         out = np.empty((len(self.names), *shape), np.float32)
-        for row, name, middle, spread in zip(out, self.names, self.middle, self.spread, strict=True):
+        for row, name, middle, spread in zip(
+            out, self.names, self.middle, self.spread, strict=True
+        ):
             found = np.broadcast_to(np.asarray(features[name], np.float32), shape)
             row[...] = standardised(found, middle, spread)
         return out
@@ -124,7 +130,12 @@ def _cube(values: Floats, dense: Layer) -> Floats:
     """A layer on the 3x3x3 neighbours of each block, 0 beyond the window."""
     padded = np.pad(values, [(0, 0), (1, 1), (1, 1), (1, 1)])
     _, nz, ny, nx = values.shape
-    shifted = [padded[:, z : z + nz, y : y + ny, x : x + nx] for z in range(3) for y in range(3) for x in range(3)]
+    shifted = [
+        padded[:, z : z + nz, y : y + ny, x : x + nx]
+        for z in range(3)
+        for y in range(3)
+        for x in range(3)
+    ]
     return _single(np.concatenate(shifted), dense)
 
 
@@ -167,7 +178,9 @@ def load(file: Path | IO[bytes]) -> dict[str, Network]:
         for name in sorted({key.partition(".")[0] for key in held.files}):
             texts = tuple(str(text) for text in held[f"{name}.names"])
             layers, around = _layers(held, name), _layers(held, f"{name}.around")
-            out[name] = Network(texts, held[f"{name}.middle"], held[f"{name}.spread"], layers, around)
+            out[name] = Network(
+                texts, held[f"{name}.middle"], held[f"{name}.spread"], layers, around
+            )
         return out
 
 
@@ -175,7 +188,9 @@ def _layers(held: Mapping[str, NDArray[np.generic]], name: str) -> tuple[Layer, 
     """Layers of a network in a file, by its name and their numbers."""
     out, number = [], 0
     while f"{name}.{number}.weights" in held:
-        weights, biases = (held[f"{name}.{number}.{part}"].astype(np.float32) for part in ("weights", "biases"))
+        weights, biases = (
+            held[f"{name}.{number}.{part}"].astype(np.float32) for part in ("weights", "biases")
+        )
         out.append(Layer(np.ascontiguousarray(weights), biases))
         number += 1
     return tuple(out)

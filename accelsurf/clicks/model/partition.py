@@ -33,7 +33,9 @@ REACH = 4.0
 #: Cost per mm where a voxel looks like the clicks; the power of how many spreads it differs by, and most of these.
 LEAST, POWER, MAX_SPREADS = 0.2, 4, 10.0
 #: What a front goes through: an image of costs.
-_COSTS = Tissue(np.zeros(1), np.ones(1), np.ones(1), np.array((LEAST, 0.0, 0.0, 1.0, 0.0, MAX_SPREADS**POWER)))
+_COSTS = Tissue(
+    np.zeros(1), np.ones(1), np.ones(1), np.array((LEAST, 0.0, 0.0, 1.0, 0.0, MAX_SPREADS**POWER))
+)
 #: The same for what is no object, which is all around: how far it lies from a click says next to nothing.
 _GROUND = _COSTS._replace(weights=np.array((0.05 * LEAST, *_COSTS.weights[1:])))
 #: Labels of voxels of what is no object, or of an outside click; and where no front comes.
@@ -72,10 +74,14 @@ class BasinsOnce:
         self._last: Basins | None = None
         self._seen: tuple[object, ...] = ()
 
-    def of(self, images: Sequence[Floats], spacing: Spacing, clicks: Clicks, mask: Mask | None) -> Basins:
+    def of(
+        self, images: Sequence[Floats], spacing: Spacing, clicks: Clicks, mask: Mask | None
+    ) -> Basins:
         """The basins of clicks as one object sees them; those of the last time where clicks and images are the same."""
         if not all(click.side == "inside" or click.owner is not None for click in clicks.clicks):
-            return basins_of(images, spacing, clicks.clicks, mask)  # some say nothing of the other objects
+            return basins_of(
+                images, spacing, clicks.clicks, mask
+            )  # some say nothing of the other objects
         seen = *images, *(click.mask for click in clicks.clicks)
         is_same = len(seen) == len(self._seen) and all(map(operator.is_, seen, self._seen))
         if self._last is None or not is_same:
@@ -85,10 +91,18 @@ class BasinsOnce:
 
 def owner_of(click: Click) -> int:
     """Return the id inside which an object sees a click; `NO_OBJECT` of one that is outside of it alone."""
-    return click.owner if click.owner is not None else click.id if click.side == "inside" else NO_OBJECT
+    return (
+        click.owner
+        if click.owner is not None
+        else click.id
+        if click.side == "inside"
+        else NO_OBJECT
+    )
 
 
-def basins_of(images: Sequence[Floats], spacing: Spacing, clicks: Sequence[Click], mask: Mask | None) -> Basins:
+def basins_of(
+    images: Sequence[Floats], spacing: Spacing, clicks: Sequence[Click], mask: Mask | None
+) -> Basins:
     """Find the basins of clicks.
 
     Parameters
@@ -105,11 +119,18 @@ def basins_of(images: Sequence[Floats], spacing: Spacing, clicks: Sequence[Click
     smooth = [gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in images]
     firsts = {owner_of(click): click for click in reversed(clicks)}
     numbers = {owner: number for number, owner in enumerate(sorted(firsts.keys() | {NO_OBJECT}))}
-    common = _common([learned(smooth, spacing, click) for owner, click in firsts.items() if owner != NO_OBJECT])
-    seeds, ground = np.full(images[0].shape, UNREACHED, np.int32), np.zeros(images[0].shape, np.bool_)
+    common = _common(
+        [learned(smooth, spacing, click) for owner, click in firsts.items() if owner != NO_OBJECT]
+    )
+    seeds, ground = (
+        np.full(images[0].shape, UNREACHED, np.int32),
+        np.zeros(images[0].shape, np.bool_),
+    )
     beyond = np.full(ground.shape, np.inf, np.float32)
     for click in clicks:
-        if click.owner == NO_OBJECT:  # with one spread two tissues meet halfway between their values
+        if (
+            click.owner == NO_OBJECT
+        ):  # with one spread two tissues meet halfway between their values
             ground[click.box] |= click.mask
             tissue = learned(smooth, spacing, click)._replace(spread=common.spread)
             np.minimum(beyond, _cost(smooth, tissue), out=beyond)
@@ -163,7 +184,9 @@ def _nearest(times: Floats, seeds: NDArray[np.int32]) -> NDArray[np.int32]:
     while True:
         farther = came[came]
         if np.array_equal(farther, came):
-            return np.where(np.isfinite(times), seeds.ravel()[came].reshape(times.shape), np.int32(UNREACHED))
+            return np.where(
+                np.isfinite(times), seeds.ravel()[came].reshape(times.shape), np.int32(UNREACHED)
+            )
         came = farther
 
 
@@ -175,8 +198,12 @@ def _with_shares(
     tight = ndimage.find_objects(labels, max(numbers.values()))
     whole = whole_box(labels.shape)
     found = Basins(
-        numbers, labels, [whole, *(whole if box is None else widened(box, labels.shape, margin) for box in tight)],
-        np.zeros(labels.shape, np.float32), np.zeros(labels.shape, np.float32), labels.copy(),
+        numbers,
+        labels,
+        [whole, *(whole if box is None else widened(box, labels.shape, margin) for box in tight)],
+        np.zeros(labels.shape, np.float32),
+        np.zeros(labels.shape, np.float32),
+        labels.copy(),
     )
     for number, box in enumerate(found.boxes):
         if number == NOBODY and not (labels == NOBODY).any():
@@ -231,13 +258,16 @@ def partition_model(
     mine = clicks.on_side("inside").clicks
     if not mine or len(mine) == len(clicks):
         raise InputError(
-            "partition: clicks inside and outside of the object are needed", "give clicks in its neighbours too"
+            "partition: clicks inside and outside of the object are needed",
+            "give clicks in its neighbours too",
         )
     found = (basins or BasinsOnce()).of(images, spacing, clicks, mask)
     number = found.numbers[owner_of(mine[0])]
     box, share = found.boxes[number], _share(found, number, spacing)
     largest, first, second = found.largest[box], found.first[box], found.second[box]
-    force = np.where(largest == number, np.minimum(second - first, -JUST), np.maximum(first - share, JUST))
+    force = np.where(
+        largest == number, np.minimum(second - first, -JUST), np.maximum(first - share, JUST)
+    )
     force[largest == UNREACHED] = 1.0
     clicked = np.logical_or.reduce([click.mask_on(box) for click in mine])
     force[clicked] = CLICKED["inside"]

@@ -27,7 +27,9 @@ APART, MOST = 2.0, 40_000
 MAX_OFFSET = 0.2
 
 
-def area_weight(images: Sequence[Floats], spacing: Spacing, inside: Mask, open: Mask | None = None) -> float:
+def area_weight(
+    images: Sequence[Floats], spacing: Spacing, inside: Mask, open: Mask | None = None
+) -> float:
     """Weight of the area (mm) that suits the noise: more, the more noise there is for the contrast of the boundary.
 
     Parameters
@@ -103,7 +105,10 @@ def mean_curvature(inside: Mask, spacing: Spacing) -> float:
     margin = [int(apart / size) + 1 if axis in axes else 0 for axis, size in enumerate(h)]
     coarse = block_means(inside[box].astype(np.float32), steps) >= 0.5
     beyond = [_room(side.start, step, m) for side, step, m in zip(box, steps, margin, strict=True)]
-    after = [_room(n - side.stop, step, m) for side, n, step, m in zip(box, inside.shape, steps, margin, strict=True)]
+    after = [
+        _room(n - side.stop, step, m)
+        for side, n, step, m in zip(box, inside.shape, steps, margin, strict=True)
+    ]
     seen = np.pad(coarse, list(zip(beyond, after, strict=True)))
     if seen.all() or not seen.any():
         return 0.0
@@ -112,7 +117,9 @@ def mean_curvature(inside: Mask, spacing: Spacing) -> float:
     inner = ndimage.distance_transform_edt(seen, sampling=h) - half
     larger, same = np.count_nonzero(outer < apart), np.count_nonzero(seen)
     smaller = np.count_nonzero(inner >= apart)
-    return float((larger - 2 * same + smaller) / apart**2 / max((larger - smaller) / (2.0 * apart), 1e-20))
+    return float(
+        (larger - 2 * same + smaller) / apart**2 / max((larger - smaller) / (2.0 * apart), 1e-20)
+    )
 
 
 def _room(voxels: int, step: int, margin: int) -> int:

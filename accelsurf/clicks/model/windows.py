@@ -191,11 +191,16 @@ class Window:
     @property
     def width(self) -> float:
         """Mean width of a block, mm; of a flat image, within the slice."""
-        return float(np.sqrt(np.prod(self.size[1:])) if self.scene.is_flat else np.prod(self.size) ** (1 / 3))
+        return float(
+            np.sqrt(np.prod(self.size[1:])) if self.scene.is_flat else np.prod(self.size) ** (1 / 3)
+        )
 
     def image_on(self, box: Box) -> Floats:
         """The combination of the channels on a box of the images."""
-        parts = (np.float32(w) * image[box] for w, image in zip(self.weights, self.scene.images, strict=True))
+        parts = (
+            np.float32(w) * image[box]
+            for w, image in zip(self.weights, self.scene.images, strict=True)
+        )
         return np.asarray(sum(parts)) if len(self.weights) > 1 else self.scene.images[0][box]
 
     def means(self, values: NDArray[np.generic]) -> Floats:
@@ -212,7 +217,8 @@ class Window:
         out = np.full(self.values.shape, np.inf)
         for place in self.place_of(seed):
             z, y, x = (
-                ((np.arange(n) - p) * h) ** 2 for n, p, h in zip(self.values.shape, place, self.size, strict=True)
+                ((np.arange(n) - p) * h) ** 2
+                for n, p, h in zip(self.values.shape, place, self.size, strict=True)
             )
             np.minimum(out, z[:, None, None] + y[:, None] + x, out=out)
         return np.sqrt(out).astype(np.float32)
@@ -225,7 +231,9 @@ class Window:
         for places, least in ((voxels, 0.5 * count), (seed.core.astype(np.int64), 0.0)):
             blocks = (places - low) // self.steps
             blocks = blocks[((places >= low) & (blocks < shape)).all(axis=1)]
-            found = np.bincount(np.ravel_multi_index(tuple(blocks.T), tuple(shape)), minlength=out.size)
+            found = np.bincount(
+                np.ravel_multi_index(tuple(blocks.T), tuple(shape)), minlength=out.size
+            )
             out |= (found > 0).reshape(out.shape) & (found >= least).reshape(out.shape)
         return out
 
@@ -260,7 +268,9 @@ def seed_of(click: Click, scene: Scene) -> Seed:
         ends = [(n > 1 or not scene.is_flat, n > 1 or not scene.is_flat) for n in mask.shape]
     padded = np.pad(mask, np.array(ends, np.int64))
     depth = ndimage.distance_transform_edt(padded, sampling=spacing)
-    depth = depth[tuple(slice(int(a), int(a) + n) for (a, _), n in zip(ends, mask.shape, strict=True))]
+    depth = depth[
+        tuple(slice(int(a), int(a) + n) for (a, _), n in zip(ends, mask.shape, strict=True))
+    ]
     largest, count = float(depth.max()), int(np.count_nonzero(mask))
     core = np.argwhere(depth >= CORE * largest).astype(np.float64)
     core = core[:: -(-len(core) // CORE_VOXELS)]
@@ -275,7 +285,11 @@ def seed_of(click: Click, scene: Scene) -> Seed:
 def radius_of_count(count: int, scene: Scene) -> float:
     """Radius (mm) of a ball, in a flat image of a disc, of so many voxels."""
     area = count * float(np.prod(scene.spacing[1:]))
-    return float(np.sqrt(area / np.pi) if scene.is_flat else (0.75 * area * scene.spacing[0] / np.pi) ** (1 / 3))
+    return float(
+        np.sqrt(area / np.pi)
+        if scene.is_flat
+        else (0.75 * area * scene.spacing[0] / np.pi) ** (1 / 3)
+    )
 
 
 def inscribed_radius(seed: Seed, scene: Scene) -> float:
@@ -327,12 +341,28 @@ def window_around(scene: Scene, seeds: Sequence[Seed], scale: Scale) -> Window:
         closed = block_means((~scene.open[box]).astype(np.float32), steps.tolist()) > 0.5
     channels = [block_means(image[box], steps.tolist()) for image in scene.images]
     empty = np.zeros(counts, np.bool_)
-    window = Window(scene, box, steps, channels[0], (1.0,), empty, empty, last, radius, friends, others, faces, closed)
+    window = Window(
+        scene,
+        box,
+        steps,
+        channels[0],
+        (1.0,),
+        empty,
+        empty,
+        last,
+        radius,
+        friends,
+        others,
+        faces,
+        closed,
+    )
     mine, theirs = window.blocks_of(last), empty.copy()
     for other in others:
         theirs |= window.blocks_of(other) & ~mine
     weights = (1.0,) if len(channels) == 1 else _weights(channels, mine)
-    values = np.asarray(sum(np.float32(w) * channel for w, channel in zip(weights, channels, strict=True)))
+    values = np.asarray(
+        sum(np.float32(w) * channel for w, channel in zip(weights, channels, strict=True))
+    )
     return replace(window, values=values, weights=weights, mine=mine, theirs=theirs)
 
 

@@ -108,12 +108,16 @@ class NonOverlap(ConstrainedEnergy):
         steps = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])
         cells = surface.band.cells[front_slots]
         index = np.stack(np.unravel_index(cells, surface.shape), axis=1) + np.array(self._corner)
-        points = index + np.where(np.array(surface.shape) > 1, surface.band.to_closest[front_slots] / steps, 0.0)
+        points = index + np.where(
+            np.array(surface.shape) > 1, surface.band.to_closest[front_slots] / steps, 0.0
+        )
         width = _CONTACT_RANGE * float(steps.min())
         for other in self.neighbours:
             theirs = other.surface
             # Closest points of cells at the volume's border may lie beyond it: then the border's own voxels are read.
-            found = touching(points, theirs.dense, theirs.grid, np.array(other.corner, float), FRONT_WIDTH, width)
+            found = touching(
+                points, theirs.dense, theirs.grid, np.array(other.corner, float), FRONT_WIDTH, width
+            )
             near, slots, share = found
             if near.size:
                 yield Contact(other, near, theirs.band.cells[slots], slots, share)
@@ -132,12 +136,17 @@ class NonOverlap(ConstrainedEnergy):
         speed, front = np.asarray(flow.normal_velocity(surface), np.float32), surface.front()
         front_slots = np.flatnonzero(front)
         mine, grows = speed[front_slots], self.force_in(surface.band.cells[front_slots]) < 0
-        stopped, slowed = np.zeros(front_slots.size, np.float32), np.zeros(front_slots.size, np.float32)
+        stopped, slowed = (
+            np.zeros(front_slots.size, np.float32),
+            np.zeros(front_slots.size, np.float32),
+        )
         for other, near, cells, slots, share in self._contacts(surface, front_slots):
             theirs = other.flow.normal_velocity(other.surface)[slots]
             stopped[near] = np.maximum(stopped[near], _contact_reaction(mine[near], theirs, share))
             both = grows[near] & (other.energy.force_in(cells) < 0)
-            slowed[near] = np.minimum(slowed[near], np.where(both, -share * np.maximum(mine[near], 0.0), 0.0))
+            slowed[near] = np.minimum(
+                slowed[near], np.where(both, -share * np.maximum(mine[near], 0.0), 0.0)
+            )
         reaction = np.zeros(surface.size, np.float32)
         reaction[front_slots] = stopped + slowed
         if reaction.any():
@@ -153,7 +162,9 @@ class NonOverlap(ConstrainedEnergy):
             mine = surface.dense.psi[cells]
             surface.dense.psi[cells] = np.maximum(mine, np.float32(0.5) * (mine - theirs))
 
-    def _shared(self, surface: LevelSet, other: Neighbour) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    def _shared(
+        self, surface: LevelSet, other: Neighbour
+    ) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
         """Slots of the band cells that lie on a neighbour's grid too, and the neighbour's psi there, mm."""
         shift = np.array(self._corner, np.int64) - np.array(other.corner, np.int64)
         theirs = other.surface

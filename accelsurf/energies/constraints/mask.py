@@ -114,7 +114,9 @@ class MaskConstraint(ConstrainedEnergy):
         surface.dense.psi[cells] = np.maximum(surface.dense.psi[cells], self._distance[cells])
 
 
-def mask_distance(mask: NDArray[np.bool_], spacing: tuple[float, float, float]) -> NDArray[np.float32]:
+def mask_distance(
+    mask: NDArray[np.bool_], spacing: tuple[float, float, float]
+) -> NDArray[np.float32]:
     """Signed distance (mm) to the boundary of a mask, negative within it, half a voxel from the centres next to it.
 
     Examples

@@ -31,21 +31,79 @@ from accelsurf.io.dicom.sources import (
 )
 from accelsurf.settings import budgets
 
-_NUCLEAR_TAGS = ("DetectorInformationSequence", "SliceVector", "TimeSlotVector", "EnergyWindowVector")
+_NUCLEAR_TAGS = (
+    "DetectorInformationSequence",
+    "SliceVector",
+    "TimeSlotVector",
+    "EnergyWindowVector",
+)
 _NUCLEAR = "1.2.840.10008.5.1.4.1.1.20"
 _RECONSTRUCTED = {"RECON TOMO", "RECON GATED TOMO"}
 _TAGS = [
-    *("SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID", "FrameOfReferenceUID", "Modality"),
-    *("SeriesDescription", "SeriesNumber", "InstanceNumber", "ImageType", "Rows", "Columns", "NumberOfFrames"),
-    *("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing", "ImagerPixelSpacing", "SliceThickness"),
-    *("SpacingBetweenSlices", "RescaleSlope", "RescaleIntercept", "RescaleType", "Units", "BitsStored"),
-    *("BitsAllocated", "PixelRepresentation", "SamplesPerPixel", "PhotometricInterpretation", "EchoTime"),
-    *("AcquisitionNumber", "AcquisitionTime", "ContentTime", "TemporalPositionIdentifier", "TriggerTime"),
+    *(
+        "SOPClassUID",
+        "SOPInstanceUID",
+        "StudyInstanceUID",
+        "SeriesInstanceUID",
+        "FrameOfReferenceUID",
+        "Modality",
+    ),
+    *(
+        "SeriesDescription",
+        "SeriesNumber",
+        "InstanceNumber",
+        "ImageType",
+        "Rows",
+        "Columns",
+        "NumberOfFrames",
+    ),
+    *(
+        "ImagePositionPatient",
+        "ImageOrientationPatient",
+        "PixelSpacing",
+        "ImagerPixelSpacing",
+        "SliceThickness",
+    ),
+    *(
+        "SpacingBetweenSlices",
+        "RescaleSlope",
+        "RescaleIntercept",
+        "RescaleType",
+        "Units",
+        "BitsStored",
+    ),
+    *(
+        "BitsAllocated",
+        "PixelRepresentation",
+        "SamplesPerPixel",
+        "PhotometricInterpretation",
+        "EchoTime",
+    ),
+    *(
+        "AcquisitionNumber",
+        "AcquisitionTime",
+        "ContentTime",
+        "TemporalPositionIdentifier",
+        "TriggerTime",
+    ),
     *("DiffusionBValue", "DiffusionGradientOrientation", "SharedFunctionalGroupsSequence"),
-    *("PerFrameFunctionalGroupsSequence", "FrameTime", "FrameTimeVector", "CineRate", "RecommendedDisplayFrameRate"),
-    *("ModalityLUTSequence", *(f"{kind}PixelPadding{part}" for kind in ("", "Float", "DoubleFloat")
-                               for part in ("Value", "RangeLimit"))),
-    *sources.TAGS, *_NUCLEAR_TAGS,
+    *(
+        "PerFrameFunctionalGroupsSequence",
+        "FrameTime",
+        "FrameTimeVector",
+        "CineRate",
+        "RecommendedDisplayFrameRate",
+    ),
+    *(
+        "ModalityLUTSequence",
+        *(
+            f"{kind}PixelPadding{part}"
+            for kind in ("", "Float", "DoubleFloat")
+            for part in ("Value", "RangeLimit")
+        ),
+    ),
+    *sources.TAGS,
+    *_NUCLEAR_TAGS,
 ]
 #: Samples of a pixel on average, where colours are stored for pairs of pixels.
 _HALVED = "YBR_FULL_422"
@@ -136,7 +194,9 @@ def frames_of(path: Path, of_segmentation: bool = False) -> list[Frame]:
         return _frames(path, Elements(dataset), pixels, of_segmentation)
 
 
-def _frames(path: Path, dataset: Elements, pixels: PixelBytes | None, of_segmentation: bool) -> list[Frame]:
+def _frames(
+    path: Path, dataset: Elements, pixels: PixelBytes | None, of_segmentation: bool
+) -> list[Frame]:
     rows, columns = (int(dataset.get(name) or 0) for name in ("Rows", "Columns"))
     kind = sources.kind_of(dataset)
     if kind and not (of_segmentation and kind == sources.SEGMENTATION):
@@ -151,19 +211,26 @@ def _frames(path: Path, dataset: Elements, pixels: PixelBytes | None, of_segment
         return []
     count = int(dataset.get("NumberOfFrames") or 1)
     if count < 1 or rows > _MAX_SIDE or columns > _MAX_SIDE:
-        raise InputError(f"{path.name}: {columns} x {rows} pixels, {count} frames announced", HEADER_HINT)
+        raise InputError(
+            f"{path.name}: {columns} x {rows} pixels, {count} frames announced", HEADER_HINT
+        )
     budgets.DICOM_FRAMES.check(count, f"{path.name} announces")
     _check_pixels(path, dataset, pixels, rows * columns, count)
     groups = dataset.get("PerFrameFunctionalGroupsSequence")
     if groups and len(groups) != count:
-        raise InputError(f"{path.name}: {count} frames announced, {len(groups)} described", HEADER_HINT)
+        raise InputError(
+            f"{path.name}: {count} frames announced, {len(groups)} described", HEADER_HINT
+        )
     common, elapsed = _common(path, dataset), _elapsed(dataset)
     return [_frame(common, dataset, number, count, elapsed) for number in order_of(dataset, count)]
 
 
 def _check_pixels(path: Path, dataset: Elements, pixels: PixelBytes, size: int, count: int) -> None:
     """Refuse a file that has less than its header announces, before anything is allocated for it."""
-    bits, samples = int(dataset.get("BitsAllocated") or 16), int(dataset.get("SamplesPerPixel") or 1)
+    bits, samples = (
+        int(dataset.get("BitsAllocated") or 16),
+        int(dataset.get("SamplesPerPixel") or 1),
+    )
     if not 1 <= bits <= _MAX_BITS or not 1 <= samples <= 4:
         raise InputError(f"{path.name}: {samples} samples of {bits} bits for a pixel", HEADER_HINT)
     if text(dataset, "PhotometricInterpretation") == _HALVED and pixels.announced is not None:
@@ -179,8 +246,10 @@ def _check_pixels(path: Path, dataset: Elements, pixels: PixelBytes, size: int, 
     if pixels.announced is not None:
         needed = (size * count * samples * bits + 7) // 8
         if pixels.present < needed:
-            raise InputError(f"{path.name}: {pixels.present} of {needed} bytes of its pixels are there; cut short?",
-                             "copy it again")
+            raise InputError(
+                f"{path.name}: {pixels.present} of {needed} bytes of its pixels are there; cut short?",
+                "copy it again",
+            )
         if pixels.announced >= needed + size * samples * bits // 8 > needed:
             raise InputError(
                 f"{path.name}: {count} frames announced, {pixels.announced} bytes of pixels in it, {needed} expected",
@@ -188,7 +257,9 @@ def _check_pixels(path: Path, dataset: Elements, pixels: PixelBytes, size: int, 
             )
         return
     if not pixels.is_whole:
-        raise InputError(f"{path.name}: its compressed pixels have no end mark; cut short?", "copy it again")
+        raise InputError(
+            f"{path.name}: its compressed pixels have no end mark; cut short?", "copy it again"
+        )
     if pixels.pieces < count:
         raise InputError(
             f"{path.name}: {count} frames announced, {pixels.pieces} compressed ones in it "
@@ -196,30 +267,59 @@ def _check_pixels(path: Path, dataset: Elements, pixels: PixelBytes, size: int, 
             "if it is a video, export its frames as images; else export the scan again",
         )
     budgets.DICOM_PACKED.check(
-        size * samples * bits // 8, f"{path.name} announces for each frame", pixels.present // count + 4096
+        size * samples * bits // 8,
+        f"{path.name} announces for each frame",
+        pixels.present // count + 4096,
     )
 
 
 def _common(path: Path, dataset: Elements) -> Frame:
     """A frame with the elements that a file has for all its frames."""
-    bits, is_signed = int(dataset.get("BitsAllocated") or 16), bool(dataset.get("PixelRepresentation") or 0)
-    names = {"modality": "Modality", "description": "SeriesDescription", "number": "SeriesNumber",
-             "class": "SOPClassUID"}
+    bits, is_signed = (
+        int(dataset.get("BitsAllocated") or 16),
+        bool(dataset.get("PixelRepresentation") or 0),
+    )
+    names = {
+        "modality": "Modality",
+        "description": "SeriesDescription",
+        "number": "SeriesNumber",
+        "class": "SOPClassUID",
+    }
     study, series, instance, world = (
-        text(dataset, f"{what}UID") for what in ("StudyInstance", "SeriesInstance", "SOPInstance", "FrameOfReference")
+        text(dataset, f"{what}UID")
+        for what in ("StudyInstance", "SeriesInstance", "SOPInstance", "FrameOfReference")
     )
     pixel = (
-        int(dataset.get("BitsStored") or bits), bits, is_signed, int(dataset.get("SamplesPerPixel") or 1),
+        int(dataset.get("BitsStored") or bits),
+        bits,
+        is_signed,
+        int(dataset.get("SamplesPerPixel") or 1),
         text(dataset, "PhotometricInterpretation"),
     )
     return Frame(
-        path, 0, 1, int(dataset.get("Rows") or 0), int(dataset.get("Columns") or 0), None, None, None, None,
-        1.0, 0.0, (study, series, instance, world), {what: text(dataset, name) for what, name in names.items()},
-        tuple(listed(dataset.get("ImageType"))), pixel, {}, padding=_padding(path, dataset, bits, is_signed),
+        path,
+        0,
+        1,
+        int(dataset.get("Rows") or 0),
+        int(dataset.get("Columns") or 0),
+        None,
+        None,
+        None,
+        None,
+        1.0,
+        0.0,
+        (study, series, instance, world),
+        {what: text(dataset, name) for what, name in names.items()},
+        tuple(listed(dataset.get("ImageType"))),
+        pixel,
+        {},
+        padding=_padding(path, dataset, bits, is_signed),
     )
 
 
-def _frame(common: Frame, dataset: Elements, number: int, count: int, elapsed: Floats, kind: str = "") -> Frame:
+def _frame(
+    common: Frame, dataset: Elements, number: int, count: int, elapsed: Floats, kind: str = ""
+) -> Frame:
     place = _group(dataset, number, "PlanePositionSequence")
     turn = _group(dataset, number, "PlaneOrientationSequence")
     size = _group(dataset, number, "PixelMeasuresSequence")
@@ -230,22 +330,36 @@ def _frame(common: Frame, dataset: Elements, number: int, count: int, elapsed: F
         raise InputError(f"{common.path.name}: its values are scaled by 0", HEADER_HINT)
     spacing = numbers_of(size, "PixelSpacing", 2) or numbers_of(dataset, "ImagerPixelSpacing", 2)
     position, orientation = place_of(dataset, number) or (
-        numbers_of(place, "ImagePositionPatient", 3), numbers_of(turn, "ImageOrientationPatient", 6)
+        numbers_of(place, "ImagePositionPatient", 3),
+        numbers_of(turn, "ImageOrientationPatient", 6),
     )
     phase, times = _phase(common.path, dataset, number, count), _times(dataset, number, elapsed)
     return replace(
-        common, number=number, frames=count, position=position,
-        orientation=orientation, spacing=spacing if spacing is not None and min(spacing) > 0 else None,
-        thickness=number_of(size, "SpacingBetweenSlices") or number_of(size, "SliceThickness") or None,
-        slope=1.0 if slope is None or table else slope, intercept=0.0 if intercept is None or table else intercept,
+        common,
+        number=number,
+        frames=count,
+        position=position,
+        orientation=orientation,
+        spacing=spacing if spacing is not None and min(spacing) > 0 else None,
+        thickness=number_of(size, "SpacingBetweenSlices")
+        or number_of(size, "SliceThickness")
+        or None,
+        slope=1.0 if slope is None or table else slope,
+        intercept=0.0 if intercept is None or table else intercept,
         labels={**common.labels, "unit": _unit(dataset, scale, table), "kind": kind},
         phase={name: value for name, value in phase.items() if value},
-        times={name: value for name, value in times.items() if value is not None and math.isfinite(value)},
+        times={
+            name: value
+            for name, value in times.items()
+            if value is not None and math.isfinite(value)
+        },
         has_table=bool(table),
     )
 
 
-def _padding(path: Path, dataset: Elements, bits: int, is_signed: bool) -> tuple[float, float] | None:
+def _padding(
+    path: Path, dataset: Elements, bits: int, is_signed: bool
+) -> tuple[float, float] | None:
     """Lowest and highest of what is stored where there is no image."""
     for kind in ("", "Float", "DoubleFloat"):
         value = dataset.get(f"{kind}PixelPaddingValue")
@@ -255,7 +369,9 @@ def _padding(path: Path, dataset: Elements, bits: int, is_signed: bool) -> tuple
         ends = [float(end) for end in (value, value if limit is None or limit == "" else limit)]
         if not all(map(math.isfinite, ends)):
             raise InputError(f"{path.name}: the value of its padding is no number", HEADER_HINT)
-        if not kind:  # some write it without the sign that their pixels have, or with one that they have not
+        if (
+            not kind
+        ):  # some write it without the sign that their pixels have, or with one that they have not
             whole = 1 << bits
             ends = [end - whole if is_signed and end >= whole // 2 else end for end in ends]
             ends = [end + whole if not is_signed and end < 0 else end for end in ends]
@@ -265,7 +381,10 @@ def _padding(path: Path, dataset: Elements, bits: int, is_signed: bool) -> tuple
 
 def _group(dataset: Any, number: int, name: str) -> Any:
     """A functional group of a frame: its own, else that of all frames, else the file's top level."""
-    for sequence, place in (("PerFrameFunctionalGroupsSequence", number), ("SharedFunctionalGroupsSequence", 0)):
+    for sequence, place in (
+        ("PerFrameFunctionalGroupsSequence", number),
+        ("SharedFunctionalGroupsSequence", 0),
+    ):
         groups = dataset.get(sequence)
         if groups and place < len(groups) and (found := groups[place].get(name)):
             return found[0]
@@ -285,19 +404,25 @@ def _phase(path: Path, dataset: Any, number: int, count: int) -> dict[str, str]:
     content = _group(dataset, number, "FrameContentSequence")
     echo = _group(dataset, number, "MREchoSequence")
     diffusion = _group(dataset, number, "MRDiffusionSequence")
-    gradient = _group(diffusion, 0, "DiffusionGradientDirectionSequence") if diffusion is not dataset else dataset
+    gradient = (
+        _group(diffusion, 0, "DiffusionGradientDirectionSequence")
+        if diffusion is not dataset
+        else dataset
+    )
     segment = _group(dataset, number, "SegmentIdentificationSequence")
     return {
         "segment": text(segment, "ReferencedSegmentNumber"),
         "stack": text(content, "StackID"),
         "type": _frame_type(dataset, number),
         "echo time": text(echo, "EffectiveEchoTime") or text(dataset, "EchoTime"),
-        "time point": text(content, "TemporalPositionIndex") or text(dataset, "TemporalPositionIdentifier"),
+        "time point": text(content, "TemporalPositionIndex")
+        or text(dataset, "TemporalPositionIdentifier"),
         "trigger time": text(dataset, "TriggerTime"),
         "b-value": text(diffusion, "DiffusionBValue"),
         "gradient": text(gradient, "DiffusionGradientOrientation"),
         "acquisition": text(dataset, "AcquisitionNumber"),
-        "acquisition time": text(content, "FrameAcquisitionDateTime") or text(dataset, "AcquisitionTime"),
+        "acquisition time": text(content, "FrameAcquisitionDateTime")
+        or text(dataset, "AcquisitionTime"),
         **phase_of(dataset, number),
         "file": path.name if count > 1 else "",
     }
@@ -306,7 +431,9 @@ def _phase(path: Path, dataset: Any, number: int, count: int) -> dict[str, str]:
 def _times(dataset: Elements, number: int, elapsed: Floats) -> dict[str, float | None]:
     """Seconds: offset from the first, since the heart's trigger, in the file, of the day; and what gives the order."""
     content = _group(dataset, number, "FrameContentSequence")
-    trigger = number_of(_group(dataset, number, "CardiacSynchronizationSequence"), "NominalCardiacTriggerDelayTime")
+    trigger = number_of(
+        _group(dataset, number, "CardiacSynchronizationSequence"), "NominalCardiacTriggerDelayTime"
+    )
     trigger = number_of(dataset, "TriggerTime") if trigger is None else trigger
     offset = _group(dataset, number, "TemporalPositionSequence")
     point = text(content, "TemporalPositionIndex") or text(dataset, "TemporalPositionIdentifier")
@@ -316,7 +443,9 @@ def _times(dataset: Elements, number: int, elapsed: Floats) -> dict[str, float |
         "trigger": None if trigger is None else 1e-3 * trigger,
         "point": float(point) if point.isdigit() else None,
         "frame": _time_in_file(dataset, number, elapsed),
-        "acquisition": _seconds(text(content, "FrameAcquisitionDateTime") or text(dataset, "AcquisitionTime")),
+        "acquisition": _seconds(
+            text(content, "FrameAcquisitionDateTime") or text(dataset, "AcquisitionTime")
+        ),
         "content": _seconds(text(dataset, "ContentTime")),
         "number": None if instance is None else instance * budgets.DICOM_FRAMES.limit + number,
     }
@@ -327,7 +456,9 @@ def _elapsed(dataset: Elements) -> tuple[float, ...]:
     steps = dataset.get("FrameTimeVector")
     if steps is None or isinstance(steps, (str, int, float)):
         return ()
-    return tuple(1e-3 * time for time in accumulate([0.0, *(float(step) for step in list(steps)[1:])]))
+    return tuple(
+        1e-3 * time for time in accumulate([0.0, *(float(step) for step in list(steps)[1:])])
+    )
 
 
 def _time_in_file(dataset: Elements, number: int, elapsed: Floats) -> float | None:
@@ -343,7 +474,9 @@ def _time_in_file(dataset: Elements, number: int, elapsed: Floats) -> float | No
 
 def _seconds(value: str) -> float | None:
     """Seconds since midnight of a time HHMMSS.F, or of a date and time."""
-    found = re.fullmatch(r"(?:[0-9]{8})?([0-9]{2})([0-9]{2})([0-9]{2}(?:\.[0-9]{1,6})?)(?:[+-][0-9]{4})?", value)
+    found = re.fullmatch(
+        r"(?:[0-9]{8})?([0-9]{2})([0-9]{2})([0-9]{2}(?:\.[0-9]{1,6})?)(?:[+-][0-9]{4})?", value
+    )
     if found is None:
         return None
     hours, minutes, seconds = (float(part) for part in found.groups())
@@ -360,7 +493,9 @@ def _unit(dataset: Elements, scale: Any, table: Any) -> str:
 
 
 def _is_reconstructed(dataset: Any) -> bool:
-    return str(dataset.get("SOPClassUID")) == _NUCLEAR and bool(_RECONSTRUCTED & set(listed(dataset.get("ImageType"))))
+    return str(dataset.get("SOPClassUID")) == _NUCLEAR and bool(
+        _RECONSTRUCTED & set(listed(dataset.get("ImageType")))
+    )
 
 
 def order_of(dataset: Any, count: int) -> list[int]:
@@ -381,7 +516,10 @@ def place_of(dataset: Any, number: int) -> tuple[Floats, Floats] | None:
         return None
     detectors = dataset.get("DetectorInformationSequence")
     first = detectors[0] if detectors else dataset
-    position, turn = numbers_of(first, "ImagePositionPatient", 3), numbers_of(first, "ImageOrientationPatient", 6)
+    position, turn = (
+        numbers_of(first, "ImagePositionPatient", 3),
+        numbers_of(first, "ImageOrientationPatient", 6),
+    )
     step = number_of(dataset, "SpacingBetweenSlices")
     if position is None or turn is None or step is None:
         return None

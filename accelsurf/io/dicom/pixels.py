@@ -27,8 +27,15 @@ _FRAME_HEADERS = {*range(0xC0, 0xD0), 0xF7} - {0xC4, 0xC8, 0xCC}
 _END_OF_IMAGE, _TAIL = b"\xff\xd9", 1024
 #: The elements that describe pixels.
 _DESCRIBING = (
-    "Rows", "Columns", "BitsAllocated", "BitsStored", "HighBit", "PixelRepresentation", "SamplesPerPixel",
-    "PhotometricInterpretation", "PlanarConfiguration",
+    "Rows",
+    "Columns",
+    "BitsAllocated",
+    "BitsStored",
+    "HighBit",
+    "PixelRepresentation",
+    "SamplesPerPixel",
+    "PhotometricInterpretation",
+    "PlanarConfiguration",
 )
 
 
@@ -57,7 +64,12 @@ def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
 
 def _is_fraction(frame: Frame) -> bool:
     """Test if the values of a slice may have fractions, or any size."""
-    return frame.pixel[3] == _COLOURS or frame.has_table or frame.slope != 1.0 or bool(frame.intercept % 1.0)
+    return (
+        frame.pixel[3] == _COLOURS
+        or frame.has_table
+        or frame.slope != 1.0
+        or bool(frame.intercept % 1.0)
+    )
 
 
 def read_values(frames: Sequence[Frame]) -> tuple[NDArray[Any], str]:
@@ -94,7 +106,10 @@ def read_values(frames: Sequence[Frame]) -> tuple[NDArray[Any], str]:
             if note:
                 notes[note] = None
             if stored.shape != out.shape[1:]:
-                raise InputError(f"{path.name}: {stored.shape} pixels, {out.shape[1:]} announced", "copy it again")
+                raise InputError(
+                    f"{path.name}: {stored.shape} pixels, {out.shape[1:]} announced",
+                    "copy it again",
+                )
             if frame.padding is not None and padding is not None and array.ndim == 2:
                 padding[place] = (stored >= frame.padding[0]) & (stored <= frame.padding[1])
             values = _scaled(stored, dataset, frame)
@@ -123,10 +138,14 @@ def _scaled(stored: NDArray[Any], dataset: Any, frame: Frame) -> NDArray[Any]:
         with damage_of(frame.path, "its table of values cannot be read"):
             first = dataset.ModalityLUTSequence[0].LUTDescriptor[1]
             if first > np.iinfo(stored.dtype).max:
-                raise InputError(f"{frame.path.name}: its table of values begins at {first}, beyond its pixels",
-                                 "export it again")
+                raise InputError(
+                    f"{frame.path.name}: its table of values begins at {first}, beyond its pixels",
+                    "export it again",
+                )
             # Of 64 bits: it looks up differences, and compares with the length of the table.
-            return np.asarray(library("pydicom.pixels").apply_modality_lut(stored.astype(np.int64), dataset))
+            return np.asarray(
+                library("pydicom.pixels").apply_modality_lut(stored.astype(np.int64), dataset)
+            )
     if frame.slope == 1.0 and frame.intercept == 0.0:
         return stored
     return stored * frame.slope + frame.intercept
@@ -159,8 +178,10 @@ def _narrowed(values: NDArray[Any]) -> NDArray[Any]:
 def _grey(stored: NDArray[Any], frame: Frame) -> tuple[NDArray[Any], str]:
     kind = frame.pixel[4]
     if kind == "PALETTE COLOR":
-        raise InputError(f"{frame.path.name}: a picture in the colours of a palette given, values expected",
-                         "give the scan that it was made of")
+        raise InputError(
+            f"{frame.path.name}: a picture in the colours of a palette given, values expected",
+            "give the scan that it was made of",
+        )
     if stored.ndim == 3:
         return to_grey(stored.astype(np.uint8) if stored.dtype.itemsize == 1 else stored)
     inverse = "MONOCHROME1: larger values were meant to be shown darker"
@@ -191,8 +212,11 @@ def stored_values(path: Path, dataset: Any, frame: Frame) -> NDArray[Any]:
             implicit, little = dataset.original_encoding
             uid = pydicom.uid
             meta.TransferSyntaxUID = syntax = (
-                uid.ImplicitVRLittleEndian if implicit
-                else uid.ExplicitVRLittleEndian if little else uid.ExplicitVRBigEndian
+                uid.ImplicitVRLittleEndian
+                if implicit
+                else uid.ExplicitVRLittleEndian
+                if little
+                else uid.ExplicitVRBigEndian
             )
             dataset.file_meta = meta
         if syntax.is_encapsulated and syntax != pydicom.uid.RLELossless:
@@ -200,7 +224,9 @@ def stored_values(path: Path, dataset: Any, frame: Frame) -> NDArray[Any]:
         elif frame.pixel[1] == 1 and syntax.is_little_endian and not syntax.is_encapsulated:
             array = _bits(dataset.PixelData, frame)
         else:
-            array = pydicom.pixels.pixel_array(dataset, index=frame.number if frame.frames > 1 else None)
+            array = pydicom.pixels.pixel_array(
+                dataset, index=frame.number if frame.frames > 1 else None
+            )
     return np.asarray(array)
 
 
@@ -209,21 +235,31 @@ def _bits(content: bytes, frame: Frame) -> NDArray[np.uint8]:
     size = frame.rows * frame.columns
     first = frame.number * size
     packed = np.frombuffer(content, np.uint8, (first + size + 7) // 8 - first // 8, first // 8)
-    return np.unpackbits(packed, bitorder="little")[first % 8 :][:size].reshape(frame.rows, frame.columns)
+    return np.unpackbits(packed, bitorder="little")[first % 8 :][:size].reshape(
+        frame.rows, frame.columns
+    )
 
 
 def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
     """A compressed slice, unpacked by ITK from a file that has it alone, without scales and places."""
     pydicom = library()
-    packed = pydicom.encaps.get_frame(dataset.PixelData, frame.number, number_of_frames=frame.frames)
+    packed = pydicom.encaps.get_frame(
+        dataset.PixelData, frame.number, number_of_frames=frame.frames
+    )
     if _END_OF_IMAGE not in packed[-_TAIL:]:  # its decoders fill what is missing with grey
-        raise InputError(f"{frame.path.name}: its compressed pixels have no end mark; cut short?", "copy it again")
+        raise InputError(
+            f"{frame.path.name}: its compressed pixels have no end mark; cut short?",
+            "copy it again",
+        )
     _check_packed(packed, frame, (int(dataset.Rows), int(dataset.Columns)))
     syntax = dataset.file_meta.TransferSyntaxUID
     meta = filled(pydicom.dataset.FileMetaDataset(), TransferSyntaxUID=syntax)
     alone = data_set(
-        **{name: dataset[name].value for name in _DESCRIBING if name in dataset}, SOPClassUID=_SECONDARY_CAPTURE,
-        SOPInstanceUID="1.2.3", PixelData=pydicom.encaps.encapsulate([packed]), file_meta=meta,
+        **{name: dataset[name].value for name in _DESCRIBING if name in dataset},
+        SOPClassUID=_SECONDARY_CAPTURE,
+        SOPInstanceUID="1.2.3",
+        PixelData=pydicom.encaps.encapsulate([packed]),
+        file_meta=meta,
     )
     filled(alone["PixelData"], is_undefined_length=True)
     with _as_file(file_bytes(alone)) as path:
@@ -240,13 +276,17 @@ def _check_packed(packed: bytes, frame: Frame, size: tuple[int, int]) -> None:
     bits, *packed_size = (found["precision"], *size) if found else _header_of_jpeg(packed)
     if all(packed_size) and tuple(packed_size) != size:
         text = " x ".join(map(str, packed_size[::-1]))
-        raise InputError(f"{frame.path.name}: {size[1]} x {size[0]} pixels announced, {text} packed", "export it again")
+        raise InputError(
+            f"{frame.path.name}: {size[1]} x {size[0]} pixels announced, {text} packed",
+            "export it again",
+        )
     has_sign = bool(found.get("is_signed"))
     stored, allocated, is_signed = frame.pixel[:3]
     if bits > min(allocated, -(-stored // 8) * 8) or (has_sign and not is_signed):
         raise InputError(
             f"{frame.path.name}: the header announces {'' if is_signed else 'un'}signed values of {stored} bits, the "
-            f"compressed pixels have {'' if has_sign else 'un'}signed ones of {bits} bits", "export it again",
+            f"compressed pixels have {'' if has_sign else 'un'}signed ones of {bits} bits",
+            "export it again",
         )
 
 
@@ -256,7 +296,11 @@ def _header_of_jpeg(packed: bytes) -> tuple[int, int, int]:
     while place + 4 < len(packed) and packed[place] == 0xFF:
         if packed[place + 1] in _FRAME_HEADERS:
             sides = packed[place + 5 : place + 9]
-            return packed[place + 4], int.from_bytes(sides[:2], "big"), int.from_bytes(sides[2:], "big")
+            return (
+                packed[place + 4],
+                int.from_bytes(sides[:2], "big"),
+                int.from_bytes(sides[2:], "big"),
+            )
         place += 2 + int.from_bytes(packed[place + 2 : place + 4], "big")
     return 0, 0, 0
 

@@ -52,7 +52,8 @@ def regular_grid(slices: Slices) -> RegularGrid:
     lasting = [fault.text for fault in slices.faults if not fault.can_resample]
     if lasting:
         raise GeometryError(
-            "; ".join(lasting), "no grid follows from that: take the files that do not belong to the volume out"
+            "; ".join(lasting),
+            "no grid follows from that: take the files that do not belong to the volume out",
         )
     along = slices.along
     steps = np.sort(np.diff(along))
@@ -70,7 +71,9 @@ def regular_grid(slices: Slices) -> RegularGrid:
         first.columns + math.ceil(wide[0] / columns_mm - 1e-9),
     )
     origin = slices.positions[0] + slices.axes[:, :2] @ low
-    aside = np.stack([(shift[:, 1] - low[1]) / rows_mm, (shift[:, 0] - low[0]) / columns_mm], axis=1)
+    aside = np.stack(
+        [(shift[:, 1] - low[1]) / rows_mm, (shift[:, 0] - low[0]) / columns_mm], axis=1
+    )
     text = (
         f"{len(along)} slices were put on a regular grid of {count}, {step:.4g} mm apart, by linear interpolation "
         f"({'; '.join(fault.text for fault in slices.faults)})"
@@ -97,7 +100,12 @@ def resampled(values: NDArray[Any], grid: RegularGrid) -> NDArray[np.float32]:
             for old in [place for place in placed if place < n - 1]:
                 del placed[old]
             placed[n] = ndimage.affine_transform(
-                values[n].astype(np.float32), np.ones(2), -grid.aside[n], out.shape[1:], order=1, mode="constant",
+                values[n].astype(np.float32),
+                np.ones(2),
+                -grid.aside[n],
+                out.shape[1:],
+                order=1,
+                mode="constant",
                 cval=fill,
             )
         return placed[n]

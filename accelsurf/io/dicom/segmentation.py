@@ -60,8 +60,13 @@ class Algorithm:
 
 
 def segmentation_bytes(
-    labels: NDArray[np.unsignedinteger[Any]], geometry: Geometry, source: SourceImages, segments: Sequence[LabelEntry],
-    algorithm: Algorithm, seed: str, as_labelmap: bool,
+    labels: NDArray[np.unsignedinteger[Any]],
+    geometry: Geometry,
+    source: SourceImages,
+    segments: Sequence[LabelEntry],
+    algorithm: Algorithm,
+    seed: str,
+    as_labelmap: bool,
 ) -> bytes:
     """A DICOM Segmentation file.
 
@@ -95,7 +100,10 @@ def segmentation_bytes(
     ids, numbers = _segment_numbers(segments, as_labelmap)
     values = _numbered(labels, ids, numbers)
     by_slice = source.in_planes(geometry)
-    aligned = [next((f for f in found if pixel_for_pixel(f, geometry, k)), None) for k, found in enumerate(by_slice)]
+    aligned = [
+        next((f for f in found if pixel_for_pixel(f, geometry, k)), None)
+        for k, found in enumerate(by_slice)
+    ]
     highdicom = library("highdicom")
     library("highdicom.seg")
     with quiet():
@@ -116,19 +124,26 @@ def segmentation_bytes(
     return file_bytes(dataset)
 
 
-def _segment_numbers(segments: Sequence[LabelEntry], as_labelmap: bool) -> tuple[NDArray[Any], NDArray[Any]]:
+def _segment_numbers(
+    segments: Sequence[LabelEntry], as_labelmap: bool
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Ids of the segments, and their numbers in the object."""
     if not segments:
-        raise UsageError("a DICOM Segmentation needs an object, none is left", "start closer to the objects")
+        raise UsageError(
+            "a DICOM Segmentation needs an object, none is left", "start closer to the objects"
+        )
     ids = np.array([entry.id for entry in segments])
     if as_labelmap and ids[-1] > MAX_SEGMENT:
         raise UsageError(
-            f"a DICOM label map holds ids up to {MAX_SEGMENT}, {ids[-1]} was given", "write dicom-seg, or other ids"
+            f"a DICOM label map holds ids up to {MAX_SEGMENT}, {ids[-1]} was given",
+            "write dicom-seg, or other ids",
         )
     return ids, ids if as_labelmap else np.arange(1, len(ids) + 1)
 
 
-def _description_of_object(source: SourceImages, algorithm: Algorithm, seed: str, as_labelmap: bool) -> dict[str, Any]:
+def _description_of_object(
+    source: SourceImages, algorithm: Algorithm, seed: str, as_labelmap: bool
+) -> dict[str, Any]:
     """Identifiers, dates, and what made it."""
     return dict(
         series_instance_uid=derived_uid(seed, "series"),
@@ -166,12 +181,22 @@ def _clean_slice(source: SourceImages, planes: dict[str, Any]) -> Any:
     highdicom takes orientation and measures from it if they are nearly those of the planes: so they are the same.
     """
     dataset = data_set(
-        **source.patient, SpecificCharacterSet="ISO_IR 192", SOPClassUID=_SINGLE_FRAME,
-        SOPInstanceUID=source.instances[0][1], StudyInstanceUID=source.study_uid, SeriesInstanceUID=source.series_uid,
-        FrameOfReferenceUID=source.frame_of_reference, Modality=source.modality, Rows=source.frames[0].rows,
+        **source.patient,
+        SpecificCharacterSet="ISO_IR 192",
+        SOPClassUID=_SINGLE_FRAME,
+        SOPInstanceUID=source.instances[0][1],
+        StudyInstanceUID=source.study_uid,
+        SeriesInstanceUID=source.series_uid,
+        FrameOfReferenceUID=source.frame_of_reference,
+        Modality=source.modality,
+        Rows=source.frames[0].rows,
         Columns=source.frames[0].columns,
     )
-    for item in (planes["plane_positions"][0][0], planes["plane_orientation"][0], planes["pixel_measures"][0]):
+    for item in (
+        planes["plane_positions"][0][0],
+        planes["plane_orientation"][0],
+        planes["pixel_measures"][0],
+    ):
         dataset.update(item)
     return dataset
 
@@ -180,13 +205,17 @@ def _planes(highdicom: Any, geometry: Geometry, aligned: Sequence[Frame | None])
     """Places of the frames: as the source writes it where its pixels are the voxels, else as the grid says."""
     frames = [frame for frame in aligned if frame is not None]
     same = len(frames) == len(aligned)
-    orientation = (frames[0].orientation if same else geometry.direction[:, :2].T.ravel().tolist()) or ()
+    orientation = (
+        frames[0].orientation if same else geometry.direction[:, :2].T.ravel().tolist()
+    ) or ()
     spacing = (frames[0].spacing if same else geometry.spacing[1:]) or ()
     corners = [tuple(geometry.index_to_world((k, 0, 0)).tolist()) for k in range(geometry.shape[0])]
     positions = [frame.position or () for frame in frames] if same else corners
     height = geometry.spacing[0]
     return {
-        "plane_positions": [highdicom.PlanePositionSequence("PATIENT", place) for place in positions],
+        "plane_positions": [
+            highdicom.PlanePositionSequence("PATIENT", place) for place in positions
+        ],
         "plane_orientation": highdicom.PlaneOrientationSequence("PATIENT", orientation),
         "pixel_measures": highdicom.PixelMeasuresSequence(
             pixel_spacing=spacing, slice_thickness=height, spacing_between_slices=height
@@ -194,7 +223,9 @@ def _planes(highdicom: Any, geometry: Geometry, aligned: Sequence[Frame | None])
     }
 
 
-def _description(highdicom: Any, entry: LabelEntry, number: int, algorithm: Algorithm, seed: str) -> Any:
+def _description(
+    highdicom: Any, entry: LabelEntry, number: int, algorithm: Algorithm, seed: str
+) -> Any:
     code = library("pydicom.sr.coding").Code
     return highdicom.seg.SegmentDescription(
         segment_number=number,
@@ -228,7 +259,8 @@ def _refer(
         k = round(float((place - geometry.origin) @ normal) / geometry.spacing[0])
         images = [
             image_reference(
-                frame, PurposeOfReferenceCodeSequence=[_coded(*_SOURCE)],
+                frame,
+                PurposeOfReferenceCodeSequence=[_coded(*_SOURCE)],
                 SpatialLocationsPreserved="YES" if pixel_for_pixel(frame, geometry, k) else "NO",
             )
             for frame in by_slice[k]

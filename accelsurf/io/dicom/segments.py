@@ -19,14 +19,27 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame, frames_of
 from accelsurf.io.dicom.pixels import stored_values
 from accelsurf.io.dicom.slices import TOLERANCE_MM, ordered
-from accelsurf.io.dicom.sources import HEADER_HINT, TAGS, damage_of, library, number_of, read_dataset, text
+from accelsurf.io.dicom.sources import (
+    HEADER_HINT,
+    TAGS,
+    damage_of,
+    library,
+    number_of,
+    read_dataset,
+    text,
+)
 from accelsurf.io.dicom.volumes import DicomVolume
 from accelsurf.io.memory import check_memory
 from accelsurf.settings.labels import MAX_NAME, LabelEntry, LabelTable, default_color, holds
 
 _TAGS = (
-    "SegmentationType", "MaximumFractionalValue", "SegmentSequence", "SharedFunctionalGroupsSequence",
-    "PerFrameFunctionalGroupsSequence", "PixelPaddingValue", *TAGS,
+    "SegmentationType",
+    "MaximumFractionalValue",
+    "SegmentSequence",
+    "SharedFunctionalGroupsSequence",
+    "PerFrameFunctionalGroupsSequence",
+    "PixelPaddingValue",
+    *TAGS,
 )
 _BINARY, _FRACTIONAL, _LABELMAP = "BINARY", "FRACTIONAL", "LABELMAP"
 _MAX_NUMBER = 65535
@@ -74,7 +87,11 @@ class Segments:
     @property
     def note(self) -> str:
         """Note for the user; empty for nothing."""
-        return "fractions: a voxel is of a segment where at least half of it is" if self.kind == _FRACTIONAL else ""
+        return (
+            "fractions: a voxel is of a segment where at least half of it is"
+            if self.kind == _FRACTIONAL
+            else ""
+        )
 
 
 def parse_segments(file: Path, root: Path) -> Segments:
@@ -95,14 +112,21 @@ def parse_segments(file: Path, root: Path) -> Segments:
     """
     dataset = read_dataset(file, _TAGS)
     with damage_of(file, HEADER_HINT):
-        if text(dataset, "DimensionOrganizationType").startswith("TILED") or dataset.get("TotalPixelMatrixRows"):
-            raise InputError(f"{file.name}: a segmentation of a whole-slide image, in tiles", "export it as TIFF")
+        if text(dataset, "DimensionOrganizationType").startswith("TILED") or dataset.get(
+            "TotalPixelMatrixRows"
+        ):
+            raise InputError(
+                f"{file.name}: a segmentation of a whole-slide image, in tiles", "export it as TIFF"
+            )
         frames = tuple(frames_of(file, of_segmentation=True))
         if not frames:
             raise InputError(f"{file.name}: a segmentation without an image", "export it again")
         kind = text(dataset, "SegmentationType") or _BINARY
         if kind not in (_BINARY, _FRACTIONAL, _LABELMAP):
-            raise InputError(f"{file.name}: a segmentation of the unknown type {kind[:40]}", "export it as BINARY")
+            raise InputError(
+                f"{file.name}: a segmentation of the unknown type {kind[:40]}",
+                "export it as BINARY",
+            )
         full = int(dataset.get("MaximumFractionalValue") or 0)
         if kind == _FRACTIONAL and not 1 <= full <= 255:
             raise InputError(f"{file.name}: fractions without their largest value", HEADER_HINT)
@@ -111,7 +135,9 @@ def parse_segments(file: Path, root: Path) -> Segments:
         geometry, places = _grid(frames, root, _step(dataset))
         seen = set(zip(places, numbers, strict=True))
         if len(seen) < len(frames):
-            raise InputError(f"{file.name}: two frames of a segment lie at one place", "export it again")
+            raise InputError(
+                f"{file.name}: two frames of a segment lie at one place", "export it again"
+            )
         background = int(dataset.get("PixelPaddingValue") or 0) if kind == _LABELMAP else 0
         return Segments(file, kind, full, background, frames, geometry, places, numbers, table)
 
@@ -121,7 +147,8 @@ def _number(frame: Frame, table: LabelTable) -> int:
     if not said.isdigit() or int(said) not in table.entries:
         raise InputError(
             f"{frame.path.name}: frame {frame.number + 1} is of segment {said or 'nothing'}, one of "
-            f"{', '.join(str(entry.id) for entry in table)} expected", HEADER_HINT,
+            f"{', '.join(str(entry.id) for entry in table)} expected",
+            HEADER_HINT,
         )
     return int(said)
 
@@ -132,12 +159,21 @@ def _table(file: Path, dataset: Any) -> LabelTable:
     for item in dataset.get("SegmentSequence") or ():
         number = int(item.SegmentNumber)
         if number in entries or not 0 <= number <= _MAX_NUMBER:
-            raise InputError(f"{file.name}: segment number {number} is there twice, or too large", "export it again")
-        name = "".join(letter for letter in text(item, "SegmentLabel") if letter.isprintable())[:MAX_NAME].strip()
+            raise InputError(
+                f"{file.name}: segment number {number} is there twice, or too large",
+                "export it again",
+            )
+        name = "".join(letter for letter in text(item, "SegmentLabel") if letter.isprintable())[
+            :MAX_NAME
+        ].strip()
         color = item.get("RecommendedDisplayCIELabValue")
         rgb = default_color(max(number, 1))
         if color is not None and len(color) == 3:
-            shown = library("highdicom.color").CIELabColor.from_dicom_value([int(part) for part in color]).to_rgb()
+            shown = (
+                library("highdicom.color")
+                .CIELabColor.from_dicom_value([int(part) for part in color])
+                .to_rgb()
+            )
             rgb = (int(shown[0]), int(shown[1]), int(shown[2]))
         entries[number] = LabelEntry(number, name or f"segment {number}", rgb)
     entries.pop(0, None)  # the background of a label map
@@ -158,7 +194,9 @@ def _step(dataset: Any) -> float | None:
     return None
 
 
-def _grid(frames: Sequence[Frame], root: Path, step: float | None) -> tuple[Geometry, tuple[int, ...]]:
+def _grid(
+    frames: Sequence[Frame], root: Path, step: float | None
+) -> tuple[Geometry, tuple[int, ...]]:
     """The grid of all frames, and the slice of each on it."""
     slices = ordered(DicomVolume(tuple(frames)), root)
     if len(slices.frames) < len(frames):
@@ -166,22 +204,31 @@ def _grid(frames: Sequence[Frame], root: Path, step: float | None) -> tuple[Geom
     along, aside = slices.along, slices.aside
     if np.abs(aside).max() > TOLERANCE_MM:
         raise GeometryError(
-            f"frames of the segmentation are shifted sideways by {np.abs(aside).max():.3g} mm, or tilted", _HINT
+            f"frames of the segmentation are shifted sideways by {np.abs(aside).max():.3g} mm, or tilted",
+            _HINT,
         )
     gaps = np.diff(along)
     gaps = gaps[gaps > TOLERANCE_MM]
     if not gaps.size:
         height = step or abs(slices.frames[0].thickness or 1.0)
     else:
-        height = next((h for h in (step, float(gaps.min())) if h is not None and _is_regular(along, h)), 0.0)
+        height = next(
+            (h for h in (step, float(gaps.min())) if h is not None and _is_regular(along, h)), 0.0
+        )
         if height <= TOLERANCE_MM:
-            raise GeometryError("frames of the segmentation lie at distances that are no multiples of one", _HINT)
+            raise GeometryError(
+                "frames of the segmentation lie at distances that are no multiples of one", _HINT
+            )
         height = float(along[-1]) / round(float(along[-1]) / height)
     index = np.rint(along / height).astype(int)
     first = slices.frames[0]
     shape = (int(index[-1]) + 1, first.rows, first.columns)
-    geometry = Geometry(shape, (height, *slices.spacing[1:]), tuple(slices.positions[0].tolist()), slices.axes)
-    by_frame = {frame.number: place for frame, place in zip(slices.frames, index.tolist(), strict=True)}
+    geometry = Geometry(
+        shape, (height, *slices.spacing[1:]), tuple(slices.positions[0].tolist()), slices.axes
+    )
+    by_frame = {
+        frame.number: place for frame, place in zip(slices.frames, index.tolist(), strict=True)
+    }
     return geometry, tuple(by_frame[frame.number] for frame in frames)
 
 
@@ -189,7 +236,9 @@ def _is_regular(along: NDArray[np.float64], height: float) -> bool:
     return bool(np.abs(along - np.rint(along / height) * height).max() <= TOLERANCE_MM)
 
 
-def read_segments(segments: Segments, available: int, ids: Sequence[tuple[int, int]] = ()) -> NDArray[Any]:
+def read_segments(
+    segments: Segments, available: int, ids: Sequence[tuple[int, int]] = ()
+) -> NDArray[Any]:
     """Read the label map: the number of a segment in each of its voxels, 0 elsewhere.
 
     Parameters
@@ -210,16 +259,23 @@ def read_segments(segments: Segments, available: int, ids: Sequence[tuple[int, i
     check_memory(segments.geometry.size, dtype.itemsize, available)
     out = np.zeros(segments.geometry.shape, dtype)
     dataset = read_dataset(segments.file)
-    for frame, place, number in zip(segments.frames, segments.places, segments.numbers, strict=True):
+    for frame, place, number in zip(
+        segments.frames, segments.places, segments.numbers, strict=True
+    ):
         if number and ids and not holds(ids, number):
             continue
         stored = stored_values(segments.file, dataset, frame)
         if stored.shape != out.shape[1:]:
-            raise InputError(f"{segments.file.name}: {stored.shape} pixels, {out.shape[1:]} announced", "copy it again")
+            raise InputError(
+                f"{segments.file.name}: {stored.shape} pixels, {out.shape[1:]} announced",
+                "copy it again",
+            )
         if segments.kind == _LABELMAP:
             out[place] = np.where(stored == segments.background, 0, stored)
             continue
-        inside = stored > 0 if segments.kind == _BINARY else 2 * stored.astype(np.int32) >= segments.full
+        inside = (
+            stored > 0 if segments.kind == _BINARY else 2 * stored.astype(np.int32) >= segments.full
+        )
         both = inside & (out[place] != 0)
         if both.any():
             raise _overlap(segments, int(out[place][both][0]), number, frame, int(both.sum()))

@@ -93,7 +93,8 @@ class Slices:
             can = all(fault.can_resample for fault in self.faults)
             raise GeometryError(
                 "; ".join(fault.text for fault in self.faults),
-                "add --resample to put the slices on a regular grid, or give a complete series" if can
+                "add --resample to put the slices on a regular grid, or give a complete series"
+                if can
                 else "take the files that do not belong to the volume out of the folder",
             )
         first = self.frames[0]
@@ -118,9 +119,13 @@ def ordered(volume: DicomVolume, root: Path, spacing: Spacing | None = None) -> 
         When a slice does not say where it lies; InputError when all do and a spacing was given.
     """
     frames = volume.frames
-    placed = [frame for frame in frames if frame.position is not None and frame.orientation is not None]
+    placed = [
+        frame for frame in frames if frame.position is not None and frame.orientation is not None
+    ]
     if placed and spacing is not None:
-        raise InputError("spacing: it was given, and the files say where each slice lies", "leave it out")
+        raise InputError(
+            "spacing: it was given, and the files say where each slice lies", "leave it out"
+        )
     if not placed and (len(frames) == 1 or spacing is not None):
         return _pictures(frames, spacing)
     lost = [frame for frame in frames if frame.position is None or frame.orientation is None]
@@ -136,7 +141,11 @@ def ordered(volume: DicomVolume, root: Path, spacing: Spacing | None = None) -> 
     alike, positions = [alike[n] for n in order], positions[order]
     rows, columns = alike[0].spacing or (1.0, 1.0)
     note = "" if alike[0].spacing else "the files do not say the size of a pixel: 1 mm is assumed"
-    step = (float((positions[-1] - positions[0]) @ axes[:, 2]) / (len(alike) - 1)) if len(alike) > 1 else 0.0
+    step = (
+        (float((positions[-1] - positions[0]) @ axes[:, 2]) / (len(alike) - 1))
+        if len(alike) > 1
+        else 0.0
+    )
     if len(alike) == 1:
         step = abs(alike[0].thickness or 1.0)
     found = Slices(tuple(alike), axes, (step, rows, columns), positions, (), note)
@@ -155,13 +164,19 @@ def _pictures(frames: Sequence[Frame], spacing: Spacing | None) -> Slices:
         spacing = (columns, rows, abs(first.thickness or 1.0))
     odd = [frame for frame in frames if (frame.rows, frame.columns) != (first.rows, first.columns)]
     if odd:
-        raise GeometryError("pictures of several sizes were given with --spacing", "give those of one size")
+        raise GeometryError(
+            "pictures of several sizes were given with --spacing", "give those of one size"
+        )
     positions = np.zeros((len(frames), 3))
     positions[:, 2] = np.arange(len(frames)) * spacing[2]
-    if (first.thickness or 0.0) < 0 and len(frames) > 1:  # the sign says the way, also where nothing says the place
+    if (first.thickness or 0.0) < 0 and len(
+        frames
+    ) > 1:  # the sign says the way, also where nothing says the place
         frames, positions = frames[::-1], -positions[::-1]
         note += "; they follow against the axis z, as the sign of their distance says"
-    return Slices(tuple(frames), np.eye(3), (spacing[2], spacing[1], spacing[0]), positions, (), note)
+    return Slices(
+        tuple(frames), np.eye(3), (spacing[2], spacing[1], spacing[0]), positions, (), note
+    )
 
 
 def _axes(frame: Frame, root: Path) -> Floats:
@@ -188,13 +203,18 @@ def _alike(frames: Sequence[Frame], axes: Floats, root: Path) -> tuple[list[Fram
         return tuple(round(part * span / TOLERANCE_MM / 2) for part in frame.orientation or ())
 
     def pixel(frame: Frame) -> tuple[int, ...]:
-        return tuple(round(part * max(first.rows, first.columns) / TOLERANCE_MM / 2) for part in frame.spacing or ())
+        return tuple(
+            round(part * max(first.rows, first.columns) / TOLERANCE_MM / 2)
+            for part in frame.spacing or ()
+        )
 
     def size(frame: Frame) -> tuple[int, ...]:
         return (frame.rows, frame.columns)
 
     kinds: list[tuple[str, Callable[[Frame], tuple[int, ...]], int]] = [
-        ("directions", turn, 2), ("sizes", size, 0), ("sizes of a pixel", pixel, 2),  # 2: rounding
+        ("directions", turn, 2),
+        ("sizes", size, 0),
+        ("sizes of a pixel", pixel, 2),  # 2: rounding
     ]
     alike = list(frames)
     for what, key, slack in kinds:
@@ -203,16 +223,20 @@ def _alike(frames: Sequence[Frame], axes: Floats, root: Path) -> tuple[list[Fram
         others = [frame for frame in alike if _differ(key(frame), common, slack)]
         if others:
             alike = [frame for frame in alike if not _differ(key(frame), common, slack)]
-            faults.append(Fault(
-                f"slices of several {what} in one series: {names_of(others, root)} differ from "
-                f"{names_of(alike, root, 1)}"
-            ))
+            faults.append(
+                Fault(
+                    f"slices of several {what} in one series: {names_of(others, root)} differ from "
+                    f"{names_of(alike, root, 1)}"
+                )
+            )
     return alike, faults
 
 
 def _differ(key: tuple[int, ...], other: tuple[int, ...], slack: int) -> bool:
     """Test if two keys differ by more than their rounding."""
-    return len(key) != len(other) or any(abs(a - b) > slack for a, b in zip(key, other, strict=True))
+    return len(key) != len(other) or any(
+        abs(a - b) > slack for a, b in zip(key, other, strict=True)
+    )
 
 
 def _place_faults(slices: Slices, root: Path) -> list[Fault]:
@@ -232,11 +256,18 @@ def _place_faults(slices: Slices, root: Path) -> list[Fault]:
         if off.max() <= TOLERANCE_MM:
             angle = np.degrees(np.arctan(np.linalg.norm(slope)))
             ends = names_of([frames[0], frames[-1]], root)
-            faults.append(Fault(f"the slices are tilted by {angle:.2f} degrees against their normal: {ends}", True))
+            faults.append(
+                Fault(
+                    f"the slices are tilted by {angle:.2f} degrees against their normal: {ends}",
+                    True,
+                )
+            )
         else:
             worst = int(np.argmax(off))
             which = names_of([frames[worst]], root)
-            faults.append(Fault(f"slices are shifted sideways, {which} by {off[worst]:.3g} mm", True))
+            faults.append(
+                Fault(f"slices are shifted sideways, {which} by {off[worst]:.3g} mm", True)
+            )
     regular = np.arange(len(frames)) * slices.spacing[0]
     if np.abs(along - regular).max() > TOLERANCE_MM:
         faults.append(_spacing_fault(slices, steps, root))
@@ -250,17 +281,21 @@ def _spacing_fault(slices: Slices, steps: Floats, root: Path) -> Fault:
         usual = float(steps.min())
     gaps = [n for n in range(len(steps)) if steps[n] > 1.5 * usual]
     multiples = steps / usual
-    if gaps and np.abs(multiples - np.rint(multiples)).max() * usual <= max(TOLERANCE_MM, 0.02 * usual):
+    if gaps and np.abs(multiples - np.rint(multiples)).max() * usual <= max(
+        TOLERANCE_MM, 0.02 * usual
+    ):
         n = gaps[0]
         between = names_of(slices.frames[n : n + 2], root)
         missing = int(np.rint(multiples[gaps]).sum()) - len(gaps)
         more = f", and in {len(gaps) - 1} more places" if len(gaps) > 1 else ""
         return Fault(
             f"{missing} slice{'s' if missing > 1 else ''} missing: {steps[n]:.4g} mm between {between}{more}, "
-            f"{usual:.4g} mm elsewhere", True,
+            f"{usual:.4g} mm elsewhere",
+            True,
         )
     n = int(np.argmax(np.abs(steps - usual)))
     return Fault(
         f"distances of slices differ: {steps[n]:.4g} mm between {names_of(slices.frames[n : n + 2], root)}, "
-        f"{usual:.4g} mm elsewhere", True,
+        f"{usual:.4g} mm elsewhere",
+        True,
     )

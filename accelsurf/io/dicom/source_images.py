@@ -25,13 +25,21 @@ _PARALLEL = 1e-3
 NO_DATE, NO_TIME = "19000101", "000000"
 _HINT = "a DICOM object refers to the slices by it: export the series again, with its identifiers"
 _TEXTS = (
-    "PatientName", "PatientID", "AccessionNumber", "StudyID", "ReferringPhysicianName", "StudyDescription",
+    "PatientName",
+    "PatientID",
+    "AccessionNumber",
+    "StudyID",
+    "ReferringPhysicianName",
+    "StudyDescription",
     "PositionReferenceIndicator",
 )
 _DATES, _TIMES = ("PatientBirthDate", "StudyDate"), ("StudyTime",)
 _DATED = ("Series", "Study", "Acquisition", "Content")
 _OTHERS = (
-    "PatientSex", "PatientAge", "SeriesNumber", *(f"{what}{part}" for what in _DATED for part in ("Date", "Time"))
+    "PatientSex",
+    "PatientAge",
+    "SeriesNumber",
+    *(f"{what}{part}" for what in _DATED for part in ("Date", "Time")),
 )
 
 
@@ -88,7 +96,9 @@ class SourceImages:
         for frame in parallel:
             height = float((np.array(frame.position) - geometry.origin) @ normal)
             k = round(height / geometry.spacing[0])
-            if 0 <= k < len(found) and abs(height - k * geometry.spacing[0]) <= _tolerance(geometry):
+            if 0 <= k < len(found) and abs(height - k * geometry.spacing[0]) <= _tolerance(
+                geometry
+            ):
                 found[k].append(frame)
         return tuple(map(tuple, found))
 
@@ -106,7 +116,9 @@ def pixel_for_pixel(frame: Frame, geometry: Geometry, k: int) -> bool:
     ends = np.array([[0, 0], [0, frame.columns - 1], [frame.rows - 1, 0]])
     steps = np.stack([turn[1] * frame.spacing[0], turn[0] * frame.spacing[1]])
     voxels = geometry.index_to_world(np.insert(ends.astype(float), 0, k, axis=1))
-    return bool(np.linalg.norm(frame.position + ends @ steps - voxels, axis=1).max() <= _tolerance(geometry))
+    return bool(
+        np.linalg.norm(frame.position + ends @ steps - voxels, axis=1).max() <= _tolerance(geometry)
+    )
 
 
 def read_source_images(frames: Sequence[Frame]) -> SourceImages:
@@ -129,7 +141,8 @@ def read_source_images(frames: Sequence[Frame]) -> SourceImages:
         _check_uid(frame, "SOPClassUID", frame.labels["class"])
         if frame.position is None or frame.orientation is None:
             raise InputError(
-                f"{frame.path.name}: does not say where it lies", "a DICOM object needs slices with positions"
+                f"{frame.path.name}: does not say where it lies",
+                "a DICOM object needs slices with positions",
             )
     first = frames[0]
     header = read_dataset(first.path, [*_TEXTS, *_DATES, *_TIMES, *_OTHERS])
@@ -137,8 +150,14 @@ def read_source_images(frames: Sequence[Frame]) -> SourceImages:
     study, series, _, world = first.uids
     number = first.labels["number"]
     return SourceImages(
-        _patient(header), study, series, world if _is_uid(world) else derived_uid(study, series, "frame of reference"),
-        first.labels["modality"] or "OT", int(number) if re.fullmatch("[0-9]{1,7}", number) else 0, date, time,
+        _patient(header),
+        study,
+        series,
+        world if _is_uid(world) else derived_uid(study, series, "frame of reference"),
+        first.labels["modality"] or "OT",
+        int(number) if re.fullmatch("[0-9]{1,7}", number) else 0,
+        date,
+        time,
         tuple(frames),
     )
 
@@ -166,8 +185,14 @@ def _patient(header: Any) -> dict[str, str]:
     """Values that are copied of patient and study; "" for one that DICOM does not allow."""
     found = {keyword: short_text(_text(header, keyword)) for keyword in _TEXTS}
     for keywords, pattern in ((_DATES, r"[0-9]{8}"), (_TIMES, r"[0-9]{2,6}(\.[0-9]{1,6})?")):
-        found |= {key: text if re.fullmatch(pattern, text := _text(header, key)) else "" for key in keywords}
-    found["AccessionNumber"], found["StudyID"] = found["AccessionNumber"][:16], found["StudyID"][:16]
+        found |= {
+            key: text if re.fullmatch(pattern, text := _text(header, key)) else ""
+            for key in keywords
+        }
+    found["AccessionNumber"], found["StudyID"] = (
+        found["AccessionNumber"][:16],
+        found["StudyID"][:16],
+    )
     sex, age = _text(header, "PatientSex"), _text(header, "PatientAge")
     found["PatientSex"] = sex if sex in ("M", "F", "O") else ""
     if re.fullmatch(r"[0-9]{3}[DWMY]", age):

@@ -47,7 +47,11 @@ _MARK, _MARK_AT = b"DICM", 128
 #: First elements of files that have no mark: groups 0002 and 0008, in either byte order.
 _FIRST_GROUPS = (b"\x02\x00", b"\x08\x00", b"\x00\x08")
 Floats = tuple[float, ...]
-SEGMENTATION, WHOLE_SLIDE, PROJECTION = "segmentation", "whole-slide image", "projection of a tomograph"
+SEGMENTATION, WHOLE_SLIDE, PROJECTION = (
+    "segmentation",
+    "whole-slide image",
+    "projection of a tomograph",
+)
 MOSAIC = "mosaic of slices"
 #: Elements that tell the kind of image, beside class, modality and type of image.
 TAGS = ("TotalPixelMatrixRows", "TotalPixelMatrixColumns", "DimensionOrganizationType")
@@ -58,8 +62,16 @@ _CLASSES = {
     "1.2.840.10008.5.1.4.1.1.77.1.6": WHOLE_SLIDE,
 }
 _MODALITIES = {
-    "SR": "report", "DOC": "report", "PR": "display state", "KO": "selection", "RTSTRUCT": "structure set",
-    "RTPLAN": "plan", "RTDOSE": "dose", "SEG": SEGMENTATION, "REG": "registration", "FID": "fiducials",
+    "SR": "report",
+    "DOC": "report",
+    "PR": "display state",
+    "KO": "selection",
+    "RTSTRUCT": "structure set",
+    "RTPLAN": "plan",
+    "RTDOSE": "dose",
+    "SEG": SEGMENTATION,
+    "REG": "registration",
+    "FID": "fiducials",
     "SM": WHOLE_SLIDE,
 }
 #: Remedies for kinds that somebody may take for a volume.
@@ -124,11 +136,17 @@ def files_of(path: Path) -> SourceFiles:
         for found in _walk(path):
             paths.append(found)
             if len(paths) > MAX_FILES:
-                raise InputError(f"a folder of more than {MAX_FILES} files given", "give the folder of one study")
-        return _sorted_out(path, sorted(paths), f"none of {len(paths)} files in this folder is DICOM")
+                raise InputError(
+                    f"a folder of more than {MAX_FILES} files given", "give the folder of one study"
+                )
+        return _sorted_out(
+            path, sorted(paths), f"none of {len(paths)} files in this folder is DICOM"
+        )
     if not is_dicom(path):
         raise InputError("this is not a DICOM file", "is it the right one?")
-    beside = (other for other in path.parent.iterdir() if other.is_file() and not other.is_symlink())
+    beside = (
+        other for other in path.parent.iterdir() if other.is_file() and not other.is_symlink()
+    )
     return _sorted_out(path.parent, sorted({path, *beside}), "")
 
 
@@ -143,7 +161,9 @@ def _sorted_out(root: Path, paths: Iterable[Path], nothing: str) -> SourceFiles:
     suffixes = {*SUFFIXES, *map(_suffix, found)}
     # Slices without an ending have numbers in their names; README has none.
     strays = tuple(
-        path for path in others if (suffix := _suffix(path)) in suffixes and (suffix or re.search("[0-9]", path.name))
+        path
+        for path in others
+        if (suffix := _suffix(path)) in suffixes and (suffix or re.search("[0-9]", path.name))
     )
     return SourceFiles(root, tuple(found), strays)
 
@@ -160,7 +180,12 @@ def _walk(folder: Path) -> Iterator[Path]:
         folders.sort()
         for name in sorted(names):
             path = Path(place, name)
-            if not name.startswith(".") and name.upper() != "DICOMDIR" and not path.is_symlink() and path.is_file():
+            if (
+                not name.startswith(".")
+                and name.upper() != "DICOMDIR"
+                and not path.is_symlink()
+                and path.is_file()
+            ):
                 yield path
 
 
@@ -177,7 +202,9 @@ def library(name: str = "pydicom") -> ModuleType:
             return import_module(name)
     except ImportError as error:
         package = name.partition(".")[0]
-        raise InputError(f"DICOM needs the package {package}", 'install it: pip install "accelsurf[dicom]"') from error
+        raise InputError(
+            f"DICOM needs the package {package}", 'install it: pip install "accelsurf[dicom]"'
+        ) from error
 
 
 @contextmanager
@@ -268,7 +295,9 @@ def series_of(file: Path) -> tuple[str, bool]:
         return "", False
 
 
-def _read(file: Path, tags: Sequence[str | int] | None, stops: tuple[int, ...]) -> tuple[Any, PixelBytes | None]:
+def _read(
+    file: Path, tags: Sequence[str | int] | None, stops: tuple[int, ...]
+) -> tuple[Any, PixelBytes | None]:
     """The elements, and where reading stopped at pixels what there is of them; the first of ``stops`` ends it, or what
     comes after.
     """
@@ -287,7 +316,9 @@ def _read(file: Path, tags: Sequence[str | int] | None, stops: tuple[int, ...]) 
             what = f"{file.name}: its elements are deflated"
             raise InputError(what, "unpack it first, as dcmconv --write-xfer-little IN OUT does")
         data.seek(0)
-        dataset = pydicom.filereader.read_partial(data, stop if stops else None, force=True, specific_tags=wanted)
+        dataset = pydicom.filereader.read_partial(
+            data, stop if stops else None, force=True, specific_tags=wanted
+        )
         return dataset, _pixel_bytes(data, *seen[0]) if seen else None
 
 
@@ -313,8 +344,9 @@ def _pixel_bytes(data: BinaryIO, length: int, start: int) -> PixelBytes:
     while place + 8 <= end and pieces < _MAX_PIECES:
         data.seek(place)
         head = data.read(8)
-        tag, size = (int.from_bytes(head[:2], "little"), int.from_bytes(head[2:4], "little")), int.from_bytes(
-            head[4:], "little"
+        tag, size = (
+            (int.from_bytes(head[:2], "little"), int.from_bytes(head[2:4], "little")),
+            int.from_bytes(head[4:], "little"),
         )
         if tag == _END:
             return PixelBytes(None, place - start, max(pieces, 0))
@@ -380,14 +412,22 @@ def kind_of(dataset: Any) -> str:
         [int(dataset.get(name) or 0) for name in names]
         for names in (("TotalPixelMatrixRows", "TotalPixelMatrixColumns"), ("Rows", "Columns"))
     )
-    if text(dataset, "DimensionOrganizationType").startswith("TILED") or whole[0] > part[0] or whole[1] > part[1]:
+    if (
+        text(dataset, "DimensionOrganizationType").startswith("TILED")
+        or whole[0] > part[0]
+        or whole[1] > part[1]
+    ):
         return WHOLE_SLIDE
     image_type = listed(dataset.get("ImageType"))
     if "LOCALIZER" in image_type:
         return "localizer"
     if "MOSAIC" in image_type:
         return MOSAIC
-    return PROJECTION if text(dataset, "Modality") == "NM" and {"TOMO", "GATED TOMO"} & set(image_type) else ""
+    return (
+        PROJECTION
+        if text(dataset, "Modality") == "NM" and {"TOMO", "GATED TOMO"} & set(image_type)
+        else ""
+    )
 
 
 def is_image(dataset: Any) -> bool:

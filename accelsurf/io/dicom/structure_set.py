@@ -84,11 +84,14 @@ def structure_set_bytes(
         When the grid's slices are not parallel to those of the source, or a package is missing.
     """
     if not regions:
-        raise UsageError("an RT Structure Set needs an object, none is left", "start closer to the objects")
+        raise UsageError(
+            "an RT Structure Set needs an object, none is left", "start closer to the objects"
+        )
     largest = max(region.entry.id for region in regions)
     if largest > MAX_NUMBER:
         raise UsageError(
-            f"an RT Structure Set holds ids up to {MAX_NUMBER}, {largest} was given", "give the objects other ids"
+            f"an RT Structure Set holds ids up to {MAX_NUMBER}, {largest} was given",
+            "give the objects other ids",
         )
     by_slice = source.in_planes(geometry)
     with quiet():
@@ -107,22 +110,39 @@ def _head(source: SourceImages, version: str, seed: str) -> Any:
     """The data set with file meta information, patient, study, series, equipment and the names of the whole."""
     instance = derived_uid(seed, "instance")
     meta = filled(
-        library("pydicom.dataset").FileMetaDataset(), MediaStorageSOPClassUID=_STRUCTURE_SET,
-        MediaStorageSOPInstanceUID=instance, TransferSyntaxUID=_IMPLICIT, ImplementationClassUID=_IMPLEMENTATION,
+        library("pydicom.dataset").FileMetaDataset(),
+        MediaStorageSOPClassUID=_STRUCTURE_SET,
+        MediaStorageSOPInstanceUID=instance,
+        TransferSyntaxUID=_IMPLICIT,
+        ImplementationClassUID=_IMPLEMENTATION,
         ImplementationVersionName="ACCELSURF",
     )
     times = {
-        f"{what}{part}": value for what in ("InstanceCreation", "Series", "StructureSet")
+        f"{what}{part}": value
+        for what in ("InstanceCreation", "Series", "StructureSet")
         for part, value in (("Date", source.date), ("Time", source.time))
     }
     return data_set(
-        file_meta=meta, preamble=b"\0" * 128, SpecificCharacterSet="ISO_IR 192", **source.patient,
-        SOPClassUID=_STRUCTURE_SET, SOPInstanceUID=instance, StudyInstanceUID=source.study_uid,
-        SeriesInstanceUID=derived_uid(seed, "series"), FrameOfReferenceUID=source.frame_of_reference,
-        Modality="RTSTRUCT", SeriesNumber=source.series_number * 100 + 3, SeriesDescription="accelsurf contours",
-        OperatorsName="", InstanceNumber=1, Manufacturer="accelsurf", ManufacturerModelName="accelsurf",
-        SoftwareVersions=short_text(version), StructureSetLabel=short_text("accelsurf", SH),
-        StructureSetDescription="Holes are contours of their own: exclusive or", **times,
+        file_meta=meta,
+        preamble=b"\0" * 128,
+        SpecificCharacterSet="ISO_IR 192",
+        **source.patient,
+        SOPClassUID=_STRUCTURE_SET,
+        SOPInstanceUID=instance,
+        StudyInstanceUID=source.study_uid,
+        SeriesInstanceUID=derived_uid(seed, "series"),
+        FrameOfReferenceUID=source.frame_of_reference,
+        Modality="RTSTRUCT",
+        SeriesNumber=source.series_number * 100 + 3,
+        SeriesDescription="accelsurf contours",
+        OperatorsName="",
+        InstanceNumber=1,
+        Manufacturer="accelsurf",
+        ManufacturerModelName="accelsurf",
+        SoftwareVersions=short_text(version),
+        StructureSetLabel=short_text("accelsurf", SH),
+        StructureSetDescription="Holes are contours of their own: exclusive or",
+        **times,
     )
 
 
@@ -131,7 +151,9 @@ def _frame_of_reference(source: SourceImages) -> Any:
     images = [reference(*instance) for instance in source.instances]
     series = data_set(SeriesInstanceUID=source.series_uid, ContourImageSequence=images)
     study = reference(_STUDY, source.study_uid, RTReferencedSeriesSequence=[series])
-    return data_set(FrameOfReferenceUID=source.frame_of_reference, RTReferencedStudySequence=[study])
+    return data_set(
+        FrameOfReferenceUID=source.frame_of_reference, RTReferencedStudySequence=[study]
+    )
 
 
 def _roi(entry: LabelEntry, source: SourceImages) -> Any:
@@ -145,7 +167,10 @@ def _roi(entry: LabelEntry, source: SourceImages) -> Any:
 
 def _observation(entry: LabelEntry) -> Any:
     return data_set(
-        ObservationNumber=entry.id, ReferencedROINumber=entry.id, RTROIInterpretedType="", ROIInterpreter=""
+        ObservationNumber=entry.id,
+        ReferencedROINumber=entry.id,
+        RTROIInterpretedType="",
+        ROIInterpreter="",
     )
 
 
@@ -155,19 +180,28 @@ def _contours(region: Region, by_slice: Sequence[Sequence[Frame]]) -> Any:
         for loop in region.loops[k]:
             items.append(_contour(loop, by_slice[k], len(items) + 1))
     return data_set(
-        ROIDisplayColor=list(region.entry.color), ReferencedROINumber=region.entry.id, ContourSequence=items
+        ROIDisplayColor=list(region.entry.color),
+        ReferencedROINumber=region.entry.id,
+        ContourSequence=items,
     )
 
 
 def _contour(loop: Floats, frames: Sequence[Frame], number: int) -> Any:
-    images = {"ContourImageSequence": [image_reference(frame) for frame in frames]} if frames else {}
+    images = (
+        {"ContourImageSequence": [image_reference(frame) for frame in frames]} if frames else {}
+    )
     item = data_set(
-        ContourGeometricType="CLOSED_PLANAR", NumberOfContourPoints=len(loop), ContourNumber=number, **images
+        ContourGeometricType="CLOSED_PLANAR",
+        NumberOfContourPoints=len(loop),
+        ContourNumber=number,
+        **images,
     )
     # As bytes: pydicom would check each of some 100,000 numbers.
     text = "\\".join(map(_decimal, loop.ravel().tolist())).encode()
     raw, tag = library("pydicom.dataelem").RawDataElement, library("pydicom.tag").Tag("ContourData")
-    item[tag] = raw(tag, "DS", len(text) + len(text) % 2, text + b" " * (len(text) % 2), 0, True, True)
+    item[tag] = raw(
+        tag, "DS", len(text) + len(text) % 2, text + b" " * (len(text) % 2), 0, True, True
+    )
     return item
 
 

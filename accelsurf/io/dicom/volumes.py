@@ -84,7 +84,9 @@ class LeftOut:
 
     def belongs_to(self, series: str) -> bool:
         """Test if it names a series, as far as it can be read."""
-        return bool(self.series) and (series == self.series or (self.is_series_cut and series.startswith(self.series)))
+        return bool(self.series) and (
+            series == self.series or (self.is_series_cut and series.startswith(self.series))
+        )
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,9 @@ class Contents:
         return [left for left in self.left_out if left.belongs_to(series) and not left.has_image]
 
 
-def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingProxyType({})) -> Contents:
+def contents_of(
+    files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingProxyType({})
+) -> Contents:
     """Read the headers of all files but those whose slices are known, and put their slices together."""
     series: dict[tuple[str, ...], list[Frame]] = {}
     left: list[LeftOut] = []
@@ -116,7 +120,11 @@ def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingP
         try:
             frames = known[path] if path in known else frames_of(path)
         except InputError as error:
-            left.append(LeftOut(path, name, "", error.message.removeprefix(f"{path.name}: "), *series_of(path)))
+            left.append(
+                LeftOut(
+                    path, name, "", error.message.removeprefix(f"{path.name}: "), *series_of(path)
+                )
+            )
             continue
         if not frames:
             left.append(LeftOut(path, name, "object without an image", "", *series_of(path)))
@@ -127,12 +135,27 @@ def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingP
                 series.setdefault(_series_key(frame), []).append(frame)
     for path in files.strays:
         left.append(LeftOut(path, shown(path, files.root), "", "no DICOM, or cut short"))
-    volumes = [volume for key in sorted(series, key=lambda key: _order(series[key])) for volume in _split(series[key])]
+    volumes = [
+        volume
+        for key in sorted(series, key=lambda key: _order(series[key]))
+        for volume in _split(series[key])
+    ]
     places = [volume for volume in volumes if volume.frames[0].position is not None]
     if places:  # pictures of single planes beside scans
-        for frame in (frame for volume in volumes if volume not in places for frame in volume.frames):
+        for frame in (
+            frame for volume in volumes if volume not in places for frame in volume.frames
+        ):
             picture = "picture without a place"
-            left.append(LeftOut(frame.path, names_of([frame], files.root), picture, "", frame.uids[1], has_image=True))
+            left.append(
+                LeftOut(
+                    frame.path,
+                    names_of([frame], files.root),
+                    picture,
+                    "",
+                    frame.uids[1],
+                    has_image=True,
+                )
+            )
         volumes = places
     return Contents(tuple(volumes), tuple(left))
 
@@ -152,7 +175,9 @@ def count_in_words(left: Iterable[LeftOut]) -> str:
     words = []
     for kind in sorted(kinds, key=lambda kind: (not kind, kind)):
         found, number = kinds[kind], len(kinds[kind])
-        noun, *rest = re.split("(?= without | of | that )", kind or "file that cannot be read", maxsplit=1)
+        noun, *rest = re.split(
+            "(?= without | of | that )", kind or "file that cannot be read", maxsplit=1
+        )
         words_of_kind = "".join([noun, "s" if number > 1 else "", *rest])
         names = [f"{left.name}: {left.reason}" if left.reason else left.name for left in found]
         more = f" and {number - _NAMED} more" if number > _NAMED else ""
@@ -167,9 +192,12 @@ def shown(path: Path, root: Path) -> str:
 
 def names_of(frames: Iterable[Frame], root: Path, limit: int = 3) -> str:
     """Names of the files of some slices, for a message."""
-    found = list(dict.fromkeys(
-        shown(frame.path, root) + (f" frame {frame.number + 1}" if frame.frames > 1 else "") for frame in frames
-    ))
+    found = list(
+        dict.fromkeys(
+            shown(frame.path, root) + (f" frame {frame.number + 1}" if frame.frames > 1 else "")
+            for frame in frames
+        )
+    )
     more = f" and {len(found) - limit} more" if len(found) > limit else ""
     return ", ".join(found[:limit]) + more
 
@@ -179,7 +207,14 @@ def _series_key(frame: Frame) -> tuple[str, ...]:
     uid, labels = frame.uids[1], frame.labels
     if uid:
         return (uid,)
-    return ("", labels["number"], labels["description"], labels["modality"], str(frame.rows), str(frame.columns))
+    return (
+        "",
+        labels["number"],
+        labels["description"],
+        labels["modality"],
+        str(frame.rows),
+        str(frame.columns),
+    )
 
 
 def _order(frames: Sequence[Frame]) -> tuple[int, str, str]:
@@ -193,17 +228,23 @@ def _split(frames: list[Frame]) -> list[DicomVolume]:
     if not _coincident(frames):
         return [DicomVolume(tuple(frames))]
     names = [
-        name for name in dict.fromkeys(name for frame in frames for name in frame.phase)
+        name
+        for name in dict.fromkeys(name for frame in frames for name in frame.phase)
         if 1 < len({frame.phase.get(name, "") for frame in frames}) < len(frames)
     ]
     for count in (1, 2, 3):
         for picked in combinations(names, count):
             parts: dict[tuple[str, ...], list[Frame]] = {}
             for frame in frames:
-                parts.setdefault(tuple(frame.phase.get(name, "") for name in picked), []).append(frame)
+                parts.setdefault(tuple(frame.phase.get(name, "") for name in picked), []).append(
+                    frame
+                )
             if not any(map(_coincident, parts.values())):
                 keys = sorted(parts, key=lambda key: tuple(map(_as_number, key)))
-                return [DicomVolume(tuple(parts[key]), dict(zip(picked, key, strict=True))) for key in keys]
+                return [
+                    DicomVolume(tuple(parts[key]), dict(zip(picked, key, strict=True)))
+                    for key in keys
+                ]
     return [DicomVolume(tuple(frames))]
 
 
@@ -233,7 +274,9 @@ def is_cine(frames: Sequence[Frame]) -> bool:
     return len(_places(frames)) < len(frames)
 
 
-def frames_in_time(frames: Sequence[Frame], root: Path) -> tuple[list[tuple[Frame, ...]], FrameTimes]:
+def frames_in_time(
+    frames: Sequence[Frame], root: Path
+) -> tuple[list[tuple[Frame, ...]], FrameTimes]:
     """Part slices into the frames of a sequence; the n-th at each place belong together.
 
     The time of a frame is the mean over its slices, from the first frame on; where nothing says it, frames are counted.
@@ -263,7 +306,9 @@ def frames_in_time(frames: Sequence[Frame], root: Path) -> tuple[list[tuple[Fram
             "as many at each expected",
             "give a complete series",
         )
-    order = next((name for name in _ORDERS if all(_tells_apart(frames, name) for frames in places)), None)
+    order = next(
+        (name for name in _ORDERS if all(_tells_apart(frames, name) for frames in places)), None
+    )
     if order is None:
         message = "several slices lie at one place, and the files do not say in which order"
         raise InputError(message, "convert them with their times")

@@ -70,7 +70,9 @@ def fix(dataset: Any, seed: str, date: str, time: str) -> None:
         if element.VR == "UI" and str(element.value).startswith(RANDOM_PREFIX):
             uid = known.setdefault(str(element.value), derived_uid(seed, "random", str(len(known))))
             element.value = uid
-        elif element.keyword == "ContributionDateTime" and parent.get("Manufacturer", "").startswith("Highdicom"):
+        elif element.keyword == "ContributionDateTime" and parent.get(
+            "Manufacturer", ""
+        ).startswith("Highdicom"):
             element.value = date + time
 
     dataset.walk(visit)

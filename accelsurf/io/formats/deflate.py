@@ -21,7 +21,9 @@ _FIRST_CHUNK, _LAST_CHUNK = 1 << 16, 1 << 21
 _PIECE, _PIECE_BEYOND = 1 << 23, 1 << 20
 
 
-def inflate(file: BinaryIO, limit: int | None = None, claimed: int | None = None) -> Iterator[bytes]:
+def inflate(
+    file: BinaryIO, limit: int | None = None, claimed: int | None = None
+) -> Iterator[bytes]:
     """Decompressed chunks of a gzip (several members allowed) or zlib stream, to its end.
 
     Parameters
@@ -38,7 +40,10 @@ def inflate(file: BinaryIO, limit: int | None = None, claimed: int | None = None
     InputError
         When the stream is damaged (its checksum counts), ends early, or holds more than it should.
     """
-    stream, started = zlib.decompressobj(47), False  # 47: either kind, recognized by its first bytes
+    stream, started = (
+        zlib.decompressobj(47),
+        False,
+    )  # 47: either kind, recognized by its first bytes
     unpacked = 0
     try:
         for chunk in _chunks(file, limit):
@@ -50,7 +55,11 @@ def inflate(file: BinaryIO, limit: int | None = None, claimed: int | None = None
                     stream = zlib.decompressobj(47)
                 started = True
                 # Beyond what is announced in small pieces: no more of it is unpacked than is needed to refuse it.
-                most = _PIECE if claimed is None else min(_PIECE, max(claimed - unpacked, _PIECE_BEYOND))
+                most = (
+                    _PIECE
+                    if claimed is None
+                    else min(_PIECE, max(claimed - unpacked, _PIECE_BEYOND))
+                )
                 piece = stream.decompress(chunk, most)
                 unpacked += len(piece)
                 check_unpacked(unpacked, claimed)
@@ -109,5 +118,8 @@ def first_bytes(file: BinaryIO, count: int) -> bytes:
 @contextmanager
 def gzip_writer(path: Path) -> Iterator[gzip.GzipFile]:
     """A file that is compressed to the same bytes every time: no name and no date in the gzip header."""
-    with path.open("wb") as out, gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=out, mtime=0) as packed:
+    with (
+        path.open("wb") as out,
+        gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=out, mtime=0) as packed,
+    ):
         yield packed

@@ -28,8 +28,21 @@ from accelsurf.io.dicom.sources import (
     is_dicom,
     library,
 )
-from accelsurf.io.dicom.volumes import TIME_PHASES, Contents, DicomVolume, contents_of, count_in_words, shown
-from accelsurf.io.headers import DICOM_KEY, LABELS_KEY, VALUE_UNIT_KEY, ZERO_BEYOND_KEY, with_warnings
+from accelsurf.io.dicom.volumes import (
+    TIME_PHASES,
+    Contents,
+    DicomVolume,
+    contents_of,
+    count_in_words,
+    shown,
+)
+from accelsurf.io.headers import (
+    DICOM_KEY,
+    LABELS_KEY,
+    VALUE_UNIT_KEY,
+    ZERO_BEYOND_KEY,
+    with_warnings,
+)
 from accelsurf.io.memory import check_memory
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -38,7 +51,15 @@ _LISTED = 6
 _DAMAGE_HINT = "copy the scan again"
 _SERIES_HINT = "give the folder of a CT, MR or PET series"
 
-__all__ = ["DicomHeader", "holds_dicom", "is_dicom_anatomical", "is_dicom", "listing", "parse_dicom", "read_dicom"]
+__all__ = [
+    "DicomHeader",
+    "holds_dicom",
+    "is_dicom_anatomical",
+    "is_dicom",
+    "listing",
+    "parse_dicom",
+    "read_dicom",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +104,10 @@ def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Se
     files, contents, file = found_in(path)
     if (segmentation := segmentation_of(contents)) is not None:
         if options.given:
-            raise UsageError(f"{options.given[0]} was given, a DICOM segmentation has no such choice", "leave it out")
+            raise UsageError(
+                f"{options.given[0]} was given, a DICOM segmentation has no such choice",
+                "leave it out",
+            )
         return segments.parse_segments(segmentation, files.root)
     volume = volume_of(contents, options, file)
     refuse_lost(contents, volume.uid, options)
@@ -126,7 +150,9 @@ def segmentation_of(contents: Contents) -> Path | None:
     if contents.volumes or not found:
         return None
     if len(found) > 1:
-        raise InputError(f"several segmentations are in it: {count_in_words(found)}", "give one of the files")
+        raise InputError(
+            f"several segmentations are in it: {count_in_words(found)}", "give one of the files"
+        )
     return found[0].file
 
 
@@ -203,18 +229,24 @@ def volumes_of_file(contents: Contents, file: Path) -> tuple[DicomVolume, ...]:
     InputError
         When it has no slice of a volume.
     """
-    found = [volume for volume in contents.volumes if any(frame.path == file for frame in volume.frames)]
+    found = [
+        volume for volume in contents.volumes if any(frame.path == file for frame in volume.frames)
+    ]
     if not found:
         said = [left for left in contents.left_out if left.file == file]
         hint = HINTS.get(said[0].kind, _SERIES_HINT) if said else _SERIES_HINT
-        raise InputError(f"this file has no 3D image, but {count_in_words(said) or 'nothing'}", hint)
+        raise InputError(
+            f"this file has no 3D image, but {count_in_words(said) or 'nothing'}", hint
+        )
     alone = [volume for volume in found if all(frame.path == file for frame in volume.frames)]
     return tuple(alone or found)
 
 
 def _differ_in_time(volumes: tuple[DicomVolume, ...]) -> bool:
     """Test if they are one series at several times."""
-    return len({volume.uid for volume in volumes}) == 1 and all(set(volume.phase) <= TIME_PHASES for volume in volumes)
+    return len({volume.uid for volume in volumes}) == 1 and all(
+        set(volume.phase) <= TIME_PHASES for volume in volumes
+    )
 
 
 def _by_name(volumes: tuple[DicomVolume, ...], asked: str) -> DicomVolume:
@@ -227,17 +259,23 @@ def _by_name(volumes: tuple[DicomVolume, ...], asked: str) -> DicomVolume:
     if found:
         numbers = ", ".join(str(n) for n, volume in enumerate(volumes, 1) if volume.uid == asked)
         raise InputError(
-            f"series {asked[:80]} has {len(found)} volumes, numbers {numbers}", "give --series with one of the numbers"
+            f"series {asked[:80]} has {len(found)} volumes, numbers {numbers}",
+            "give --series with one of the numbers",
         )
     raise InputError(
-        f"series {asked[:80]} is not in it, which has 1 to {len(volumes)}", "accelsurf info FOLDER lists them"
+        f"series {asked[:80]} is not in it, which has 1 to {len(volumes)}",
+        "accelsurf info FOLDER lists them",
     )
 
 
 def _short_list(contents: Contents, volumes: tuple[DicomVolume, ...]) -> str:
     numbered = [(n, volume) for n, volume in enumerate(contents.volumes, 1) if volume in volumes]
-    parts = [f"{n} {_title(volume)}, {len(volume.frames)} slices" for n, volume in numbered[:_LISTED]]
-    return "; ".join(parts) + (f"; {len(numbered) - _LISTED} more" if len(numbered) > _LISTED else "")
+    parts = [
+        f"{n} {_title(volume)}, {len(volume.frames)} slices" for n, volume in numbered[:_LISTED]
+    ]
+    return "; ".join(parts) + (
+        f"; {len(numbered) - _LISTED} more" if len(numbered) > _LISTED else ""
+    )
 
 
 def _title(volume: DicomVolume) -> str:
@@ -249,7 +287,8 @@ def _title(volume: DicomVolume) -> str:
 def notes_on_left_out(contents: Contents, series: str, file: Path | None) -> list[str]:
     """Notes on files that are no part of a volume; beside a file only on damaged ones."""
     named = [
-        left for left in contents.left_out
+        left
+        for left in contents.left_out
         if file is None or (left.reason and (not left.series or left.belongs_to(series)))
     ]
     return [f"left out: {count_in_words(named)}"] if named else []
@@ -267,7 +306,9 @@ def read_dicom(path: Path, header: DicomHeader | Segments, available: int) -> Vo
         return read_labels(path, header, available)
     frames = header.slices.frames
     dtype = pixels.value_type(frames)
-    check_memory(header.geometry.size, dtype.itemsize + (8 if header.grid is not None else 0), available)
+    check_memory(
+        header.geometry.size, dtype.itemsize + (8 if header.grid is not None else 0), available
+    )
     values, note = pixels.read_values(frames)
     if header.grid is not None:
         values = resampled(values, header.grid)
@@ -300,7 +341,9 @@ def read_labels(
         return read_dicom(path, header, available)
     labels = segments.read_segments(header, available, ids)
     metadata = {
-        DICOM_KEY: header.frames[0].uids[1], LABELS_KEY: header.table.to_json(), ZERO_BEYOND_KEY: "yes",
+        DICOM_KEY: header.frames[0].uids[1],
+        LABELS_KEY: header.table.to_json(),
+        ZERO_BEYOND_KEY: "yes",
     }
     return Volume(labels, header.geometry, with_warnings(metadata, header.note), path)
 
@@ -324,13 +367,17 @@ def listing(path: Path) -> list[dict[str, Any]]:
     if not contents.volumes:
         volume_of(contents, AS_IT_IS, None)  # says what there is
     volumes = contents.volumes if file is None else volumes_of_file(contents, file)
-    numbered = [(number, volume) for number, volume in enumerate(contents.volumes, 1) if volume in volumes]
+    numbered = [
+        (number, volume) for number, volume in enumerate(contents.volumes, 1) if volume in volumes
+    ]
     entries = [_entry(number, volume, files, contents) for number, volume in numbered]
     entries[0]["left_out"] = notes_on_left_out(contents, volumes[0].uid, file)
     return entries
 
 
-def _entry(number: int, volume: DicomVolume, files: SourceFiles, contents: Contents) -> dict[str, Any]:
+def _entry(
+    number: int, volume: DicomVolume, files: SourceFiles, contents: Contents
+) -> dict[str, Any]:
     entry = _first_entry(number, volume, files)
     try:
         slices = ordered(volume, files.root)
@@ -343,7 +390,8 @@ def _entry(number: int, volume: DicomVolume, files: SourceFiles, contents: Conte
     lost = contents.lost_from(volume.uid)
     entry["warnings"] = [
         *([f"a slice of the series is lost: {count_in_words(lost)}"] if lost else []),
-        *(fault.text for fault in slices.faults), *([slices.note] if slices.note else []),
+        *(fault.text for fault in slices.faults),
+        *([slices.note] if slices.note else []),
     ]
     return entry
 
@@ -351,10 +399,19 @@ def _entry(number: int, volume: DicomVolume, files: SourceFiles, contents: Conte
 def _first_entry(number: int, volume: DicomVolume, files: SourceFiles) -> dict[str, Any]:
     """Entry of a volume without its grid."""
     return {
-        "number": number, "uid": volume.uid, "modality": volume.label("modality"),
-        "description": volume.label("description"), "series_number": volume.label("number"), "phase": volume.phase,
-        "files": len({frame.path for frame in volume.frames}), "first_file": shown(volume.frames[0].path, files.root),
-        "size": None, "spacing": None, "orientation": None, "unit": volume.label("unit") or None, "warnings": [],
+        "number": number,
+        "uid": volume.uid,
+        "modality": volume.label("modality"),
+        "description": volume.label("description"),
+        "series_number": volume.label("number"),
+        "phase": volume.phase,
+        "files": len({frame.path for frame in volume.frames}),
+        "first_file": shown(volume.frames[0].path, files.root),
+        "size": None,
+        "spacing": None,
+        "orientation": None,
+        "unit": volume.label("unit") or None,
+        "warnings": [],
         "segments": [],
     }
 
@@ -363,9 +420,14 @@ def _segmentation_entry(found: Segments, files: SourceFiles) -> dict[str, Any]:
     geometry = found.geometry
     return {
         **_first_entry(1, DicomVolume(found.frames), files),
-        "size": list(geometry.size), "spacing": [round(part, 6) for part in geometry.spacing_xyz],
-        "orientation": orientation_words(geometry.direction), "warnings": [found.note] if found.note else [],
-        "segments": [{"id": entry.id, "name": entry.name, "color": entry.hex} for entry in found.table], "left_out": [],
+        "size": list(geometry.size),
+        "spacing": [round(part, 6) for part in geometry.spacing_xyz],
+        "orientation": orientation_words(geometry.direction),
+        "warnings": [found.note] if found.note else [],
+        "segments": [
+            {"id": entry.id, "name": entry.name, "color": entry.hex} for entry in found.table
+        ],
+        "left_out": [],
     }
 
 

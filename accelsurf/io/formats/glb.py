@@ -19,7 +19,9 @@ Floats = NDArray[np.float64]
 FROM_LPS = np.array([[1e-3, 0, 0, 0], [0, 0, 1e-3, 0], [0, -1e-3, 0, 0], [0, 0, 0, 1]])
 
 
-def glb_bytes(vertices: Floats, faces: NDArray[np.int32], space: str, label: LabelEntry | None = None) -> bytes:
+def glb_bytes(
+    vertices: Floats, faces: NDArray[np.int32], space: str, label: LabelEntry | None = None
+) -> bytes:
     """Return the bytes of a .glb file; ``space`` is LPS or RAS."""
     import trimesh
     from trimesh.visual import TextureVisuals
@@ -28,18 +30,27 @@ def glb_bytes(vertices: Floats, faces: NDArray[np.int32], space: str, label: Lab
     name = "surface" if label is None else label.name
     look = None
     if label is not None:
-        material = PBRMaterial(name, baseColorFactor=[*label.color, 255], metallicFactor=0.0, roughnessFactor=0.8)
+        material = PBRMaterial(
+            name, baseColorFactor=[*label.color, 255], metallicFactor=0.0, roughnessFactor=0.8
+        )
         look = TextureVisuals(material=material)
     mesh = trimesh.Trimesh(vertices, faces, process=False, validate=False, visual=look)
 
     def describe(tree: dict[str, Any]) -> None:
         tree["asset"] |= {"generator": "accelsurf", "extras": {"space": space, "unit": "mm"}}
-        if label is not None:  # trimesh rounds colours to bytes, too coarse for dark ones once they are linear
-            tree["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [*_linear(label.color), 1.0]
+        if (
+            label is not None
+        ):  # trimesh rounds colours to bytes, too coarse for dark ones once they are linear
+            tree["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [
+                *_linear(label.color),
+                1.0,
+            ]
 
     scene = trimesh.Scene()
     scene.add_geometry(mesh, node_name=name, geom_name=name, transform=_from_stored(space))
-    return bytes(trimesh.exchange.gltf.export_glb(scene, include_normals=False, tree_postprocessor=describe))
+    return bytes(
+        trimesh.exchange.gltf.export_glb(scene, include_normals=False, tree_postprocessor=describe)
+    )
 
 
 def _from_stored(space: str) -> Floats:
@@ -50,4 +61,9 @@ def _from_stored(space: str) -> Floats:
 def _linear(color: tuple[int, int, int]) -> list[float]:
     """Intensities 0 to 1 of a colour, which glTF wants linear, not as screens have them (sRGB)."""
     parts = np.array(color) / 255.0
-    return [round(x, 6) for x in np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4).tolist()]
+    return [
+        round(x, 6)
+        for x in np.where(
+            parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4
+        ).tolist()
+    ]

@@ -13,7 +13,12 @@ from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import itk
-from accelsurf.io.formats.nrrd_metaimage import METAIMAGE_ITK_NAME, NRRD_ITK_NAME, NRRD_KEY, put_nrrd_space
+from accelsurf.io.formats.nrrd_metaimage import (
+    METAIMAGE_ITK_NAME,
+    NRRD_ITK_NAME,
+    NRRD_KEY,
+    put_nrrd_space,
+)
 from accelsurf.io.formats.raw_header import RawHeader
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels, native
 from accelsurf.io.headers import FRAME_KEY
@@ -63,14 +68,23 @@ def read_channels_by_itk(path: Path, header: RawHeader, available: int) -> list[
     return _read(path, header, _grid(path, header), header.selected(), available)
 
 
-def _read(path: Path, header: RawHeader, grid: _Grid, numbers: Sequence[int], available: int) -> list[Volume]:
+def _read(
+    path: Path, header: RawHeader, grid: _Grid, numbers: Sequence[int], available: int
+) -> list[Volume]:
     """Read some of the components or volumes."""
     geometry, stored = grid
     span = header.channels if header.is_interleaved else max(numbers) - min(numbers) + 1
-    check_memory(geometry.size, stored.itemsize * (span + len(numbers) * (span > 1 or not stored.isnative)), available)
+    check_memory(
+        geometry.size,
+        stored.itemsize * (span + len(numbers) * (span > 1 or not stored.isnative)),
+        available,
+    )
     arrays = header.volumes(stored, geometry.shape, numbers)
     metadata = header.metadata if header.seconds is None else {FRAME_KEY: repr(header.seconds)}
-    return [Volume(np.ascontiguousarray(native(array)), geometry, dict(metadata), path) for array in arrays]
+    return [
+        Volume(np.ascontiguousarray(native(array)), geometry, dict(metadata), path)
+        for array in arrays
+    ]
 
 
 def _grid(path: Path, header: RawHeader) -> _Grid:
@@ -81,7 +95,8 @@ def _grid(path: Path, header: RawHeader) -> _Grid:
     needed = math.prod(geometry.shape) * stored.itemsize * count
     if needed != header.claimed_bytes:
         raise InputError(
-            f"the header announces {header.claimed_bytes} bytes of voxels, its grid has {needed}", "save it again"
+            f"the header announces {header.claimed_bytes} bytes of voxels, its grid has {needed}",
+            "save it again",
         )
     return _Grid(geometry, stored)
 

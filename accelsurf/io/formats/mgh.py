@@ -62,7 +62,9 @@ def parse_mgh(path: Path) -> VolumeHeader:
         raise InputError(f"a header of shape {shape} given, a volume expected", _AGAIN)
     budgets.AXIS.check(max(shape), "an axis of the image")
     if shape[3] > 1:
-        raise InputError(f"a volume of {shape[3]} frames given, one expected", "extract one frame first")
+        raise InputError(
+            f"a volume of {shape[3]} frames given, one expected", "extract one frame first"
+        )
     if code not in _MGH_TYPES:
         known = ", ".join(f"{number} ({name})" for number, name in _MGH_TYPES.items())
         hint = "convert it first: mri_convert -odt float IN OUT"
@@ -73,7 +75,10 @@ def parse_mgh(path: Path) -> VolumeHeader:
     if _is_packed(path):
         budgets.DEFLATE.check(needed, "the header announces voxels", present)
     elif present < needed:
-        raise InputError(f"the header announces {needed} bytes of voxels, the file holds {present}", TRUNCATED_HINT)
+        raise InputError(
+            f"the header announces {needed} bytes of voxels, the file holds {present}",
+            TRUNCATED_HINT,
+        )
     return header
 
 
@@ -84,15 +89,21 @@ def _mgh_geometry(head: Any, shape: tuple[int, ...]) -> Geometry:
         raise InputError("the header does not describe a grid", _AGAIN)
     # Else the size of a voxel would be told twice, and differently.
     lengths = np.linalg.norm(np.asarray(head["Mdc"], np.float64).reshape(3, 3), axis=1)
-    if not (head["delta"] > 0).all() or not np.allclose(lengths, 1.0, rtol=0.0, atol=_UNIT_TOLERANCE):
-        raise InputError("the axes in the header have no length of 1, or voxels no positive size", _AGAIN)
+    if not (head["delta"] > 0).all() or not np.allclose(
+        lengths, 1.0, rtol=0.0, atol=_UNIT_TOLERANCE
+    ):
+        raise InputError(
+            "the axes in the header have no length of 1, or voxels no positive size", _AGAIN
+        )
     affine = np.asarray(head.get_affine(), np.float64)
     steps = _TO_LPS @ affine[:3, :3]
     if not (spacing := np.linalg.norm(steps, axis=0)).all():
         raise InputError("the header does not describe a grid", _AGAIN)
     return Geometry(
-        (shape[2], shape[1], shape[0]), tuple(map(float, spacing[::-1])),  # type: ignore[arg-type]
-        tuple(map(float, _TO_LPS @ affine[:3, 3])), steps / spacing,  # type: ignore[arg-type]
+        (shape[2], shape[1], shape[0]),
+        tuple(map(float, spacing[::-1])),  # type: ignore[arg-type]
+        tuple(map(float, _TO_LPS @ affine[:3, 3])),  # type: ignore[arg-type]
+        steps / spacing,
     )
 
 
@@ -109,7 +120,9 @@ def read_mgh(path: Path, header: VolumeHeader, available: int) -> Volume:
         with _opened(path) as file:
             file.seek(_MGH_HEADER)
             content = file.read(header.values * header.dtype.itemsize)
-        stored = np.frombuffer(content, header.dtype.newbyteorder(">")).reshape(header.geometry.shape)
+        stored = np.frombuffer(content, header.dtype.newbyteorder(">")).reshape(
+            header.geometry.shape
+        )
     return Volume(stored.astype(header.dtype), header.geometry, {"mgh": "scanner"}, path)
 
 
@@ -131,7 +144,10 @@ def _mgh_header(path: Path) -> Any:
     """The header by nibabel, which would repair it and print about that."""
     from nibabel.freesurfer.mghformat import MGHHeader
 
-    with library_named("this is not an MGH file, or damaged", "is it the right file?"), _opened(path) as file:
+    with (
+        library_named("this is not an MGH file, or damaged", "is it the right file?"),
+        _opened(path) as file,
+    ):
         begin = file.read(_MGH_HEADER)
     if begin[: len(_MGH_VERSION)] != _MGH_VERSION:
         raise InputError("this is not an MGH file", "is it the right one?")

@@ -35,20 +35,39 @@ HEADER_BYTES = {1: 348, 2: 540}
 COMMENT_CODE = 6
 """The code of an extension of the header with a text."""
 _BEGINNINGS = {
-    struct.pack(order + "i", count): (version, order) for version, count in HEADER_BYTES.items() for order in "<>"
+    struct.pack(order + "i", count): (version, order)
+    for version, count in HEADER_BYTES.items()
+    for order in "<>"
 }
 _MAGIC = {1: (344, b"n+1\0"), 2: (4, b"n+2\0\r\n\x1a\n")}
 _QFORM = ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z")
 #: Bytes before the voxels that are searched for times.
 _MAX_EXTENSION = 1 << 24
-_REAL = (2, 4, 8, 16, 64, 256, 512, 768, 1024, 1280)  # type codes: integers of 1 to 8 bytes, floats of 4 and 8
+_REAL = (
+    2,
+    4,
+    8,
+    16,
+    64,
+    256,
+    512,
+    768,
+    1024,
+    1280,
+)  # type codes: integers of 1 to 8 bytes, floats of 4 and 8
 #: Intents of components: matrices, vectors, colours.
 _VECTORS = frozenset((1004, 1005, 1006, 1007, 2003, 2004))
 #: Seconds of the units of time; the other units of the fourth axis are of spectra.
 _SECONDS = {8: 1.0, 16: 1e-3, 24: 1e-6}
 #: A slope this near to 1 is 1, rounded by who wrote it: two steps of single precision.
 _SLOPE_ROUNDING = 3e-7
-_NOT_REAL = {32: "complex", 1792: "complex", 2048: "complex", 128: "colour (RGB)", 2304: "colour (RGBA)"}
+_NOT_REAL = {
+    32: "complex",
+    1792: "complex",
+    2048: "complex",
+    128: "colour (RGB)",
+    2304: "colour (RGBA)",
+}
 
 
 def import_nibabel_for(path: Path) -> None:
@@ -117,7 +136,9 @@ class NiftiHeader:
     @property
     def time_points(self) -> int:
         """Number of time points: volumes along the fourth axis, unless they are channels."""
-        if len(self.size) < 4 or (len(self.size) == 4 and (self.is_vector or self.are_channels_guessed)):
+        if len(self.size) < 4 or (
+            len(self.size) == 4 and (self.is_vector or self.are_channels_guessed)
+        ):
             return 1
         return self.size[3]
 
@@ -141,7 +162,9 @@ class NiftiHeader:
     def values(self, stored: NDArray[Any]) -> NDArray[Any]:
         """Return the values that stored numbers stand for, of ``value_type``."""
         if (self.slope, self.intercept) != (1.0, 0.0):
-            with np.errstate(over="ignore", invalid="ignore"):  # what float32 cannot hold becomes infinite, as in ITK
+            with np.errstate(
+                over="ignore", invalid="ignore"
+            ):  # what float32 cannot hold becomes infinite, as in ITK
                 stored = stored.astype(np.float64) * self.slope + self.intercept
                 return stored.astype(self.value_type)
         return stored.astype(self.value_type, copy=False)
@@ -200,25 +223,45 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
         start = file.read(max(HEADER_BYTES.values()))
         zipped = start[:2] == GZIP_START
         if zipped and not compressed:
-            raise InputError("the file is gzip-compressed, against its suffix", hint="rename it to end in .nii.gz")
+            raise InputError(
+                "the file is gzip-compressed, against its suffix",
+                hint="rename it to end in .nii.gz",
+            )
         if compressed and not zipped:
             if start[:4] in _BEGINNINGS:
-                raise InputError("the file is not compressed, against its suffix", hint="rename it to end in .nii")
-            raise InputError("this is not a NIfTI image: it is not gzip-compressed", hint="is it the right file?")
+                raise InputError(
+                    "the file is not compressed, against its suffix",
+                    hint="rename it to end in .nii",
+                )
+            raise InputError(
+                "this is not a NIfTI image: it is not gzip-compressed", hint="is it the right file?"
+            )
         if compressed:
             file.seek(0)
             start = first_bytes(file, max(HEADER_BYTES.values()))
         header = parse_header(start)
-        times_text = _times_text_in(_extensions(file, header, compressed)) if len(header.size) > 3 else ""
+        times_text = (
+            _times_text_in(_extensions(file, header, compressed)) if len(header.size) > 3 else ""
+        )
     if times_text:  # frames that are counted have no unit, but times
         header = replace(header, says_time=True)
     header.grid.check_forms()
     metadata = {METADATA_KEY: header.grid.fields}
     encoding: Encoding = "deflate" if compressed else "raw"
     return NiftiFile(
-        path, 0, encoding, header.claimed_bytes, skip=header.data_offset, metadata=metadata,
-        numbers=math.prod(header.size), channels=header.channels, time_points=header.time_points,
-        seconds=header.seconds, asked=options, nifti=header, times_text=times_text,
+        path,
+        0,
+        encoding,
+        header.claimed_bytes,
+        skip=header.data_offset,
+        metadata=metadata,
+        numbers=math.prod(header.size),
+        channels=header.channels,
+        time_points=header.time_points,
+        seconds=header.seconds,
+        asked=options,
+        nifti=header,
+        times_text=times_text,
     )
 
 
@@ -267,7 +310,11 @@ def _extensions_in(raw: bytes, order: str) -> Iterator[tuple[int, str]]:
 def _times_text_in(extensions: Iterable[tuple[int, str]]) -> str:
     """The line with the times among the extensions of a NIfTI; empty where none has it."""
     begin = f"{TIMES_KEY}: "
-    found = (text.removeprefix(begin) for code, text in extensions if code == COMMENT_CODE and text.startswith(begin))
+    found = (
+        text.removeprefix(begin)
+        for code, text in extensions
+        if code == COMMENT_CODE and text.startswith(begin)
+    )
     return next(found, "")
 
 
@@ -298,7 +345,10 @@ def parse_header(raw: bytes) -> NiftiHeader:
         )
     at, magic = _MAGIC[version]
     if not order or raw[at : at + len(magic)] != magic:
-        raise InputError("this is not a NIfTI image: its header lacks the NIfTI marks", hint="is it the right file?")
+        raise InputError(
+            "this is not a NIfTI image: its header lacks the NIfTI marks",
+            hint="is it the right file?",
+        )
     kind = Nifti1Header if version == 1 else Nifti2Header
     header = kind(raw[: HEADER_BYTES[version]], order, check=False)
 
@@ -308,10 +358,18 @@ def parse_header(raw: bytes) -> NiftiHeader:
     dim = tuple(header["dim"].tolist())
     vox_offset = number("vox_offset")
     codes = int(header["qform_code"]), int(header["sform_code"])
-    if not 1 <= dim[0] <= 7 or any(n < 1 for n in dim[1 : dim[0] + 1]) or not 0 <= vox_offset < 2**31:
-        raise InputError(f"the NIfTI header is damaged: dim = {dim}", hint="copy or export the file again")
+    if (
+        not 1 <= dim[0] <= 7
+        or any(n < 1 for n in dim[1 : dim[0] + 1])
+        or not 0 <= vox_offset < 2**31
+    ):
+        raise InputError(
+            f"the NIfTI header is damaged: dim = {dim}", hint="copy or export the file again"
+        )
     if not all(-(2**15) <= code < 2**15 for code in codes):
-        raise InputError(f"the NIfTI header is damaged: form codes {codes}", hint="copy or export the file again")
+        raise InputError(
+            f"the NIfTI header is damaged: form codes {codes}", hint="copy or export the file again"
+        )
     size = _real_size(dim[1 : dim[0] + 1], int(header["datatype"]))
     p0, p1, p2, p3 = header["pixdim"][:4].tolist()
     if not is_finite((p1, p2, p3)) or min(p1, p2, p3) <= 0:
@@ -328,7 +386,9 @@ def parse_header(raw: bytes) -> NiftiHeader:
         qform_code=codes[0],
         sform_code=codes[1],
         qform=tuple(number(key) for key in _QFORM),
-        sform=tuple(np.concatenate([header[key] for key in ("srow_x", "srow_y", "srow_z")]).tolist()),
+        sform=tuple(
+            np.concatenate([header[key] for key in ("srow_x", "srow_y", "srow_z")]).tolist()
+        ),
     )
     place = size, header.get_data_dtype(), offset
     is_vector = int(header["intent_code"]) in _VECTORS
@@ -340,12 +400,18 @@ def _scaling(header: Any) -> tuple[float, float]:
     slope, intercept = (float(header[key]) for key in ("scl_slope", "scl_inter"))
     slope, intercept = (v if math.isfinite(v) else 0.0 for v in (slope, intercept))
     # Whole numbers stay what they are.
-    return 1.0 if slope == 0 or (intercept == 0 and abs(slope - 1) < _SLOPE_ROUNDING) else slope, intercept
+    return 1.0 if slope == 0 or (
+        intercept == 0 and abs(slope - 1) < _SLOPE_ROUNDING
+    ) else slope, intercept
 
 
 def _time_step(header: Any) -> tuple[float | None, bool]:
     """Seconds from one volume to the next, and whether anything is said of time."""
-    step = single_precision(float(header["pixdim"][4])) if math.isfinite(header["pixdim"][4]) else math.nan
+    step = (
+        single_precision(float(header["pixdim"][4]))
+        if math.isfinite(header["pixdim"][4])
+        else math.nan
+    )
     unit = _SECONDS.get(int(header["xyzt_units"]) & 0x38, 0.0)
     seconds = step * unit if unit and math.isfinite(step) and step > 0 else None
     return seconds, unit > 0 or step not in (0.0, 1.0)
@@ -357,7 +423,9 @@ def _real_size(size: tuple[int, ...], datatype: int) -> tuple[int, ...]:
         size = size[:-1]
     if len(size) > 5:
         text = " x ".join(map(str, size))
-        raise InputError(f"a {len(size)}D image ({text}) given, 3D expected", "extract a part first")
+        raise InputError(
+            f"a {len(size)}D image ({text}) given, 3D expected", "extract a part first"
+        )
     if len(size) < 3:
         raise InputError(
             f"a {len(size)}D image ({' x '.join(map(str, size))}) given, 3D expected",
@@ -370,5 +438,8 @@ def _real_size(size: tuple[int, ...], datatype: int) -> tuple[int, ...]:
             hint="extract one channel or the magnitude first",
         )
     if datatype not in _REAL:
-        raise InputError(f"NIfTI type code {datatype} is not supported", hint="convert the image to float32 first")
+        raise InputError(
+            f"NIfTI type code {datatype} is not supported",
+            hint="convert the image to float32 first",
+        )
     return size

@@ -15,7 +15,10 @@ from accelsurf.grid.geometry import ORTHONORMAL_TOLERANCE, Floats, Geometry, ort
 METADATA_KEY = "nifti_grid"
 """Where `Volume.metadata` keeps the fields that place the grid (hexadecimal, as `NiftiGrid.fields` gives them)."""
 
-_MM_PER_UNIT = {1: 1000.0, 3: 0.001}  # metre, micrometre; 2 is mm, and 0 (unknown) is taken as mm by everyone
+_MM_PER_UNIT = {
+    1: 1000.0,
+    3: 0.001,
+}  # metre, micrometre; 2 is mm, and 0 (unknown) is taken as mm by everyone
 _GRID = struct.Struct("<4fB2h18f")
 # (offset in the header of a NIfTI-1 file, length) of the pieces that _GRID packs one after the other
 _GRID_PLACES = ((76, 16), (123, 1), (252, 76))
@@ -55,7 +58,11 @@ class NiftiGrid:
         """The fields that place the grid as hexadecimal text, for `Volume.metadata`."""
         codes = (self.qform_code, self.sform_code)
         with np.errstate(over="ignore"):  # NIfTI-2 has doubles
-            floats = np.array([*self.pixdim, *self.qform, *self.sform], np.float64).astype(np.float32).tolist()
+            floats = (
+                np.array([*self.pixdim, *self.qform, *self.sform], np.float64)
+                .astype(np.float32)
+                .tolist()
+            )
         return _GRID.pack(*floats[:4], self.units, *codes, *floats[4:]).hex()
 
     def geometry(self) -> Geometry:
@@ -164,7 +171,9 @@ class NiftiGrid:
         contradicted = stated and not any(_near(g, geometry) for g in stated)
         # Voxel sizes alone as well: ITK measures by pixdim, and by the qform beside it, others by the sform.
         if sform and self._sform_counts:
-            contradicted = contradicted or not np.allclose(sform.spacing, geometry.spacing, rtol=1e-3, atol=0)
+            contradicted = contradicted or not np.allclose(
+                sform.spacing, geometry.spacing, rtol=1e-3, atol=0
+            )
         if contradicted:
             raise GeometryError(
                 f"the NIfTI header contradicts itself: {stated[0].difference(geometry)} "

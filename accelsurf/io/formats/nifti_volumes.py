@@ -78,16 +78,27 @@ def read_nifti_channels(path: Path, header: nifti.NiftiFile, available: int) -> 
     return _read(path, header, header.selected(), available)
 
 
-def _read(path: Path, header: nifti.NiftiFile, numbers: Sequence[int], available: int) -> list[Volume]:
+def _read(
+    path: Path, header: nifti.NiftiFile, numbers: Sequence[int], available: int
+) -> list[Volume]:
     """Read some volumes of a file."""
     fields, span = header.nifti, max(numbers) - min(numbers) + 1
     # The voxels as they are stored and as they are given may be in memory at the same time.
-    is_changed = (fields.slope, fields.intercept) != (1.0, 0.0) or not fields.voxel_type.isnative or span > 1
-    check_memory(fields.size[:3], span * fields.voxel_type.itemsize + 8 * is_changed * len(numbers), available)
+    is_changed = (
+        (fields.slope, fields.intercept) != (1.0, 0.0) or not fields.voxel_type.isnative or span > 1
+    )
+    check_memory(
+        fields.size[:3],
+        span * fields.voxel_type.itemsize + 8 * is_changed * len(numbers),
+        available,
+    )
     geometry = fields.grid.geometry()
     metadata = _metadata(header, geometry)
     arrays = header.volumes(fields.voxel_type, geometry.shape, numbers)
-    return [Volume(np.ascontiguousarray(fields.values(array)), geometry, dict(metadata), path) for array in arrays]
+    return [
+        Volume(np.ascontiguousarray(fields.values(array)), geometry, dict(metadata), path)
+        for array in arrays
+    ]
 
 
 def _metadata(header: nifti.NiftiFile, geometry: Geometry) -> dict[str, str]:
@@ -101,7 +112,11 @@ def _metadata(header: nifti.NiftiFile, geometry: Geometry) -> dict[str, str]:
     said = with_warnings(header.metadata, *notes)
     if fields.grid.units & 7 == _MICRON:
         said[UNIT_KEY] = "um"
-    return said | {FRAME_KEY: repr(fields.seconds)} if fields.seconds and fields.time_points > 1 else said
+    return (
+        said | {FRAME_KEY: repr(fields.seconds)}
+        if fields.seconds and fields.time_points > 1
+        else said
+    )
 
 
 def open_nifti(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVolume:
@@ -150,7 +165,10 @@ def _write(volume: Volume, out: BinaryIO | GzipFile) -> None:
 
 
 def header_of(
-    geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], extension: bytes = b"",
+    geometry: Geometry,
+    dtype: np.dtype[Any],
+    metadata: Mapping[str, str],
+    extension: bytes = b"",
     times: FrameTimes | None = None,
 ) -> bytes:
     """All bytes before the voxels: of a NIfTI-2 where an axis is too long for a NIfTI-1."""
@@ -177,12 +195,18 @@ def header_of(
         placed = nifti_grid.put_grid(block, fields)
         # Metadata may have come from another grid than the volume has now.
         with suppress(AccelsurfError):
-            block = placed if nifti.parse_header(placed).grid.geometry().matches(geometry) else block
+            block = (
+                placed if nifti.parse_header(placed).grid.geometry().matches(geometry) else block
+            )
     return block + (b"\1\0\0\0" if extension else bytes(4)) + extension
 
 
 def store_nifti(
-    path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], source: str | None
+    path: Path,
+    geometry: Geometry,
+    dtype: np.dtype[Any],
+    metadata: Mapping[str, str],
+    source: str | None,
 ) -> NiftiBoxes:
     """Begin a file that is written box by box; a NIfTI has no place for the name of its source."""
     return NiftiBoxes(path, geometry, dtype, metadata)
@@ -204,7 +228,9 @@ class NiftiBoxes:
         (in a NIfTI-1).
     """
 
-    def __init__(self, path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str]) -> None:
+    def __init__(
+        self, path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str]
+    ) -> None:
         begin = header_of(geometry, dtype, metadata)
         path.write_bytes(begin)
         self._layout = RawLayout(path, len(begin), dtype.newbyteorder("<"), geometry.shape)

@@ -33,12 +33,22 @@ NRRD_KEY = "nrrd_space"
 NRRD_ITK_NAME, METAIMAGE_ITK_NAME = "NrrdImageIO", "MetaImageIO"
 """The classes of ITK that read and write these formats."""
 _NRRD_BYTES = {
-    **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
-    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
+    **dict.fromkeys(
+        ("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1
+    ),
+    **dict.fromkeys(
+        ("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2
+    ),
     **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
-    **dict.fromkeys(("int", "signed int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t"), 4),
-    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "signed long long int"), 8),
-    **dict.fromkeys(("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8),
+    **dict.fromkeys(
+        ("int", "signed int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t"), 4
+    ),
+    **dict.fromkeys(
+        ("longlong", "long long", "long long int", "signed long long", "signed long long int"), 8
+    ),
+    **dict.fromkeys(
+        ("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8
+    ),
     **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
     "float": 4,
 }
@@ -78,14 +88,19 @@ def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     """
     with path.open("rb") as file:
         if file.read(4) != b"NRRD":
-            raise InputError("this is not an NRRD image: it does not start with NRRD", hint="is it the right file?")
+            raise InputError(
+                "this is not an NRRD image: it does not start with NRRD",
+                hint="is it the right file?",
+            )
         file.seek(0)
         lines = _header_lines(file, lambda line: not line.strip())
         offset = file.tell()
     _check_fields(lines)
     fields = {
         key.strip().lower(): value.strip()
-        for key, colon, value in (line.partition(": ") for line in lines[1:] if not line.startswith("#"))
+        for key, colon, value in (
+            line.partition(": ") for line in lines[1:] if not line.startswith("#")
+        )
         if colon
     }
     try:
@@ -103,13 +118,17 @@ def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     budgets.AXIS.check(max(sizes), "an axis of the image")
     _check_nrrd_axes(fields, len(sizes))
     axis = fourth_axis(fields, lines, sizes)
-    said = " ".join(fields.get(key, "") for key in ("space units", "units")).replace('"', " ").split()
+    said = (
+        " ".join(fields.get(key, "") for key in ("space units", "units")).replace('"', " ").split()
+    )
     _check_units([unit for unit in said if not seconds_of(unit)])
     data = path
     if detached := fields.get("data file") or fields.get("datafile"):
         data, offset = _detached(path, detached), 0
     if encoding not in _NRRD_ENCODINGS:
-        raise InputError(f"an NRRD of encoding {encoding} given, raw or gzip expected", "save it as gzip")
+        raise InputError(
+            f"an NRRD of encoding {encoding} given, raw or gzip expected", "save it as gzip"
+        )
     coding, numbers, order = _NRRD_ENCODINGS[encoding], math.prod(sizes), _nrrd_order(fields, item)
     offset += _nrrd_skip(fields, coding, data.stat().st_size - offset - numbers * item)
     metadata = {}
@@ -117,7 +136,15 @@ def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
         keys = ("space", "space dimension", "space directions", "space origin")
         metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
     return RawHeader(
-        data, offset, coding, numbers * item, NRRD_ITK_NAME, metadata=metadata, numbers=numbers, order=order, **axis,
+        data,
+        offset,
+        coding,
+        numbers * item,
+        NRRD_ITK_NAME,
+        metadata=metadata,
+        numbers=numbers,
+        order=order,
+        **axis,
         asked=options,
     )
 
@@ -130,7 +157,9 @@ def _nrrd_skip(fields: dict[str, str], coding: Encoding, most: int) -> int:
     except ValueError:
         lines, skip = 1, 0
     if lines or (skip and coding != "raw"):
-        raise InputError("an NRRD with lines to skip, or bytes of packed voxels, given", "save it as gzip")
+        raise InputError(
+            "an NRRD with lines to skip, or bytes of packed voxels, given", "save it as gzip"
+        )
     return skip if skip >= 0 else max(most, 0)
 
 
@@ -138,7 +167,10 @@ def _nrrd_order(fields: dict[str, str], item: int) -> ByteOrder:
     """Byte order; of single bytes any."""
     said = fields.get("endian", "little" if item == 1 else "").lower()
     if said not in ("little", "big"):
-        raise InputError(f"the NRRD header gives endian {said[:40]!r}, little or big expected", "correct the header")
+        raise InputError(
+            f"the NRRD header gives endian {said[:40]!r}, little or big expected",
+            "correct the header",
+        )
     return "<" if said == "little" else ">"
 
 
@@ -148,7 +180,8 @@ def _check_fields(lines: list[str]) -> None:
     longest = max(map(len, fields), default=0)
     if longest > _MAX_FIELD:
         raise InputError(
-            f"the NRRD header has a field of {longest} characters, at most {_MAX_FIELD} expected", "is it damaged?"
+            f"the NRRD header has a field of {longest} characters, at most {_MAX_FIELD} expected",
+            "is it damaged?",
         )
 
 
@@ -164,7 +197,9 @@ def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
     _check_spacing(spacing)
 
 
-def fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence[int]) -> dict[str, Any]:
+def fourth_axis(
+    fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence[int]
+) -> dict[str, Any]:
     """Return what the fourth axis is, as arguments of `RawHeader`.
 
     The axis beside those of space is the one of another kind, or without a direction. A list of 3D Slicer may be a
@@ -190,7 +225,8 @@ def fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence
     kind = kinds[place]
     if place == 0 and kind in _TIME:
         raise InputError(
-            "the time axis of the NRRD comes first, before those of space", "save it last, or as an axis of kind list"
+            "the time axis of the NRRD comes first, before those of space",
+            "save it last, or as an axis of kind list",
         )
     if place in (1, 2):
         raise InputError(
@@ -205,7 +241,10 @@ def fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence
             "write list for that axis in the line kinds of the header; then --time-index N takes one volume, and "
             "accelsurf track follows all",
         )
-    said = {key.strip().lower(): value.strip() for key, _, value in (line.partition(":=") for line in lines)}
+    said = {
+        key.strip().lower(): value.strip()
+        for key, _, value in (line.partition(":=") for line in lines)
+    }
     times = said.get(TIMES_KEY, "").lower() or _times_of_slicer(said, fields, sizes[place])
     if place == 3:
         name = "time_points" if kind in (*_SPACE, *_TIME, *_SAYS_NOTHING) else "channels"
@@ -218,7 +257,9 @@ def fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence
 def _place(kinds: Sequence[str], directions: str) -> tuple[int, bool]:
     """Number of the axis that is none of space, the last where nothing tells; whether it is given no direction."""
     vectors = re.findall(r"none|\([^)]*\)", directions.lower())
-    without = [place for place, vector in enumerate(vectors[:4]) if vector == "none" or "nan" in vector]
+    without = [
+        place for place, vector in enumerate(vectors[:4]) if vector == "none" or "nan" in vector
+    ]
     other = [place for place, kind in enumerate(kinds) if kind not in (*_SPACE, "")]
     if len(without) == 1:
         return without[0], True
@@ -242,7 +283,10 @@ def _times_of_slicer(said: Mapping[str, str], fields: Mapping[str, str], count: 
 
 def _seconds(fields: Mapping[str, str]) -> float | None:
     """Seconds along the fourth axis, by its spacing, or in a space of four axes by its direction."""
-    steps, units = fields.get("spacings", "").split(), re.findall(r'"([^"]*)"', fields.get("units", ""))
+    steps, units = (
+        fields.get("spacings", "").split(),
+        re.findall(r'"([^"]*)"', fields.get("units", "")),
+    )
     if not steps and "space units" in fields:
         last = fields.get("space directions", "").rpartition("(")[2].rstrip(") ").split(",")
         steps, units = [""] * 3 + last[-1:], re.findall(r'"([^"]*)"', fields["space units"])
@@ -265,23 +309,32 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
         that does not exist; GeometryError when its axes are none.
     """
     with path.open("rb") as file:
-        lines = _header_lines(file, lambda line: re.match(r"\s*ElementDataFile\s*[=:]", line) is not None)
+        lines = _header_lines(
+            file, lambda line: re.match(r"\s*ElementDataFile\s*[=:]", line) is not None
+        )
         offset = file.tell()
         rest = file.read(_REST).strip()
     pairs = [re.split("[=:]", line, maxsplit=1) for line in lines if line.strip()]
     fields = {pair[0].strip(): pair[-1].strip() for pair in pairs}
     keys = [pair[0].strip() for pair in pairs if len(pair) == 2]
     if len(set(keys)) < len(keys):
-        raise InputError("the MetaImage header says the same key twice", hint="keep the one that is right")
+        raise InputError(
+            "the MetaImage header says the same key twice", hint="keep the one that is right"
+        )
     name = fields.get("ElementDataFile", "")
-    if not name or next((k for k in fields if k in _META_SIZED), "") != "NDims" or min(map(len, pairs)) < 2:
+    if (
+        not name
+        or next((k for k in fields if k in _META_SIZED), "") != "NDims"
+        or min(map(len, pairs)) < 2
+    ):
         raise InputError(
             "this is not a MetaImage: NDims, DimSize or ElementDataFile is missing or out of order",
             hint="is it the right file, and whole?",
         )
     if rest and name.upper() not in ("LOCAL", "LIST"):
         raise InputError(
-            "the MetaImage header goes on after ElementDataFile, where no reader looks", "put ElementDataFile last"
+            "the MetaImage header goes on after ElementDataFile, where no reader looks",
+            "put ElementDataFile last",
         )
     _check_meta_flags(fields)
     try:
@@ -290,7 +343,12 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
         (channels,) = _whole(fields.get("ElementNumberOfChannels", "1"))
         (skip,) = _whole(fields.get("HeaderSize", "0"))
         stored = _whole(fields["CompressedDataSize"])[0] if "CompressedDataSize" in fields else None
-        if _whole(fields["NDims"]) != [len(sizes)] or min(sizes) < 1 or len(sizes) > _MAX_AXES or channels < 1:
+        if (
+            _whole(fields["NDims"]) != [len(sizes)]
+            or min(sizes) < 1
+            or len(sizes) > _MAX_AXES
+            or channels < 1
+        ):
             raise ValueError
     except (LookupError, ValueError):
         raise InputError(
@@ -304,7 +362,9 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     _check_units([fields["DistanceUnits"]] if "DistanceUnits" in fields else [])
     data, offset = (path, offset) if name.upper() == "LOCAL" else (_detached(path, name), 0)
     if not _is_true(fields, "BinaryData", "True"):
-        raise InputError("a MetaImage whose voxels are text given, binary ones expected", "save it again")
+        raise InputError(
+            "a MetaImage whose voxels are text given, binary ones expected", "save it again"
+        )
     encoding: Encoding = "raw"
     if _is_true(fields, "CompressedData"):
         encoding = "deflate"
@@ -312,13 +372,24 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
             # ITK then decompresses nothing and returns uninitialized memory.
             raise InputError(*_NOT_PACKED)
     if 0 < skip < offset:
-        raise InputError(f"the MetaImage header of {offset} bytes gives a HeaderSize of {skip}", "correct or remove it")
+        raise InputError(
+            f"the MetaImage header of {offset} bytes gives a HeaderSize of {skip}",
+            "correct or remove it",
+        )
     # HeaderSize -1 means: the voxels are the last bytes of the file, so that nothing before them is theirs.
     count, order = numbers * item, _meta_order(fields)
     offset = max(skip if skip >= 0 else data.stat().st_size - count, offset)
     axis = _meta_fourth_axis(channels, sizes) | {"times_text": fields.get(TIMES_KEY, "")}
     return RawHeader(
-        data, offset, encoding, count, METAIMAGE_ITK_NAME, stored_bytes=stored, numbers=numbers, order=order, **axis,
+        data,
+        offset,
+        encoding,
+        count,
+        METAIMAGE_ITK_NAME,
+        stored_bytes=stored,
+        numbers=numbers,
+        order=order,
+        **axis,
         asked=options,
     )
 
@@ -326,7 +397,9 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
 def _check_meta_flags(fields: Mapping[str, str]) -> None:
     for flag in _META_FLAGS:
         if fields.get(flag) == "":
-            raise InputError(f"the MetaImage header has no value for {flag}", hint="give it True or False")
+            raise InputError(
+                f"the MetaImage header has no value for {flag}", hint="give it True or False"
+            )
 
 
 def _meta_fourth_axis(channels: int, sizes: Sequence[int]) -> dict[str, Any]:
@@ -334,7 +407,8 @@ def _meta_fourth_axis(channels: int, sizes: Sequence[int]) -> dict[str, Any]:
     times = sizes[3] if len(sizes) == 4 else 1
     if channels > 1 and times > 1:
         raise InputError(
-            f"a 4D MetaImage of {times} volumes with {channels} values in each voxel given", "extract one volume first"
+            f"a 4D MetaImage of {times} volumes with {channels} values in each voxel given",
+            "extract one volume first",
         )
     return {"channels": channels, "time_points": times, "is_interleaved": channels > 1}
 
@@ -373,7 +447,10 @@ def _header_lines(file: BinaryIO, last: Callable[[str], bool]) -> list[str]:
 def _detached(path: Path, name: str) -> Path:
     """The data file a header names, relative to the header."""
     if name.split()[0].upper() == "LIST" or "%" in name:
-        raise InputError(f"the voxels are spread over several files ({name})", hint="save the image as one file first")
+        raise InputError(
+            f"the voxels are spread over several files ({name})",
+            hint="save the image as one file first",
+        )
     data = path.parent / name
     if "\0" in name or not data.is_file():
         raise InputError(
@@ -418,7 +495,16 @@ def _check_spacing(spacing: list[float]) -> None:
 def _check_units(units: list[str]) -> None:
     """Millimetres are the only unit that ITK has for these formats; anything else it would silently take as mm."""
     for unit in units:
-        if unit.lower() not in ("", "mm", "millimeter", "millimeters", "millimetre", "millimetres", "???", "?"):
+        if unit.lower() not in (
+            "",
+            "mm",
+            "millimeter",
+            "millimeters",
+            "millimetre",
+            "millimetres",
+            "???",
+            "?",
+        ):
             raise InputError(
                 f"the header gives lengths in {unit}, mm expected",
                 hint="convert spacing and origin to mm in the header, or take out the unit to have them read as mm",

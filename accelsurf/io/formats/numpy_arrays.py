@@ -102,16 +102,22 @@ def _header(path: Path, file: BinaryIO, options: ReadOptions) -> ArrayHeader:
     """The header of an array."""
     dtype, shape, is_fortran, offset = _fields(file)
     if dtype.kind not in "buif":
-        raise InputError(f"values of type {dtype} given, one real number per voxel expected", "save one field of it")
+        raise InputError(
+            f"values of type {dtype} given, one real number per voxel expected",
+            "save one field of it",
+        )
     most = 3 if is_fortran else 4
     if not 2 <= len(shape) <= most or min(shape) < 1:
         raise InputError(
-            f"an array of shape {shape} given, (z, y, x) or (y, x) expected" + ", or (t, z, y, x)" * (most == 4),
+            f"an array of shape {shape} given, (z, y, x) or (y, x) expected"
+            + ", or (t, z, y, x)" * (most == 4),
             "save one channel, with its axes in the order z, y, x; of a sequence (t, z, y, x) as an .npy in C order",
         )
     needed = offset + math.prod(shape) * dtype.itemsize
     if needed > (size := path.stat().st_size):
-        raise InputError(f"the header announces {needed} bytes, the array has {size}", TRUNCATED_HINT)
+        raise InputError(
+            f"the header announces {needed} bytes, the array has {size}", TRUNCATED_HINT
+        )
     budgets.AXIS.check(max(shape), "an axis of the array")
     x, y, z = options.spacing or (1.0, 1.0, 1.0)
     nz, ny, nx = (*[1] * (3 - len(shape)), *shape[-3:])
@@ -130,21 +136,38 @@ def _fields(file: BinaryIO) -> tuple[np.dtype[Any], tuple[int, ...], bool, int]:
     """
     start = file.read(8)
     if start[:6] != _MAGIC or len(start) < 8:
-        raise InputError("this is not a NumPy array: it does not start as one", "is it the right file?")
+        raise InputError(
+            "this is not a NumPy array: it does not start as one", "is it the right file?"
+        )
     width, code = (2, "<H") if start[6] == 1 else (4, "<I")
     try:
         (length,) = struct.unpack(code, file.read(width))
         if length > _MAX_HEADER_BYTES:
             raise ValueError
         fields = ast.literal_eval(file.read(length).decode("utf-8" if start[6] == 3 else "latin-1"))
-        if set(fields) != {"descr", "fortran_order", "shape"} or not isinstance(fields["descr"], str):
+        if set(fields) != {"descr", "fortran_order", "shape"} or not isinstance(
+            fields["descr"], str
+        ):
             raise ValueError
         dtype, shape = np.dtype(fields["descr"]), fields["shape"]
-        if not isinstance(shape, tuple) or not all(type(n) is int and 0 <= n < 1 << 48 for n in shape):
+        if not isinstance(shape, tuple) or not all(
+            type(n) is int and 0 <= n < 1 << 48 for n in shape
+        ):
             raise ValueError
         return dtype, shape, bool(fields["fortran_order"]), 8 + width + length
-    except (ValueError, TypeError, SyntaxError, KeyError, AttributeError, RecursionError, MemoryError, struct.error):
-        raise InputError("the header of the array is damaged, or no plain array", "save it with numpy.save") from None
+    except (
+        ValueError,
+        TypeError,
+        SyntaxError,
+        KeyError,
+        AttributeError,
+        RecursionError,
+        MemoryError,
+        struct.error,
+    ):
+        raise InputError(
+            "the header of the array is damaged, or no plain array", "save it with numpy.save"
+        ) from None
 
 
 def read_array(path: Path, header: ArrayHeader, available: int) -> Volume:
@@ -160,7 +183,9 @@ def read_array(path: Path, header: ArrayHeader, available: int) -> Volume:
     with header.data.open("rb") as file:
         file.seek(header.image_offset())
         flat = np.fromfile(file, header.stored, count)
-    array = flat.reshape(header.shape[-3:], order="F" if header.is_fortran else "C").reshape(header.geometry.shape)
+    array = flat.reshape(header.shape[-3:], order="F" if header.is_fortran else "C").reshape(
+        header.geometry.shape
+    )
     plain: NDArray[Any] = np.ascontiguousarray(array, header.stored.newbyteorder("="))
     return Volume(plain, header.geometry, dict(header.metadata), path)
 

@@ -50,7 +50,8 @@ def check_label_group(image: Path, name: str, overwrite: bool) -> Path:
     """
     if _NAME.fullmatch(name) is None:
         raise UsageError(
-            f"label_group: {name[:80]} was given, expected letters, digits, _ - and .", "as --label-group cells"
+            f"label_group: {name[:80]} was given, expected letters, digits, _ - and .",
+            "as --label-group cells",
         )
     if not image.is_dir():
         raise UsageError("label_group: it was given, and the image is no OME-Zarr", "leave it out")
@@ -62,11 +63,15 @@ def check_label_group(image: Path, name: str, overwrite: bool) -> Path:
         )
     group = header.folder / _GROUP
     check_within_store(image, group)
-    refuse_links(group, "replace the link by the folder that it leads to, or leave out --label-group")
+    refuse_links(
+        group, "replace the link by the folder that it leads to, or leave out --label-group"
+    )
     if not os.access(group if group.is_dir() else header.folder, os.W_OK):
         raise OutputError(f"{group}: cannot be written to", "may the store be written to?")
     if (group / name).exists() and not overwrite:
-        raise OutputError(f"{group / name}: exists already", "choose another --label-group, or add --overwrite")
+        raise OutputError(
+            f"{group / name}: exists already", "choose another --label-group, or add --overwrite"
+        )
     return group / name
 
 
@@ -96,17 +101,28 @@ def put(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:
         group.mkdir(exist_ok=True)
         with open_set(group, name) as files:
             pyramid = ZarrPyramid(
-                files.staging / name, labels.geometry, labels.array.dtype, labels.metadata, name, True, "../../"
+                files.staging / name,
+                labels.geometry,
+                labels.array.dtype,
+                labels.metadata,
+                name,
+                True,
+                "../../",
             )
             for first in range(0, labels.array.shape[0], CHUNK):
-                box = (slice(first, min(first + CHUNK, labels.array.shape[0])), *whole_box(labels.array.shape)[1:])
+                box = (
+                    slice(first, min(first + CHUNK, labels.array.shape[0])),
+                    *whole_box(labels.array.shape)[1:],
+                )
                 pyramid.write(box, labels.array[box])
             pyramid.finish()
             write_bytes(files.staging / _MARK, _listing(group / _MARK, name))
             files.commit(last=_MARK)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise OutputError(f"{group / name}: cannot be written ({reason})", "is there space on the disk?") from error
+        raise OutputError(
+            f"{group / name}: cannot be written ({reason})", "is there space on the disk?"
+        ) from error
     return group / name
 
 

@@ -20,7 +20,14 @@ import numpy as np
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Floats, Geometry
 from accelsurf.io.formats.zarr_files import STORED_KEY
-from accelsurf.io.headers import FRAME_KEY, ORIENTED_KEY, UNIT_KEY, WARNING_KEY, is_anatomical, with_warnings
+from accelsurf.io.headers import (
+    FRAME_KEY,
+    ORIENTED_KEY,
+    UNIT_KEY,
+    WARNING_KEY,
+    is_anatomical,
+    with_warnings,
+)
 from accelsurf.settings import budgets
 from accelsurf.settings.wording import mm_of, seconds_of, unit_name
 
@@ -116,7 +123,8 @@ class OmeMetadata:
         spacing = [here.scale[i] * unit for i, unit in zip(axes, units, strict=True)]
         first = [finest.translation[i] * unit for i, unit in zip(axes, units, strict=True)]
         shift = [
-            (here.translation[i] - finest.translation[i]) * unit for i, unit in zip(axes, units, strict=True)
+            (here.translation[i] - finest.translation[i]) * unit
+            for i, unit in zip(axes, units, strict=True)
         ]
         flat = 3 - len(axes)  # one slice, of 1 mm
         origin = np.array([*first[::-1], *[0.0] * flat])
@@ -143,16 +151,26 @@ def parse_attributes(attributes: Mapping[str, Any]) -> OmeMetadata:
         version = str(ome["version"] if "ome" in attributes else scales.get("version", "0.4"))
         if version not in VERSIONS:
             raise InputError(
-                f"OME-Zarr {version[:20]} given, {' or '.join(VERSIONS)} expected", "convert it, e.g. with ngff-zarr"
+                f"OME-Zarr {version[:20]} given, {' or '.join(VERSIONS)} expected",
+                "convert it, e.g. with ngff-zarr",
             )
         if others:
-            raise InputError(f"{1 + len(others)} images in one group given, one expected", "save them apart")
+            raise InputError(
+                f"{1 + len(others)} images in one group given, one expected", "save them apart"
+            )
         budgets.ZARR_LEVELS.check(len(scales["datasets"]))
         if len(scales["axes"]) > MAX_AXES:
             given = len(scales["axes"])
-            raise InputError(f"an OME-Zarr of {given} axes given, at most {MAX_AXES} expected", _DAMAGED_HINT)
+            raise InputError(
+                f"an OME-Zarr of {given} axes given, at most {MAX_AXES} expected", _DAMAGED_HINT
+            )
         axes = tuple(
-            OmeAxis(str(axis["name"]), str(axis.get("type") or ""), str(axis.get("unit") or ""), word_of(axis))
+            OmeAxis(
+                str(axis["name"]),
+                str(axis.get("type") or ""),
+                str(axis.get("unit") or ""),
+                word_of(axis),
+            )
             for axis in scales["axes"]
         )
         common = scales.get("coordinateTransformations")
@@ -169,7 +187,9 @@ def parse_attributes(attributes: Mapping[str, Any]) -> OmeMetadata:
             _DAMAGED_HINT,
         )
     if all(not axis.unit for axis in space):
-        metadata = with_warnings(metadata, "the OME-Zarr gives no unit of length: it is taken as mm")
+        metadata = with_warnings(
+            metadata, "the OME-Zarr gives no unit of length: it is taken as mm"
+        )
     units = [_mm_per_unit(axis.unit) for axis in space]
     if (unit := unit_name(units[-1])) != "mm":
         metadata[UNIT_KEY] = unit
@@ -183,19 +203,33 @@ def parse_attributes(attributes: Mapping[str, Any]) -> OmeMetadata:
 def _other_kind(ome: Mapping[str, Any]) -> tuple[str, str]:
     """Name the kind of a group that is no image, and the remedy."""
     if "plate" in ome:
-        return "an OME-Zarr plate of many images given, one image expected", "give one of its fields, as PLATE/A/1/0"
+        return (
+            "an OME-Zarr plate of many images given, one image expected",
+            "give one of its fields, as PLATE/A/1/0",
+        )
     if "well" in ome:
-        return "an OME-Zarr well of many fields given, one image expected", "give one of them, as WELL/0"
+        return (
+            "an OME-Zarr well of many fields given, one image expected",
+            "give one of them, as WELL/0",
+        )
     if "labels" in ome:
         names = ", ".join(map(str, ome["labels"][:5])) if isinstance(ome["labels"], list) else ""
-        return f"the label maps of an OME-Zarr given ({names}), one image expected", "give one of them, as labels/NAME"
+        return (
+            f"the label maps of an OME-Zarr given ({names}), one image expected",
+            "give one of them, as labels/NAME",
+        )
     return "an OME-Zarr without an image given", "give the group of one of its images"
 
 
 def _level(dataset: Mapping[str, Any], common: Any, axes: int) -> OmeLevel:
     """A level by its own transformations, and then those of all levels."""
     path = str(dataset["path"])
-    if not path or path.startswith(("/", "\\")) or ".." in path.replace("\\", "/").split("/") or "\0" in path:
+    if (
+        not path
+        or path.startswith(("/", "\\"))
+        or ".." in path.replace("\\", "/").split("/")
+        or "\0" in path
+    ):
         raise ValueError(f"the path of a level is {path!r}")
     scale, translation = _transform(dataset["coordinateTransformations"], axes)
     if common:
@@ -209,7 +243,9 @@ def _transform(given: Any, axes: int) -> tuple[tuple[float, ...], tuple[float, .
     """Scale and translation of a list of transformations: one scale, then perhaps one translation."""
     kinds = [transform["type"] for transform in given]
     if kinds not in (["scale"], ["scale", "translation"]):
-        raise ValueError(f"coordinateTransformations are {kinds}, expected a scale, then perhaps a translation")
+        raise ValueError(
+            f"coordinateTransformations are {kinds}, expected a scale, then perhaps a translation"
+        )
     numbers = [tuple(float(value) for value in transform[transform["type"]]) for transform in given]
     if any(len(some) != axes or not all(map(math.isfinite, some)) for some in numbers):
         raise ValueError(f"a transformation of {axes} finite numbers expected")
@@ -221,8 +257,15 @@ def _own(given: Mapping[str, Any]) -> tuple[Floats | None, dict[str, str], dict[
     direction = None if "direction" not in given else np.array(given["direction"], np.float64)
     if direction is not None and direction.shape != (3, 3):
         raise ValueError("the direction is no matrix of 3 x 3")
-    metadata = {str(key): str(value) for key, value in given.get("metadata", {}).items() if key != WARNING_KEY}
-    stored = {str(path): [int(edge) for edge in edges] for path, edges in given.get(STORED_KEY, {}).items()}
+    metadata = {
+        str(key): str(value)
+        for key, value in given.get("metadata", {}).items()
+        if key != WARNING_KEY
+    }
+    stored = {
+        str(path): [int(edge) for edge in edges]
+        for path, edges in given.get(STORED_KEY, {}).items()
+    }
     return direction, metadata, stored
 
 
@@ -230,7 +273,10 @@ def _mm_per_unit(unit: str) -> float:
     """Millimetres of a unit; of none, 1."""
     mm = mm_of(unit) if unit else 1.0
     if not mm:
-        raise InputError(f"the OME-Zarr gives lengths in {unit[:40]}, a unit of length expected", "correct the unit")
+        raise InputError(
+            f"the OME-Zarr gives lengths in {unit[:40]}, a unit of length expected",
+            "correct the unit",
+        )
     return mm
 
 
@@ -238,7 +284,11 @@ def _space_axes(axes: Sequence[OmeAxis]) -> tuple[int, ...]:
     found = [i for i, axis in enumerate(axes) if axis.kind == "space"]
     names = [axes[i].name.lower() for i in found]
     wanted = ("z", "y", "x")[3 - len(found) :]
-    return tuple(found[names.index(name)] for name in wanted) if set(names) == set(wanted) else tuple(found)
+    return (
+        tuple(found[names.index(name)] for name in wanted)
+        if set(names) == set(wanted)
+        else tuple(found)
+    )
 
 
 def _placed(
@@ -250,7 +300,9 @@ def _placed(
     direction = direction_of(words)
     if direction is None and any(words):
         named = ", ".join(f"{axes[i].name[:40]}: {axes[i].orientation or 'none'}" for i in order)
-        notes.append(f"the orientations of the axes ({named}) are not lines of the body, as in RFC-4, and not used")
+        notes.append(
+            f"the orientations of the axes ({named}) are not lines of the body, as in RFC-4, and not used"
+        )
     if stored is not None:
         if direction is not None and not np.allclose(direction, stored, rtol=0.0, atol=1e-4):
             raise InputError(
@@ -296,7 +348,9 @@ def direction_of(words: Sequence[str]) -> Floats | None:
     ends = [tuple(word.split("-to-")) for word in words]
     found = [
         (axis, 1.0 if pair == sides else -1.0)
-        for pair in ends for axis, sides in enumerate(_SIDES) if pair in (sides, sides[::-1])
+        for pair in ends
+        for axis, sides in enumerate(_SIDES)
+        if pair in (sides, sides[::-1])
     ]
     if len({axis for axis, _ in found}) < len(words):
         return None
@@ -336,12 +390,17 @@ def attributes_of(
             "path": path,
             "coordinateTransformations": [
                 {"type": "scale", "scale": [float(h) for h in spacing]},
-                {"type": "translation", "translation": [float(o + d) for o, d in zip(first, offset, strict=True)]},
+                {
+                    "type": "translation",
+                    "translation": [float(o + d) for o, d in zip(first, offset, strict=True)],
+                },
             ],
         }
         for path, spacing, offset in levels
     ]
-    axes: list[dict[str, Any]] = [{"name": axis, "type": "space", "unit": "millimeter"} for axis in "zyx"]
+    axes: list[dict[str, Any]] = [
+        {"name": axis, "type": "space", "unit": "millimeter"} for axis in "zyx"
+    ]
     if (words := _words(geometry, metadata)) is not None:
         said = ({"orientation": {"type": "anatomical", "value": word}} for word in words)
         axes = [axis | orientation for axis, orientation in zip(axes, said, strict=True)]
@@ -359,7 +418,11 @@ def _words(geometry: Geometry, metadata: Mapping[str, str]) -> list[str] | None:
     The world is a patient's. Only where the lengths are those of a microscope, and nothing says that the axes have a
     meaning, is it not said: the cells of a dish have no left side.
     """
-    is_dish = UNIT_KEY in metadata and not is_anatomical(metadata) and np.array_equal(geometry.direction, np.eye(3))
+    is_dish = (
+        UNIT_KEY in metadata
+        and not is_anatomical(metadata)
+        and np.array_equal(geometry.direction, np.eye(3))
+    )
     words = None if is_dish else words_for(geometry.direction)
     return None if words is None else words[::-1]
 

@@ -100,7 +100,9 @@ class OmeHeader:
         OSError
             When the folders of the image cannot be looked into.
         """
-        places = selected(self.count("channel"), self.count("time"), replace(self.options, time_index=0))
+        places = selected(
+            self.count("channel"), self.count("time"), replace(self.options, time_index=0)
+        )
         number = checked_level(self.options.level, [grid.shape for grid in _grids(self)])
         at = [{"time": None, "channel": channel} for _, channel in places]
         missing = (_voxels(self, number, place, 0).missing() for place in at)
@@ -114,7 +116,9 @@ class OmeHeader:
 
     def count(self, kind: str) -> int:
         """Number of channels ("channel") or time points ("time")."""
-        return math.prod(n for n, axis in zip(self.shape, self.ome.axes, strict=True) if axis.kind == kind)
+        return math.prod(
+            n for n, axis in zip(self.shape, self.ome.axes, strict=True) if axis.kind == kind
+        )
 
 
 def parse_ome_zarr(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
@@ -126,14 +130,17 @@ def parse_ome_zarr(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
         When there is none, or it is damaged.
     """
     if not path.is_dir():
-        raise InputError("this is a file, the folder of an OME-Zarr expected", "unpack it if it is packed")
+        raise InputError(
+            "this is a file, the folder of an OME-Zarr expected", "unpack it if it is packed"
+        )
     attributes = _attributes(path)
     ome = attributes.get("ome", attributes)
     if isinstance(ome, dict) and _SERIES_KEY in ome and "multiscales" not in ome:
         series = sorted(entry.name for entry in os.scandir(path) if entry.name.isdigit())
         if len(series) != 1:
             raise InputError(
-                f"an OME-Zarr of {len(series)} images given, one expected", f"give one of them, as {path.name}/0"
+                f"an OME-Zarr of {len(series)} images given, one expected",
+                f"give one of them, as {path.name}/0",
             )
         check_within_store(path, path / series[0])
         path = path / series[0]
@@ -142,7 +149,8 @@ def parse_ome_zarr(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
     array = open_array(path, ome.levels[0].path)
     if len(array.shape) != len(ome.axes):
         raise InputError(
-            f"the OME-Zarr names {len(ome.axes)} axes, its array has {len(array.shape)}", "export it again"
+            f"the OME-Zarr names {len(ome.axes)} axes, its array has {len(array.shape)}",
+            "export it again",
         )
     return OmeHeader(path, ome, tuple(map(int, array.shape)), np.dtype(array.dtype), options)
 
@@ -166,8 +174,12 @@ def _attributes(path: Path) -> dict[str, Any]:
     except (ValueError, AttributeError, RecursionError) as error:
         message = " ".join(str(error).split())[:200]
         if any((path / mark).is_file() for mark in MARKS):
-            raise InputError(f"the metadata of the Zarr are damaged ({message})", "copy the store again") from error
-        raise InputError("this folder is no Zarr: no zarr.json or .zgroup is in it", "is it the right one?") from error
+            raise InputError(
+                f"the metadata of the Zarr are damaged ({message})", "copy the store again"
+            ) from error
+        raise InputError(
+            "this folder is no Zarr: no zarr.json or .zgroup is in it", "is it the right one?"
+        ) from error
     ome = attributes.get("ome", attributes)
     if kind == "array" or not isinstance(ome, dict) or not _KINDS & set(ome):
         raise InputError(*_plain(path, kind))
@@ -176,27 +188,48 @@ def _attributes(path: Path) -> dict[str, Any]:
 
 def _old_type(path: Path) -> str | None:
     """Type of a node of Zarr 2."""
-    return next((kind for kind in ("array", "group") if read_mark(path, path / f".z{kind}") is not None), None)
+    return next(
+        (kind for kind in ("array", "group") if read_mark(path, path / f".z{kind}") is not None),
+        None,
+    )
 
 
 def _plain(path: Path, kind: str) -> tuple[str, str]:
     """Name the kind of a Zarr without metadata of OME, and the remedy."""
     for above in (path.absolute().parent, path.absolute().parent.parent):
         if any(_says_images(above / mark) for mark in ("zarr.json", ".zattrs")):
-            number = "" if kind != "array" or not path.name.isdigit() else f", with --level {path.name}"
-            return f"the {kind} {path.name} of an OME-Zarr given, its image expected", f"give {above.name}{number}"
+            number = (
+                "" if kind != "array" or not path.name.isdigit() else f", with --level {path.name}"
+            )
+            return (
+                f"the {kind} {path.name} of an OME-Zarr given, its image expected",
+                f"give {above.name}{number}",
+            )
     if kind == "array":
-        return "a Zarr array without the metadata of OME-Zarr given: nothing says how large a voxel is", (
-            "convert it to OME-Zarr, e.g. with ngff-zarr; or save it as .npy, and give --spacing"
+        return (
+            "a Zarr array without the metadata of OME-Zarr given: nothing says how large a voxel is",
+            ("convert it to OME-Zarr, e.g. with ngff-zarr; or save it as .npy, and give --spacing"),
         )
-    below = sorted(entry.name for entry in itertools.islice(os.scandir(path), _LISTED) if entry.is_dir())
-    images = [name for name in below if any(_says_images(path / name / mark) for mark in ("zarr.json", ".zattrs"))]
+    below = sorted(
+        entry.name for entry in itertools.islice(os.scandir(path), _LISTED) if entry.is_dir()
+    )
+    images = [
+        name
+        for name in below
+        if any(_says_images(path / name / mark) for mark in ("zarr.json", ".zattrs"))
+    ]
     if images:
         named = ", ".join(images[:5])
-        return f"a Zarr group of the images {named} given, one image expected", f"give one, as {path.name}/{images[0]}"
+        return (
+            f"a Zarr group of the images {named} given, one image expected",
+            f"give one, as {path.name}/{images[0]}",
+        )
     named = f" ({', '.join(below[:5])})" if below else ""
-    return f"a Zarr group{named} without the metadata of an OME-Zarr image given: nothing says how large a voxel is", (
-        "convert an array of it to OME-Zarr, e.g. with ngff-zarr; or save it as .npy, and give --spacing"
+    return (
+        f"a Zarr group{named} without the metadata of an OME-Zarr image given: nothing says how large a voxel is",
+        (
+            "convert an array of it to OME-Zarr, e.g. with ngff-zarr; or save it as .npy, and give --spacing"
+        ),
     )
 
 
@@ -227,31 +260,43 @@ def open_ome_zarr(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume
     UsageError
         When there is no such level, channel or time point.
     """
-    asked = replace(header.options, channel_index=opening.channel_index, time_index=opening.time_index)
+    asked = replace(
+        header.options, channel_index=opening.channel_index, time_index=opening.time_index
+    )
     place = single(header.count("channel"), header.count("time"), asked)
     return _opened(path, header, place, opening.level, opening.cache_bytes, not opening.again)[0]
 
 
 def _opened(
-    path: Path, header: OmeHeader, place: tuple[int, int], level: Level, cache_bytes: int, listed: bool = False
+    path: Path,
+    header: OmeHeader,
+    place: tuple[int, int],
+    level: Level,
+    cache_bytes: int,
+    listed: bool = False,
 ) -> tuple[LazyVolume, ZarrVoxels]:
     """A level of the image of a time point and a channel; ``listed``: which says what is missing of it."""
     grids = _grids(header)
     number = checked_level(level, [grid.shape for grid in grids])
     voxels = _voxels(header, number, {"time": place[0], "channel": place[1]}, cache_bytes)
-    layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"), number)
+    layout = StoreLayout(
+        grids, voxels.chunk_shape, header.count("channel"), header.count("time"), number
+    )
     note = voxels.missing if listed else None
     return LazyVolume(voxels, grids[number], dict(header.ome.metadata), path, layout, note), voxels
 
 
-def _voxels(header: OmeHeader, number: int, at: Mapping[str, int | None], cache_bytes: int) -> ZarrVoxels:
+def _voxels(
+    header: OmeHeader, number: int, at: Mapping[str, int | None], cache_bytes: int
+) -> ZarrVoxels:
     """The voxels of a level, at places along the axes that are none of space."""
     ome = header.ome
     index: list[int | None] = []
     for axis, n in zip(ome.axes, header.shape, strict=True):
         if axis.kind != "space" and axis.kind not in at and n > 1:
             raise InputError(
-                f"an image of {n} entries of an axis of type {axis.kind or 'none'} given, one expected", "extract one"
+                f"an image of {n} entries of an axis of type {axis.kind or 'none'} given, one expected",
+                "extract one",
             )
         index.append(None if axis.kind == "space" else at.get(axis.kind, 0))
     name = ome.levels[number].path
@@ -265,7 +310,8 @@ def _grids(header: OmeHeader) -> tuple[Geometry, ...]:
     for i, shape in enumerate(shapes):
         if len(shape) != len(ome.axes):
             raise InputError(
-                f"level {i} of the OME-Zarr has {len(shape)} axes, its metadata name {len(ome.axes)}", "export it again"
+                f"level {i} of the OME-Zarr has {len(shape)} axes, its metadata name {len(ome.axes)}",
+                "export it again",
             )
     return tuple(ome.geometry(i, shape) for i, shape in enumerate(shapes))
 
@@ -299,7 +345,12 @@ def read_ome_zarr_channels(path: Path, header: OmeHeader, available: int) -> lis
 def _in_memory(lazy: LazyVolume, voxels: ZarrVoxels, available: int, count: int) -> Volume:
     check_memory(lazy.geometry.size, count * lazy.dtype.itemsize, available)
     array = voxels.read(whole_box(lazy.shape))
-    return Volume(array, lazy.geometry, with_warnings(lazy.metadata, voxels.missing(listed=False)), lazy.source)
+    return Volume(
+        array,
+        lazy.geometry,
+        with_warnings(lazy.metadata, voxels.missing(listed=False)),
+        lazy.source,
+    )
 
 
 def write_ome_zarr(volume: Volume, path: Path) -> None:
@@ -316,13 +367,20 @@ def _write(volume: Volume, path: Path, labels: bool) -> None:
     name = split_name(path)[0]
     pyramid = ZarrPyramid(path, volume.geometry, volume.array.dtype, volume.metadata, name, labels)
     for first in range(0, volume.array.shape[0], CHUNK):
-        box = (slice(first, min(first + CHUNK, volume.array.shape[0])), *whole_box(volume.array.shape)[1:])
+        box = (
+            slice(first, min(first + CHUNK, volume.array.shape[0])),
+            *whole_box(volume.array.shape)[1:],
+        )
         pyramid.write(box, volume.array[box])
     pyramid.finish()
 
 
 def store_ome_zarr(
-    path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], source: str | None
+    path: Path,
+    geometry: Geometry,
+    dtype: np.dtype[Any],
+    metadata: Mapping[str, str],
+    source: str | None,
 ) -> ZarrPyramid:
     """Begin a label map that is written box by box."""
     return ZarrPyramid(path, geometry, dtype, metadata, split_name(path)[0], True, source)

@@ -81,19 +81,31 @@ def parse_png(path: Path, options: ReadOptions = AS_IT_IS) -> PngHeader:
     with path.open("rb") as file:
         start = file.read(29)
     if not start.startswith(_START):
-        raise InputError("this is not a PNG image: it does not start as one", hint="is it the right file?")
+        raise InputError(
+            "this is not a PNG image: it does not start as one", hint="is it the right file?"
+        )
     with library_named(*_DAMAGED), PngImageFile(path) as image:
         (width, height), mode = image.size, image.mode
         is_grey, depth = mode in ("1", "L", "I;16", "LA"), start[24]
         if is_grey and (mode == "LA" or "transparency" in image.info):
-            raise InputError("a grey PNG with transparency given, one without expected", "save it without transparency")
+            raise InputError(
+                "a grey PNG with transparency given, one without expected",
+                "save it without transparency",
+            )
         if start[28]:
-            raise InputError("an interlaced PNG given, row after row expected", "save it again, not interlaced")
+            raise InputError(
+                "an interlaced PNG given, row after row expected", "save it again, not interlaced"
+            )
         if depth == 16 and not is_grey:
-            raise InputError("a colour PNG of 16 bits given, of which 8 would be left", "save it as grey, or as TIFF")
+            raise InputError(
+                "a colour PNG of 16 bits given, of which 8 would be left",
+                "save it as grey, or as TIFF",
+            )
         rows = height * (1 + (width * depth * _STORED[start[25]] + 7) // 8)
     spacing = None if options.spacing is None else options.spacing[::-1]
-    return PngHeader(path, (1, height, width), spacing, depth // 8 or 1 if is_grey else 3 + (mode != "RGB"), rows)
+    return PngHeader(
+        path, (1, height, width), spacing, depth // 8 or 1 if is_grey else 3 + (mode != "RGB"), rows
+    )
 
 
 def read_png(path: Path, header: PngHeader, available: int) -> Volume:
@@ -137,8 +149,10 @@ def _checked(header: PngHeader) -> tuple[float, float] | None:
                 present += len(unpack.decompress(body, 1 << 20))
                 body = unpack.unconsumed_tail
     if present != header.row_bytes:
-        raise InputError(f"the header announces {header.row_bytes} bytes of rows, {present} or more are there",
-                         TRUNCATED_HINT)
+        raise InputError(
+            f"the header announces {header.row_bytes} bytes of rows, {present} or more are there",
+            TRUNCATED_HINT,
+        )
     try:
         x, y = (float(word) for word in scale[1:64].split(b"\0"))
     except ValueError:

@@ -23,6 +23,8 @@ from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 Encoding = Literal["raw", "deflate"]
 ByteOrder = Literal["<", ">"]
+
+
 @dataclass(frozen=True)
 class RawHeader:
     """Claims of a header.
@@ -109,7 +111,9 @@ class RawHeader:
         InputError
             As `accelsurf.io.channels.selected`.
         """
-        return [self._number(*place) for place in selected(self.channels, self.time_points, self.asked)]
+        return [
+            self._number(*place) for place in selected(self.channels, self.time_points, self.asked)
+        ]
 
     def single(self) -> int:
         """The number of the component or volume that is read as an image of one channel.
@@ -132,7 +136,9 @@ class RawHeader:
         InputError
             With both numbers.
         """
-        budgets.AXIS.check(self.channels * self.time_points, "the channels and time points of the image")
+        budgets.AXIS.check(
+            self.channels * self.time_points, "the channels and time points of the image"
+        )
         present = max(self.data.stat().st_size - self.offset, 0)
         if self.encoding == "raw":
             self.check_present(present)
@@ -153,7 +159,9 @@ class RawHeader:
                 hint=TRUNCATED_HINT,
             )
 
-    def volumes(self, stored: np.dtype[Any], shape: tuple[int, int, int], numbers: Sequence[int]) -> list[NDArray[Any]]:
+    def volumes(
+        self, stored: np.dtype[Any], shape: tuple[int, int, int], numbers: Sequence[int]
+    ) -> list[NDArray[Any]]:
         """Read some of the components or volumes; what is packed is unpacked to its end, which verifies its checksum.
 
         Parameters
@@ -176,7 +184,9 @@ class RawHeader:
         """
         if not self.is_interleaved:
             first, size = min(numbers), math.prod(shape)
-            several = self._values(stored, first * size, (max(numbers) + 1 - first) * size).reshape(-1, *shape)
+            several = self._values(stored, first * size, (max(numbers) + 1 - first) * size).reshape(
+                -1, *shape
+            )
             return [several[number - first] for number in numbers]
         # Planes, unless they are packed: then all is unpacked once.
         depth, every = 1 if self.encoding == "raw" else shape[0], self.channels * self.time_points
@@ -202,8 +212,14 @@ class RawHeader:
                 for piece in inflate(stream, self.stored_bytes, self.claimed_bytes):
                     some = memoryview(piece)[skip : skip + len(raw) - at]
                     raw[at : at + len(some)] = some
-                    at, skip, present = at + len(some), max(skip - len(piece), 0), present + len(piece)
+                    at, skip, present = (
+                        at + len(some),
+                        max(skip - len(piece), 0),
+                        present + len(piece),
+                    )
                 self.check_present(present)
         if at < len(raw):
-            raise InputError(f"{len(raw)} bytes of voxels announced, {at} read", hint=TRUNCATED_HINT)
+            raise InputError(
+                f"{len(raw)} bytes of voxels announced, {at} read", hint=TRUNCATED_HINT
+            )
         return values

@@ -27,7 +27,10 @@ _MAX_GAP_BYTES = 4096
 #: Bytes that are read at once with gaps between rows.
 _BLOCK_BYTES = 1 << 22
 #: Message and hint where a file is not the one that was opened.
-CHANGED = ("the file has changed since it was opened", "let no other program write it; then start again")
+CHANGED = (
+    "the file has changed since it was opened",
+    "let no other program write it; then start again",
+)
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,9 @@ class RawVoxels:
         When the file ends before the last voxel.
     """
 
-    def __init__(self, layout: RawLayout, values: Callable[[NDArray[Any]], NDArray[Any]] | None = None) -> None:
+    def __init__(
+        self, layout: RawLayout, values: Callable[[NDArray[Any]], NDArray[Any]] | None = None
+    ) -> None:
         self.layout = layout
         self._values = values or native
         self.dtype = self._values(np.zeros(1, layout.stored)).dtype
@@ -118,7 +123,9 @@ class RawVoxels:
         with self.layout.path.open("rb", buffering=0) as file:
             if file_version(os.fstat(file.fileno())) != self._version:
                 raise InputError(*CHANGED)
-            count = sum(self._read_plane(file, z, box, stored[z - box[0].start]) for z in _range(box[0]))
+            count = sum(
+                self._read_plane(file, z, box, stored[z - box[0].start]) for z in _range(box[0])
+            )
         with self._lock:
             self.bytes_read += count
         return np.ascontiguousarray(self._values(stored))
@@ -137,7 +144,9 @@ class RawVoxels:
         count, step = 0, max(1, _BLOCK_BYTES // (nx * item))
         for first in range(0, rows, step):
             some = min(step, rows - first)
-            block = np.empty(some * nx - (nx - columns), self.layout.stored)  # to the end of the last row
+            block = np.empty(
+                some * nx - (nx - columns), self.layout.stored
+            )  # to the end of the last row
             count += _fill(file, at + first * nx * item, block)
             for row in range(some):
                 plane[first + row] = block[row * nx : row * nx + columns]
@@ -175,7 +184,9 @@ def _put(file: BinaryIO, offset: int, array: NDArray[Any]) -> None:
     file.seek(offset)
     at = 0
     while at < len(raw):
-        at += file.write(raw[at:])  # less than all where the disk is nearly full; the next call then says so
+        at += file.write(
+            raw[at:]
+        )  # less than all where the disk is nearly full; the next call then says so
 
 
 def native(stored: NDArray[Any]) -> NDArray[Any]:
@@ -195,6 +206,8 @@ def _fill(file: BinaryIO, offset: int, array: NDArray[Any]) -> int:
     while at < len(raw):
         count = file.readinto(raw[at:])  # type: ignore[attr-defined]
         if not count:
-            raise InputError(f"{len(raw)} bytes of voxels expected at byte {offset}, {at} read", TRUNCATED_HINT)
+            raise InputError(
+                f"{len(raw)} bytes of voxels expected at byte {offset}, {at} read", TRUNCATED_HINT
+            )
         at += count
     return at

@@ -84,8 +84,10 @@ def fitting_names(path: Path, stores: bool = False) -> tuple[Path, list[str]]:
     if not folder.is_dir():
         raise InputError("there is no such folder", "check the path")
     names = [
-        entry.name for entry in folder.iterdir()
-        if fnmatchcase(entry.name, pattern) and not entry.name.startswith(".")
+        entry.name
+        for entry in folder.iterdir()
+        if fnmatchcase(entry.name, pattern)
+        and not entry.name.startswith(".")
         and (entry.is_file() or (stores and headers.is_stored(entry)))
     ]
     if lossy := [name for name in names if name.lower().endswith(_LOSSY)]:
@@ -115,7 +117,10 @@ def in_order(names: Sequence[str]) -> list[str]:
 def _numbered(name: str) -> list[tuple[int, str]]:
     """Texts and numbers of a name in turns, to be compared."""
     words = re.split(r"([0-9]+)", name)
-    return [(int(word) if place % 2 else 0, "" if place % 2 else word) for place, word in enumerate(words)]
+    return [
+        (int(word) if place % 2 else 0, "" if place % 2 else word)
+        for place, word in enumerate(words)
+    ]
 
 
 def parse_slices(path: Path, options: ReadOptions = AS_IT_IS) -> SliceFolder:
@@ -151,17 +156,26 @@ def parse_slices(path: Path, options: ReadOptions = AS_IT_IS) -> SliceFolder:
         plane = first.stack.spacing[1:] if isinstance(first, TiffImage) else (1.0, 1.0)
         spacing = (1.0, *plane)
         text = " x ".join(f"{h:.6g}" for h in spacing[::-1])
-        notes.append(f"the slices do not say how far apart they are: voxels of {text} mm are taken; give --spacing")
+        notes.append(
+            f"the slices do not say how far apart they are: voxels of {text} mm are taken; give --spacing"
+        )
     if isinstance(first, TiffImage) and UNIT_KEY in first.metadata:
         metadata[UNIT_KEY] = first.metadata[UNIT_KEY]
     geometry = Geometry((len(files), *shapes[0][1:]), spacing)
     return SliceFolder(
-        path, tuple(files), tuple(header for _, header in found), form, geometry, with_warnings(metadata, *notes)
+        path,
+        tuple(files),
+        tuple(header for _, header in found),
+        form,
+        geometry,
+        with_warnings(metadata, *notes),
     )
 
 
 def _shape(header: Any) -> tuple[int, int, int]:
-    shape: tuple[int, int, int] = header.grids[0].shape if isinstance(header, TiffImage) else header.shape
+    shape: tuple[int, int, int] = (
+        header.grids[0].shape if isinstance(header, TiffImage) else header.shape
+    )
     return shape
 
 
@@ -179,7 +193,9 @@ def _files(path: Path) -> list[Path]:
     if not names:
         raise InputError("no TIFF or PNG fits", "check the folder and the pattern")
     if len({name.lower().endswith(".png") for name in names}) > 1:
-        raise InputError("TIFF and PNG files are there, one kind expected", "give a pattern, as 'FOLDER/*.tif'")
+        raise InputError(
+            "TIFF and PNG files are there, one kind expected", "give a pattern, as 'FOLDER/*.tif'"
+        )
     return [folder / name for name in in_order(names)]
 
 
@@ -208,16 +224,24 @@ def read_slices(path: Path, header: SliceFolder, available: int) -> Volume:
     InputError
         When one is damaged or of another type, or all are larger than the memory.
     """
-    check_memory(header.geometry.size, header.headers[0].pixel_bytes if header.form.name == "png" else 4, available)
+    check_memory(
+        header.geometry.size,
+        header.headers[0].pixel_bytes if header.form.name == "png" else 4,
+        available,
+    )
     array: np.ndarray | None = None
     for z, (file, claim) in enumerate(zip(header.files, header.headers, strict=True)):
         with naming(file):
             found = load(header.form.read)(file, claim, available)
             if array is None:
-                array, note = np.empty(header.geometry.shape, found.array.dtype), found.metadata.get(WARNING_KEY, "")
+                array, note = (
+                    np.empty(header.geometry.shape, found.array.dtype),
+                    found.metadata.get(WARNING_KEY, ""),
+                )
             if found.array.dtype != array.dtype:
                 raise InputError(
-                    f"values of type {found.array.dtype}, those of the first slice are {array.dtype}", "convert them"
+                    f"values of type {found.array.dtype}, those of the first slice are {array.dtype}",
+                    "convert them",
                 )
             array[z] = found.array[0]
     assert array is not None
@@ -234,11 +258,15 @@ def open_slices(path: Path, header: SliceFolder, opening: Opening) -> LazyVolume
         When they are PNG or have colours.
     """
     if header.form.open is None:
-        raise InputError("slices in PNG are packed as a whole", "convert them to one OME-Zarr or to TIFF")
+        raise InputError(
+            "slices in PNG are packed as a whole", "convert them to one OME-Zarr or to TIFF"
+        )
     slabs = []
     for file, claim in zip(header.files, header.headers, strict=True):
         with naming(file):
-            slabs.append(load(header.form.open)(file, claim, Opening(cache_bytes=opening.cache_bytes)).voxels)
+            slabs.append(
+                load(header.form.open)(file, claim, Opening(cache_bytes=opening.cache_bytes)).voxels
+            )
     layout = StoreLayout((header.geometry,), (1, *header.geometry.shape[1:]))
     voxels = StackedVoxels(slabs, [1] * len(slabs))
     return LazyVolume(voxels, header.geometry, dict(header.metadata), path, layout)

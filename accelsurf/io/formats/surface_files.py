@@ -33,7 +33,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 #: The spaces that are understood, by their letters: the short and the long name.
 _SPACES: dict[str, Literal["LPS", "RAS", ""]] = {
-    "LPS": "LPS", "LEFTPOSTERIORSUPERIOR": "LPS", "RAS": "RAS", "RIGHTANTERIORSUPERIOR": "RAS",
+    "LPS": "LPS",
+    "LEFTPOSTERIORSUPERIOR": "LPS",
+    "RAS": "RAS",
+    "RIGHTANTERIORSUPERIOR": "RAS",
 }
 _MILLIMETRES = ("MM", "MILLIMETER", "MILLIMETERS", "MILLIMETRE", "MILLIMETRES")
 #: A colour space is none of the world.
@@ -124,7 +127,9 @@ def ply_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | Non
 
 def stl_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
     """The bytes of a .stl file; ``space`` is LPS or RAS. The format keeps no name and no colour."""
-    rows = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "<u2")])
+    rows = np.zeros(
+        len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "<u2")]
+    )
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     rows["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
@@ -146,11 +151,17 @@ def obj_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | Non
 
 def vtp_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
     """The bytes of a .vtp file; ``space`` is LPS or RAS."""
-    return polydata(vertices, faces.ravel(), np.arange(3, 3 * len(faces) + 1, 3), "Polys", space, label)
+    return polydata(
+        vertices, faces.ravel(), np.arange(3, 3 * len(faces) + 1, 3), "Polys", space, label
+    )
 
 
 def polydata(
-    points: Floats, numbers: NDArray[np.integer], ends: NDArray[np.integer], kind: str, space: str,
+    points: Floats,
+    numbers: NDArray[np.integer],
+    ends: NDArray[np.integer],
+    kind: str,
+    space: str,
     label: LabelEntry | None = None,
 ) -> bytes:
     """VTK's XML PolyData with raw appended arrays; written here so that saving a mesh does not load VTK.
@@ -177,7 +188,11 @@ def polydata(
     at = [0, len(blocks[0]), len(blocks[0]) + len(blocks[1])]
     field = "".join(
         f'<Array type="String" Name="{name}" NumberOfTuples="1" format="ascii">{_codes(value)}</Array>'
-        for name, value in (("SPACE", space), ("UNIT", "mm"), *((("NAME", ascii_name(label.name)),) if label else ()))
+        for name, value in (
+            ("SPACE", space),
+            ("UNIT", "mm"),
+            *((("NAME", ascii_name(label.name)),) if label else ()),
+        )
     )
     if label is not None:
         red, green, blue = label.color
@@ -254,11 +269,15 @@ def is_ras(header: str, given: str = "") -> bool:
     """
     units = [word for word in _stated("UNIT", header) if word.upper() not in _MILLIMETRES]
     if units:
-        raise InputError(f"its header says UNIT={units[0][:40]}, mm expected", "export the mesh in mm")
+        raise InputError(
+            f"its header says UNIT={units[0][:40]}, mm expected", "export the mesh in mm"
+        )
     space = stated_space(header)
     if space:
         if given and given.upper() != space:
-            raise InputError(f"its header says SPACE={space}, @{given} was given", f"leave @{given} out")
+            raise InputError(
+                f"its header says SPACE={space}, @{given} was given", f"leave @{given} out"
+            )
         return space == "RAS"
     words = _stated("SPACE", header)
     if words and not given:
@@ -272,7 +291,10 @@ def is_ras(header: str, given: str = "") -> bool:
 
 def stated_space(header: str) -> Literal["LPS", "RAS", ""]:
     """The space that a header says; empty where it says none, several, or one that is not understood."""
-    spaces = {_SPACES.get("".join(re.findall("[A-Z]", word.upper())), "") for word in _stated("SPACE", header)}
+    spaces = {
+        _SPACES.get("".join(re.findall("[A-Z]", word.upper())), "")
+        for word in _stated("SPACE", header)
+    }
     return spaces.pop() if len(spaces) == 1 else ""
 
 

@@ -20,12 +20,37 @@ from accelsurf.errors import InputError
 from accelsurf.io.formats.png import TRUNCATED_HINT
 from accelsurf.settings import budgets
 
-SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 254, 256, 257, 258, 259, 262, 270
-STRIPS, ORIENTATION, SAMPLES, ROWS, STRIP_BYTES, X_RES, Y_RES, PLANAR = 273, 274, 277, 278, 279, 282, 283, 284
+SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = (
+    254,
+    256,
+    257,
+    258,
+    259,
+    262,
+    270,
+)
+STRIPS, ORIENTATION, SAMPLES, ROWS, STRIP_BYTES, X_RES, Y_RES, PLANAR = (
+    273,
+    274,
+    277,
+    278,
+    279,
+    282,
+    283,
+    284,
+)
 RES_UNIT, TILE_WIDTH, TILE_HEIGHT, TILES, TILE_BYTES, FORMAT = 296, 322, 323, 324, 325, 339
 FILL_ORDER, PREDICTOR, SUB_PAGES, EXTRA = 266, 317, 330, 338
 _NAMES = {
-    1: "BYTE", 2: "ASCII", 3: "SHORT", 4: "LONG", 5: "RATIONAL", 7: "UNDEFINED", 13: "IFD", 16: "LONG8", 18: "IFD8"
+    1: "BYTE",
+    2: "ASCII",
+    3: "SHORT",
+    4: "LONG",
+    5: "RATIONAL",
+    7: "UNDEFINED",
+    13: "IFD",
+    16: "LONG8",
+    18: "IFD8",
 }
 _TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 7: "s", 13: "I", 16: "Q", 18: "Q"}
 #: Types of values: whole numbers, of any length, as TIFF 6.0 asks of readers; offsets; texts; fractions.
@@ -44,7 +69,14 @@ _NO_PREDICTOR = (1, PACKBITS)  # packings whose bytes are no differences
 _FIRST_BYTE = 8  # after which strips and directories begin
 #: Types of values that are written: bits and sample format (1 unsigned, 2 signed, 3 floating point).
 STORED = {
-    **{"uint8": (8, 1), "uint16": (16, 1), "uint32": (32, 1), "int8": (8, 2), "int16": (16, 2), "int32": (32, 2)},
+    **{
+        "uint8": (8, 1),
+        "uint16": (16, 1),
+        "uint32": (32, 1),
+        "int8": (8, 2),
+        "int16": (16, 2),
+        "int32": (32, 2),
+    },
     "float32": (32, 3),
 }
 #: Types of values by bits and sample format.
@@ -73,17 +105,31 @@ class TagRule(NamedTuple):
 
 #: The tags that are read.
 RULES = {
-    SUBFILE: TagRule("NewSubfileType"), WIDTH: TagRule("ImageWidth"), HEIGHT: TagRule("ImageLength"),
-    BITS: TagRule("BitsPerSample", most=MAX_SAMPLES), COMPRESSION: TagRule("Compression"),
-    PHOTOMETRIC: TagRule("PhotometricInterpretation"), FILL_ORDER: TagRule("FillOrder"),
-    DESCRIPTION: TagRule("ImageDescription", _TEXT, ANY), STRIPS: TagRule("StripOffsets", _OFFSET, ANY),
-    ORIENTATION: TagRule("Orientation"), SAMPLES: TagRule("SamplesPerPixel"), ROWS: TagRule("RowsPerStrip"),
-    STRIP_BYTES: TagRule("StripByteCounts", _WHOLE, ANY), X_RES: TagRule("XResolution", _FRACTION),
-    Y_RES: TagRule("YResolution", _FRACTION), PLANAR: TagRule("PlanarConfiguration"),
-    RES_UNIT: TagRule("ResolutionUnit"), PREDICTOR: TagRule("Predictor"), TILE_WIDTH: TagRule("TileWidth"),
-    TILE_HEIGHT: TagRule("TileLength"), TILES: TagRule("TileOffsets", _OFFSET, ANY),
-    TILE_BYTES: TagRule("TileByteCounts", _WHOLE, ANY), SUB_PAGES: TagRule("SubIFDs", _OFFSET, 32),
-    EXTRA: TagRule("ExtraSamples", most=MAX_SAMPLES), FORMAT: TagRule("SampleFormat", most=MAX_SAMPLES),
+    SUBFILE: TagRule("NewSubfileType"),
+    WIDTH: TagRule("ImageWidth"),
+    HEIGHT: TagRule("ImageLength"),
+    BITS: TagRule("BitsPerSample", most=MAX_SAMPLES),
+    COMPRESSION: TagRule("Compression"),
+    PHOTOMETRIC: TagRule("PhotometricInterpretation"),
+    FILL_ORDER: TagRule("FillOrder"),
+    DESCRIPTION: TagRule("ImageDescription", _TEXT, ANY),
+    STRIPS: TagRule("StripOffsets", _OFFSET, ANY),
+    ORIENTATION: TagRule("Orientation"),
+    SAMPLES: TagRule("SamplesPerPixel"),
+    ROWS: TagRule("RowsPerStrip"),
+    STRIP_BYTES: TagRule("StripByteCounts", _WHOLE, ANY),
+    X_RES: TagRule("XResolution", _FRACTION),
+    Y_RES: TagRule("YResolution", _FRACTION),
+    PLANAR: TagRule("PlanarConfiguration"),
+    RES_UNIT: TagRule("ResolutionUnit"),
+    PREDICTOR: TagRule("Predictor"),
+    TILE_WIDTH: TagRule("TileWidth"),
+    TILE_HEIGHT: TagRule("TileLength"),
+    TILES: TagRule("TileOffsets", _OFFSET, ANY),
+    TILE_BYTES: TagRule("TileByteCounts", _WHOLE, ANY),
+    SUB_PAGES: TagRule("SubIFDs", _OFFSET, 32),
+    EXTRA: TagRule("ExtraSamples", most=MAX_SAMPLES),
+    FORMAT: TagRule("SampleFormat", most=MAX_SAMPLES),
 }
 
 
@@ -145,9 +191,15 @@ def read_form(file: BinaryIO) -> TiffForm:
     file.seek(0)
     start = file.read(16)
     order: Literal["<", ">"] = "<" if start[:2] == b"II" else ">"
-    version = struct.unpack(order + "H", start[2:4])[0] if start[:2] in (b"II", b"MM") and len(start) >= 4 else 0
+    version = (
+        struct.unpack(order + "H", start[2:4])[0]
+        if start[:2] in (b"II", b"MM") and len(start) >= 4
+        else 0
+    )
     if version not in (42, 43):
-        raise InputError("this is not a TIFF image: it does not start as one", hint="is it the right file?")
+        raise InputError(
+            "this is not a TIFF image: it does not start as one", hint="is it the right file?"
+        )
     big = version == 43
     word, count, entry = ("Q", "Q", 20) if big else ("I", "H", 12)
     first = struct.unpack_from(order + word, start, 8 if big else 4)[0]
@@ -184,7 +236,10 @@ def read_pages(file: BinaryIO) -> Directories:
     pages: dict[int, Page] = {}
     while at:
         if at in pages:
-            raise InputError("the TIFF is damaged: its last page points back to an earlier one", hint=TRUNCATED_HINT)
+            raise InputError(
+                "the TIFF is damaged: its last page points back to an earlier one",
+                hint=TRUNCATED_HINT,
+            )
         found = read_directory(file, form, at, spent)
         # Directories may not lie upon one another: there could be one for nearly each byte of the file.
         spent, length = found.spent, length + found.length
@@ -246,7 +301,11 @@ def _check(rule: TagRule, kind: int, count: int, field: bytes) -> None:
     InputError
         With both.
     """
-    is_known = kind in rule.types and 0 < count <= rule.most and (kind not in _OF_BIG_TIFF or len(field) == 8)
+    is_known = (
+        kind in rule.types
+        and 0 < count <= rule.most
+        and (kind not in _OF_BIG_TIFF or len(field) == 8)
+    )
     size = struct.calcsize("=" + _TYPES[kind]) * count if is_known else 0
     # What an entry does not fill is zero: other bytes are of a longer value.
     if not is_known or (size < len(field) and rule.types != _TEXT and any(field[size:])):
@@ -258,7 +317,9 @@ def _check(rule: TagRule, kind: int, count: int, field: bytes) -> None:
         )
 
 
-def _values(file: BinaryIO, order: str, tag: int, kind: int, count: int, field: bytes) -> tuple[Any, ...]:
+def _values(
+    file: BinaryIO, order: str, tag: int, kind: int, count: int, field: bytes
+) -> tuple[Any, ...]:
     """The values of an entry, in the entry itself or where it points; of a text also whether its end mark is there."""
     code = "s" if RULES[tag].types == _TEXT else _TYPES[kind]
     size = struct.calcsize(order + code) * count
@@ -288,7 +349,9 @@ def strips_of(page: Page) -> NDArray[np.int64]:
         When they overlap.
     """
     offsets, lengths = (TILES, TILE_BYTES) if TILES in page else (STRIPS, STRIP_BYTES)
-    strips = np.stack([np.array(page[offsets], np.int64), np.array(page[lengths], np.int64)], axis=1)
+    strips = np.stack(
+        [np.array(page[offsets], np.int64), np.array(page[lengths], np.int64)], axis=1
+    )
     ordered = strips[np.argsort(strips[:, 0], kind="stable")]
     if (ordered[1:, 0] - ordered[:-1, 0] < ordered[:-1, 1]).any():
         raise InputError("strips or tiles of a page of the TIFF overlap", TRUNCATED_HINT)
@@ -351,9 +414,12 @@ class TiffHeader:
         strips = [self.strips[starts[page] : self.ends[page]] for page in pages]
         _, ny, nx = self.shape
         return replace(
-            self, shape=(len(pages), ny, nx),
-            strips=np.concatenate(strips), ends=np.cumsum([len(places) for places in strips], dtype=np.int64),
-            directories=self.directories[list(pages)], sample=sample,
+            self,
+            shape=(len(pages), ny, nx),
+            strips=np.concatenate(strips),
+            ends=np.cumsum([len(places) for places in strips], dtype=np.int64),
+            directories=self.directories[list(pages)],
+            sample=sample,
             planes=None if self.planes is None else self.planes[list(pages)],
         )
 
@@ -368,7 +434,12 @@ class TiffHeader:
         size = self.data.stat().st_size
         offsets, lengths = self.strips[:, 0], self.strips[:, 1]
         # No sum of the two is taken that 64 bits do not hold.
-        if (wrong := (offsets < _FIRST_BYTE) | (lengths <= 0) | (offsets > size) | (lengths > size - offsets)).any():
+        if (
+            wrong := (offsets < _FIRST_BYTE)
+            | (lengths <= 0)
+            | (offsets > size)
+            | (lengths > size - offsets)
+        ).any():
             offset, length = self.strips[int(wrong.argmax())].tolist()
             raise InputError(
                 f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
@@ -380,11 +451,14 @@ class TiffHeader:
             ratio.check(self.unpacked_bytes, "the header announces voxels", stored)
         if self.compression == 1 and (lengths != np.tile(self.strip_bytes, self.shape[0])).any():
             raise InputError(
-                f"the header announces {self.unpacked_bytes} bytes of voxels, the file holds {stored}", TRUNCATED_HINT
+                f"the header announces {self.unpacked_bytes} bytes of voxels, the file holds {stored}",
+                TRUNCATED_HINT,
             )
 
 
-def header_of(path: Path, form: TiffForm, pages: Mapping[int, Page], repeats: int = 1) -> TiffHeader:
+def header_of(
+    path: Path, form: TiffForm, pages: Mapping[int, Page], repeats: int = 1
+) -> TiffHeader:
     """Collect the claims of the directories of like pages.
 
     Parameters
@@ -418,24 +492,54 @@ def header_of(path: Path, form: TiffForm, pages: Mapping[int, Page], repeats: in
     compression = int(page.get(COMPRESSION, (1,))[0])
     strips = [strips_of(page) for page in listed]
     stored, pixel = _stored_type(page, form.order), max(1, bits // 8)
-    is_plain = stored is not None and len(_bits(page)) == 1 and bits > 1 and compression == 1 and TILES not in page
+    is_plain = (
+        stored is not None
+        and len(_bits(page)) == 1
+        and bits > 1
+        and compression == 1
+        and TILES not in page
+    )
     page_bytes = height * width * bits // 8
-    planes, places = _planes(strips, page_bytes) if is_plain else None, np.array(list(pages), np.int64)
+    planes, places = (
+        _planes(strips, page_bytes) if is_plain else None,
+        np.array(list(pages), np.int64),
+    )
     if repeats > 1:
         if planes is None:
-            raise InputError(f"the TIFF announces {repeats} images and has 1 page", "save a page for each slice")
+            raise InputError(
+                f"the TIFF announces {repeats} images and has 1 page", "save a page for each slice"
+            )
         if int(planes[0]) + repeats * page_bytes > form.size:
             raise InputError(
                 f"the TIFF announces {repeats} images, that is {repeats * page_bytes} bytes of voxels, and has "
-                f"{form.size} bytes", TRUNCATED_HINT,
+                f"{form.size} bytes",
+                TRUNCATED_HINT,
             )
-        planes, places = planes[0] + np.arange(repeats, dtype=np.int64) * page_bytes, places.repeat(repeats)
+        planes, places = (
+            planes[0] + np.arange(repeats, dtype=np.int64) * page_bytes,
+            places.repeat(repeats),
+        )
         strips = [np.stack([planes, np.full(repeats, page_bytes)], axis=1)]
-    ends = np.cumsum([len(some) for some in strips], dtype=np.int64) if repeats == 1 else np.arange(1, repeats + 1)
-    strip_bytes = np.array([page_bytes]) if planes is not None else _strip_bytes(page, width, height, strips)
+    ends = (
+        np.cumsum([len(some) for some in strips], dtype=np.int64)
+        if repeats == 1
+        else np.arange(1, repeats + 1)
+    )
+    strip_bytes = (
+        np.array([page_bytes]) if planes is not None else _strip_bytes(page, width, height, strips)
+    )
     return TiffHeader(
-        path, (len(places), height, width), pixel, strip_bytes, np.concatenate(strips), compression,
-        places, stored, planes, ends, page.get(PHOTOMETRIC, (1,))[0] == 0,
+        path,
+        (len(places), height, width),
+        pixel,
+        strip_bytes,
+        np.concatenate(strips),
+        compression,
+        places,
+        stored,
+        planes,
+        ends,
+        page.get(PHOTOMETRIC, (1,))[0] == 0,
     )
 
 
@@ -468,7 +572,11 @@ def _strip_bytes(
     bits = _bits(page)
     planes = len(bits) if page.get(PLANAR, (1,))[0] == 2 else 1
     bits_together = sum(bits) // planes
-    wide, high = (width, _rows(page)) if TILES not in page else (int(page[TILE_WIDTH][0]), int(page[TILE_HEIGHT][0]))
+    wide, high = (
+        (width, _rows(page))
+        if TILES not in page
+        else (int(page[TILE_WIDTH][0]), int(page[TILE_HEIGHT][0]))
+    )
     if min(wide, high) < 1:
         raise ValueError
     down, across = -(-height // high), -(-width // wide)
@@ -476,7 +584,8 @@ def _strip_bytes(
         if len(some) != planes * down * across:
             raise InputError(
                 f"the TIFF has {len(some)} strips or tiles for {width} x {height} pixels, {planes * down * across} "
-                "expected", TRUNCATED_HINT,
+                "expected",
+                TRUNCATED_HINT,
             )
     found = np.full((planes, down, across), high * ((wide * bits_together + 7) // 8), np.int64)
     if TILES not in page:
@@ -522,7 +631,16 @@ def _page_kind(page: Page) -> tuple[Any, ...]:
     keys = (COMPRESSION, PHOTOMETRIC, ORIENTATION, PLANAR, PREDICTOR, FILL_ORDER)
     tags = tuple(page.get(key, (1,))[0] for key in keys)
     tile = page.get(TILE_WIDTH), page.get(TILE_HEIGHT), TILES in page
-    return page[WIDTH][0], page[HEIGHT][0], _rows(page), _bits(page), _format(page), page.get(EXTRA), *tags, *tile
+    return (
+        page[WIDTH][0],
+        page[HEIGHT][0],
+        _rows(page),
+        _bits(page),
+        _format(page),
+        page.get(EXTRA),
+        *tags,
+        *tile,
+    )
 
 
 def samples_of(page: Page) -> int:
@@ -539,7 +657,11 @@ def _check_kind(page: Page) -> None:
         With what they hold.
     """
     bits, form, colour = _bits(page), _format(page), page.get(PHOTOMETRIC, (1,))[0]
-    tiled, compression, predictor = TILES in page, page.get(COMPRESSION, (1,))[0], page.get(PREDICTOR, (1,))[0]
+    tiled, compression, predictor = (
+        TILES in page,
+        page.get(COMPRESSION, (1,))[0],
+        page.get(PREDICTOR, (1,))[0],
+    )
     grey = colour in (0, 1)
     wrong = ""
     if not (page[WIDTH][0] and page[HEIGHT][0]):
@@ -550,7 +672,11 @@ def _check_kind(page: Page) -> None:
         wrong = "colours from a palette"
     elif not grey and (colour != 2 or len(bits) not in (3, 4)):
         wrong = f"{len(bits)} channels of colour kind {colour}"
-    elif len(set(bits)) > 1 or (bits[0], form) not in _KINDS or (not grey and (form != 1 or bits[0] not in (8, 16))):
+    elif (
+        len(set(bits)) > 1
+        or (bits[0], form) not in _KINDS
+        or (not grey and (form != 1 or bits[0] not in (8, 16)))
+    ):
         wrong = f"{bits[0]}-bit {({1: 'unsigned', 2: 'signed', 3: 'floating-point'}).get(form, 'complex')} values"
     elif colour == 0 and bits != (1,):
         wrong = "values that grow towards black"
@@ -562,11 +688,15 @@ def _check_kind(page: Page) -> None:
         wrong = f"differences (predictor number {predictor}) of {bits[0]}-bit values, packed by number {compression},"
     elif page.get(PLANAR, (1,))[0] not in (1, 2):
         wrong = f"planes of kind {page[PLANAR][0]}"
-    elif EXTRA in page and (len(page[EXTRA]) != len(bits) - (1 if grey else 3) or max(page[EXTRA]) > 2):
+    elif EXTRA in page and (
+        len(page[EXTRA]) != len(bits) - (1 if grey else 3) or max(page[EXTRA]) > 2
+    ):
         wrong = f"{len(bits)} values in a pixel, {len(page[EXTRA])} of them beside grey or colour,"
     elif page.get(PLANAR, (1,))[0] != 1 and not grey:
         wrong = "colour channels one after the other"
     elif tiled and max(page[TILE_WIDTH][0], page[TILE_HEIGHT][0]) > _MAX_TILE_EDGE:
         wrong = f"tiles of {page[TILE_WIDTH][0]} x {page[TILE_HEIGHT][0]}"
     if wrong:
-        raise InputError(f"a TIFF with {wrong} given, which cannot be read faithfully", hint=_PLAIN_HINT)
+        raise InputError(
+            f"a TIFF with {wrong} given, which cannot be read faithfully", hint=_PLAIN_HINT
+        )

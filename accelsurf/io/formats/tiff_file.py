@@ -41,7 +41,14 @@ def tiff_bytes(array: NDArray[Any], spacing: tuple[float, float, float]) -> byte
     text = f"ImageJ=1.53\nimages={depth}\nslices={depth}\nunit=cm\nspacing={float(spacing[0]) / 10.0!r}\n"
     out = BytesIO()
     resolution = (_per_cm(spacing[2]), _per_cm(spacing[1]))
-    write_pages(out, array, text, "write a volume format instead", resolution=resolution, resolutionunit="CENTIMETER")
+    write_pages(
+        out,
+        array,
+        text,
+        "write a volume format instead",
+        resolution=resolution,
+        resolutionunit="CENTIMETER",
+    )
     return out.getvalue()
 
 
@@ -70,10 +77,17 @@ def write_pages(
     with tifffile.TiffWriter(out, byteorder="<") as file:
         for page in pages:
             file.write(
-                page.astype(page.dtype.newbyteorder("<"), copy=False), photometric="minisblack", compression="zlib",
-                compressionargs={"level": 6}, rowsperstrip=len(page), description=text, metadata=None,
-                contiguous=False, software=False, **tags,
-            )  # fmt: skip
+                page.astype(page.dtype.newbyteorder("<"), copy=False),
+                photometric="minisblack",
+                compression="zlib",
+                compressionargs={"level": 6},
+                rowsperstrip=len(page),
+                description=text,
+                metadata=None,
+                contiguous=False,
+                software=False,
+                **tags,
+            )
             text = None
             if out.tell() > MAX_FILE_BYTES:
                 raise UsageError("the file would pass 4 GiB, which a .tif cannot hold", remedy)

@@ -38,7 +38,14 @@ from accelsurf.io.formats.tiff import (
 from accelsurf.io.formats.tiff_pages import TiffPages
 from accelsurf.io.formats.tiff_stack import TiffStack, stack_of
 from accelsurf.io.headers import FRAME_KEY, UNIT_KEY, FrameTimes, with_warnings
-from accelsurf.io.lazy_volume import LazyVolume, Opening, StackedVoxels, StoreLayout, VoxelSource, checked_level
+from accelsurf.io.lazy_volume import (
+    LazyVolume,
+    Opening,
+    StackedVoxels,
+    StoreLayout,
+    VoxelSource,
+    checked_level,
+)
 from accelsurf.io.memory import check_memory
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -165,14 +172,20 @@ def _spacing(stack: TiffStack, options: ReadOptions) -> tuple[Spacing, dict[str,
         said = (stack.spacing[0] if stack.is_depth_known else z, *stack.spacing[1:])
         if stack.unit and not np.allclose(said, (z, y, x), rtol=1e-4, atol=0):
             found = " x ".join(f"{h:.6g}" for h in said[::-1])
-            notes.append(f"the voxels are {x:.6g} x {y:.6g} x {z:.6g} mm, as given; the file says {found} mm")
+            notes.append(
+                f"the voxels are {x:.6g} x {y:.6g} x {z:.6g} mm, as given; the file says {found} mm"
+            )
         spacing = (z, y, x)
     else:
         spacing, reason = stack.spacing, f" ({stack.reason})" if stack.reason else ""
         if is_stack and not stack.unit:
-            notes.append(f"the TIFF does not say how large a voxel is{reason}: 1 mm is taken; give --spacing")
+            notes.append(
+                f"the TIFF does not say how large a voxel is{reason}: 1 mm is taken; give --spacing"
+            )
         elif is_stack and not stack.is_depth_known:
-            notes.append(f"the TIFF does not say how far apart its slices are{reason}: 1 mm is taken; give --spacing")
+            notes.append(
+                f"the TIFF does not say how far apart its slices are{reason}: 1 mm is taken; give --spacing"
+            )
         elif reason:
             text = " x ".join(f"{h:.6g}" for h in spacing[::-1])
             notes.append(
@@ -202,7 +215,9 @@ def _level_sizes(found: Directories, first: Page) -> list[tuple[int, int]]:
     return sizes
 
 
-def _grids(stack: TiffStack, sizes: Sequence[tuple[int, int]], spacing: Spacing) -> tuple[Geometry, ...]:
+def _grids(
+    stack: TiffStack, sizes: Sequence[tuple[int, int]], spacing: Spacing
+) -> tuple[Geometry, ...]:
     """The grids of the levels, which all cover the same rectangle."""
     depth, (height, width) = stack.pages.shape[2], sizes[0]
     hz, hy, hx = spacing
@@ -227,7 +242,11 @@ def _headers_of_files(
             continue
         wanted, places = np.unique(stack.pages[mine], return_inverse=True)
         if not number:
-            repeats = stack.pages.size if len(stack.files) == len(found.pages) == 1 and not stack.counts_all else 1
+            repeats = (
+                stack.pages.size
+                if len(stack.files) == len(found.pages) == 1 and not stack.counts_all
+                else 1
+            )
             header = _file_header(path, found, wanted, level, repeats)
         else:
             other = path.parent / name
@@ -241,7 +260,9 @@ def _headers_of_files(
     return tuple(parts), replace(stack, pages=new_pages, file_numbers=new_files)
 
 
-def _file_header(path: Path, found: Directories, wanted: np.ndarray, level: int, repeats: int = 1) -> TiffHeader:
+def _file_header(
+    path: Path, found: Directories, wanted: np.ndarray, level: int, repeats: int = 1
+) -> TiffHeader:
     """The header of some pages of a file."""
     file, form, pages = found
     if repeats > 1:
@@ -249,7 +270,8 @@ def _file_header(path: Path, found: Directories, wanted: np.ndarray, level: int,
     listed = list(pages.items())
     if wanted[-1] >= len(listed):
         raise InputError(
-            f"page {int(wanted[-1]) + 1} of the TIFF is announced, and it has {len(listed)}", TRUNCATED_HINT
+            f"page {int(wanted[-1]) + 1} of the TIFF is announced, and it has {len(listed)}",
+            TRUNCATED_HINT,
         )
     some = dict(listed[page] for page in wanted.tolist())
     if level:
@@ -289,7 +311,9 @@ def _opened(path: Path, image: TiffImage, t: int, c: int, cache_bytes: int) -> L
     assert image.stack.file_numbers is not None
     numbers = image.stack.file_numbers[t, c // image.samples].tolist()
     sources, depths, is_packed = [], [], False
-    for number, group in itertools.groupby(zip(numbers, pages, strict=True), key=lambda pair: pair[0]):
+    for number, group in itertools.groupby(
+        zip(numbers, pages, strict=True), key=lambda pair: pair[0]
+    ):
         part = image.parts[number].select_pages([page for _, page in group], sample)
         sources.append(_source(part, cache_bytes))
         depths.append(part.shape[0])
@@ -343,7 +367,9 @@ def read_tiff_channels(path: Path, header: TiffImage, available: int) -> list[Vo
     return [_read(path, header, place, available, len(places)) for place in places]
 
 
-def _read(path: Path, image: TiffImage, place: tuple[int, int], available: int, count: int) -> Volume:
+def _read(
+    path: Path, image: TiffImage, place: tuple[int, int], available: int, count: int
+) -> Volume:
     """A channel at a time point, whole."""
     part, grid = image.parts[0], image.geometry
     check_memory(grid.shape[::-1], part.pixel_bytes * count, available)

@@ -30,7 +30,15 @@ from accelsurf.io import itk
 from accelsurf.io.files import file_version, one_line
 from accelsurf.io.formats.png import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import CHANGED
-from accelsurf.io.formats.tiff import DEFLATE, LZW, PACKBITS, TiffHeader, read_directory, read_form, strips_of
+from accelsurf.io.formats.tiff import (
+    DEFLATE,
+    LZW,
+    PACKBITS,
+    TiffHeader,
+    read_directory,
+    read_form,
+    strips_of,
+)
 from accelsurf.io.lazy_volume import ChunkCache
 
 #: Packings of bytes, whose length tells nothing of the image: LZMA and Zstandard by both numbers among them.
@@ -52,7 +60,9 @@ class TiffPages:
     def __init__(self, header: TiffHeader, cache_bytes: int) -> None:
         # The strips of all pages take more space than all else together; those of one are read again with it.
         self._header = replace(header, strips=header.strips[:0])
-        self.dtype = np.dtype(np.uint8) if header.stored is None else header.stored.newbyteorder("=")
+        self.dtype = (
+            np.dtype(np.uint8) if header.stored is None else header.stored.newbyteorder("=")
+        )
         self._cache = ChunkCache(cache_bytes)
         self._version = file_version(header.data.stat())
         _, ny, nx = header.shape
@@ -93,17 +103,29 @@ class TiffPages:
             first, last = numbers[0] + 1, numbers[-1] + 1
             where = f"page {first}" if first == last else f"one of the pages {first} to {last}"
             try:
-                replace(header, shape=(len(numbers), *header.shape[1:]), strips=np.concatenate(strips)).check_places()
+                replace(
+                    header, shape=(len(numbers), *header.shape[1:]), strips=np.concatenate(strips)
+                ).check_places()
                 if header.compression == LZW and not self._is_checked:
-                    ends, announced = _contents(file, strips[0][[0, -1]]), header.strip_bytes[[0, -1]].tolist()
+                    ends, announced = (
+                        _contents(file, strips[0][[0, -1]]),
+                        header.strip_bytes[[0, -1]].tolist(),
+                    )
                     itk.listened(lambda: _check_lzw_ends(ends, announced), refuses=False)
                     self._is_checked = True
-                found = [_page(file, at, places, header) for at, places in zip(directories, strips, strict=True)]
+                found = [
+                    _page(file, at, places, header)
+                    for at, places in zip(directories, strips, strict=True)
+                ]
             except InputError as error:
                 raise InputError(f"{where} is damaged ({error.message})", error.hint) from error
         for page in found:
             is_expected = header.stored is None or (page.dtype, page.ndim) == (self.dtype, 2)
-            if not is_expected or page.shape[:2] != header.shape[1:] or page.shape != found[0].shape:
+            if (
+                not is_expected
+                or page.shape[:2] != header.shape[1:]
+                or page.shape != found[0].shape
+            ):
                 raise InputError(
                     f"{where} is read as {page.dtype} {page.shape}, {self.dtype} {header.shape[1:]} expected",
                     "save the stack as a plain TIFF",
@@ -126,7 +148,9 @@ def _page(file: BinaryIO, at: int, strips: NDArray[np.int64], header: TiffHeader
             page = tifffile.TiffPage(stack, index=0)
             said.clear()  # of tags, also of those that do not count
             if header.compression in _STREAMS:
-                contents = _contents(file, strips)  # here: a library that is listened to has files of its own
+                contents = _contents(
+                    file, strips
+                )  # here: a library that is listened to has files of its own
                 joined = partial(_joined, page, contents, header)
                 # libtiff prints about damages, and goes on.
                 found = itk.listened(joined) if header.compression == LZW else joined()
@@ -147,7 +171,9 @@ def _page(file: BinaryIO, at: int, strips: NDArray[np.int64], header: TiffHeader
     ny, nx = header.shape[1:]
     if found.dtype == bool:  # black and white, by the lowest and the highest grey
         found = np.where(found == header.is_white_zero, np.uint8(0), np.uint8(255))
-    if found.ndim == 3 and header.stored is not None:  # values of a pixel lie together, or each has a plane of its own
+    if (
+        found.ndim == 3 and header.stored is not None
+    ):  # values of a pixel lie together, or each has a plane of its own
         found = np.moveaxis(found, -1, 0) if found.shape[:2] == (ny, nx) else found
         found = found[header.sample or 0]
     return found.astype(found.dtype.newbyteorder("="), copy=False)
@@ -166,7 +192,9 @@ def _joined(page: tifffile.TiffPage, contents: list[bytes], header: TiffHeader) 
     """Unpack the strips or tiles of a page one by one, and join them."""
     page.compression = tifffile.COMPRESSION.NONE  # tifffile shall place what is unpacked already
     out = np.zeros(page.shaped, page.dtype)
-    for number, (packed, announced) in enumerate(zip(contents, header.strip_bytes.tolist(), strict=True)):
+    for number, (packed, announced) in enumerate(
+        zip(contents, header.strip_bytes.tolist(), strict=True)
+    ):
         content = _unpacked(header.compression, packed, announced)
         values, (sample, z, y, x, _), shape = page.decode(content, number)
         assert values is not None
@@ -200,17 +228,31 @@ def _unpacked(compression: int, content: bytes, announced: int) -> bytes:
 def _unpacked_lzw(content: bytes, announced: int) -> bytes:
     """Unpack LZW by way of libtiff, which Pillow has: as a grey image of one row."""
     # 1 word each: width, height, bits, compression, 0 is black, place, values of a pixel, rows, length.
-    tags = {256: announced, 257: 1, 258: 8, 259: LZW, 262: 1, 273: 8, 277: 1, 278: 1, 279: len(content)}
+    tags = {
+        256: announced,
+        257: 1,
+        258: 8,
+        259: LZW,
+        262: 1,
+        273: 8,
+        277: 1,
+        278: 1,
+        279: len(content),
+    }
     start = 8 + len(content) + len(content) % 2
     entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items())
     directory = struct.pack("<H", len(tags)) + entries + bytes(4)
-    stream = BytesIO(struct.pack("<2sHI", b"II", 42, start) + content.ljust(start - 8, b"\0") + directory)
+    stream = BytesIO(
+        struct.pack("<2sHI", b"II", 42, start) + content.ljust(start - 8, b"\0") + directory
+    )
     try:
         with TiffImageFile(stream) as image:
             return image.tobytes()
     except OSError as error:
-        raise InputError(f"the LZW codes of a strip or tile are damaged, or end before {announced} bytes of voxels",
-                         TRUNCATED_HINT) from error
+        raise InputError(
+            f"the LZW codes of a strip or tile are damaged, or end before {announced} bytes of voxels",
+            TRUNCATED_HINT,
+        ) from error
 
 
 def _check_lzw_ends(ends: list[bytes], announced: list[int]) -> None:

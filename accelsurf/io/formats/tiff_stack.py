@@ -50,7 +50,8 @@ def number(text: str, name: str) -> float:
         return float(text.replace(",", ".") if text.count(",") == 1 and "." not in text else text)
     except ValueError:
         raise InputError(
-            f"the TIFF says {name} = {text.strip()[:40]!r}, a number expected", "export it again, or correct its header"
+            f"the TIFF says {name} = {text.strip()[:40]!r}, a number expected",
+            "export it again, or correct its header",
         ) from None
 
 
@@ -141,14 +142,19 @@ def stack_of(page: Page, pages: int, samples: int) -> TiffStack:
     """
     text, is_ended = page.get(DESCRIPTION, ("", True))
     if not is_ended and any(text.startswith(mark) or mark.startswith(text) for mark in _MARKS):
-        raise InputError("the description of the TIFF, which says what its pages are, has no end mark", TRUNCATED_HINT)
+        raise InputError(
+            "the description of the TIFF, which says what its pages are, has no end mark",
+            TRUNCATED_HINT,
+        )
     if "<OME" in text[:4096] or "OME>" in text[-16:]:
         return _ome_stack(text, pages, samples)
     if text.startswith("ImageJ="):
         return _imagej_stack(text, page, pages)
     sizes = _tifffile_axes(text, pages, samples)
     y, x = _resolution(page)
-    mm = 10.0 if page.get(RES_UNIT, (2,))[0] == _CM else 0.0  # inches are of a screen or a printer, not of the object
+    mm = (
+        10.0 if page.get(RES_UNIT, (2,))[0] == _CM else 0.0
+    )  # inches are of a screen or a printer, not of the object
     return TiffStack(_table(sizes), *_said((0.0, y * mm, x * mm), "mm"))
 
 
@@ -175,11 +181,19 @@ def _tifffile_axes(text: str, pages: int, samples: int) -> list[tuple[str, int]]
     if len(letters) != len(shape):
         return plain
     names = {"I": "Z", "Q": "Z"}
-    sizes = [(names.get(a, a), n) for a, n in zip(letters, shape, strict=True) if a not in "YXS" and n > 1]
+    sizes = [
+        (names.get(a, a), n)
+        for a, n in zip(letters, shape, strict=True)
+        if a not in "YXS" and n > 1
+    ]
     if samples > 1 and math.prod(n for _, n in sizes) != pages:
         sizes = [(axis, n) for axis, n in sizes if (axis, n) != ("C", samples)]
     axes = [axis for axis, _ in sizes]
-    if math.prod(n for _, n in sizes) != pages or len(set(axes)) < len(axes) or not set(axes) <= set("TCZ"):
+    if (
+        math.prod(n for _, n in sizes) != pages
+        or len(set(axes)) < len(axes)
+        or not set(axes) <= set("TCZ")
+    ):
         return plain
     return sizes
 
@@ -190,7 +204,9 @@ def _resolution(page: Page) -> tuple[float, float]:
     return yd / yn if yn else 0.0, xd / xn if xn else 0.0
 
 
-def _said(sizes: tuple[float, float, float], unit: str) -> tuple[tuple[float, float, float], str, bool]:
+def _said(
+    sizes: tuple[float, float, float], unit: str
+) -> tuple[tuple[float, float, float], str, bool]:
     """Spacing (z, y, x) in mm, its unit, and whether the distance of the slices is said, of lengths that may be 0.
 
     Where the size of a pixel is not known, a distance of the slices alone is of no use.
@@ -212,22 +228,34 @@ def _imagej_stack(text: str, page: Page, pages: int) -> TiffStack:
             f"the TIFF announces {fields['images']} images and has {pages} page{'s' if pages > 1 else ''}",
             hint="save the stack with a page for each slice",
         )
-    slices = count // (channels * frames) if "slices" not in fields or channels * frames == 1 else int(fields["slices"])
+    slices = (
+        count // (channels * frames)
+        if "slices" not in fields or channels * frames == 1
+        else int(fields["slices"])
+    )
     if slices < 1 or channels * frames * slices != count:
         raise InputError(
             f"the TIFF announces {channels} channels, {slices} slices and {frames} frames, and has {count} pages",
             hint="save the stack again with ImageJ",
         )
     budgets.TIFF_PLANES.check(count)
-    seconds = number(fields.get("finterval", "0"), "finterval") * seconds_of(fields.get("tunit", "s"))
+    seconds = number(fields.get("finterval", "0"), "finterval") * seconds_of(
+        fields.get("tunit", "s")
+    )
     spacing, unit, is_depth_known, reason = _imagej_spacing(fields, page)
     return TiffStack(
-        _table([("T", frames), ("Z", slices), ("C", channels)]), spacing, unit, is_depth_known,
-        seconds if math.isfinite(seconds) and seconds > 0 else None, reason=reason,
+        _table([("T", frames), ("Z", slices), ("C", channels)]),
+        spacing,
+        unit,
+        is_depth_known,
+        seconds if math.isfinite(seconds) and seconds > 0 else None,
+        reason=reason,
     )
 
 
-def _imagej_spacing(fields: dict[str, str], page: Page) -> tuple[tuple[float, float, float], str, bool, str]:
+def _imagej_spacing(
+    fields: dict[str, str], page: Page
+) -> tuple[tuple[float, float, float], str, bool, str]:
     """Spacing (z, y, x) in mm, its unit, whether the distance of the slices is said, and what is said in vain.
 
     As in ImageJ, y and z have the unit of x where they have none, and a negative distance is that of slices in the
@@ -253,11 +281,15 @@ class _OmeReader:
 
     def __init__(self, text: str) -> None:
         if "<!DOCTYPE" in text:
-            raise InputError("the OME-XML of the TIFF has a document type, not expected", "save the image again")
+            raise InputError(
+                "the OME-XML of the TIFF has a document type, not expected", "save the image again"
+            )
         try:
             self._root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
-            raise InputError(f"the OME-XML of the TIFF is damaged ({error})", TRUNCATED_HINT) from None
+            raise InputError(
+                f"the OME-XML of the TIFF is damaged ({error})", TRUNCATED_HINT
+            ) from None
         self.uuid = self._root.get("UUID", "")
         only = self._root.find("{*}BinaryOnly")
         self.binary_only = "" if only is None else only.get("MetadataFile", "another file")
@@ -269,7 +301,9 @@ class _OmeReader:
         """Attributes of each TiffData, with the name and the UUID of its file, empty where it names none."""
         for part in self._first.iterfind("{*}TiffData"):
             uuid = part.find("{*}UUID")
-            named = ("", "") if uuid is None else (uuid.get("FileName", ""), (uuid.text or "").strip())
+            named = (
+                ("", "") if uuid is None else (uuid.get("FileName", ""), (uuid.text or "").strip())
+            )
             yield (part.attrib, *named)
 
     def times(self, count: int) -> FrameTimes | None:
@@ -280,12 +314,16 @@ class _OmeReader:
         delays: dict[int, float] = {}  # seconds of the first plane of each time point
         for plane in self._first.iterfind("{*}Plane"):
             if "DeltaT" in plane.attrib:
-                seconds = float(plane.attrib["DeltaT"]) * (seconds_of(plane.get("DeltaTUnit", "s")) or math.nan)
+                seconds = float(plane.attrib["DeltaT"]) * (
+                    seconds_of(plane.get("DeltaTUnit", "s")) or math.nan
+                )
                 point = int(plane.get("TheT", 0))
                 delays[point] = min(seconds, delays.get(point, math.inf))
         values = tuple(delays.get(point, math.nan) for point in range(count))
         rising = all(math.isfinite(b) and a < b for a, b in zip(values, values[1:], strict=False))
-        return FrameTimes(values, "s") if count > 1 and math.isfinite(values[0]) and rising else None
+        return (
+            FrameTimes(values, "s") if count > 1 and math.isfinite(values[0]) and rising else None
+        )
 
 
 def _ome_stack(text: str, pages: int, samples: int) -> TiffStack:
@@ -293,10 +331,13 @@ def _ome_stack(text: str, pages: int, samples: int) -> TiffStack:
     said = _OmeReader(text)
     if said.binary_only:
         raise InputError(
-            f"this file of an OME-TIFF has voxels only, {said.binary_only[:80]} says what they are", "give that file"
+            f"this file of an OME-TIFF has voxels only, {said.binary_only[:80]} says what they are",
+            "give that file",
         )
     if said.images != 1:
-        raise InputError(f"an OME-TIFF of {said.images} images given, one expected", "save one of them by itself")
+        raise InputError(
+            f"an OME-TIFF of {said.images} images given, one expected", "save one of them by itself"
+        )
     fields = said.pixels
     times, channels = (int(fields.get(f"Size{axis}", 1)) for axis in "TC")
     if samples > 1 and channels % samples == 0:
@@ -313,18 +354,28 @@ def _ome_stack(text: str, pages: int, samples: int) -> TiffStack:
     if (table[1] < 0).any():
         t, c, z = (int(n) for n in np.argwhere(table[1] < 0)[0])
         raise InputError(
-            f"the OME-TIFF has no page for slice {z} of channel {c} at time point {t}", "export it again, as a whole"
+            f"the OME-TIFF has no page for slice {z} of channel {c} at time point {t}",
+            "export it again, as a whole",
         )
     if len(names) == 1 and table[1].max() >= pages and pages:
         raise InputError(
-            f"the OME-TIFF announces page {int(table[1].max()) + 1}, and has {pages}", "export it again, as a whole"
+            f"the OME-TIFF announces page {int(table[1].max()) + 1}, and has {pages}",
+            "export it again, as a whole",
         )
     spacing, unit, known, reason = _ome_spacing(fields)
     second = seconds_of(fields.get("TimeIncrementUnit", "s"))
     seconds = number(fields.get("TimeIncrement", "0"), "TimeIncrement") * second
     return TiffStack(
-        table[1], spacing, unit, known, seconds if math.isfinite(seconds) and seconds > 0 else None, tuple(names),
-        table[0], True, said.times(times), reason,
+        table[1],
+        spacing,
+        unit,
+        known,
+        seconds if math.isfinite(seconds) and seconds > 0 else None,
+        tuple(names),
+        table[0],
+        True,
+        said.times(times),
+        reason,
     )
 
 
@@ -335,12 +386,22 @@ def _assign(said: _OmeReader, table: NDArray[np.int64], order: str, names: dict[
     planes = math.prod(sizes.values())
     flat = np.full((2, planes), -1, np.int64)  # in the order of the file
     for attributes, name, uuid in list(said.data()) or [({}, "", "")]:
-        file = names.setdefault(name, len(names)) if name and not (uuid and uuid == said.uuid) else 0
+        file = (
+            names.setdefault(name, len(names)) if name and not (uuid and uuid == said.uuid) else 0
+        )
         first = sum(int(attributes.get(f"First{axis}", 0)) * steps[axis] for axis in "TCZ")
         page = int(attributes.get("IFD", 0))
         count = int(attributes.get("PlaneCount", 1 if "IFD" in attributes else planes - first))
-        if first < 0 or count < 1 or page < 0 or first + count > planes or (flat[1, first : first + count] >= 0).any():
-            raise InputError("the TiffData of the OME-TIFF go beyond its sizes, or overlap", "export it again")
+        if (
+            first < 0
+            or count < 1
+            or page < 0
+            or first + count > planes
+            or (flat[1, first : first + count] >= 0).any()
+        ):
+            raise InputError(
+                "the TiffData of the OME-TIFF go beyond its sizes, or overlap", "export it again"
+            )
         flat[0, first : first + count] = file
         flat[1, first : first + count] = np.arange(page, page + count)
     shape = tuple(sizes[axis] for axis in order[::-1])
@@ -354,6 +415,14 @@ def _ome_spacing(fields: dict[str, str]) -> tuple[tuple[float, float, float], st
     units = [mm_of(fields.get(f"{key}Unit", "um")) for key in keys]
     values = [number(fields.get(key, "0"), key) for key in keys]
     z, y, x = (length(value, mm) for value, mm in zip(values, units, strict=True))
-    wrong = [f"{key}={fields[key][:40]}" for key, n in zip(keys, values, strict=True) if key in fields and not n > 0]
-    wrong += [f"{key}Unit={fields[f'{key}Unit'][:40]}" for key, mm in zip(keys, units, strict=True) if not mm]
+    wrong = [
+        f"{key}={fields[key][:40]}"
+        for key, n in zip(keys, values, strict=True)
+        if key in fields and not n > 0
+    ]
+    wrong += [
+        f"{key}Unit={fields[f'{key}Unit'][:40]}"
+        for key, mm in zip(keys, units, strict=True)
+        if not mm
+    ]
     return *_said((z, y, x), unit_name(units[2])), ", ".join(wrong)

@@ -89,7 +89,9 @@ class ChunkFormat:
             data = _UNPACKED[name](data, self.limit)
         values = np.frombuffer(data, np.uint8)
         if values.size != self.value_bytes:
-            raise ValueError(f"{values.size} bytes of values are in it, {self.value_bytes} expected")
+            raise ValueError(
+                f"{values.size} bytes of values are in it, {self.value_bytes} expected"
+            )
         stored = values.view(self.dtype).reshape(
             [self.shape[axis] for axis in self.order], order="F" if self.by_columns else "C"
         )
@@ -125,10 +127,14 @@ def format_of(shape: Sequence[int], dtype: np.dtype[Any], codecs: Sequence[Confi
     return ChunkFormat(tuple(shape), dtype, tuple(steps[::-1]), tuple(order))
 
 
-def format_of_v2(shape: Sequence[int], dtype: np.dtype[Any], codecs: Sequence[Config], by_columns: bool) -> ChunkFormat:
+def format_of_v2(
+    shape: Sequence[int], dtype: np.dtype[Any], codecs: Sequence[Config], by_columns: bool
+) -> ChunkFormat:
     """The format of chunks by the filters and the compressor of Zarr 2, in this order; as `format_of`."""
     steps = [_known(str(codec["id"])) for codec in codecs]
-    return ChunkFormat(tuple(shape), dtype, tuple(steps[::-1]), tuple(range(len(shape))), by_columns)
+    return ChunkFormat(
+        tuple(shape), dtype, tuple(steps[::-1]), tuple(range(len(shape))), by_columns
+    )
 
 
 def _known(name: str) -> str:
@@ -143,7 +149,11 @@ def _known(name: str) -> str:
 def _by_numcodecs(data: Any, name: str) -> NDArray[np.uint8]:
     import numcodecs
 
-    return np.ascontiguousarray(numcodecs.get_codec({"id": name}).decode(data)).reshape(-1).view(np.uint8)
+    return (
+        np.ascontiguousarray(numcodecs.get_codec({"id": name}).decode(data))
+        .reshape(-1)
+        .view(np.uint8)
+    )
 
 
 def _checked_size(announced: int, limit: int) -> None:
@@ -159,7 +169,9 @@ def _blosc(data: Any, limit: int) -> Any:
     announced = int.from_bytes(head[4:8], "little")
     _checked_size(announced, limit)
     if head[2] & 2 and announced + 16 != size:
-        raise ValueError(f"Blosc announces {announced} bytes of values that are not packed, {size - 16} are there")
+        raise ValueError(
+            f"Blosc announces {announced} bytes of values that are not packed, {size - 16} are there"
+        )
     return _by_numcodecs(data, "blosc")
 
 
@@ -203,8 +215,12 @@ def _crc32c(data: Any, limit: int) -> Any:
 
 
 _UNPACKED: dict[str, Callable[[Any, int], Any]] = {
-    "blosc": _blosc, "zstd": _zstd, "gzip": _inflated, "zlib": _inflated, "crc32c": _crc32c,
-}  # fmt: skip
+    "blosc": _blosc,
+    "zstd": _zstd,
+    "gzip": _inflated,
+    "zlib": _inflated,
+    "crc32c": _crc32c,
+}
 
 
 class ChunkFiles:
@@ -238,7 +254,9 @@ class ChunkFiles:
         self._folder, self._name = folder, name
         self._metadata = array.metadata
         self.file_shape = tuple(map(int, array.shards or array.chunks))
-        self.grid = tuple(-(-int(n) // width) for n, width in zip(array.shape, self.file_shape, strict=True))
+        self.grid = tuple(
+            -(-int(n) // width) for n, width in zip(array.shape, self.file_shape, strict=True)
+        )
         self._in_shard: tuple[int, ...] | None = None
         self.chunk = self._format(array)
         self._indices = ChunkCache(_INDEX_BYTES)
@@ -246,13 +264,19 @@ class ChunkFiles:
     def _format(self, array: Any) -> ChunkFormat:
         said, dtype = self._metadata, np.dtype(array.dtype)
         if said.zarr_format == 2:
-            codecs = [codec.get_config() for codec in (*(said.filters or ()), said.compressor) if codec is not None]
+            codecs = [
+                codec.get_config()
+                for codec in (*(said.filters or ()), said.compressor)
+                if codec is not None
+            ]
             return format_of_v2(array.chunks, dtype, codecs, said.order == "F")
         codecs = [codec.to_dict() for codec in said.codecs]
         if codecs[0]["name"] != _SHARDS or len(codecs) > 1:
             return format_of(array.chunks, dtype, codecs)
         sharding = codecs[0]["configuration"]
-        parts = self._in_shard = tuple(a // b for a, b in zip(self.file_shape, array.chunks, strict=True))
+        parts = self._in_shard = tuple(
+            a // b for a, b in zip(self.file_shape, array.chunks, strict=True)
+        )
         index = [codec["name"] for codec in sharding["index_codecs"]]
         if index not in (["bytes"], ["bytes", "crc32c"]):
             what = f"shards with an index packed with {', '.join(index)[:80]} given"
@@ -299,34 +323,52 @@ class ChunkFiles:
     def _path(self, place: tuple[int, ...]) -> Path:
         return self._folder / self._name / self._metadata.encode_chunk_key(place)
 
-    def _entry(self, file: Any, found: os.stat_result, place: Sequence[int]) -> tuple[int, int] | None:
+    def _entry(
+        self, file: Any, found: os.stat_result, place: Sequence[int]
+    ) -> tuple[int, int] | None:
         """First byte of a chunk in a shard, and its number of bytes."""
         key = found.st_ino, found.st_size, found.st_mtime_ns
         index = self._indices.get(key, lambda: self._read_index(file, found.st_size))
         assert self._in_shard is not None
-        first, size = map(int, index[tuple(n % parts for n, parts in zip(place, self._in_shard, strict=True))])
+        first, size = map(
+            int, index[tuple(n % parts for n, parts in zip(place, self._in_shard, strict=True))]
+        )
         if first == size == _LEFT_OUT:
             return None
         low, high = self._bounds(found.st_size)
         if not (low <= first and 0 < size and first + size <= high):
-            raise ValueError(f"its shard has it at {first} to {first + size}, of bytes {low} to {high} of chunks")
+            raise ValueError(
+                f"its shard has it at {first} to {first + size}, of bytes {low} to {high} of chunks"
+            )
         return first, size
 
     def _bounds(self, file_bytes: int) -> tuple[int, int]:
         """First byte and end of the chunks of a shard."""
-        return (self._index_bytes, file_bytes) if self._at_start else (0, file_bytes - self._index_bytes)
+        return (
+            (self._index_bytes, file_bytes)
+            if self._at_start
+            else (0, file_bytes - self._index_bytes)
+        )
 
     def _read_index(self, file: Any, file_bytes: int) -> NDArray[Any]:
         low, high = self._bounds(file_bytes)
         if high < low:
-            raise ValueError(f"its shard has {file_bytes} bytes, its index alone {self._index_bytes}")
+            raise ValueError(
+                f"its shard has {file_bytes} bytes, its index alone {self._index_bytes}"
+            )
         begin = 0 if self._at_start else high
         index = self._index.decode(_exactly(file, begin, self._index_bytes, file_bytes))
         if not self._checked and not self._at_start:
             # Only the place of the index says that it is one: behind the last chunk, without a gap.
-            ends = [int(a) + int(b) for a, b in index.reshape(-1, 2).tolist() if (a, b) != (_LEFT_OUT, _LEFT_OUT)]
+            ends = [
+                int(a) + int(b)
+                for a, b in index.reshape(-1, 2).tolist()
+                if (a, b) != (_LEFT_OUT, _LEFT_OUT)
+            ]
             if max(ends, default=0) != high:
-                raise ValueError(f"its shard has {high} bytes of chunks, its index announces {max(ends, default=0)}")
+                raise ValueError(
+                    f"its shard has {high} bytes of chunks, its index announces {max(ends, default=0)}"
+                )
         return np.array(index)
 
     def places(self, wanted: Sequence[int | None]) -> Iterator[tuple[int, ...]]:
@@ -353,7 +395,9 @@ class ChunkFiles:
             return
         for name in _names(root):
             parts = name.removeprefix(start).split(split) if name.startswith(start) else []
-            if len(parts) == len(wanted) and all(map(self._is_place, range(len(parts)), parts, wanted)):
+            if len(parts) == len(wanted) and all(
+                map(self._is_place, range(len(parts)), parts, wanted)
+            ):
                 yield tuple(map(int, parts))
 
     def _walk(
@@ -374,7 +418,9 @@ class ChunkFiles:
 
     def number(self, place: Sequence[int]) -> int:
         """The number of a file in the order of the array."""
-        return functools.reduce(lambda number, axis: number * axis[1] + axis[0], zip(place, self.grid, strict=True), 0)
+        return functools.reduce(
+            lambda number, axis: number * axis[1] + axis[0], zip(place, self.grid, strict=True), 0
+        )
 
 
 def _names(folder: Path) -> Iterator[str]:

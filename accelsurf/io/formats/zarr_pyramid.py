@@ -72,10 +72,15 @@ def planned_levels(geometry: Geometry, labels: bool) -> list[PyramidLevel]:
     (40, 50, 50) (3.0, 4.0, 4.0) (0.0, 1.5, 1.5)
     """
     made = [PyramidLevel(geometry.shape, geometry.spacing, (0.0, 0.0, 0.0), (False, False, False))]
-    while any(n > width for n, width in zip(made[-1].shape, chunk_shape(geometry.shape), strict=True)):
+    while any(
+        n > width for n, width in zip(made[-1].shape, chunk_shape(geometry.shape), strict=True)
+    ):
         last = made[-1]
         finest = min(h for h, n in zip(last.spacing, last.shape, strict=True) if n > 1)
-        halved = [n > 1 and h <= MAX_SPACING_RATIO * finest for n, h in zip(last.shape, last.spacing, strict=True)]
+        halved = [
+            n > 1 and h <= MAX_SPACING_RATIO * finest
+            for n, h in zip(last.shape, last.spacing, strict=True)
+        ]
         shape = [-(-n // 2) if half else n for n, half in zip(last.shape, halved, strict=True)]
         spacing = [2.0 * h if half else h for h, half in zip(last.spacing, halved, strict=True)]
         offset = [
@@ -140,7 +145,9 @@ class ZarrPyramid:
                 shape=level.shape,
                 chunks=chunk_shape(level.shape),
                 dtype=dtype,
-                compressors=[ZstdCodec(level=0, checksum=True)],  # so that a damaged chunk is noticed
+                compressors=[
+                    ZstdCodec(level=0, checksum=True)
+                ],  # so that a damaged chunk is noticed
                 fill_value=0,
                 dimension_names=("z", "y", "x"),
             )
@@ -163,7 +170,9 @@ class ZarrPyramid:
     def finish(self) -> None:
         """Make the coarser levels, and for a label map its colours."""
         places = self._written
-        for fine, coarse, level in zip(self._arrays, self._arrays[1:], self._levels[1:], strict=False):
+        for fine, coarse, level in zip(
+            self._arrays, self._arrays[1:], self._levels[1:], strict=False
+        ):
             widths = [2 if half else 1 for half in level.halved]
             places = {tuple(p // n for p, n in zip(place, widths, strict=True)) for place in places}
             for place in sorted(places):
@@ -177,17 +186,26 @@ class ZarrPyramid:
                 )
                 coarse[box] = (_nearest if self._labels else _means)(fine[above], level.halved)
         if self._labels:
-            self._group.attrs["ome"] = self._attributes["ome"] | {"image-label": self._image_label()}
-        self._group.attrs[OWN_KEY] = with_record(self._attributes[OWN_KEY], self._folder, self._group)
+            self._group.attrs["ome"] = self._attributes["ome"] | {
+                "image-label": self._image_label()
+            }
+        self._group.attrs[OWN_KEY] = with_record(
+            self._attributes[OWN_KEY], self._folder, self._group
+        )
 
     def _image_label(self) -> dict[str, Any]:
         """Attributes of a label map."""
         values = sorted(self._values - {0})[:MAX_COLORS]
         said: dict[str, Any] = {"version": VERSIONS[-1]}
         if values:
-            said["colors"] = [{"label-value": value, "rgba": [*self._table[value].color, 255]} for value in values]
-            names = [{"label-value": value, "name": self._table[value].name} for value in values
-                     if value in self._table.entries]
+            said["colors"] = [
+                {"label-value": value, "rgba": [*self._table[value].color, 255]} for value in values
+            ]
+            names = [
+                {"label-value": value, "name": self._table[value].name}
+                for value in values
+                if value in self._table.entries
+            ]
             if names:
                 said["properties"] = names
         if self._source is not None:
@@ -197,7 +215,9 @@ class ZarrPyramid:
 
 def _places(box: Box, chunks: Sequence[int]) -> itertools.product[tuple[int, ...]]:
     """The places of the chunks that have voxels of a box."""
-    return itertools.product(*(range(s.start // n, -(-s.stop // n)) for s, n in zip(box, chunks, strict=True)))
+    return itertools.product(
+        *(range(s.start // n, -(-s.stop // n)) for s, n in zip(box, chunks, strict=True))
+    )
 
 
 def _nearest(array: NDArray[Any], halved: Sequence[bool]) -> NDArray[Any]:
@@ -211,6 +231,8 @@ def _means(array: NDArray[Any], halved: Sequence[bool]) -> NDArray[Any]:
     for axis, half in enumerate(halved):
         if half:
             first = means.take(range(0, means.shape[axis], 2), axis)
-            second = means.take([min(i + 1, means.shape[axis] - 1) for i in range(0, means.shape[axis], 2)], axis)
+            second = means.take(
+                [min(i + 1, means.shape[axis] - 1) for i in range(0, means.shape[axis], 2)], axis
+            )
             means = 0.5 * first + 0.5 * second  # a sum could be beyond the largest number
     return (np.rint(means) if array.dtype.kind in "ui" else means).astype(array.dtype)

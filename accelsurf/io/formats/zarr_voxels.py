@@ -50,7 +50,9 @@ def library() -> ModuleType:
     try:
         import zarr
     except ImportError as error:
-        raise InputError("OME-Zarr needs the package zarr", 'install it: pip install "accelsurf[zarr]"') from error
+        raise InputError(
+            "OME-Zarr needs the package zarr", 'install it: pip install "accelsurf[zarr]"'
+        ) from error
     return zarr
 
 
@@ -81,12 +83,18 @@ def open_array(folder: Path, path: str) -> Any:
             raise ValueError(f"its shape is {array.shape}, in chunks of {chunks}")
     except (PermissionError, MemoryError, InputError):
         raise
-    except Exception as error:  # its metadata may be anything, and each part of zarr raises errors of its own
+    except (
+        Exception
+    ) as error:  # its metadata may be anything, and each part of zarr raises errors of its own
         raise InputError(
-            f"the array {path} is missing or damaged ({one_line(error)})", "is the store complete? copy it again"
+            f"the array {path} is missing or damaged ({one_line(error)})",
+            "is the store complete? copy it again",
         ) from error
     if dtype.kind not in "buif":
-        raise InputError(f"values of type {dtype} given, one real number per voxel expected", "convert them first")
+        raise InputError(
+            f"values of type {dtype} given, one real number per voxel expected",
+            "convert them first",
+        )
     budgets.ZARR_CHUNK.check(math.prod(chunks) * dtype.itemsize, "a chunk of the Zarr")
     return array
 
@@ -133,7 +141,12 @@ class ZarrVoxels:
     """
 
     def __init__(
-        self, folder: Path, path: str, index: Sequence[int | None], order: Sequence[int], cache_bytes: int,
+        self,
+        folder: Path,
+        path: str,
+        index: Sequence[int | None],
+        order: Sequence[int],
+        cache_bytes: int,
         stored: Sequence[int] | None = None,
     ) -> None:
         self._array = open_array(folder, path)
@@ -173,19 +186,28 @@ class ZarrVoxels:
                 into.append(slice(first - along.start, last - along.start))
             values[tuple(into)] = chunk[tuple(inside)]
         if file_version(self._mark.stat()) != self._version:
-            raise InputError("the store has changed while it was read", "let no program write it; then start again")
+            raise InputError(
+                "the store has changed while it was read",
+                "let no program write it; then start again",
+            )
         return values
 
     def _chunks(self, box: Box) -> Iterator[tuple[int, ...]]:
         """The places of the chunks that have voxels of a box."""
         widths = zip(box, self.chunk_shape, strict=True)
-        return itertools.product(*(range(s.start // width, -(-s.stop // width)) for s, width in widths))
+        return itertools.product(
+            *(range(s.start // width, -(-s.stop // width)) for s, width in widths)
+        )
 
     def _chunk(self, place: tuple[int, ...]) -> NDArray[Any]:
         """The voxels of a chunk, as far as the grid goes."""
         widths, shape = self._files.chunk.shape, self._array.shape
-        whole = [0 if n is None else n // width for n, width in zip(self._index, widths, strict=True)]
-        inside: list[Any] = [None if n is None else n % width for n, width in zip(self._index, widths, strict=True)]
+        whole = [
+            0 if n is None else n // width for n, width in zip(self._index, widths, strict=True)
+        ]
+        inside: list[Any] = [
+            None if n is None else n % width for n, width in zip(self._index, widths, strict=True)
+        ]
         for axis, at in zip(self._order, place[self._flat :], strict=True):
             whole[axis] = at
             inside[axis] = slice(0, min(widths[axis], int(shape[axis]) - at * widths[axis]))
@@ -257,8 +279,12 @@ class ZarrVoxels:
             return ""
         places = zip(self._index, self._files.file_shape, strict=True)
         wanted = [None if n is None else n // width for n, width in places]
-        count = math.prod(n for n, only in zip(self._files.grid, wanted, strict=True) if only is None)
-        absent = count - sum(1 for _ in self._files.places(wanted)) if listed else len(self._missing)
+        count = math.prod(
+            n for n, only in zip(self._files.grid, wanted, strict=True) if only is None
+        )
+        absent = (
+            count - sum(1 for _ in self._files.places(wanted)) if listed else len(self._missing)
+        )
         if absent == 0:
             return ""
         return (

@@ -75,27 +75,40 @@ def open_challenge(path: Path) -> ChallengeFolder:
     folder = path / "TRA" if any((path / "TRA" / table).is_file() for table in _TABLES) else path
     table = next((folder / name for name in _TABLES if (folder / name).is_file()), None)
     if table is None:
-        raise InputError(f"{path}: neither {' nor '.join(_TABLES)} in it", "is it a folder of tracks?")
+        raise InputError(
+            f"{path}: neither {' nor '.join(_TABLES)} in it", "is it a folder of tracks?"
+        )
     with naming(table):
         tracks = _read_tracks(table)
     frames = _numbered(folder, _FRAME)
     lacking = next((n for n in range(len(frames)) if n not in frames), None)
     if not frames or lacking is not None:
-        raise InputError(f"{folder}: the label map of frame {lacking or 0} is not there", "are all files there?")
+        raise InputError(
+            f"{folder}: the label map of frame {lacking or 0} is not there", "are all files there?"
+        )
     exact = folder.parent / "SEG" if folder.name == "TRA" else folder
-    slices = [slice_map.name for slice_map in exact.glob("man_seg*") if _SLICE.fullmatch(slice_map.name)]
+    slices = [
+        slice_map.name for slice_map in exact.glob("man_seg*") if _SLICE.fullmatch(slice_map.name)
+    ]
     if slices:
-        raise InputError(f"{exact / slices[0]}: an outline of one slice of a volume, outlines of whole frames expected",
-                         "give the folder TRA alone: SEG is then measured on its label maps")
+        raise InputError(
+            f"{exact / slices[0]}: an outline of one slice of a volume, outlines of whole frames expected",
+            "give the folder TRA alone: SEG is then measured on its label maps",
+        )
     return ChallengeFolder(
-        folder, tracks, tuple(frames[n] for n in range(len(frames))), tuple(sorted(_numbered(exact, _OUTLINE).items()))
+        folder,
+        tracks,
+        tuple(frames[n] for n in range(len(frames))),
+        tuple(sorted(_numbered(exact, _OUTLINE).items())),
     )
 
 
 def _numbered(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
     """Files by the number in their names."""
     files = folder.iterdir() if folder.is_dir() else ()
-    return {int(found[1]): path for path in sorted(files) if (found := pattern.fullmatch(path.name))}
+    return {
+        int(found[1]): path for path in sorted(files) if (found := pattern.fullmatch(path.name))
+    }
 
 
 def _read_tracks(table: Path) -> tuple[ChallengeTrack, ...]:
@@ -113,10 +126,12 @@ def _read_tracks(table: Path) -> tuple[ChallengeTrack, ...]:
             ) from None
         if not (0 < track.label < 2**32 and 0 <= track.first <= track.last and track.parent >= 0):
             raise InputError(
-                f"line {number}: {line[:40]!r} given, expected a label above 0, and first <= last frame", _TABLE_HINT
+                f"line {number}: {line[:40]!r} given, expected a label above 0, and first <= last frame",
+                _TABLE_HINT,
             )
         if track.label in tracks:
-            raise InputError(f"line {number}: a second track with the label {track.label}", _TABLE_HINT)
+            raise InputError(
+                f"line {number}: a second track with the label {track.label}", _TABLE_HINT
+            )
         tracks[track.label] = track
     return tuple(tracks.values())
-

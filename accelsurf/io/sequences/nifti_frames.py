@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 def write_frames(path: Path, frames: FrameStack) -> None:
     """Write a sequence as a NIfTI of four axes, compressed where its name says so."""
     times = frames.times
-    is_plain = times.is_count or (times.seconds is not None and single_precision(times.seconds) == times.seconds)
+    is_plain = times.is_count or (
+        times.seconds is not None and single_precision(times.seconds) == times.seconds
+    )
     extension = b"" if is_plain else extension_with(COMMENT_CODE, f"{TIMES_KEY}: {times.text}")
     with gzip_writer(path) if path.suffix == ".gz" else path.open("wb") as out:
         out.write(header_of(frames.geometry, frames.dtype, {}, extension, times))

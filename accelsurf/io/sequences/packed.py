@@ -49,7 +49,9 @@ class PackedFrames(FileFrames):
             return self.header
         if self._unpacked is None:
             self._unpacked = self._unpack()
-        return replace(self.header, data=Path(self._unpacked.name), offset=0, encoding="raw", stored_bytes=None)
+        return replace(
+            self.header, data=Path(self._unpacked.name), offset=0, encoding="raw", stored_bytes=None
+        )
 
     def _unpack(self) -> IO[bytes]:
         """Unpack the voxels, which are all there then."""
@@ -65,14 +67,20 @@ class PackedFrames(FileFrames):
             )
         with header.data.open("rb") as packed:
             packed.seek(header.offset)
-            header.check_present(sum(map(file.write, inflate(packed, header.stored_bytes, header.claimed_bytes))))
+            header.check_present(
+                sum(map(file.write, inflate(packed, header.stored_bytes, header.claimed_bytes)))
+            )
         file.flush()
         return file
 
     @property
     def frame_values(self) -> int:
         """Number of values of a frame."""
-        return math.prod(self.geometry.shape) if self.header.are_channels_guessed else super().frame_values
+        return (
+            math.prod(self.geometry.shape)
+            if self.header.are_channels_guessed
+            else super().frame_values
+        )
 
     def read(self, number: int) -> list[Volume]:
         """Read the channels of a frame."""

@@ -58,7 +58,11 @@ def read_sequence(
         When the format has not what is asked for, or ``frame_time`` is no positive number.
     """
     found = open_sequence(
-        path, frame_time=frame_time, frames_from_slices=frames_from_slices, options=options, memory_bytes=memory_bytes
+        path,
+        frame_time=frame_time,
+        frames_from_slices=frames_from_slices,
+        options=options,
+        memory_bytes=memory_bytes,
     )
     if len(found) < 2:
         raise InputError(
@@ -116,7 +120,9 @@ def open_sequence(
     if frame_time is not None and not _SHORTEST <= frame_time <= _LONGEST:
         raise UsageError(f"frame time {frame_time:g} given, a positive number of seconds expected")
     if options.time_index is not None or options.channels_from_time:
-        raise UsageError("a sequence is all time points: time-index and channels-from-time do not go with it")
+        raise UsageError(
+            "a sequence is all time points: time-index and channels-from-time do not go with it"
+        )
     with naming(path):
         found: FileSequence
         if frames_from_slices:

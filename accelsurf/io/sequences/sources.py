@@ -74,8 +74,14 @@ class FileSequence(ImageSequence):
         out = []
         for volume in found:
             if difference := self.geometry.difference(volume.geometry):
-                raise InputError(f"{self.path}: frame {number} lies on another grid than frame 0: {difference}")
-            said = {key: text for key, text in volume.metadata.items() if key not in (TIMES_KEY, FRAME_KEY)}
+                raise InputError(
+                    f"{self.path}: frame {number} lies on another grid than frame 0: {difference}"
+                )
+            said = {
+                key: text
+                for key, text in volume.metadata.items()
+                if key not in (TIMES_KEY, FRAME_KEY)
+            }
             out.append(Volume(volume.array, self.geometry, said, volume.source))
         return out
 
@@ -119,14 +125,19 @@ class SliceFrames(FileSequence):
         nz, ny, nx = self._volume.shape
         whole = self._volume.geometry
         geometry = Geometry((1, ny, nx), whole.spacing, whole.origin, whole.direction)
-        self.place(geometry, FrameTimes.regular(nz, None), [self._volume.metadata.get(WARNING_KEY, "")])
+        self.place(
+            geometry, FrameTimes.regular(nz, None), [self._volume.metadata.get(WARNING_KEY, "")]
+        )
 
     def _opened(self, form: ImageFormat, header: Any) -> LazyVolume:
         """The volume, box by box; one that is packed as a whole is read."""
         if form.open is not None:
             asked = self._options
             return open_volume(
-                self.path, level=asked.level, channel_index=asked.channel_index, spacing=asked.spacing
+                self.path,
+                level=asked.level,
+                channel_index=asked.channel_index,
+                spacing=asked.spacing,
             )
         return LazyVolume.of_array(load(form.read)(self.path, header, self.memory))
 
@@ -151,7 +162,8 @@ class FrameFolder(FileSequence):
                 _, header = self._parsed(file)
                 if getattr(header, "time_points", 1) > 1:
                     raise InputError(
-                        f"{header.time_points} time points are in it, a frame expected", "give the file alone"
+                        f"{header.time_points} time points are in it, a frame expected",
+                        "give the file alone",
                     )
                 here = geometry_of(file, header)
             geometry = geometry or here
@@ -238,21 +250,30 @@ def times_of_names(names: Sequence[str]) -> tuple[FrameTimes, str]:
     ((0.0, 1.0, 3.0), (0.0, 1.0))
     """
     plain = FrameTimes.regular(len(names), None)
-    numbers = [[int(n) for n in re.findall(r"[0-9]{1,18}", headers.split_name(name)[0])] for name in names]
+    numbers = [
+        [int(n) for n in re.findall(r"[0-9]{1,18}", headers.split_name(name)[0])] for name in names
+    ]
     if len(names) < 2 or len({len(some) for some in numbers}) != 1 or not numbers[0]:
         return plain, ""
     columns = [column for column in zip(*numbers, strict=True) if len(set(column)) > 1]
     if len(columns) != 1 or len(set(columns[0])) < len(names):
-        return plain, "several numbers in the names of the files change: the frames are counted in their order"
+        return (
+            plain,
+            "several numbers in the names of the files change: the frames are counted in their order",
+        )
     found = columns[0]
     step = math.gcd(*(b - a for a, b in zip(found, found[1:], strict=False)))
     values = tuple(float((n - found[0]) // step) for n in found)
     known = set(found)
-    gaps = [n for n in range(found[0], found[-1], step) if n not in known] if values[-1] < 1e6 else []
+    gaps = (
+        [n for n in range(found[0], found[-1], step) if n not in known] if values[-1] < 1e6 else []
+    )
     if not gaps:
         return FrameTimes(values), ""
     text = ", ".join(map(str, gaps[:_MAX_SHOWN])) + (" ..." if len(gaps) > _MAX_SHOWN else "")
-    return FrameTimes(values), f"frames are missing: no file has the number {text}; the times have the gap"
+    return FrameTimes(
+        values
+    ), f"frames are missing: no file has the number {text}; the times have the gap"
 
 
 class DicomFrames(FileSequence):
@@ -266,7 +287,9 @@ class DicomFrames(FileSequence):
         dicom.refuse_lost(contents, series, options)
         self._parts, times = frames_in_time(frames, self._files.root)
         first = self._header(0)
-        self.place(first.geometry, times, [*dicom.notes_on_left_out(contents, series, file), *first.notes])
+        self.place(
+            first.geometry, times, [*dicom.notes_on_left_out(contents, series, file), *first.notes]
+        )
 
     def _header(self, number: int) -> dicom.DicomHeader:
         """Slices of a frame in their order, on a grid."""
@@ -292,10 +315,15 @@ def _frames_of(contents: Contents, options: ReadOptions, file: Path | None) -> l
         return series[options.series]
     if options.series is None and len(cines) > 1:
         raise InputError(
-            f"{len(cines)} series at several times are in it", "say which by --series; accelsurf info FOLDER lists them"
+            f"{len(cines)} series at several times are in it",
+            "say which by --series; accelsurf info FOLDER lists them",
         )
     asked = dicom.volume_of(contents, options, file)
-    alike = [volume for volume in contents.volumes if volume.uid == asked.uid and _contrast(volume) == _contrast(asked)]
+    alike = [
+        volume
+        for volume in contents.volumes
+        if volume.uid == asked.uid and _contrast(volume) == _contrast(asked)
+    ]
     return [frame for volume in alike for frame in volume.frames]
 
 

@@ -25,7 +25,9 @@ def write_tiff_frames(path: Path, frames: FrameStack) -> None:
     """
     with path.open("w+b") as file:
         pages = (page for frame in frames for page in frame)
-        write_pages(file, pages, _xml(frames), "write an .ome.zarr, or a file for each frame: frame*.tif")
+        write_pages(
+            file, pages, _xml(frames), "write an .ome.zarr, or a file for each frame: frame*.tif"
+        )
 
 
 def _xml(frames: FrameStack) -> str:
@@ -33,11 +35,21 @@ def _xml(frames: FrameStack) -> str:
     geometry, times = frames.geometry, frames.times
     (depth, height, width), (hz, hy, hx) = geometry.shape, geometry.spacing
     said: dict[str, Any] = {
-        "ID": "Pixels:0", "DimensionOrder": "XYZCT", "Type": _OME_TYPES.get(frames.dtype.name, frames.dtype.name),
-        "SizeX": width, "SizeY": height, "SizeZ": depth, "SizeC": 1, "SizeT": len(frames),
-        "PhysicalSizeX": repr(hx), "PhysicalSizeXUnit": "mm", "PhysicalSizeY": repr(hy), "PhysicalSizeYUnit": "mm",
-        "PhysicalSizeZ": repr(hz), "PhysicalSizeZUnit": "mm",
-    }  # fmt: skip
+        "ID": "Pixels:0",
+        "DimensionOrder": "XYZCT",
+        "Type": _OME_TYPES.get(frames.dtype.name, frames.dtype.name),
+        "SizeX": width,
+        "SizeY": height,
+        "SizeZ": depth,
+        "SizeC": 1,
+        "SizeT": len(frames),
+        "PhysicalSizeX": repr(hx),
+        "PhysicalSizeXUnit": "mm",
+        "PhysicalSizeY": repr(hy),
+        "PhysicalSizeYUnit": "mm",
+        "PhysicalSizeZ": repr(hz),
+        "PhysicalSizeZUnit": "mm",
+    }
     if times.seconds:
         said |= {"TimeIncrement": repr(times.seconds), "TimeIncrementUnit": "s"}
     pixels = " ".join(f"{key}={quoteattr(str(value))}" for key, value in said.items())
@@ -45,7 +57,8 @@ def _xml(frames: FrameStack) -> str:
     if times.unit == "s":
         planes = "".join(
             f'<Plane TheC="0" TheT="{t}" TheZ="{z}" DeltaT="{time!r}" DeltaTUnit="s"/>'
-            for t, time in enumerate(times.values) for z in range(depth)
+            for t, time in enumerate(times.values)
+            for z in range(depth)
         )
     elif not times.is_count:
         notes = (

@@ -27,7 +27,11 @@ from accelsurf.settings.registry import load
 #: Digits of the numbers of files, at least.
 _DIGITS = 4
 #: Types of values that all formats of volumes hold.
-_TYPES = (*(f"{kind}{bits}" for kind in ("uint", "int") for bits in (8, 16, 32, 64)), "float32", "float64")
+_TYPES = (
+    *(f"{kind}{bits}" for kind in ("uint", "int") for bits in (8, 16, 32, 64)),
+    "float32",
+    "float64",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +132,12 @@ class SequenceWriter:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], geometry: Geometry, times: Sequence[float], time_unit: str, dtype: Any
+        self,
+        path: str | os.PathLike[str],
+        geometry: Geometry,
+        times: Sequence[float],
+        time_unit: str,
+        dtype: Any,
     ) -> None:
         self.path, self.geometry = Path(path), geometry
         self.times = FrameTimes.checked(times, time_unit)
@@ -143,7 +152,9 @@ class SequenceWriter:
                 scratch = self._files.staging.parent / "frames.raw"
                 self._frames = FrameStack(scratch, geometry, self.times, self.dtype)
                 with scratch.open("wb") as file:
-                    file.truncate(len(self._frames) * self._frames.frame_bytes)  # sparse where the system can
+                    file.truncate(
+                        len(self._frames) * self._frames.frame_bytes
+                    )  # sparse where the system can
         except BaseException:
             self.abort()
             raise
@@ -205,7 +216,12 @@ class SequenceWriter:
     def __enter__(self) -> SequenceWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         if kind is None:
             self.commit()
         else:
@@ -220,7 +236,10 @@ class SequenceWriter:
         names = [self.path.name.replace("*", str(number).zfill(digits)) for number in numbers]
         write = images.write_labels if self.dtype.kind == "u" else images.write
         for name, array in zip(names, self._frames, strict=True):
-            write(Volume(array.astype(self.dtype, copy=False), self.geometry), self._files.staging / name)
+            write(
+                Volume(array.astype(self.dtype, copy=False), self.geometry),
+                self._files.staging / name,
+            )
         return names
 
     def _check(self) -> None:
@@ -229,7 +248,9 @@ class SequenceWriter:
 
         try:
             found = open_sequence(self._files.staging / self.path.name, memory_bytes=sys.maxsize)
-            difference = images.stored_grid(self.geometry, headers.split_name(self.path)[1]).difference(found.geometry)
+            difference = images.stored_grid(
+                self.geometry, headers.split_name(self.path)[1]
+            ).difference(found.geometry)
             if not difference and FrameTimes.checked(found.times, found.time_unit) != self.times:
                 difference = "other times are read than were written"
             for number in range(len(self._frames)) if not difference else ():
@@ -254,7 +275,12 @@ def sequence_suffixes() -> tuple[str, ...]:
     >>> ".nii" in sequence_suffixes(), ".nrrd" in sequence_suffixes()
     (True, False)
     """
-    return tuple(suffix for form in IMAGE_FORMATS.values() if form.write_frames is not None for suffix in form.suffixes)
+    return tuple(
+        suffix
+        for form in IMAGE_FORMATS.values()
+        if form.write_frames is not None
+        for suffix in form.suffixes
+    )
 
 
 def _written_form(path: Path, dtype: np.dtype[Any], geometry: Geometry) -> ImageFormat:
@@ -271,7 +297,10 @@ def _written_form(path: Path, dtype: np.dtype[Any], geometry: Geometry) -> Image
     if each and path.name.count("*") > 1:
         raise UsageError(f"{path}: one star expected, for the number of the frame")
     if dtype.name not in (form.types or _TYPES):
-        raise UsageError(f"values of type {dtype} given, which a sequence in {suffix} does not hold", "convert them")
+        raise UsageError(
+            f"values of type {dtype} given, which a sequence in {suffix} does not hold",
+            "convert them",
+        )
     if form.only_2d and geometry.shape[0] > 1:
         raise UsageError(f"frames of {geometry.shape[0]} slices given, a {suffix} holds one")
     return form
@@ -279,4 +308,6 @@ def _written_form(path: Path, dtype: np.dtype[Any], geometry: Geometry) -> Image
 
 def _checksum(array: NDArray[Any]) -> int:
     """Checksum of the values in their order."""
-    return zlib.crc32(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).reshape(-1).view(np.uint8).data)
+    return zlib.crc32(
+        np.ascontiguousarray(array, array.dtype.newbyteorder("<")).reshape(-1).view(np.uint8).data
+    )

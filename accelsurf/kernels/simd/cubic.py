@@ -38,7 +38,9 @@ class _Emitter:
         self.b = builder
 
     def broadcast(self, scalar: Any) -> Any:
-        first = self.b.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+        first = self.b.insert_element(
+            ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0)
+        )
         return self.lane(first, 0)
 
     def lane(self, vector: Any, i: int) -> Any:
@@ -90,17 +92,26 @@ def _plain_slopes(u: float) -> np.ndarray:
     return (a * u + b) * u + c
 
 
-def plain_cubic(array: Any, at: int, sy: int, sz: int, uz: float, uy: float, ux: float) -> tuple[float, ...]:
+def plain_cubic(
+    array: Any, at: int, sy: int, sz: int, uz: float, uy: float, ux: float
+) -> tuple[float, ...]:
     """`cubic` for the interpreter."""
-    nodes = np.array([array[at + i * sz + j * sy : at + i * sz + j * sy + 4] for i in range(4) for j in range(4)])
+    nodes = np.array(
+        [array[at + i * sz + j * sy : at + i * sz + j * sy + 4] for i in range(4) for j in range(4)]
+    )
     nodes = nodes.reshape(4, 4, 4).astype(np.float64)
-    (z, y, x), (dz, dy, dx) = ([form(u) for u in (uz, uy, ux)] for form in (_plain_weights, _plain_slopes))
+    (z, y, x), (dz, dy, dx) = (
+        [form(u) for u in (uz, uy, ux)] for form in (_plain_weights, _plain_slopes)
+    )
     return tuple(
-        float(np.einsum("ijk,i,j,k", nodes, *w)) for w in ((z, y, x), (dz, y, x), (z, dy, x), (z, y, dx))
+        float(np.einsum("ijk,i,j,k", nodes, *w))
+        for w in ((z, y, x), (dz, y, x), (z, dy, x), (z, y, dx))
     )
 
 
-def plain_cubic_value(array: Any, at: int, sy: int, sz: int, uz: float, uy: float, ux: float) -> float:
+def plain_cubic_value(
+    array: Any, at: int, sy: int, sz: int, uz: float, uy: float, ux: float
+) -> float:
     """`cubic_value` for the interpreter."""
     return plain_cubic(array, at, sy, sz, uz, uy, ux)[0]
 
@@ -128,7 +139,9 @@ def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):
         e = _Emitter(builder)
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
         at, sy, sz = args[1:4]
-        (wz, wy, wx), (gz, gy, gx) = ([form(u) for u in args[4:7]] for form in (e.weights, e.slopes))
+        (wz, wy, wx), (gz, gy, gx) = (
+            [form(u) for u in args[4:7]] for form in (e.weights, e.slopes)
+        )
         values, slopes = [], []
         for _ in range(4):
             rows = []

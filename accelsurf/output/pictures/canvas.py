@@ -24,7 +24,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.patheffects import AbstractPathEffect
 
-BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
+BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = (
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#D55E00",
+    "#CC79A7",
+    "#56B4E9",
+)
 YELLOW = "#F0E442"
 INK, GRID, PALE, DARK = "#222222", "#D9D9D9", "#999999", "#101010"
 #: The surface, and what it is compared with, in every picture of the program.
@@ -41,10 +48,23 @@ TICK_SIZE, LABEL_SIZE, TITLE_SIZE, HEADING_SIZE = 11, 12, 14, 17
 #: The font of all texts, which comes with matplotlib, and those with further scripts, taken where they are installed.
 _FONT = "DejaVu Sans"
 _FURTHER_FONTS = (
-    "Noto Sans CJK JP", "WenQuanYi Micro Hei", "WenQuanYi Zen Hei", "Droid Sans Fallback", "IPAGothic", "IPAexGothic",
-    "Hiragino Sans", "PingFang SC", "Arial Unicode MS", "Microsoft YaHei", "MS Gothic", "Malgun Gothic", "SimHei",
-    "Noto Sans Devanagari", "Noto Sans Arabic", "Noto Sans Thai",
-)  # fmt: skip
+    "Noto Sans CJK JP",
+    "WenQuanYi Micro Hei",
+    "WenQuanYi Zen Hei",
+    "Droid Sans Fallback",
+    "IPAGothic",
+    "IPAexGothic",
+    "Hiragino Sans",
+    "PingFang SC",
+    "Arial Unicode MS",
+    "Microsoft YaHei",
+    "MS Gothic",
+    "Malgun Gothic",
+    "SimHei",
+    "Noto Sans Devanagari",
+    "Noto Sans Arabic",
+    "Noto Sans Thai",
+)
 #: A white square: stands for a character that no font has.
 _MISSING = "\u25a1"
 _POINTS_PER_INCH = 72
@@ -112,11 +132,21 @@ class Canvas:
         self.figure = Figure(inches, dpi=_POINTS_PER_INCH, facecolor="white", edgecolor="none")
         self._agg = FigureCanvasAgg(self.figure)
         if title:
-            self.text((self.width / 2, 22), fitting(title, HEADING_SIZE, self.width - 20), HEADING_SIZE, anchor="mm")
+            self.text(
+                (self.width / 2, 22),
+                fitting(title, HEADING_SIZE, self.width - 20),
+                HEADING_SIZE,
+                anchor="mm",
+            )
 
     def axes(self, box: Box, x: Sequence[float], y: Sequence[float], frame: bool = True) -> Axes:
         """Return new axes in a box, with the values ``x`` at its left and right, ``y`` at its lower and upper side."""
-        place = box.left / self.width, 1 - box.bottom / self.height, box.width / self.width, box.height / self.height
+        place = (
+            box.left / self.width,
+            1 - box.bottom / self.height,
+            box.width / self.width,
+            box.height / self.height,
+        )
         axes = self.figure.add_axes(place, xlim=x, ylim=y, facecolor="none", frame_on=frame)
         # A user's own settings of matplotlib may have both.
         axes.grid(False)
@@ -128,7 +158,12 @@ class Canvas:
         return axes
 
     def text(
-        self, at: tuple[float, float], text: str, size: int = LABEL_SIZE, color: str = INK, anchor: str = "la"
+        self,
+        at: tuple[float, float],
+        text: str,
+        size: int = LABEL_SIZE,
+        color: str = INK,
+        anchor: str = "la",
     ) -> None:
         """Write lines of text.
 
@@ -144,9 +179,14 @@ class Canvas:
             Two letters: l, m, r (left, middle, right) and a, m, d (top, middle, bottom).
         """
         self.figure.text(
-            at[0] / self.width, 1 - at[1] / self.height, drawable(text), color=color,
-            ha=_HORIZONTAL[anchor[0]], va=_VERTICAL[anchor[1]], **font(size),
-        )  # fmt: skip
+            at[0] / self.width,
+            1 - at[1] / self.height,
+            drawable(text),
+            color=color,
+            ha=_HORIZONTAL[anchor[0]],
+            va=_VERTICAL[anchor[1]],
+            **font(size),
+        )
 
     def pixels(self) -> NDArray[np.uint8]:
         """Draw the picture, (height, width, 3)."""
@@ -156,7 +196,9 @@ class Canvas:
     def png(self) -> bytes:
         """Draw the picture as a PNG file."""
         stream = io.BytesIO()
-        Image.fromarray(np.ascontiguousarray(self.pixels())).save(stream, "png", compress_level=_COMPRESSION)
+        Image.fromarray(np.ascontiguousarray(self.pixels())).save(
+            stream, "png", compress_level=_COMPRESSION
+        )
         return stream.getvalue()
 
 
@@ -175,7 +217,13 @@ def object_color(position: int) -> str:
 
 
 def write_scales(
-    axes: Axes, xlabel: str, ylabel: str, *, grid: bool = False, color: str = INK, right: bool = False
+    axes: Axes,
+    xlabel: str,
+    ylabel: str,
+    *,
+    grid: bool = False,
+    color: str = INK,
+    right: bool = False,
 ) -> None:
     """Write round values along the lower and the left (or right) side, their labels, and with ``grid`` lines across."""
     from matplotlib.ticker import MaxNLocator
@@ -185,9 +233,21 @@ def write_scales(
         axis.get_offset_text().set(color=INK, **font(TICK_SIZE))
     axes.ticklabel_format(useOffset=False, scilimits=(-3, 5), useMathText=False)
     axes.tick_params(
-        bottom=True, labelbottom=True, left=not right, labelleft=not right, right=right, labelright=right, length=4,
-        width=1, pad=3.5, direction="out", color=PALE, labelcolor=INK, labelsize=TICK_SIZE, labelfontfamily=_FONT,
-    )  # fmt: skip
+        bottom=True,
+        labelbottom=True,
+        left=not right,
+        labelleft=not right,
+        right=right,
+        labelright=right,
+        length=4,
+        width=1,
+        pad=3.5,
+        direction="out",
+        color=PALE,
+        labelcolor=INK,
+        labelsize=TICK_SIZE,
+        labelfontfamily=_FONT,
+    )
     if grid:
         axes.grid(color=GRID, linewidth=1, linestyle="-", alpha=1)
         axes.set_axisbelow(True)
@@ -204,12 +264,15 @@ def write_lengths(axes: Axes, across: str, up: str, unit: str) -> None:
 
     write_scales(axes, f"{across} ({unit})", f"{up} ({unit})" if up else "")
     for axis, ends, pixels, room in (
-        (axes.xaxis, axes.get_xlim(), axes.bbox.width, 42), (axes.yaxis, axes.get_ylim(), axes.bbox.height, 26)
+        (axes.xaxis, axes.get_xlim(), axes.bbox.width, 42),
+        (axes.yaxis, axes.get_ylim(), axes.bbox.height, 26),
     ):
         low, high = in_unit(min(ends), unit), in_unit(max(ends), unit)
         step = tick_step(low, high, pixels, room)
         axis.set_major_locator(MultipleLocator(step / in_unit(1.0, unit)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{round(in_unit(value, unit), 9):g}"))
+        axis.set_major_formatter(
+            FuncFormatter(lambda value, _: f"{round(in_unit(value, unit), 9):g}")
+        )
 
 
 def tick_step(low: float, high: float, pixels: float, room: float) -> float:
@@ -236,19 +299,33 @@ def write_title(axes: Axes, text: str) -> None:
     axes.set_title("\n".join(lines), y=1, pad=7, color=INK, **font(TITLE_SIZE))
 
 
-def write_legend(axes: Axes, lines: Sequence[Any], names: Sequence[str], place: Any, **options: Any) -> None:
+def write_legend(
+    axes: Axes, lines: Sequence[Any], names: Sequence[str], place: Any, **options: Any
+) -> None:
     """Write what lines are, on a light ground."""
     legend = axes.legend(
-        lines, ["line"] * len(lines), loc=place, facecolor="white", edgecolor="none", framealpha=0.8, fancybox=False,
-        borderpad=0.4, labelspacing=0.35, handlelength=2.4, borderaxespad=0.4, **options,
+        lines,
+        ["line"] * len(lines),
+        loc=place,
+        facecolor="white",
+        edgecolor="none",
+        framealpha=0.8,
+        fancybox=False,
+        borderpad=0.4,
+        labelspacing=0.35,
+        handlelength=2.4,
+        borderaxespad=0.4,
+        **options,
         prop={"family": _families(), "size": TICK_SIZE},
-    )  # fmt: skip
+    )
     for text, name in zip(legend.get_texts(), names, strict=True):
         # Set here: matplotlib leaves out labels that begin with an underscore.
         text.set(text=drawable(name), parse_math=False, color=INK)
 
 
-def draw_scale_bar(axes: Axes, unit: str = "mm", color: str = INK, rim: Sequence[AbstractPathEffect] = ()) -> None:
+def draw_scale_bar(
+    axes: Axes, unit: str = "mm", color: str = INK, rim: Sequence[AbstractPathEffect] = ()
+) -> None:
     """Draw a bar of a round length, about a quarter of axes in mm, in their lower right corner."""
     left, right = axes.get_xlim()
     per_pixel = (right - left) / axes.bbox.width
@@ -257,14 +334,27 @@ def draw_scale_bar(axes: Axes, unit: str = "mm", color: str = INK, rim: Sequence
     first = end - length / in_unit(1.0, unit)
     at = 9 / axes.bbox.height
     axes.plot(
-        [first, end], [at, at], color=color, lw=2.5, ls="-", solid_capstyle="butt", path_effects=rim,
+        [first, end],
+        [at, at],
+        color=color,
+        lw=2.5,
+        ls="-",
+        solid_capstyle="butt",
+        path_effects=rim,
         transform=axes.get_xaxis_transform(),
-    )  # fmt: skip
+    )
     axes.annotate(
-        f"{length:g} {unit}", (0.5 * (first + end), at), (0, 4), xycoords=axes.get_xaxis_transform(),
-        textcoords="offset points", ha="center", va="bottom", color=color, path_effects=rim,
+        f"{length:g} {unit}",
+        (0.5 * (first + end), at),
+        (0, 4),
+        xycoords=axes.get_xaxis_transform(),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        color=color,
+        path_effects=rim,
         **font(TICK_SIZE, bold=True),
-    )  # fmt: skip
+    )
 
 
 def round_step(wanted: float) -> float:
@@ -313,7 +403,9 @@ def _characters() -> frozenset[int]:
     """The code points that any of the fonts has."""
     from matplotlib.font_manager import findfont, get_font
 
-    return frozenset(code for name in _families() for code in get_font(findfont(name)).get_charmap())
+    return frozenset(
+        code for name in _families() for code in get_font(findfont(name)).get_charmap()
+    )
 
 
 def drawable(text: str) -> str:
@@ -327,7 +419,9 @@ def drawable(text: str) -> str:
     if all(line.isascii() and line.isprintable() for line in text.split("\n")):
         return text
     characters = _characters()
-    return "".join(c if c == "\n" or (c.isprintable() and ord(c) in characters) else _MISSING for c in text)
+    return "".join(
+        c if c == "\n" or (c.isprintable() and ord(c) in characters) else _MISSING for c in text
+    )
 
 
 def text_width(text: str, size: int, bold: bool = False) -> float:
@@ -352,5 +446,9 @@ def fitting(text: str, size: int, width: float) -> str:
     low, high = 0, len(text) // 2
     while low < high:  # the largest number of letters at each end that fits
         many = (low + high + 1) // 2
-        low, high = (many, high) if text_width(f"{text[:many]}...{text[-many:]}", size) <= width else (low, many - 1)
+        low, high = (
+            (many, high)
+            if text_width(f"{text[:many]}...{text[-many:]}", size) <= width
+            else (low, many - 1)
+        )
     return f"{text[:low]}...{text[len(text) - low :]}"

@@ -13,7 +13,15 @@ from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import UNIT_KEY, is_anatomical
-from accelsurf.output.pictures.canvas import SKY, SURFACE, TICK_SIZE, YELLOW, Box, Canvas, object_color
+from accelsurf.output.pictures.canvas import (
+    SKY,
+    SURFACE,
+    TICK_SIZE,
+    YELLOW,
+    Box,
+    Canvas,
+    object_color,
+)
 from accelsurf.output.pictures.preview import BELOW, LEFT, PANEL, TOP, WIDTH, panel_at
 from accelsurf.output.pictures.slice_views import SliceView, displayed, whole_ranges
 from accelsurf.output.pictures.slices import (
@@ -85,7 +93,12 @@ def look_png(
             if anatomical:
                 write_letters(shown)
             draw_slice_scale(shown, unit)
-        canvas.text((canvas.width - 10, top + tall + BELOW - 26), f"window {grey.text}", TICK_SIZE, anchor="rd")
+        canvas.text(
+            (canvas.width - 10, top + tall + BELOW - 26),
+            f"window {grey.text}",
+            TICK_SIZE,
+            anchor="rd",
+        )
     return canvas.png()
 
 
@@ -94,7 +107,9 @@ def _place(geometry: Geometry, at: Sequence[float] | None, labels: NDArray[Any] 
     if at is not None:
         return tuple(int(v) for v in np.rint(geometry.world_to_index(at)))
     if labels is not None and labels.any():
-        filled = [np.flatnonzero((labels > 0).any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+        filled = [
+            np.flatnonzero((labels > 0).any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)
+        ]
         return tuple(int(np.median(places)) for places in filled)
     return tuple(n // 2 for n in geometry.shape)
 

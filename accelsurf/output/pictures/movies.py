@@ -39,11 +39,15 @@ def check_target(path: Path, size: tuple[int, int]) -> None:
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise UsageError(
-            f"{path.name}: {suffix or 'no suffix'} was given, expected {', '.join(FORMATS)}", f"write {path.stem}.mp4"
+            f"{path.name}: {suffix or 'no suffix'} was given, expected {', '.join(FORMATS)}",
+            f"write {path.stem}.mp4",
         )
     if suffix == ".mp4":
         if any(side % 2 for side in size):
-            raise UsageError(f"size: {size[0]}x{size[1]} was given, expected even numbers for mp4", "as in 1280x720")
+            raise UsageError(
+                f"size: {size[0]}x{size[1]} was given, expected even numbers for mp4",
+                "as in 1280x720",
+            )
         _ffmpeg()
     if suffix == ".webp" and not features.check("webp"):
         raise UsageError("webp: Pillow was built without it here", "take .mp4 or .gif")
@@ -96,17 +100,27 @@ def _check_staged(staged: Path, count: int) -> None:
                 movie.seek(getattr(movie, "n_frames", 1) - 1)
                 movie.load()
     except (OSError, EOFError, SyntaxError, ValueError, RuntimeError) as error:
-        raise OutputError(f"{staged.name}: cannot be written (it is damaged: {error})", SPACE_HINT) from error
+        raise OutputError(
+            f"{staged.name}: cannot be written (it is damaged: {error})", SPACE_HINT
+        ) from error
     if found != count:
-        raise OutputError(f"{staged.name}: cannot be written ({found} of {count} frames arrived)", SPACE_HINT)
+        raise OutputError(
+            f"{staged.name}: cannot be written ({found} of {count} frames arrived)", SPACE_HINT
+        )
 
 
 def _mp4(path: Path, frames: Iterable[Picture], size: tuple[int, int], fps: float) -> int:
     ffmpeg = _ffmpeg()
     # yuv420p and faststart: what any browser and any slide show plays.
     writer = ffmpeg.write_frames(
-        str(path), size, fps=fps, codec="libx264", quality=8, macro_block_size=2,
-        ffmpeg_log_level="error", output_params=["-movflags", "+faststart", "-threads", "2"],
+        str(path),
+        size,
+        fps=fps,
+        codec="libx264",
+        quality=8,
+        macro_block_size=2,
+        ffmpeg_log_level="error",
+        output_params=["-movflags", "+faststart", "-threads", "2"],
     )
     writer.send(None)
     count = 0
@@ -134,7 +148,9 @@ def _animation(path: Path, frames: Iterable[Picture], fps: float) -> int:
     first = next(stream)
     # A GIF counts hundredths of a second; viewers ignore less than two.
     duration = max(20, round(1000 / fps))
-    options: dict[str, Any] = {"quality": 80, "method": 4} if path.suffix.lower() == ".webp" else {"disposal": 1}
+    options: dict[str, Any] = (
+        {"quality": 80, "method": 4} if path.suffix.lower() == ".webp" else {"disposal": 1}
+    )
     first.save(path, save_all=True, append_images=stream, duration=duration, loop=0, **options)
     return count
 
@@ -144,7 +160,8 @@ def _ffmpeg() -> Any:
         import imageio_ffmpeg
     except ImportError:
         raise UsageError(
-            "mp4: imageio-ffmpeg is not installed", 'pip install "accelsurf[viewer]"; .gif and .webp need nothing more'
+            "mp4: imageio-ffmpeg is not installed",
+            'pip install "accelsurf[viewer]"; .gif and .webp need nothing more',
         ) from None
     return imageio_ffmpeg
 

@@ -80,17 +80,27 @@ def preview_png(content: PreviewContent) -> bytes:
     if content.geometry.slice_axis is not None:
         return _png_2d(content, content.geometry.slice_axis)
     ranges = shown_ranges(content)
-    window, main, native = content_window(content, ranges), main_views(content), native_plane(content.geometry)
-    low = [view for view in main if view.plane != native and _is_low(view, ranges, content.geometry)]
+    window, main, native = (
+        content_window(content, ranges),
+        main_views(content),
+        native_plane(content.geometry),
+    )
+    low = [
+        view for view in main if view.plane != native and _is_low(view, ranges, content.geometry)
+    ]
     is_flat = len(low) == 2
     second = second_view(content, is_flat)
-    more = [view for view in (*click_views(content), *uncertain_views(content)) if view != second][-3:]
+    more = [view for view in (*click_views(content), *uncertain_views(content)) if view != second][
+        -3:
+    ]
     further = LARGE - PANEL if is_flat else 0
     canvas = Canvas(WIDTH, TOP + further + (3 if more else 2) * (PANEL + BELOW), content.title)
     first = [main[native], second] if is_flat else main
     width = (WIDTH - LEFT - RIGHT - (len(first) - 1) * GAP) / len(first)
-    panels = {view: Box(left, TOP, left + width, TOP + PANEL + further)
-              for view, left in zip(first, np.arange(len(first)) * (width + GAP) + LEFT, strict=True)}
+    panels = {
+        view: Box(left, TOP, left + width, TOP + PANEL + further)
+        for view, left in zip(first, np.arange(len(first)) * (width + GAP) + LEFT, strict=True)
+    }
     below = [panel_at(1, column, further) for column in range(3)]
     if is_flat:
         middle = below[0].middle[1]
@@ -112,7 +122,9 @@ def preview_png(content: PreviewContent) -> bytes:
 def _is_low(view: SliceView, ranges: Ranges, geometry: Geometry) -> bool:
     """Return True if the slice is less than half as high as wide."""
     up, (vertical, horizontal) = DisplayOrientation.of(geometry), IN_PLANE[view.plane]
-    tall, wide = ((ranges[axis][1] - ranges[axis][0]) * up.spacing[axis] for axis in (vertical, horizontal))
+    tall, wide = (
+        (ranges[axis][1] - ranges[axis][0]) * up.spacing[axis] for axis in (vertical, horizontal)
+    )
     return tall < 0.5 * wide
 
 
@@ -163,7 +175,9 @@ def _length(geometry: Geometry, axis: int) -> float:
     return geometry.shape[axis] * geometry.spacing[axis]
 
 
-def draw_energies(canvas: Canvas, panel: Box, history: Sequence[StepRecord], left_out: int = 0) -> None:
+def draw_energies(
+    canvas: Canvas, panel: Box, history: Sequence[StepRecord], left_out: int = 0
+) -> None:
     """Draw the energy of a run and, on a second scale, its kinetic energy; triangles mark restarts.
 
     A line below says how many steps of corrections are ``left_out``.
@@ -174,7 +188,10 @@ def draw_energies(canvas: Canvas, panel: Box, history: Sequence[StepRecord], lef
     kinetic = [row.kinetic for row in history]
     notes = ["step"]
     if left_out:
-        notes = [f"step; {left_out} steps of corrections are not drawn:", "their energy is that of a box"]
+        notes = [
+            f"step; {left_out} steps of corrections are not drawn:",
+            "their energy is that of a box",
+        ]
     if not any(kinetic):
         notes.append("no kinetic energy: the flow has no momentum")
     write_title(axes, "Energy and kinetic energy")
@@ -183,16 +200,24 @@ def draw_energies(canvas: Canvas, panel: Box, history: Sequence[StepRecord], lef
     if any(kinetic):
         second = axes.twinx()
         second.set(xlim=axes.get_xlim(), ylim=(0.0, 1.05 * max(kinetic)), frame_on=False)
-        second.plot([row.step for row in history], kinetic, color=VERMILION, linestyle=DASHED, linewidth=2)
+        second.plot(
+            [row.step for row in history], kinetic, color=VERMILION, linestyle=DASHED, linewidth=2
+        )
         second.grid(False)
         write_scales(second, "", "kinetic energy (dashed)", color=VERMILION, right=True)
         second.xaxis.set_visible(False)
     restarts = [row.step for row in history if row.restarted]
     if restarts:
         (marks,) = axes.plot(
-            restarts, [0.015] * len(restarts), transform=axes.get_xaxis_transform(), marker="^", markersize=9,
-            markerfacecolor=INK, markeredgecolor="none", linestyle="none",
-        )  # fmt: skip
+            restarts,
+            [0.015] * len(restarts),
+            transform=axes.get_xaxis_transform(),
+            marker="^",
+            markersize=9,
+            markerfacecolor=INK,
+            markeredgecolor="none",
+            linestyle="none",
+        )
         write_legend(axes, [marks], ["restart (momentum set to zero)"], "upper right")
 
 
@@ -220,27 +245,44 @@ def draw_surface(canvas: Canvas, panel: Box, content: PreviewContent) -> None:
     paint: NDArray[np.float64] = _light(content.color())
     counts = [shape.vertices for shape in content.objects]
     if sum(counts) == len(content.surface.vertices):
-        paint = np.repeat([_light(content.color(place)) for place in range(len(counts))], counts, axis=0)
+        paint = np.repeat(
+            [_light(content.color(place)) for place in range(len(counts))], counts, axis=0
+        )
     size = int(min(panel.width, panel.height - BELOW_SURFACE))
     picture = render(content.surface.vertices, content.surface.faces, size=size, color=paint)
     left, mm = round(panel.middle[0] - size / 2), picture.mm_per_pixel
     square = Box(left, panel.top, left + size, panel.top + size + BELOW_SURFACE)
     axes = canvas.axes(square, (0, size * mm), (-BELOW_SURFACE * mm, size * mm), frame=False)
     axes.imshow(
-        picture.pixels, extent=(0, size * mm, 0, size * mm), origin="upper", aspect="auto", interpolation="nearest"
+        picture.pixels,
+        extent=(0, size * mm, 0, size * mm),
+        origin="upper",
+        aspect="auto",
+        interpolation="nearest",
     )
     write_title(axes, "Surface")
     draw_scale_bar(axes, content.unit)
     for along, letter in zip(picture.axes, "LPS" if content.anatomical else "xyz", strict=True):
         start, tip = np.array([ARROW, ARROW - 8]), ARROW * along
         axes.annotate(
-            "", tuple(start + tip), tuple(start), xycoords="axes pixels", textcoords="axes pixels",
+            "",
+            tuple(start + tip),
+            tuple(start),
+            xycoords="axes pixels",
+            textcoords="axes pixels",
             arrowprops={
-                "arrowstyle": "-|>", "color": INK, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 10,
+                "arrowstyle": "-|>",
+                "color": INK,
+                "linewidth": 1.5,
+                "shrinkA": 0,
+                "shrinkB": 0,
+                "mutation_scale": 10,
             },
-        )  # fmt: skip
+        )
         at = tuple(start + 1.35 * tip)
-        axes.annotate(letter, at, xycoords="axes pixels", ha="center", va="center", **font(TICK_SIZE))
+        axes.annotate(
+            letter, at, xycoords="axes pixels", ha="center", va="center", **font(TICK_SIZE)
+        )
 
 
 def _light(color: str) -> NDArray[np.float64]:

@@ -72,7 +72,10 @@ def marks_of(clicks: Iterable[Click], spacing: Sequence[float]) -> tuple[ClickMa
     for click in clicks:
         voxels = np.argwhere(click.mask)
         distances = (((voxels - voxels.mean(axis=0)) * np.asarray(spacing)) ** 2).sum(axis=1)
-        z, y, x = (int(v) + part.start for v, part in zip(voxels[np.argmin(distances)], click.box, strict=True))
+        z, y, x = (
+            int(v) + part.start
+            for v, part in zip(voxels[np.argmin(distances)], click.box, strict=True)
+        )
         marks.append(ClickMark(click.side, click.id, (z, y, x), click.box, click.mask))
     return tuple(marks)
 

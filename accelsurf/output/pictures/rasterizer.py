@@ -127,7 +127,9 @@ def _fill(
     """The depth buffer, and of each pixel what is nearest; see `accelsurf.kernels.raster.fill_depths`."""
     levels = np.empty(len(triangles), np.int64)
     raster.sample_levels(projected, triangles, levels)
-    order = np.argsort(levels, kind="stable")[np.count_nonzero(levels == 0) :]  # the rest face away, behind these
+    order = np.argsort(levels, kind="stable")[
+        np.count_nonzero(levels == 0) :
+    ]  # the rest face away, behind these
     low, high = float(projected[:, 2].min()), float(projected[:, 2].max())
     depths = _Depths(low, (high - low) / _DEPTH_STEPS or 1.0, float(_DEPTH_STEPS))
     nearest = np.full((fine, fine), -1, np.int64)

@@ -48,7 +48,10 @@ def shown_ranges(content: PreviewContent) -> Ranges:
         return whole_ranges(content.geometry)
     ends = [(part.start, part.stop) for part in box]
     for mark in content.clicks:
-        ends = [(min(a, part.start), max(b, part.stop)) for (a, b), part in zip(ends, mark.box, strict=True)]
+        ends = [
+            (min(a, part.start), max(b, part.stop))
+            for (a, b), part in zip(ends, mark.box, strict=True)
+        ]
     return ranges_around(ends, content.geometry, MARGIN)
 
 
@@ -56,11 +59,17 @@ def ranges_around(ends: Sequence[tuple[int, int]], geometry: Geometry, margin: f
     """Return the voxels of a box (first and one past the last along each axis of the array) and a margin around it."""
     up = DisplayOrientation.of(geometry)
     ranges = []
-    for axis, (n, flip) in enumerate(zip(np.take(geometry.shape, up.order).tolist(), up.flips, strict=True)):
+    for axis, (n, flip) in enumerate(
+        zip(np.take(geometry.shape, up.order).tolist(), up.flips, strict=True)
+    ):
         low, high = ends[up.order[axis]]
         if flip:
             low, high = n - high, n - low
-        room = max(round(margin * (high - low)), round(MIN_MARGIN * min(geometry.steps) / up.spacing[axis]), 1)
+        room = max(
+            round(margin * (high - low)),
+            round(MIN_MARGIN * min(geometry.steps) / up.spacing[axis]),
+            1,
+        )
         ranges.append((max(low - room, 0), min(high + room, n)))
     return ranges[0], ranges[1], ranges[2]
 
@@ -68,7 +77,11 @@ def ranges_around(ends: Sequence[tuple[int, int]], geometry: Geometry, margin: f
 def whole_ranges(geometry: Geometry) -> Ranges:
     """All voxels."""
     order = DisplayOrientation.of(geometry).order
-    return (0, geometry.shape[order[0]]), (0, geometry.shape[order[1]]), (0, geometry.shape[order[2]])
+    return (
+        (0, geometry.shape[order[0]]),
+        (0, geometry.shape[order[1]]),
+        (0, geometry.shape[order[2]]),
+    )
 
 
 def box_of(ranges: Ranges, geometry: Geometry) -> Box:
@@ -85,9 +98,13 @@ def fitted(ranges: Ranges, plane: int, geometry: Geometry, width_to_height: floa
     """Ranges widened within the image so that a slice fills a panel of this shape as far as it can."""
     up, out = DisplayOrientation.of(geometry), list(ranges)
     vertical, horizontal = IN_PLANE[plane]
-    tall, wide = ((out[axis][1] - out[axis][0]) * up.spacing[axis] for axis in (vertical, horizontal))
-    axis, mm = (horizontal, tall * width_to_height) if wide < tall * width_to_height else (
-        vertical, wide / width_to_height
+    tall, wide = (
+        (out[axis][1] - out[axis][0]) * up.spacing[axis] for axis in (vertical, horizontal)
+    )
+    axis, mm = (
+        (horizontal, tall * width_to_height)
+        if wide < tall * width_to_height
+        else (vertical, wide / width_to_height)
     )
     low, high = out[axis]
     n, more = geometry.shape[up.order[axis]], max(round(mm / up.spacing[axis]) - (high - low), 0)
@@ -97,7 +114,9 @@ def fitted(ranges: Ranges, plane: int, geometry: Geometry, width_to_height: floa
     return out[0], out[1], out[2]
 
 
-def displayed(place: tuple[float, float, float] | tuple[int, int, int], geometry: Geometry) -> tuple[float, ...]:
+def displayed(
+    place: tuple[float, float, float] | tuple[int, int, int], geometry: Geometry
+) -> tuple[float, ...]:
     """A (continuous) index (z, y, x) of the image, on the axes as they are displayed."""
     up = DisplayOrientation.of(geometry)
     return tuple(
@@ -116,10 +135,15 @@ def main_views(content: PreviewContent) -> list[SliceView]:
     """The slice of each plane through the first inside click, else through the object's largest section there."""
     inside = next((mark for mark in content.clicks if mark.side == "inside"), None)
     if inside is not None:
-        return [SliceView(plane, round(at)) for plane, at in enumerate(displayed(inside.place, content.geometry))]
+        return [
+            SliceView(plane, round(at))
+            for plane, at in enumerate(displayed(inside.place, content.geometry))
+        ]
     up, found = DisplayOrientation.of(content.geometry), content.inside()
     if not found.any():
-        return [SliceView(plane, content.geometry.shape[up.order[plane]] // 2) for plane in range(3)]
+        return [
+            SliceView(plane, content.geometry.shape[up.order[plane]] // 2) for plane in range(3)
+        ]
     return [SliceView(plane, _largest_section(up.reorient(found), plane)) for plane in range(3)]
 
 
@@ -135,7 +159,9 @@ def late_view(content: PreviewContent) -> SliceView | None:
     if content.late_growth is None:
         return None
     plane = native_plane(content.geometry)
-    return SliceView(plane, round(displayed(content.late_growth, content.geometry)[plane]), "latest growth")
+    return SliceView(
+        plane, round(displayed(content.late_growth, content.geometry)[plane]), "latest growth"
+    )
 
 
 def uncertain_views(content: PreviewContent) -> list[SliceView]:
@@ -143,7 +169,10 @@ def uncertain_views(content: PreviewContent) -> list[SliceView]:
     late = late_view(content)
     views = [] if late is None else [late]
     if content.next_clicks:
-        plane, place = native_plane(content.geometry), displayed(content.next_clicks[0], content.geometry)
+        plane, place = (
+            native_plane(content.geometry),
+            displayed(content.next_clicks[0], content.geometry),
+        )
         others = (*main_views(content), *click_views(content), *views)
         if all(round(place[view.plane]) != view.index for view in others):
             views.append(SliceView(plane, round(place[plane]), "click next"))
@@ -159,8 +188,11 @@ def second_view(content: PreviewContent, is_flat: bool) -> SliceView | None:
     views, main, geometry = uncertain_views(content), main_views(content), content.geometry
     if content.next_clicks and not is_flat:
         place = displayed(content.next_clicks[0], geometry)
-        views += [SliceView(view.plane, round(place[view.plane]), "click next") for view in main[::-1]
-                  if round(place[view.plane]) != view.index]
+        views += [
+            SliceView(view.plane, round(place[view.plane]), "click next")
+            for view in main[::-1]
+            if round(place[view.plane]) != view.index
+        ]
     views += click_views(content)[::-1]
     inside = content.inside()
     if not views and inside.any():

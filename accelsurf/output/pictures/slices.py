@@ -119,7 +119,9 @@ class Slice:
         """Return where a (continuous) voxel (z, y, x) of the image lies in the slice, (right, up) in mm."""
         at = displayed((voxel[0], voxel[1], voxel[2]), self.geometry)
         vertical, horizontal = IN_PLANE[self.view.plane]
-        return self.up.coordinate(horizontal, at[horizontal]), self.up.coordinate(vertical, at[vertical])
+        return self.up.coordinate(horizontal, at[horizontal]), self.up.coordinate(
+            vertical, at[vertical]
+        )
 
     def coordinates(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the places of the shown columns and rows, mm."""
@@ -131,7 +133,9 @@ class Slice:
 
     def pixels(self, x: Any, y: Any) -> NDArray[np.float64]:
         """Return places in mm as pixels of the picture, (n, 2)."""
-        return np.asarray(self.axes.transData.transform(np.stack([np.atleast_1d(x), np.atleast_1d(y)], axis=1)))
+        return np.asarray(
+            self.axes.transData.transform(np.stack([np.atleast_1d(x), np.atleast_1d(y)], axis=1))
+        )
 
     def goes_through(self, voxel: Sequence[float]) -> bool:
         """Test if a (continuous) voxel (z, y, x) of the image lies in the slice."""
@@ -139,7 +143,9 @@ class Slice:
         return round(at[self.view.plane]) == self.view.index
 
 
-def open_slice(canvas: Canvas, panel: Box, image: ShownImage, view: SliceView, ranges: Ranges) -> Slice:
+def open_slice(
+    canvas: Canvas, panel: Box, image: ShownImage, view: SliceView, ranges: Ranges
+) -> Slice:
     """Draw the image of one slice with its frame into a panel, as large as fits; the panel's margins stay free."""
     shown = lay_slice(canvas, panel, image, view, ranges)
     up, (vertical, horizontal) = shown.up, IN_PLANE[view.plane]
@@ -151,13 +157,16 @@ def open_slice(canvas: Canvas, panel: Box, image: ShownImage, view: SliceView, r
     return shown
 
 
-def lay_slice(canvas: Canvas, panel: Box, image: ShownImage, view: SliceView, ranges: Ranges) -> Slice:
+def lay_slice(
+    canvas: Canvas, panel: Box, image: ShownImage, view: SliceView, ranges: Ranges
+) -> Slice:
     """Draw the image of one slice into a panel, as large as fits, without frame and title."""
     geometry = image.geometry
     ranges = fitted(ranges, view.plane, geometry, panel.width / panel.height)
     up, (vertical, horizontal) = DisplayOrientation.of(geometry), IN_PLANE[view.plane]
     x, y = (
-        tuple(up.coordinate(axis, ranges[axis][end] - 0.5) for end in (0, 1)) for axis in (horizontal, vertical)
+        tuple(up.coordinate(axis, ranges[axis][end] - 0.5) for end in (0, 1))
+        for axis in (horizontal, vertical)
     )
     wide, tall = x[1] - x[0], y[1] - y[0]
     scale = min(panel.width / wide, panel.height / tall)
@@ -175,13 +184,25 @@ def _draw_image(axes: Axes, grey: NDArray[np.uint8], extent: tuple[float, ...]) 
     fewer = max(1, grey.shape[1] // MAX_VOXELS), max(1, grey.shape[0] // MAX_VOXELS)
     pixels = np.asarray(Image.fromarray(np.ascontiguousarray(grey)).reduce(fewer))
     axes.imshow(
-        pixels, cmap="gray", vmin=0, vmax=255, extent=extent, origin="lower", aspect="auto",  # type: ignore[arg-type]
-        interpolation="catrom", resample=True,
-    )  # fmt: skip
+        pixels,
+        cmap="gray",
+        vmin=0,
+        vmax=255,
+        extent=extent,  # type: ignore[arg-type]
+        origin="lower",
+        aspect="auto",
+        interpolation="catrom",
+        resample=True,
+    )
 
 
 def draw_slice(
-    canvas: Canvas, panel: Box, content: PreviewContent, view: SliceView, ranges: Ranges, window: GreyWindow
+    canvas: Canvas,
+    panel: Box,
+    content: PreviewContent,
+    view: SliceView,
+    ranges: Ranges,
+    window: GreyWindow,
 ) -> Slice:
     """Draw a slice of a result with contours, clicks, an inset of the whole slice, letters and a scale bar."""
     image = ShownImage(content.image, content.geometry, window, content.anatomical, content.unit)
@@ -236,7 +257,11 @@ def _draw_objects(shown: Slice, content: PreviewContent) -> None:
 
 
 def name_section(
-    shown: Slice, inside: NDArray[np.bool_], name: str, color: str, marks: Sequence[tuple[float, float]] = ()
+    shown: Slice,
+    inside: NDArray[np.bool_],
+    name: str,
+    color: str,
+    marks: Sequence[tuple[float, float]] = (),
 ) -> None:
     """Write a name or an id at the deepest place of a section that is away from marks (mm), which it would cover."""
     if not inside.any():
@@ -257,10 +282,16 @@ def name_section(
     best = int(np.argmax(depths))
     # In a section without such a place it is written beside it.
     shown.axes.annotate(
-        drawable(name), (x[columns[best]], y[rows[best]]), (0 if free.any() else AWAY, 0), textcoords="offset points",
-        ha="center", va="center", color="black", **font(LABEL_SIZE, bold=True),
+        drawable(name),
+        (x[columns[best]], y[rows[best]]),
+        (0 if free.any() else AWAY, 0),
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        color="black",
+        **font(LABEL_SIZE, bold=True),
         bbox={"boxstyle": "square,pad=0.2", "facecolor": color, "alpha": 0.85, "edgecolor": "none"},
-    )  # fmt: skip
+    )
 
 
 def draw_contour(
@@ -270,9 +301,17 @@ def draw_contour(
     if min(psi.shape) < 2 or not (psi < 0).any() or not (psi > 0).any():
         return
     shown.axes.contour(
-        *shown.coordinates(), psi, [0.0], colors=[color], linewidths=[width], linestyles=[dashes],
-        algorithm="serial", corner_mask=False, antialiased=True, zorder=2,
-    ).set_path_effects(_rim(width + 1.5))  # fmt: skip
+        *shown.coordinates(),
+        psi,
+        [0.0],
+        colors=[color],
+        linewidths=[width],
+        linestyles=[dashes],
+        algorithm="serial",
+        corner_mask=False,
+        antialiased=True,
+        zorder=2,
+    ).set_path_effects(_rim(width + 1.5))
 
 
 # ------------------------------------------------------------------------------------------------------------- marks
@@ -289,7 +328,10 @@ def _reaches(shown: Slice, mark: ClickMark) -> bool:
     """Test if the box of a click's voxels reaches a slice."""
     ends = [
         displayed((corner[0], corner[1], corner[2]), shown.geometry)[shown.view.plane]
-        for corner in (tuple(part.start for part in mark.box), tuple(part.stop - 1 for part in mark.box))
+        for corner in (
+            tuple(part.start for part in mark.box),
+            tuple(part.stop - 1 for part in mark.box),
+        )
     ]
     return min(ends) <= shown.view.index <= max(ends)
 
@@ -309,13 +351,22 @@ def draw_click(shown: Slice, mark: ClickMark, colors: Mapping[int, str]) -> None
     _draw_mark(shown, mark.place, sign, color, 2.5, size)
 
 
-def _draw_mark(shown: Slice, voxel: Sequence[float], sign: str, color: str, width: float, size: float) -> None:
+def _draw_mark(
+    shown: Slice, voxel: Sequence[float], sign: str, color: str, width: float, size: float
+) -> None:
     """Draw an open sign at a voxel (z, y, x) of the image, coloured on dark."""
     shown.axes.plot(
-        *([at] for at in shown.place(voxel)), marker=sign, markersize=size, markeredgewidth=width,
+        *([at] for at in shown.place(voxel)),
+        marker=sign,
+        markersize=size,
+        markeredgewidth=width,
         markeredgecolor=color,
-        markerfacecolor="none", linestyle="none", zorder=3, clip_on=False, path_effects=_rim(width + 2.5),
-    )  # fmt: skip
+        markerfacecolor="none",
+        linestyle="none",
+        zorder=3,
+        clip_on=False,
+        path_effects=_rim(width + 2.5),
+    )
 
 
 def _draw_next_click(shown: Slice, place: tuple[float, float, float]) -> None:
@@ -339,7 +390,9 @@ def _reserved(shown: Slice, content: PreviewContent) -> NDArray[np.bool_]:
     return free
 
 
-def draw_inset(canvas: Canvas, shown: Slice, image: ShownImage, reserved: NDArray[np.bool_]) -> None:
+def draw_inset(
+    canvas: Canvas, shown: Slice, image: ShownImage, reserved: NDArray[np.bool_]
+) -> None:
     """Draw the whole slice small in a corner, with a frame around the part that is shown; nowhere where it would cover
     what is ``reserved``.
     """
@@ -354,15 +407,19 @@ def draw_inset(canvas: Canvas, shown: Slice, image: ShownImage, reserved: NDArra
         (shown.up.coordinate(axis, -0.5), shown.up.coordinate(axis, n - 0.5))
         for axis, n in ((horizontal, whole.shape[1]), (vertical, whole.shape[0]))
     )
-    (columns, rows), largest = shown.coordinates(), min(box.width / (x[1] - x[0]), box.height / (y[1] - y[0]))
+    (columns, rows), largest = (
+        shown.coordinates(),
+        min(box.width / (x[1] - x[0]), box.height / (y[1] - y[0])),
+    )
     across = shown.pixels(columns, np.full(len(columns), rows[0]))[:, 0]
     down = canvas.height - shown.pixels(np.full(len(rows), columns[0]), rows)[:, 1]
     for part_of, is_right in itertools.product((INSET, SMALL_INSET), (True, False)):
         size = part_of * largest * (x[1] - x[0]), part_of * largest * (y[1] - y[0])
         left, top = box.x1 - 3 - size[0] if is_right else box.x0 + 3, canvas.height - box.y1 + 3
         place = Box(left, top, left + size[0], top + size[1])
-        covered = (down < place.bottom + AWAY_INSET) & (down > place.top - AWAY_INSET), (
-            (across < place.right + AWAY_INSET) & (across > place.left - AWAY_INSET)
+        covered = (
+            (down < place.bottom + AWAY_INSET) & (down > place.top - AWAY_INSET),
+            ((across < place.right + AWAY_INSET) & (across > place.left - AWAY_INSET)),
         )
         if not reserved[np.ix_(*covered)].any():
             break
@@ -373,7 +430,11 @@ def draw_inset(canvas: Canvas, shown: Slice, image: ShownImage, reserved: NDArra
         spine.set_edgecolor("white")
     _draw_image(inset, image.window.grey(whole), (*x, *y))
     (left, right), (low, high) = shown.axes.get_xlim(), shown.axes.get_ylim()
-    inset.add_patch(Rectangle((left, low), right - left, high - low, fill=False, edgecolor=YELLOW, linewidth=1.5))
+    inset.add_patch(
+        Rectangle(
+            (left, low), right - left, high - low, fill=False, edgecolor=YELLOW, linewidth=1.5
+        )
+    )
 
 
 def draw_slice_scale(shown: Slice, unit: str = "mm") -> None:
@@ -398,14 +459,32 @@ def write_letters(shown: Slice) -> None:
 
 
 def _write(
-    axes: Axes, text: str, at: tuple[float, float], aside: tuple[float, float], place: str, size: int = TICK_SIZE
+    axes: Axes,
+    text: str,
+    at: tuple[float, float],
+    aside: tuple[float, float],
+    place: str,
+    size: int = TICK_SIZE,
 ) -> None:
     """Write bold white letters on a dark ground, readable on any grey, pixels ``aside`` (right, up) of a place."""
     axes.annotate(
-        text, at, aside, xycoords=place, textcoords="offset points", ha="center", va="center", color="white",
-        zorder=4, **font(size, bold=True),
-        bbox={"boxstyle": "square,pad=0.2", "facecolor": "black", "alpha": 0.55, "edgecolor": "none"},
-    )  # fmt: skip
+        text,
+        at,
+        aside,
+        xycoords=place,
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        color="white",
+        zorder=4,
+        **font(size, bold=True),
+        bbox={
+            "boxstyle": "square,pad=0.2",
+            "facecolor": "black",
+            "alpha": 0.55,
+            "edgecolor": "none",
+        },
+    )
 
 
 def _rim(width: float) -> list[AbstractPathEffect]:
@@ -422,5 +501,7 @@ def write_line_names(shown: Slice, lines: Sequence[NamedLine]) -> None:
         return
     from matplotlib.lines import Line2D
 
-    samples = [Line2D([], [], color=line.color, linestyle=line.dashes, linewidth=2.5) for line in lines]
+    samples = [
+        Line2D([], [], color=line.color, linestyle=line.dashes, linewidth=2.5) for line in lines
+    ]
     write_legend(shown.axes, samples, [line.name for line in lines], "lower left")

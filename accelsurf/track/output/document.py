@@ -8,15 +8,35 @@ from typing import Any, NamedTuple
 
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.output import document
-from accelsurf.output.document import SCHEMA_VERSION, Status, describe_input, peak_rss_mb, to_json, versions
+from accelsurf.output.document import (
+    SCHEMA_VERSION,
+    Status,
+    describe_input,
+    peak_rss_mb,
+    to_json,
+    versions,
+)
 from accelsurf.output.tables import csv_text
 from accelsurf.track.output.frames import TrackSet
 
 __all__ = ["Status", "build", "to_json"]
 #: A line for each object in each frame. Velocities are mm per unit of time.
 TRACK_COLUMNS = (
-    "frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "vx", "vy", "vz", "volume_ml",
-    "area_mm2", "quality", "seen",
+    "frame",
+    "time",
+    "time_unit",
+    "id",
+    "parent",
+    "x_mm",
+    "y_mm",
+    "z_mm",
+    "vx",
+    "vy",
+    "vz",
+    "volume_ml",
+    "area_mm2",
+    "quality",
+    "seen",
 )
 ML = 1e-3  # mm3
 
@@ -75,7 +95,9 @@ def build(
         "versions": versions(),
         "argv": list(run.argv),
         "config": dict(run.settings) if run.settings else None,
-        "input": describe_sequence(images) if isinstance(images, ImageSequence) else _describe_source(images),
+        "input": describe_sequence(images)
+        if isinstance(images, ImageSequence)
+        else _describe_source(images),
         "tracks": None if tracks is None else describe_tracks(tracks),
         "links": None if tracks is None else [link._asdict() for link in tracks.lineage.links],
         "frames": None if tracks is None else describe_frames(tracks),
@@ -116,19 +138,21 @@ def describe_tracks(tracks: TrackSet) -> list[dict[str, Any]]:
     for track in tracks.lineage.tracks:
         seen = [tracked for _, tracked in tracks.by_object.get(track.id, ()) if tracked.seen]
         volumes = [tracked.volume_mm3 * ML for tracked in seen]
-        entries.append({
-            "id": track.id,
-            "first": track.first,
-            "last": track.last,
-            "gaps": list(track.gaps),
-            "end": track.end,
-            "parents": list(tracks.lineage.parents(track.id)),
-            "children": list(tracks.lineage.children(track.id)),
-            "frames_seen": len(seen),
-            "volume_ml_smallest": min(volumes, default=None),
-            "volume_ml_largest": max(volumes, default=None),
-            "quality_lowest": min((tracked.quality for tracked in seen), default=None),
-        })
+        entries.append(
+            {
+                "id": track.id,
+                "first": track.first,
+                "last": track.last,
+                "gaps": list(track.gaps),
+                "end": track.end,
+                "parents": list(tracks.lineage.parents(track.id)),
+                "children": list(tracks.lineage.children(track.id)),
+                "frames_seen": len(seen),
+                "volume_ml_smallest": min(volumes, default=None),
+                "volume_ml_largest": max(volumes, default=None),
+                "quality_lowest": min((tracked.quality for tracked in seen), default=None),
+            }
+        )
     return entries
 
 
@@ -154,15 +178,30 @@ def tracks_csv(tracks: TrackSet) -> str:
     are those of the centroid, world mm (LPS). ``seen`` is 0 where the frame does not show the object: the line then
     has its prediction.
     """
-    parents = {row.id: ";".join(map(str, tracks.lineage.parents(row.id))) for row in tracks.lineage.tracks}
+    parents = {
+        row.id: ";".join(map(str, tracks.lineage.parents(row.id))) for row in tracks.lineage.tracks
+    }
     unit = tracks.sequence.time_unit
-    return csv_text(TRACK_COLUMNS, (
+    return csv_text(
+        TRACK_COLUMNS,
         (
-            row.frame, row.time, unit, tracked.id, parents.get(tracked.id, ""), *tracked.centroid, *tracked.velocity,
-            tracked.volume_mm3 * ML, tracked.area_mm2, tracked.quality, tracked.seen,
-        )
-        for row in tracks.rows for tracked in row.objects
-    ))
+            (
+                row.frame,
+                row.time,
+                unit,
+                tracked.id,
+                parents.get(tracked.id, ""),
+                *tracked.centroid,
+                *tracked.velocity,
+                tracked.volume_mm3 * ML,
+                tracked.area_mm2,
+                tracked.quality,
+                tracked.seen,
+            )
+            for row in tracks.rows
+            for tracked in row.objects
+        ),
+    )
 
 
 def curves_csv(tracks: TrackSet) -> str:

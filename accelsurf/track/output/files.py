@@ -59,17 +59,27 @@ class TrackFiles:
         shape: Shape = "contour" if is_2d else "surface"
         frames = "frames of one slice" if is_2d else "volumes"
         if self.labels not in IMAGE_FORMATS or IMAGE_FORMATS[self.labels].write is None:
-            written = ", ".join(name for name, form in IMAGE_FORMATS.items() if form.write is not None)
-            raise UsageError(f"format: {self.labels} was given, expected {written}", "nii.gz is the default")
+            written = ", ".join(
+                name for name, form in IMAGE_FORMATS.items() if form.write is not None
+            )
+            raise UsageError(
+                f"format: {self.labels} was given, expected {written}", "nii.gz is the default"
+            )
         if not self.per_frame and IMAGE_FORMATS[self.labels].write_frames is None:
             raise UsageError(
-                f"format: {self.labels} was given, one file of it holds no time", "add --per-frame, or take nii.gz"
+                f"format: {self.labels} was given, one file of it holds no time",
+                "add --per-frame, or take nii.gz",
             )
         if IMAGE_FORMATS[self.labels].only_2d and geometry.shape[0] > 1:
-            raise UsageError(f"format: {self.labels} was given for volumes, it holds one slice", "take nii.gz or tif")
+            raise UsageError(
+                f"format: {self.labels} was given for volumes, it holds one slice",
+                "take nii.gz or tif",
+            )
         for kind in self.mesh:
             if kind not in mesh_formats(shape):
-                raise UsageError(f"mesh: {kind} was given for {frames}, expected {', '.join(mesh_formats(shape))}")
+                raise UsageError(
+                    f"mesh: {kind} was given for {frames}, expected {', '.join(mesh_formats(shape))}"
+                )
         for name in self.also:
             if name not in TRACK_FORMATS:
                 raise UsageError(f"also: {name} was given, expected {', '.join(TRACK_FORMATS)}")
@@ -80,10 +90,16 @@ class TrackFiles:
     def names(self, name: str) -> dict[str, str]:
         """Name of every file by its kind, without those of single frames."""
         ends = {
-            "tracks": "tracks.csv", "curves": "curves.csv", "curves-picture": "curves.png", "preview": "preview.png",
-            "config": "run.toml", **{kind: TRACK_FORMATS[kind].ending for kind in self.also},
+            "tracks": "tracks.csv",
+            "curves": "curves.csv",
+            "curves-picture": "curves.png",
+            "preview": "preview.png",
+            "config": "run.toml",
+            **{kind: TRACK_FORMATS[kind].ending for kind in self.also},
         }
-        files = {kind: f"{name}_{end}" for kind, end in ends.items()} | {"report": report_name(name)}
+        files = {kind: f"{name}_{end}" for kind, end in ends.items()} | {
+            "report": report_name(name)
+        }
         return files if self.per_frame else {"labels": f"{name}_labels.{self.labels}"} | files
 
     def paths(self, folder: Path, name: str) -> dict[str, Path]:
@@ -127,7 +143,9 @@ def is_of_frame(file: str, name: str) -> bool:
     return re.fullmatch(pattern, file) is not None
 
 
-def read_tracks_table(path: Path, parse: Callable[[Sequence[str], Iterator[Mapping[str, str]]], T]) -> T:
+def read_tracks_table(
+    path: Path, parse: Callable[[Sequence[str], Iterator[Mapping[str, str]]], T]
+) -> T:
     """Read a table of tracks.
 
     Parameters
@@ -147,7 +165,12 @@ def read_tracks_table(path: Path, parse: Callable[[Sequence[str], Iterator[Mappi
             lines = csv.DictReader(file, strict=True)
             try:
                 return parse(lines.fieldnames or (), lines)
-            except (csv.Error, ValueError, KeyError, TypeError):  # TypeError: a line with fewer cells
+            except (
+                csv.Error,
+                ValueError,
+                KeyError,
+                TypeError,
+            ):  # TypeError: a line with fewer cells
                 raise InputError(
                     f"line {lines.line_num}: not a line of a table of tracks, whole numbers of frame, id and parent "
                     "expected",

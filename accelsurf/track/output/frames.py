@@ -62,7 +62,13 @@ class ObjectRow:
     @classmethod
     def read(cls, values: Mapping[str, Any]) -> ObjectRow:
         """Read the numbers as they stand in the file of a frame."""
-        return cls(**{**values, "centroid": tuple(values["centroid"]), "velocity": tuple(values["velocity"])})
+        return cls(
+            **{
+                **values,
+                "centroid": tuple(values["centroid"]),
+                "velocity": tuple(values["velocity"]),
+            }
+        )
 
 
 @dataclass(frozen=True)
@@ -121,7 +127,9 @@ def _is_of_a_store(path: Path) -> bool:
     if path.is_symlink() or _OF_A_STORE.fullmatch(path.name) is None:
         return False
     if path.name == _MESHES:
-        return path.is_dir() and all(_MESH.fullmatch(inner.name) and inner.is_file() for inner in path.iterdir())
+        return path.is_dir() and all(
+            _MESH.fullmatch(inner.name) and inner.is_file() for inner in path.iterdir()
+        )
     if path.name.startswith("."):  # a frame that was not complete when the process was killed
         return True
     try:
@@ -160,7 +168,10 @@ class FrameStore:
 
     def numbers(self) -> list[int]:
         """The frames that are there, rising."""
-        found = (_FRAME.fullmatch(name) for name in (os.listdir(self.folder) if self.folder.is_dir() else ()))
+        found = (
+            _FRAME.fullmatch(name)
+            for name in (os.listdir(self.folder) if self.folder.is_dir() else ())
+        )
         return sorted(int(name[1]) for name in found if name is not None)
 
     def put(self, result: FrameResult) -> None:
@@ -180,7 +191,9 @@ class FrameStore:
             arrays[f"mask_{tracked.id}"] = np.packbits(labels[box] == tracked.id)
             arrays[f"psi_{tracked.id}"] = _rounded(tracked.surface.psi, band)
             if tracked.predicted is not None:
-                arrays[f"predicted_corner_{tracked.id}"] = np.array(tracked.predicted.corner, np.int64)
+                arrays[f"predicted_corner_{tracked.id}"] = np.array(
+                    tracked.predicted.corner, np.int64
+                )
                 arrays[f"predicted_{tracked.id}"] = _rounded(tracked.predicted.psi, band)
         rows = tuple(ObjectRow.of(tracked) for tracked in result.objects)
         row = FrameRow(int(result.frame), float(result.time), float(result.seconds), rows)
@@ -221,14 +234,20 @@ class FrameStore:
     def shown(self, number: int) -> list[int]:
         """The ids in the label map of a frame."""
         with self._opened(number) as arrays:
-            return [row.id for row in _row_of(arrays).objects if row.seen and arrays[f"mask_{row.id}"].any()]
+            return [
+                row.id
+                for row in _row_of(arrays).objects
+                if row.seen and arrays[f"mask_{row.id}"].any()
+            ]
 
     def drawn(self, number: int) -> list[DrawnObject]:
         """Return the objects of a frame as they are drawn; psi is exact to 1/1000, and flat far from the surface."""
         found = []
         with self._opened(number) as arrays:
             for row in _row_of(arrays).objects:
-                surface = SurfacePiece(_corner(arrays[f"corner_{row.id}"]), _single(arrays[f"psi_{row.id}"]))
+                surface = SurfacePiece(
+                    _corner(arrays[f"corner_{row.id}"]), _single(arrays[f"psi_{row.id}"])
+                )
                 predicted = None
                 if f"predicted_{row.id}" in arrays:
                     corner = _corner(arrays[f"predicted_corner_{row.id}"])
@@ -273,7 +292,9 @@ class TrackSet:
     @property
     def label_type(self) -> np.dtype[Any]:
         """Type of the label maps of all frames."""
-        return label_type(max((tracked.id for row in self.rows for tracked in row.objects), default=0))
+        return label_type(
+            max((tracked.id for row in self.rows for tracked in row.objects), default=0)
+        )
 
     def labels(self, number: int) -> NDArray[Any]:
         """Label map (nz, ny, nx) of a frame; 0 in one that the tracking has not reached."""
@@ -304,7 +325,12 @@ class TrackSet:
 
         All pictures show this part. Each frame is read, one at a time, when the first picture asks.
         """
-        boxes = [box for row in self.rows for drawn in self.store.drawn(row.frame) for box in _inside_boxes(drawn)]
+        boxes = [
+            box
+            for row in self.rows
+            for drawn in self.store.drawn(row.frame)
+            for box in _inside_boxes(drawn)
+        ]
         return functools.reduce(enclosing, boxes) if boxes else None
 
     @cached_property
@@ -357,9 +383,15 @@ def _row_of(arrays: Mapping[str, NDArray[Any]]) -> FrameRow:
 
 
 def _box(arrays: Mapping[str, NDArray[Any]], object_id: int) -> Box:
-    return box_at(_corner(arrays[f"corner_{object_id}"]), tuple(int(n) for n in arrays[f"shape_{object_id}"]))
+    return box_at(
+        _corner(arrays[f"corner_{object_id}"]), tuple(int(n) for n in arrays[f"shape_{object_id}"])
+    )
 
 
 def _mask(arrays: Mapping[str, NDArray[Any]], object_id: int) -> NDArray[np.bool_]:
     shape = tuple(int(n) for n in arrays[f"shape_{object_id}"])
-    return np.unpackbits(arrays[f"mask_{object_id}"], count=int(np.prod(shape))).reshape(shape).view(np.bool_)
+    return (
+        np.unpackbits(arrays[f"mask_{object_id}"], count=int(np.prod(shape)))
+        .reshape(shape)
+        .view(np.bool_)
+    )

@@ -68,7 +68,9 @@ def write_geff(tracks: TrackSet, folder: Path) -> None:
     ends = np.array([[link.source, link.target] for link in links], np.uint64).reshape(-1, 2)
     nodes = _node_values(tracks, spots, ends)
     edges = {kind: np.array([link.kind == kind for link in links], np.bool_) for kind in _EDGES}
-    root = library().create_group(folder, zarr_format=2, attributes={"geff": _metadata(tracks, nodes, edges)})
+    root = library().create_group(
+        folder, zarr_format=2, attributes={"geff": _metadata(tracks, nodes, edges)}
+    )
     _put(root, "nodes/ids", np.arange(len(spots), dtype=np.uint64))
     _put(root, "edges/ids", ends)
     for group, values in (("nodes", nodes), ("edges", edges)):
@@ -78,7 +80,9 @@ def write_geff(tracks: TrackSet, folder: Path) -> None:
 
 def _put(root: Any, path: str, array: NDArray[Any]) -> None:
     chunks = tuple(max(n, 1) for n in array.shape)
-    made = root.create_array(path, shape=array.shape, dtype=array.dtype, chunks=chunks, compressors=None)
+    made = root.create_array(
+        path, shape=array.shape, dtype=array.dtype, chunks=chunks, compressors=None
+    )
     if array.size:
         made[...] = array
 
@@ -119,14 +123,22 @@ def links_of(tracks: TrackSet, spots: list[Spot]) -> list[SpotLink]:
     ]
     for link in tracks.lineage.links:
         line = of_object.get(link.child, [])
-        before = [n for n in of_object.get(link.parent, []) if line and spots[n].row.frame < spots[line[0]].row.frame]
+        before = [
+            n
+            for n in of_object.get(link.parent, [])
+            if line and spots[n].row.frame < spots[line[0]].row.frame
+        ]
         if before:
             links.append(SpotLink(before[-1], line[0], link.kind))
     return sorted(links)
 
 
-def _node_values(tracks: TrackSet, spots: list[Spot], ends: NDArray[np.uint64]) -> dict[str, NDArray[Any]]:
-    matrix = sparse.coo_matrix((np.ones(len(ends)), ends.T.astype(np.int64)), (len(spots), len(spots)))
+def _node_values(
+    tracks: TrackSet, spots: list[Spot], ends: NDArray[np.uint64]
+) -> dict[str, NDArray[Any]]:
+    matrix = sparse.coo_matrix(
+        (np.ones(len(ends)), ends.T.astype(np.int64)), (len(spots), len(spots))
+    )
     objects = [spot.tracked for spot in spots]
     place = np.array([tracked.centroid for tracked in objects], np.float64).reshape(-1, 3)
     velocity = np.array([tracked.velocity for tracked in objects], np.float64).reshape(-1, 3)
@@ -160,12 +172,19 @@ def _metadata(
         "geff_version": VERSION,
         "directed": True,
         "axes": axes,
-        "node_props_metadata": {name: _described(name, array, *_NODES[name]) for name, array in nodes.items()},
-        "edge_props_metadata": {name: _described(name, array, *_EDGES[name]) for name, array in edges.items()},
+        "node_props_metadata": {
+            name: _described(name, array, *_NODES[name]) for name, array in nodes.items()
+        },
+        "edge_props_metadata": {
+            name: _described(name, array, *_EDGES[name]) for name, array in edges.items()
+        },
         "sphere": "radius",
         "track_node_props": {"lineage": "lineage"},
         "display_hints": {
-            "display_horizontal": "x", "display_vertical": "y", "display_depth": "z", "display_time": "t"
+            "display_horizontal": "x",
+            "display_vertical": "y",
+            "display_depth": "z",
+            "display_time": "t",
         },
         "extra": {"accelsurf": {"time_unit": tracks.sequence.time_unit, "space": "LPS"}},
     }
@@ -187,5 +206,10 @@ def _interval(tracks: TrackSet) -> dict[str, Any]:
 
 
 def _described(name: str, array: NDArray[Any], unit: str | None, words: str) -> dict[str, Any]:
-    found = {"identifier": name, "dtype": array.dtype.name, "varlength": False, "description": words}
+    found = {
+        "identifier": name,
+        "dtype": array.dtype.name,
+        "varlength": False,
+        "description": words,
+    }
     return found | ({"unit": unit} if unit else {})

@@ -94,17 +94,26 @@ class TrackOutputs:
         self.files.check(sequence.geometry)
         self._run, self._overwrite = run or TrackRun(), overwrite
         with ExitStack() as stack:
-            self._set = stack.enter_context(output_folder.opened_set(folder, name, self._run.inputs))
-            output_folder.refuse_existing(self.files.paths(folder, name), overwrite, self._run.inputs)
+            self._set = stack.enter_context(
+                output_folder.opened_set(folder, name, self._run.inputs)
+            )
+            output_folder.refuse_existing(
+                self.files.paths(folder, name), overwrite, self._run.inputs
+            )
             self._own_store = store is not None
-            self._store = FrameStore(self._set.staging.parent / "frames" if store is None else store, resume)
+            self._store = FrameStore(
+                self._set.staging.parent / "frames" if store is None else store, resume
+            )
             self._stack = stack.pop_all()
 
     def __enter__(self) -> TrackOutputs:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.abort(error)
 
@@ -159,7 +168,12 @@ class TrackOutputs:
             kinds = self._write_all(tracks)
             entries = describe_staged(self._set, kinds)
             document = track_document.build(
-                tracks, status=status, exit_code=exit_code, run=self._run, warnings=warnings, outputs=entries
+                tracks,
+                status=status,
+                exit_code=exit_code,
+                run=self._run,
+                warnings=warnings,
+                outputs=entries,
             )
             report = result_sets.report_name(self.name)
             write_bytes(self._set.staging / report, track_document.to_json(document).encode())
@@ -185,7 +199,9 @@ class TrackOutputs:
                 self._set.discard()
                 if isinstance(error, AccelsurfError):
                     with suppress(AccelsurfError, OSError):  # what went wrong first matters more
-                        _write_failure(self._set, self.name, self.files, error, self.sequence, self._run)
+                        _write_failure(
+                            self._set, self.name, self.files, error, self.sequence, self._run
+                        )
         finally:
             self._stack.close()
 
@@ -238,11 +254,17 @@ class TrackOutputs:
         else:
             self._write_sequence(tracks, self._set.staging / names["labels"])
             kinds[names["labels"]] = "labels"
-        texts = {"tracks": track_document.tracks_csv(tracks), "curves": track_document.curves_csv(tracks)}
+        texts = {
+            "tracks": track_document.tracks_csv(tracks),
+            "curves": track_document.curves_csv(tracks),
+        }
         for kind, text in (texts | ({"config": self._run.toml} if self._run.toml else {})).items():
             write_bytes(self._set.staging / names[kind], text.encode())
             kinds[names[kind]] = kind
-        pictures = {"preview": slices.film_strip_png(tracks), "curves-picture": slices.curves_png(tracks)}
+        pictures = {
+            "preview": slices.film_strip_png(tracks),
+            "curves-picture": slices.curves_png(tracks),
+        }
         for kind, picture in pictures.items():
             write_bytes(self._set.staging / names[kind], picture)
             kinds[names[kind]] = kind
@@ -263,7 +285,9 @@ class TrackOutputs:
     def _write_sequence(self, tracks: TrackSet, path: Path) -> None:
         """Write the label maps of all frames as one file with time."""
         sequence, kind = self.sequence, tracks.label_type
-        with io.SequenceWriter(path, sequence.geometry, sequence.times, sequence.time_unit, kind) as writer:
+        with io.SequenceWriter(
+            path, sequence.geometry, sequence.times, sequence.time_unit, kind
+        ) as writer:
             for number in range(len(sequence)):
                 writer.write(number, tracks.labels(number))
 
@@ -296,12 +320,20 @@ def write_failure(
     OutputError
         When it cannot be written.
     """
-    with output_folder.opened_set(folder, name, run.inputs) as staged, output_folder.naming_final(staged):
+    with (
+        output_folder.opened_set(folder, name, run.inputs) as staged,
+        output_folder.naming_final(staged),
+    ):
         _write_failure(staged, name, files, error, source, run)
 
 
 def _write_failure(
-    staged: FileSet, name: str, files: TrackFiles, error: BaseException, images: ImageSequence | Path, run: TrackRun
+    staged: FileSet,
+    name: str,
+    files: TrackFiles,
+    error: BaseException,
+    images: ImageSequence | Path,
+    run: TrackRun,
 ) -> None:
     """Write a report without a result, under another name where a result stands."""
     folder = staged.folder
@@ -326,7 +358,9 @@ def write_challenge(tracks: TrackSet, folder: Path) -> None:
         When a file cannot be written, or labels do not fit.
     """
     lineage = tracks.lineage
-    found = stretches(tracks.frames_shown(), {track.id: lineage.parents(track.id) for track in lineage.tracks})
+    found = stretches(
+        tracks.frames_shown(), {track.id: lineage.parents(track.id) for track in lineage.tracks}
+    )
     largest = max((stretch.label for stretch in found), default=0)
     if largest > MAX_LABEL:
         raise OutputError(
@@ -340,7 +374,10 @@ def write_challenge(tracks: TrackSet, folder: Path) -> None:
         for stretch in found:
             if stretch.first <= number <= stretch.last:
                 label_of[stretch.id] = stretch.label
-        io.write(Volume(label_of[tracks.labels(number)], tracks.geometry), folder / f"mask{number:0{digits}d}.tif")
+        io.write(
+            Volume(label_of[tracks.labels(number)], tracks.geometry),
+            folder / f"mask{number:0{digits}d}.tif",
+        )
     write_bytes(folder / "res_track.txt", track_lines(found).encode())
 
 
@@ -352,4 +389,6 @@ def track_lines(found: Iterable[Stretch]) -> str:
     >>> track_lines([Stretch(1, 1, 0, 4), Stretch(2, 2, 5, 9, (1, 7))]).splitlines()
     ['1 0 4 0', '2 5 9 1']
     """
-    return "".join(f"{track.label} {track.first} {track.last} {(*track.parents, 0)[0]}\n" for track in found)
+    return "".join(
+        f"{track.label} {track.first} {track.last} {(*track.parents, 0)[0]}\n" for track in found
+    )

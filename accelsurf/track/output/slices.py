@@ -37,7 +37,14 @@ from accelsurf.output.pictures.canvas import (
     write_scales,
 )
 from accelsurf.output.pictures.movies import Picture
-from accelsurf.output.pictures.slice_views import MARGIN, Ranges, SliceView, displayed, native_plane, ranges_around
+from accelsurf.output.pictures.slice_views import (
+    MARGIN,
+    Ranges,
+    SliceView,
+    displayed,
+    native_plane,
+    ranges_around,
+)
 from accelsurf.output.pictures.slices import (
     REFERENCE_DASHES,
     NamedLine,
@@ -96,7 +103,11 @@ class TrackView:
         """Show all places where objects come by; the whole frame where there is none."""
         geometry = tracks.geometry
         order = DisplayOrientation.of(geometry).order
-        plane = native_plane(geometry) if geometry.slice_axis is None else order.index(geometry.slice_axis)
+        plane = (
+            native_plane(geometry)
+            if geometry.slice_axis is None
+            else order.index(geometry.slice_axis)
+        )
         colors = {number: object_color(n) for n, number in enumerate(tracks.by_object)}
         box = tracks.extent or tuple(slice(0, n) for n in geometry.shape)
         ranges = ranges_around([(side.start, side.stop) for side in box], geometry, MARGIN / 2)
@@ -104,10 +115,14 @@ class TrackView:
 
     def slice_of(self, row: FrameRow, geometry: Geometry) -> SliceView:
         """The slice through the largest object of a frame that is seen, else through the middle."""
-        objects = sorted(row.objects, key=lambda found: (not found.seen, -found.volume_mm3, found.id))
+        objects = sorted(
+            row.objects, key=lambda found: (not found.seen, -found.volume_mm3, found.id)
+        )
         middle = tuple(0.5 * (n - 1) for n in geometry.shape)
         place = geometry.world_to_index(objects[0].centroid) if objects else np.array(middle)
-        at = round(displayed((float(place[0]), float(place[1]), float(place[2])), geometry)[self.plane])
+        at = round(
+            displayed((float(place[0]), float(place[1]), float(place[2])), geometry)[self.plane]
+        )
         count = geometry.shape[DisplayOrientation.of(geometry).order[self.plane]]
         return SliceView(self.plane, min(max(at, 0), count - 1))
 
@@ -126,7 +141,12 @@ class FrameContent(NamedTuple):
 
 
 def draw_frame(
-    canvas: Canvas, panel: Box, geometry: Geometry, frame: FrameContent, view: TrackView, what: Sequence[str]
+    canvas: Canvas,
+    panel: Box,
+    geometry: Geometry,
+    frame: FrameContent,
+    view: TrackView,
+    what: Sequence[str],
 ) -> Slice:
     """Draw a frame with its objects.
 
@@ -177,8 +197,11 @@ def _draw_piece(
             return None
         parts.append(slice(begin - first, end - first))
         places.append(slice(begin - low, end - low))
-    section = np.full([high - low for low, high in (shown.ranges[axis] for axis in IN_PLANE[shown.view.plane])],
-                      float(np.abs(piece.psi).max()), np.float32)  # fmt: skip
+    section = np.full(
+        [high - low for low, high in (shown.ranges[axis] for axis in IN_PLANE[shown.view.plane])],
+        float(np.abs(piece.psi).max()),
+        np.float32,
+    )
     vertical, horizontal = IN_PLANE[shown.view.plane]
     section[places[vertical], places[horizontal]] = psi[tuple(parts)].squeeze(axis=shown.view.plane)
     draw_contour(shown, section, color, dashes)
@@ -218,7 +241,9 @@ def film_strip_png(tracks: TrackSet) -> bytes:
             predicted = NamedLine("predicted", REFERENCE, REFERENCE_DASHES)
             write_line_names(shown, [predicted, NamedLine("corrected", color)])
             draw_slice_scale(shown, frame.image.metadata.get(UNIT_KEY, "mm"))
-    canvas.text((canvas.width - 10, canvas.height - 8), f"window {view.window.text}", TICK_SIZE, PALE, "rd")
+    canvas.text(
+        (canvas.width - 10, canvas.height - 8), f"window {view.window.text}", TICK_SIZE, PALE, "rd"
+    )
     return canvas.png()
 
 
@@ -226,7 +251,8 @@ def _height(tracks: TrackSet, view: TrackView) -> float:
     """Return the height of a panel: as the part of the image that is shown."""
     spacing = DisplayOrientation.of(tracks.geometry).spacing
     tall, wide = (
-        (view.ranges[axis][1] - view.ranges[axis][0]) * spacing[axis] for axis in IN_PLANE[view.plane]
+        (view.ranges[axis][1] - view.ranges[axis][0]) * spacing[axis]
+        for axis in IN_PLANE[view.plane]
     )
     return min(max(PANEL * tall / wide, LOWEST), HIGHEST)
 
@@ -293,7 +319,9 @@ def movie_frames(tracks: TrackSet) -> Iterator[Picture]:
         canvas.text((half, 18), f"{tracks.name}: {time_text(tracks, row)}", 16, anchor="mm")
         frame = FrameContent.of(tracks, row)
         for left, what in ((0.0, "predicted"), (half, "corrected")):
-            panel = Box(left + MOVIE_MARGIN, MOVIE_TOP, left + half - MOVIE_MARGIN, tall - MOVIE_MARGIN)
+            panel = Box(
+                left + MOVIE_MARGIN, MOVIE_TOP, left + half - MOVIE_MARGIN, tall - MOVIE_MARGIN
+            )
             shown = draw_frame(canvas, panel, tracks.geometry, frame, view, (what,))
             canvas.text((left + half / 2, 44), what, TITLE_SIZE, anchor="mm")
         draw_slice_scale(shown, frame.image.metadata.get(UNIT_KEY, "mm"))
@@ -311,23 +339,40 @@ def curves_png(tracks: TrackSet) -> bytes:
     largest = max((shape.volume_mm3 for row in tracks.rows for shape in row.objects), default=0.0)
     unit, scale = ("mm\u00b3", 1.0) if largest < 1e3 * SMALL else ("ml", 1e-3)
     curves = {
-        number: [(row.time, scale * shape.volume_mm3 if shape.seen else np.nan) for row, shape in life]
+        number: [
+            (row.time, scale * shape.volume_mm3 if shape.seen else np.nan) for row, shape in life
+        ]
         for number, life in list(tracks.by_object.items())[:MAX_CURVES]
     }
     width, height = CURVES_SIZE
     canvas = Canvas(width, height, f"{tracks.name}: volume")
     times = [row.time for row in tracks.rows] or [0.0]
-    first, last = (min(times), max(times)) if max(times) > min(times) else (min(times) - 0.5, min(times) + 0.5)
+    first, last = (
+        (min(times), max(times))
+        if max(times) > min(times)
+        else (min(times) - 0.5, min(times) + 0.5)
+    )
     low, high = range_of([value for curve in curves.values() for _, value in curve])
     box = Box(90, 56, width - (130 if len(curves) > 1 else 30), height - 58)
     axes = canvas.axes(box, (first, last), (max(low, 0.0), high))
-    write_scales(axes, "time (s)" if tracks.sequence.time_unit == "s" else "frame", f"volume ({unit})", grid=True)
+    write_scales(
+        axes,
+        "time (s)" if tracks.sequence.time_unit == "s" else "frame",
+        f"volume ({unit})",
+        grid=True,
+    )
     lines = []
     for number, curve in enumerate(curves.values()):
         lines += axes.plot(
-            *zip(*curve, strict=True), color=object_color(number), linestyle="-", linewidth=2, clip_on=False,
-            marker="o" if len(curve) <= MAX_CURVES else "", markersize=5, markeredgecolor="none",
-        )  # fmt: skip
+            *zip(*curve, strict=True),
+            color=object_color(number),
+            linestyle="-",
+            linewidth=2,
+            clip_on=False,
+            marker="o" if len(curve) <= MAX_CURVES else "",
+            markersize=5,
+            markeredgecolor="none",
+        )
     if len(lines) > 1:
         names = [f"object {number}" for number in curves][:MAX_NAMED_CURVES]
         write_legend(axes, lines[:MAX_NAMED_CURVES], names, "upper left", bbox_to_anchor=(1.0, 1.0))

@@ -47,7 +47,11 @@ def write_surfaces(tracks: TrackSet, folder: Path) -> None:
     folder.mkdir()
     for row in tracks.rows:
         tracks.store.copy_frame(row.frame, folder)
-    about = {"version": VERSION, "frames": len(tracks.sequence), "shape": list(tracks.geometry.shape)}
+    about = {
+        "version": VERSION,
+        "frames": len(tracks.sequence),
+        "shape": list(tracks.geometry.shape),
+    }
     write_bytes(folder / MARK, (json.dumps(about) + "\n").encode())
 
 
@@ -79,7 +83,9 @@ class SavedTracks:
     def __init__(self, folder: Path, name: str, sequence: ImageSequence) -> None:
         self._sequence = sequence
         self._centroids = _read_centroids(folder / f"{name}_tracks.csv")
-        self.ids = tuple(sorted({object_id for frame in self._centroids.values() for object_id in frame}))
+        self.ids = tuple(
+            sorted({object_id for frame in self._centroids.values() for object_id in frame})
+        )
         self._store: FrameStore | None = None
         self._labels: ImageSequence | None = None
         surfaces = folder / f"{name}_surfaces"
@@ -103,7 +109,9 @@ class SavedTracks:
             try:
                 return self._store.drawn(number) if number in self._store.numbers() else []
             except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-                raise InputError(f"{self._store.folder}: frame {number} is damaged ({error})", _TRACK) from None
+                raise InputError(
+                    f"{self._store.folder}: frame {number} is damaged ({error})", _TRACK
+                ) from None
         assert self._labels is not None  # one of both is there
         labels = self._labels.frame(number).array
         return [_piece_of(labels, int(object_id)) for object_id in np.unique(labels) if object_id]
@@ -111,7 +119,9 @@ class SavedTracks:
     def paths(self, number: int) -> dict[int, NDArray[np.float64]]:
         """Return the centroids (n, 3), world mm, of each object of a frame in the frames up to it, rising."""
         present = self._centroids.get(number, {})
-        found: dict[int, list[tuple[float, float, float]]] = {object_id: [] for object_id in present}
+        found: dict[int, list[tuple[float, float, float]]] = {
+            object_id: [] for object_id in present
+        }
         for frame in sorted(self._centroids):
             if frame <= number:
                 for object_id in found.keys() & self._centroids[frame].keys():
@@ -124,7 +134,9 @@ def _read_centroids(path: Path) -> dict[int, dict[int, Point]]:
     if not path.exists():
         raise InputError(f"{path}: there is no such file", _TRACK)
 
-    def centroids(_: Sequence[str], lines: Iterator[Mapping[str, str]]) -> dict[int, dict[int, Point]]:
+    def centroids(
+        _: Sequence[str], lines: Iterator[Mapping[str, str]]
+    ) -> dict[int, dict[int, Point]]:
         found: dict[int, dict[int, Point]] = {}
         for line in lines:
             place = float(line["x_mm"]), float(line["y_mm"]), float(line["z_mm"])
@@ -170,7 +182,9 @@ def _piece_of(labels: NDArray[np.unsignedinteger], object_id: int) -> DrawnObjec
     assert inner is not None  # it has a voxel
     box = widened(inner, labels.shape, (_AROUND, _AROUND, _AROUND))
     mask = (labels[box] == object_id).astype(np.float32)
-    soft = ndimage.gaussian_filter(mask, [_SOFT if n > 1 else 0.0 for n in labels.shape], mode="nearest")
+    soft = ndimage.gaussian_filter(
+        mask, [_SOFT if n > 1 else 0.0 for n in labels.shape], mode="nearest"
+    )
     psi = np.float32(0.5) - soft
     # No voxel changes sides: a small object would vanish.
     psi = np.where(mask > 0, np.minimum(psi, -_LEAST), np.maximum(psi, _LEAST)).astype(np.float32)

@@ -85,7 +85,11 @@ class Actions:
     """
 
     def __init__(
-        self, session: Session, scene: Scene, folder: Path | None = None, overwrite: bool = False,
+        self,
+        session: Session,
+        scene: Scene,
+        folder: Path | None = None,
+        overwrite: bool = False,
         frames: SequenceView | None = None,
     ) -> None:
         self.session, self.scene, self.folder, self.overwrite = session, scene, folder, overwrite
@@ -98,12 +102,21 @@ class Actions:
         self._copied = (0, "")
         self._waiting: list[tuple[Future[Any], Callable[[Any], None] | None]] = []
         self.features = tuple(kind(self) for kind in FEATURES)
-        self._requests: dict[str, Callable[..., None]] = {"key": self._key, "copy_failed": self._copy_failed}
-        self._requests |= {name: work for feature in self.features for name, work in feature.requests().items()}
+        self._requests: dict[str, Callable[..., None]] = {
+            "key": self._key,
+            "copy_failed": self._copy_failed,
+        }
+        self._requests |= {
+            name: work for feature in self.features for name, work in feature.requests().items()
+        }
         tools = {tool.name: tool for feature in self.features for tool in feature.tools()}
         self.tools: dict[str, Tool] = {name: tools[name] for name in ORDER}
-        self.keys = {tool.key: Key("tool", (tool.name,), tool.text.lower()) for tool in self.tools.values()}
-        self.keys |= {key: does for feature in self.features for key, does in feature.keys().items()}
+        self.keys = {
+            tool.key: Key("tool", (tool.name,), tool.text.lower()) for tool in self.tools.values()
+        }
+        self.keys |= {
+            key: does for feature in self.features for key, does in feature.keys().items()
+        }
 
     def feature(self, kind: type[P]) -> P:
         """Return the feature of a kind."""
@@ -155,7 +168,9 @@ class Actions:
 
     def _copy_failed(self) -> None:
         """Refuse: the front end could not put the last text on the clipboard, though `copy` has said that it does."""
-        raise UsageError("copy: the browser gives this page no clipboard", "open it on https, or on this machine")
+        raise UsageError(
+            "copy: the browser gives this page no clipboard", "open it on https, or on this machine"
+        )
 
     def poll(self, drawing_seconds: float) -> View | None:
         """Read results, and draw the next view of the session if there is one; not while a button is down.
@@ -166,7 +181,11 @@ class Actions:
             As of `Session.next_view`.
         """
         self.collect_results()
-        view = None if self.feature(MouseFeature).is_moving else self.session.next_view(drawing_seconds)
+        view = (
+            None
+            if self.feature(MouseFeature).is_moving
+            else self.session.next_view(drawing_seconds)
+        )
         if view is not None:
             self.update(view)
         return view
@@ -191,7 +210,9 @@ class Actions:
 
     def _say(self, error: BaseException) -> None:
         self._note = ""
-        self.message = error.message if isinstance(error, AccelsurfError) else error_line(error)[:MAX_MESSAGE]
+        self.message = (
+            error.message if isinstance(error, AccelsurfError) else error_line(error)[:MAX_MESSAGE]
+        )
 
     # -- to show ------------------------------------------------------------------------------------------
 
@@ -212,8 +233,12 @@ class Actions:
         if self._note and time.monotonic() > self._note_until:
             self._note = ""
         said: dict[str, Any] = {
-            "message": self._note or self.message or status.message or ("running" if status.playing else "ready"),
-            "failed": not self._note and (bool(self.message) or status.failed), "copied": self._copied,
+            "message": self._note
+            or self.message
+            or status.message
+            or ("running" if status.playing else "ready"),
+            "failed": not self._note and (bool(self.message) or status.failed),
+            "copied": self._copied,
         }
         for feature in self.features:
             said |= feature.state(status)

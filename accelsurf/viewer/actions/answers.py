@@ -42,12 +42,17 @@ class AnswersFeature(Feature):
         drawn = () if answers == self._hidden else answers
         if drawn != self._drawn:
             self._drawn = drawn
-            self.actions.scene.marks.show_answers([answer.surface for answer in drawn if answer.surface is not None])
+            self.actions.scene.marks.show_answers(
+                [answer.surface for answer in drawn if answer.surface is not None]
+            )
         return {
             "first_answers": [
                 {
-                    "number": answer.number, "key": KEYS[answer.number],
-                    "volume": "all alike" if answer.volume_mm3 is None else volume_text(answer.volume_mm3),
+                    "number": answer.number,
+                    "key": KEYS[answer.number],
+                    "volume": "all alike"
+                    if answer.volume_mm3 is None
+                    else volume_text(answer.volume_mm3),
                     "taken": answer.is_taken,
                 }
                 for answer in answers

@@ -50,8 +50,20 @@ class FilesFeature(Feature):
 
     def state(self, status: Status) -> dict[str, Any]:
         mesh = self._mesh or as_typed(status.settings.mesh).replace("auto", AUTO_MESH)
-        meshes = [mesh, *(name for name, form in MESH_FORMATS.items() if form.surface is not None and name != mesh)]
-        return {"saved": sorted(self.files), "saving": self.is_saving, "mesh": mesh, "meshes": meshes}
+        meshes = [
+            mesh,
+            *(
+                name
+                for name, form in MESH_FORMATS.items()
+                if form.surface is not None and name != mesh
+            ),
+        ]
+        return {
+            "saved": sorted(self.files),
+            "saving": self.is_saving,
+            "mesh": mesh,
+            "meshes": meshes,
+        }
 
     def _choose_mesh(self, name: Any) -> None:
         self._mesh = word(name, tuple(MESH_FORMATS))
@@ -67,7 +79,12 @@ class FilesFeature(Feature):
         future.add_done_callback(lambda _: setattr(self, "is_saving", False))
         actions.note("saving ...", 600)
         folder, is_all = actions.folder, not what
-        actions.ask(future, lambda paths: self._saved(folder, paths, is_all, content if "labels" in kinds else None))
+        actions.ask(
+            future,
+            lambda paths: self._saved(
+                folder, paths, is_all, content if "labels" in kinds else None
+            ),
+        )
 
     def _saved(self, folder: Path, paths: list[Path], is_all: bool, content: Any) -> None:
         """List what was saved; with all there is, save the scene as it is drawn now."""

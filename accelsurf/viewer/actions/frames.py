@@ -18,9 +18,29 @@ from accelsurf.viewer.scene.colors import ObjectStyle, unnamed
 RATE = 8.0
 #: Requests for the frame that runs are made in: elsewhere they would change what is not seen.
 OF_A_RUN = (
-    "play", "toggle", "step", "back", "go_to", "restart", "undo", "redo", "change", "next_uncertain", "uncertain",
-    "save", "object_add", "object_remove", "object_merge", "object_split", "object_name", "object_color",
-    "object_visible", "object_opacity", "set", "set_term", "type_energy",
+    "play",
+    "toggle",
+    "step",
+    "back",
+    "go_to",
+    "restart",
+    "undo",
+    "redo",
+    "change",
+    "next_uncertain",
+    "uncertain",
+    "save",
+    "object_add",
+    "object_remove",
+    "object_merge",
+    "object_split",
+    "object_name",
+    "object_color",
+    "object_visible",
+    "object_opacity",
+    "set",
+    "set_term",
+    "type_energy",
     "take_answer",
 )
 
@@ -48,14 +68,17 @@ class FramesFeature(Feature):
             tracks = self._frames.tracks
             ids = () if tracks is None else tracks.ids
             actions.scene.styles.tracked = {
-                object_id: ObjectStyle(unnamed(object_id), object_color(place)) for place, object_id in enumerate(ids)
+                object_id: ObjectStyle(unnamed(object_id), object_color(place))
+                for place, object_id in enumerate(ids)
             }
             if tracks is not None:
                 self._draw()
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
         return {
-            "frame": self._go_to, "step_frame": self._step, "play_frames": self._play,
+            "frame": self._go_to,
+            "step_frame": self._step,
+            "play_frames": self._play,
             "copy_correction": self._copy_correction,
         }
 
@@ -66,15 +89,22 @@ class FramesFeature(Feature):
             ",": Key("step_frame", (-1,), "frame before this one"),
             ".": Key("step_frame", (1,), "next frame"),
             "X": Key("play_frames", (), "play the frames, or stop"),
-            "/": Key("copy_correction", (), "copy the place under the mouse as a correction of this frame"),
+            "/": Key(
+                "copy_correction",
+                (),
+                "copy the place under the mouse as a correction of this frame",
+            ),
         }
 
     def state(self, status: Status) -> dict[str, Any]:
         frames = self._frames
         return {
-            "frames": 0 if frames is None else len(frames), "frame": self.number, "frames_play": self.is_playing,
+            "frames": 0 if frames is None else len(frames),
+            "frame": self.number,
+            "frames_play": self.is_playing,
             "frame_words": "" if frames is None else frames.said(self.number),
-            "frame_lines": self._lines(), "as_correction": self._correction(),
+            "frame_lines": self._lines(),
+            "as_correction": self._correction(),
         }
 
     def _lines(self) -> str:
@@ -90,7 +120,9 @@ class FramesFeature(Feature):
     @property
     def shows_run(self) -> bool:
         """Test if the run is shown: in its frame, where no tracked objects are."""
-        return self._frames is None or (self._frames.tracks is None and self.number == self._frames.home)
+        return self._frames is None or (
+            self._frames.tracks is None and self.number == self._frames.home
+        )
 
     def note_view(self, view: View) -> None:
         """Take a new view of the run; it is drawn when its frame is shown."""
@@ -106,8 +138,12 @@ class FramesFeature(Feature):
         if self.shows_run or self._frames is None or name not in OF_A_RUN:
             return
         if self._frames.tracks is not None:
-            raise UsageError(f"{name}: tracked objects are shown, a run is made without them; / copies a correction")
-        raise UsageError(f"{name}: the run is in frame {self._frames.home}, frame {self.number} is shown")
+            raise UsageError(
+                f"{name}: tracked objects are shown, a run is made without them; / copies a correction"
+            )
+        raise UsageError(
+            f"{name}: the run is in frame {self._frames.home}, frame {self.number} is shown"
+        )
 
     def refuse_tool(self, name: str) -> None:
         """Refuse a tool that changes the run where it is not seen.
@@ -140,7 +176,7 @@ class FramesFeature(Feature):
         self._show(whole(number, 0, len(self._checked()) - 1))
 
     def _step(self, count: Any) -> None:
-        number = self.number + whole(count, -10**6, 10**6)
+        number = self.number + whole(count, -(10**6), 10**6)
         self._show(min(max(number, 0), len(self._checked()) - 1))
 
     def _play(self) -> None:

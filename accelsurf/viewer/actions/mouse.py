@@ -16,7 +16,16 @@ from accelsurf.viewer.actions.answers import AnswersFeature
 from accelsurf.viewer.actions.frames import FramesFeature
 from accelsurf.viewer.actions.settings_rows import amount, from_read, read_in
 from accelsurf.viewer.actions.slices import SlicesFeature
-from accelsurf.viewer.actions.tool import AllActions, Feature, Key, Tool, finest, number, whole, word
+from accelsurf.viewer.actions.tool import (
+    AllActions,
+    Feature,
+    Key,
+    Tool,
+    finest,
+    number,
+    whole,
+    word,
+)
 from accelsurf.viewer.actions.tools import TOOLS
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.space import Picked, place_in_renderer
@@ -117,7 +126,9 @@ class MouseFeature(Feature):
             "no_tool": self._look,
             "radius": self._radius,
             "set_radius": lambda value: self._radius(from_read(value, self._per)),
-            "scale_radius": lambda factor: self._radius(self.actions.radius * number(factor, 0.1, 10.0)),
+            "scale_radius": lambda factor: self._radius(
+                self.actions.radius * number(factor, 0.1, 10.0)
+            ),
             "press": self.press,
             "move": self.move,
             "release": self.release,
@@ -133,7 +144,9 @@ class MouseFeature(Feature):
 
     def keys(self) -> Mapping[str, Key]:
         return {
-            "Escape": Key("no_tool", (), "look; what is being drawn is dropped, outlines of other answers too"),
+            "Escape": Key(
+                "no_tool", (), "look; what is being drawn is dropped, outlines of other answers too"
+            ),
             "[": Key("scale_radius", (1 / 1.25,), "smaller ball and brush"),
             "]": Key("scale_radius", (1.25,), "larger ball and brush"),
         }
@@ -190,7 +203,12 @@ class MouseFeature(Feature):
             tiles.coarsen(True)
         tile = self.actions.scene.slice_tiles.get(at.tile)
         place = None if tile is None else place_in_renderer(tile.renderer, *pixel)
-        if self._button == LEFT and tile is not None and place is not None and tile.slider_takes(place[1]):
+        if (
+            self._button == LEFT
+            and tile is not None
+            and place is not None
+            and tile.slider_takes(place[1])
+        ):
             self._button = SLIDE
             self._look_around(0.0, 0.0)
         elif self._button == LEFT and at.world is not None and self._uses_tool(at.tile):
@@ -220,7 +238,10 @@ class MouseFeature(Feature):
         scene = self.actions.scene
         if self._tile not in scene.tiles.names:
             return
-        size, space = scene.plotter.render_window.GetSize(), scene.space if self._tile == "space" else None
+        size, space = (
+            scene.plotter.render_window.GetSize(),
+            scene.space if self._tile == "space" else None,
+        )
         if self._button == SLIDE:
             tile = scene.slice_tiles[self._tile]
             place = place_in_renderer(tile.renderer, *self._at, beside=True) or (0.0, 0.0)
@@ -289,7 +310,9 @@ class MouseFeature(Feature):
 
     def _uses_tool(self, tile: str) -> bool:
         """Test if the left button uses the tool there: in 3D it turns the camera, unless the tool paints."""
-        return tile in self.actions.scene.slice_tiles or (tile == "space" and self.tool.name not in ("look", "size"))
+        return tile in self.actions.scene.slice_tiles or (
+            tile == "space" and self.tool.name not in ("look", "size")
+        )
 
     def _read(self, at: Picked | None) -> None:
         self.actions.feature(SlicesFeature).read(at)
@@ -302,7 +325,9 @@ class MouseFeature(Feature):
     def _zoom(self, tile: str, x: float, y: float, factor: float) -> None:
         """Enlarge a tile; what is at this pixel stays there."""
         tiles = self.actions.scene.tiles
-        tiles.tile(tile).zoom(factor, *(place_in_renderer(tiles.renderer(tile), x, y, beside=True) or (0.5, 0.5)))
+        tiles.tile(tile).zoom(
+            factor, *(place_in_renderer(tiles.renderer(tile), x, y, beside=True) or (0.5, 0.5))
+        )
 
 
 #: Touches that are counted; and the largest magnitude of the number by which a screen knows each.
@@ -341,7 +366,9 @@ class TouchFeature(Feature):
     @property
     def _leads(self) -> bool:
         """Test if the drag was begun by these touches, not by a mouse or a pen meanwhile."""
-        return bool(self._leading) and self._mouse.is_dragging and self._mouse.gesture == self._gesture
+        return (
+            bool(self._leading) and self._mouse.is_dragging and self._mouse.gesture == self._gesture
+        )
 
     def _down(self, x: Any, y: Any, touch: Any, first: Any = False) -> None:
         """Begin a touch; ``first`` when the screen knows of no other: any that are known here were lost."""

@@ -10,7 +10,18 @@ from accelsurf.errors import UsageError
 from accelsurf.settings.corrections import MAX_ID
 from accelsurf.settings.labels import MAX_NAME
 from accelsurf.settings.wording import volume_text
-from accelsurf.viewer.actions.tool import AllActions, Feature, Key, Tool, number, numbers_text, short, text, whole, word
+from accelsurf.viewer.actions.tool import (
+    AllActions,
+    Feature,
+    Key,
+    Tool,
+    number,
+    numbers_text,
+    short,
+    text,
+    whole,
+    word,
+)
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import OBJECT_COLORS, ObjectStyle, unnamed
 from accelsurf.viewer.scene.space import Picked
@@ -73,13 +84,17 @@ class ObjectsFeature(Feature):
         return (Split(self.actions),)
 
     def keys(self) -> Mapping[str, Key]:
-        return {"U": Key("object_add", (), "a further object: the next press or click inside begins it")}
+        return {
+            "U": Key("object_add", (), "a further object: the next press or click inside begins it")
+        }
 
     def state(self, status: Status) -> dict[str, Any]:
         styles = self._styles(status)
         return {
             "object_active": self.actions.object_id or 0,
-            "object_rows": [self._described(object_id, style, status) for object_id, style in styles.items()],
+            "object_rows": [
+                self._described(object_id, style, status) for object_id, style in styles.items()
+            ],
         }
 
     def update(self, view: View) -> None:
@@ -101,7 +116,9 @@ class ObjectsFeature(Feature):
         styles = {}
         for object_id in self._ids(status):
             # A colour stays with its object, whatever becomes of the others.
-            usual = self._palette.setdefault(object_id, OBJECT_COLORS[len(self._palette) % len(OBJECT_COLORS)])
+            usual = self._palette.setdefault(
+                object_id, OBJECT_COLORS[len(self._palette) % len(OBJECT_COLORS)]
+            )
             said = status.labels.entries.get(object_id)
             name = unnamed(object_id) if said is None else said.name
             color = usual if said is None else said.hex
@@ -112,7 +129,12 @@ class ObjectsFeature(Feature):
     def _described(self, object_id: int, style: ObjectStyle, status: Status) -> dict[str, Any]:
         size = self._sizes.get(object_id) if object_id in (status.objects or (1,)) else None
         word = status.object_words.get(object_id, NOT_BEGUN)
-        return {"id": object_id, **style._asdict(), **(size or {"volume": "", "voxels": 0}), "word": word}
+        return {
+            "id": object_id,
+            **style._asdict(),
+            **(size or {"volume": "", "voxels": 0}),
+            "word": word,
+        }
 
     def _show(self, status: Status) -> None:
         """Draw each object in its style, where that has changed."""
@@ -130,7 +152,9 @@ class ObjectsFeature(Feature):
         ids = self._ids(self.actions.session.status)
         object_id = whole(wanted, 1, MAX_ID)
         if object_id not in ids:
-            raise UsageError(f"object {object_id} was given, expected one of {', '.join(map(str, ids[:20]))}")
+            raise UsageError(
+                f"object {object_id} was given, expected one of {', '.join(map(str, ids[:20]))}"
+            )
         return object_id
 
     # -- what is asked -------------------------------------------------------------------------------------
@@ -155,7 +179,9 @@ class ObjectsFeature(Feature):
     def _remove(self, wanted: Any) -> None:
         object_id, ids = self._known(wanted), self.actions.session.status.objects or (1,)
         if object_id in ids:
-            self.actions.ask(self.actions.session.objects(lambda objects: objects.remove(object_id)))
+            self.actions.ask(
+                self.actions.session.objects(lambda objects: objects.remove(object_id))
+            )
         if self.actions.object_id == object_id:
             self.actions.object_id = None
 
@@ -177,7 +203,9 @@ class ObjectsFeature(Feature):
         before = styles[object_id]
         styles[object_id] = before._replace(name=name or before.name, color=color or before.color)
         said = {each: (style.name, style.color) for each, style in styles.items()}
-        self.actions.ask(self.actions.session.objects(lambda objects: objects.describe(said, object_id)))
+        self.actions.ask(
+            self.actions.session.objects(lambda objects: objects.describe(said, object_id))
+        )
 
     def _visible(self, wanted: Any, on: Any) -> None:
         object_id = self._known(wanted)
@@ -199,4 +227,6 @@ class ObjectsFeature(Feature):
 
     def _split(self, x: Any, y: Any, z: Any) -> None:
         place = numbers_text(number(part, -1e9, 1e9) for part in (x, y, z))
-        self.actions.ask(self.actions.session.objects(lambda objects: objects.split(f"point:{place}")))
+        self.actions.ask(
+            self.actions.session.objects(lambda objects: objects.split(f"point:{place}"))
+        )

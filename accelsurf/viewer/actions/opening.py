@@ -88,7 +88,9 @@ class Opening:
         Whether that is an error.
     """
 
-    def __init__(self, config: RunConfig, recent: RecentFiles, served: ServedFolder | None = None) -> None:
+    def __init__(
+        self, config: RunConfig, recent: RecentFiles, served: ServedFolder | None = None
+    ) -> None:
         self.actions: Actions | None = None
         self.message, self.failed = "", False
         self._config, self._recent, self._served = config, recent, served
@@ -188,9 +190,14 @@ class Opening:
         self._check_free()
         known = word(name, tuple(self._phantoms))
         config = self._config
-        self._ask_first(known, {"open": lambda: self._start(
-            f"making the phantom {known}", lambda: make_phantom(known, config)
-        )})
+        self._ask_first(
+            known,
+            {
+                "open": lambda: self._start(
+                    f"making the phantom {known}", lambda: make_phantom(known, config)
+                )
+            },
+        )
 
     def _choose(self, number: Any) -> None:
         if not self._choices or self._path is None:
@@ -219,7 +226,9 @@ class Opening:
     def _open_dropped(self, *names: Any) -> None:
         """Open what was dropped on the window."""
         if len(names) != 1:
-            raise UsageError(f"{len(names)} files were dropped, one expected", "drop the folder of a scan")
+            raise UsageError(
+                f"{len(names)} files were dropped, one expected", "drop the folder of a scan"
+            )
         self.open_path(self._named(names[0]), dropped=True)
 
     def refuse(self, line: str) -> None:
@@ -230,7 +239,9 @@ class Opening:
 
     def _check_free(self) -> None:
         if self._work is not None:
-            raise UsageError(f"something else is being opened: {self._doing}", "wait until it is open")
+            raise UsageError(
+                f"something else is being opened: {self._doing}", "wait until it is open"
+            )
 
     def _ask_first(self, name: str, then: dict[str, Callable[[], None]]) -> None:
         """Do it at once, or when the question is answered: what was not saved would be lost."""
@@ -334,18 +345,34 @@ class Opening:
     def state(self) -> dict[str, Any]:
         """Return the state to be shown, in types of JSON."""
         return {
-            "is_open": self.actions is not None, "opening": self.is_busy, "opening_message": self.message,
-            "opening_failed": self.failed, "question": self._question,
-            "answers": [[name, ANSWERS[name]] for name in (*self._asked, "cancel")] if self._question else [],
-            "choices": [choice.text for choice in self._choices], "hints": self._hints.lines, **self._lists,
+            "is_open": self.actions is not None,
+            "opening": self.is_busy,
+            "opening_message": self.message,
+            "opening_failed": self.failed,
+            "question": self._question,
+            "answers": [[name, ANSWERS[name]] for name in (*self._asked, "cancel")]
+            if self._question
+            else [],
+            "choices": [choice.text for choice in self._choices],
+            "hints": self._hints.lines,
+            **self._lists,
         }
 
     def _renew_lists(self) -> None:
         """Look anew at what is listed."""
-        recent = [{"name": entry.path.name, "folder": str(entry.path.parent), "exists": entry.exists}
-                  for entry in self._recent.entries()]
+        recent = [
+            {"name": entry.path.name, "folder": str(entry.path.parent), "exists": entry.exists}
+            for entry in self._recent.entries()
+        ]
         phantoms = [{"name": name, "text": said} for name, said in self._phantoms.items()]
-        self._lists = {"recent": recent, "phantoms": phantoms, "folder": "", "folders": [], "images": [], "above": None}
+        self._lists = {
+            "recent": recent,
+            "phantoms": phantoms,
+            "folder": "",
+            "folders": [],
+            "images": [],
+            "above": None,
+        }
         self._lists |= {"unlisted": 0, "this_image": ""}
         if self._served is None or self._folder is None:
             return
@@ -370,4 +397,9 @@ class Opening:
                 self.actions.message = self.message
 
     def _fail(self, error: Exception) -> None:
-        self.say(error.message if isinstance(error, UsageError) and not error.hint else error_line(error), failed=True)
+        self.say(
+            error.message
+            if isinstance(error, UsageError) and not error.hint
+            else error_line(error),
+            failed=True,
+        )

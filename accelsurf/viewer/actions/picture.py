@@ -31,7 +31,9 @@ class PictureFeature(Feature):
         scene = self.actions.scene
         return {
             "color": lambda name: scene.color_by(word(name, COLORS)),
-            "next_color": lambda: scene.color_by(COLORS[(COLORS.index(scene.color) + 1) % len(COLORS)]),
+            "next_color": lambda: scene.color_by(
+                COLORS[(COLORS.index(scene.color) + 1) % len(COLORS)]
+            ),
             "theme": lambda name: scene.paint(word(name, tuple(THEMES))),
             "next_theme": lambda: scene.paint("light" if scene.theme_name == "dark" else "dark"),
             "planes": lambda on: scene.show_planes(bool(on)),
@@ -50,8 +52,11 @@ class PictureFeature(Feature):
     def state(self, status: Status) -> dict[str, Any]:
         scene = self.actions.scene
         return {
-            "color": scene.color, "colors": list(COLORS), "theme": scene.theme_name,
-            "planes": scene.shows_planes, "is_flat": scene.space is None,
+            "color": scene.color,
+            "colors": list(COLORS),
+            "theme": scene.theme_name,
+            "planes": scene.shows_planes,
+            "is_flat": scene.space is None,
         }
 
     def _size(self, width: Any, height: Any, ratio: Any = 1.0) -> None:
@@ -61,7 +66,9 @@ class PictureFeature(Feature):
             for side, low, high in zip((width, height), MIN_SIZE, MAX_SIZE, strict=True)
         )
         # A page that is zoomed out has less than a pixel; one on a large fine screen gets what it may.
-        ratio = min(max(number(ratio, 0.01, 100.0), 1.0), MAX_RATIO, MAX_SIZE[0] / wide, MAX_SIZE[1] / high)
+        ratio = min(
+            max(number(ratio, 0.01, 100.0), 1.0), MAX_RATIO, MAX_SIZE[0] / wide, MAX_SIZE[1] / high
+        )
         if (wide, high) == self._sides and ratio == self._ratio:
             return
         self._sides, self._ratio = (wide, high), ratio

@@ -41,11 +41,18 @@ class RunFeature(Feature):
 
     def state(self, status: Status) -> dict[str, Any]:
         return {
-            "ready": status.ready, "playing": status.playing, "state_word": status.word,
-            "has_begun": status.has_begun, "can_run": status.has_begun and status.settings.labels is None,
-            "is_due": status.stop is None,  # one that has ended may go on, but nobody need wait for that
-            "step": status.step, "last": max((status.step, *status.checkpoints)),
-            "undoable": status.undoable, "redoable": status.redoable, "edits": len(status.edits),
+            "ready": status.ready,
+            "playing": status.playing,
+            "state_word": status.word,
+            "has_begun": status.has_begun,
+            "can_run": status.has_begun and status.settings.labels is None,
+            "is_due": status.stop
+            is None,  # one that has ended may go on, but nobody need wait for that
+            "step": status.step,
+            "last": max((status.step, *status.checkpoints)),
+            "undoable": status.undoable,
+            "redoable": status.redoable,
+            "edits": len(status.edits),
             "checkpoints": list(status.checkpoints),
         }
 
@@ -73,7 +80,9 @@ class HistoryFeature(Feature):
         return {
             "change": lambda count: ask(session.go_to_change(whole(count, 0, 10**6))),
             "next_uncertain": self._next_uncertain,
-            "uncertain": lambda number: self._go_to(whole(number, 1, max(len(self._uncertain), 1)) - 1),
+            "uncertain": lambda number: self._go_to(
+                whole(number, 1, max(len(self._uncertain), 1)) - 1
+            ),
         }
 
     def keys(self) -> Mapping[str, Key]:
@@ -88,7 +97,10 @@ class HistoryFeature(Feature):
             "changes": [change._asdict() for change in status.changes],
             "rests": list(status.rests),
             "uncertain": [
-                {"place": ", ".join(f"{v:.4g}" for v in location.world), "percent": round(100.0 * location.share)}
+                {
+                    "place": ", ".join(f"{v:.4g}" for v in location.world),
+                    "percent": round(100.0 * location.share),
+                }
                 for location in status.uncertain
             ],
             "uncertain_at": self._at + 1,
@@ -119,7 +131,11 @@ class HistoryFeature(Feature):
         """
         if not self._uncertain:
             ended = self.actions.session.status.stop is not None
-            raise UsageError("no place is in doubt" if ended else "where to click next is known when the run has ended")
+            raise UsageError(
+                "no place is in doubt"
+                if ended
+                else "where to click next is known when the run has ended"
+            )
         self._go_to((self._at + 1) % len(self._uncertain))
 
     def _go_to(self, number: int) -> None:

@@ -11,7 +11,15 @@ from typing import Any
 
 from accelsurf.errors import UsageError
 from accelsurf.settings import catalogue, energy_expression
-from accelsurf.settings.catalogue import as_typed, entry, help_of, kind_of, label_of, names_of, viewer_settings
+from accelsurf.settings.catalogue import (
+    as_typed,
+    entry,
+    help_of,
+    kind_of,
+    label_of,
+    names_of,
+    viewer_settings,
+)
 from accelsurf.settings.energy_terms import TERMS, Word, examples
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
@@ -35,7 +43,12 @@ _LENGTH = re.compile(r"mm([23])?(?= |$)")
 
 
 def amount(
-    low: float, high: float, value: float | str, power: float, limit: float, words: Sequence[str] = (),
+    low: float,
+    high: float,
+    value: float | str,
+    power: float,
+    limit: float,
+    words: Sequence[str] = (),
     per: float = 1.0,
 ) -> dict[str, Any]:
     """Return how a number is shown.
@@ -69,10 +82,15 @@ def amount(
     """
     share = 0.0 if isinstance(value, str) else min(max((value - low) / (high - low), 0.0), 1.0)
     return {
-        "low": low * per, "high": high * per, "power": power, "digits": digits_of(low * per, high * per),
-        "value": value if isinstance(value, str) else rounded(value * per), "limit": limit * per,
-        "words": list(words), "tick": round(TICKS * share ** (1.0 / power)),
-    }  # fmt: skip
+        "low": low * per,
+        "high": high * per,
+        "power": power,
+        "digits": digits_of(low * per, high * per),
+        "value": value if isinstance(value, str) else rounded(value * per),
+        "limit": limit * per,
+        "words": list(words),
+        "tick": round(TICKS * share ** (1.0 / power)),
+    }
 
 
 def digits_of(low: float, high: float) -> int:
@@ -83,7 +101,9 @@ def digits_of(low: float, high: float) -> int:
     >>> digits_of(0.0, 5.0), digits_of(0.0, 0.0025), digits_of(0.25, 24.0), digits_of(250.0, 24000.0)
     (3, 6, 2, 0)
     """
-    needed = [3 - math.floor(math.log10(high))] + ([1 - math.floor(math.log10(low))] if low > 0 else [])
+    needed = [3 - math.floor(math.log10(high))] + (
+        [1 - math.floor(math.log10(low))] if low > 0 else []
+    )
     return max(0, *needed)
 
 
@@ -131,8 +151,20 @@ def from_read(value: Any, per: float) -> Any:
 Row = dict[str, Any]
 #: What a row has unless it says something else.
 DEFAULTS: Row = {
-    "unit": "", "group": "", "enabled": True, "restarts": False, "names": [], "term": [], "now": "", "low": 0.0,
-    "high": 0.0, "power": 1.0, "digits": 0, "limit": 0.0, "words": [], "tick": 0,
+    "unit": "",
+    "group": "",
+    "enabled": True,
+    "restarts": False,
+    "names": [],
+    "term": [],
+    "now": "",
+    "low": 0.0,
+    "high": 0.0,
+    "power": 1.0,
+    "digits": 0,
+    "limit": 0.0,
+    "words": [],
+    "tick": 0,
 }
 
 
@@ -168,7 +200,9 @@ def settings_rows(
         setting of a term its place and name, else empty (the channel of a term only where there are several); ``now``:
         the value that is meant by an empty field.
     """
-    others = [key for key in (*viewer_settings("first"), *viewer_settings("more")) if key not in _FIRST]
+    others = [
+        key for key in (*viewer_settings("first"), *viewer_settings("more")) if key not in _FIRST
+    ]
     rows = []
     for key in (*_FIRST, *others):
         rows.append(_setting_row(key, settings, finest, key in _FIRST, of_file))
@@ -195,14 +229,28 @@ def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool, o
     said, value, (unit, per) = entry(key), getattr(settings, key), unit_read(key, of_file)
     kind = "energy" if key == "energy" else kind_of(key)
     row: Row = DEFAULTS | {
-        "key": key, "label": label_of(key), "unit": unit, "kind": kind,
+        "key": key,
+        "label": label_of(key),
+        "unit": unit,
+        "kind": kind,
         "help": help_of(key) + ("" if per == 1.0 else f" Here in {unit}."),
-        "group": "" if is_first else EXPERT, "value": shown_value(key, value, per),
-        "enabled": settings.matters(key), "restarts": said.fixed, "names": _names(key, settings),
+        "group": "" if is_first else EXPERT,
+        "value": shown_value(key, value, per),
+        "enabled": settings.matters(key),
+        "restarts": said.fixed,
+        "names": _names(key, settings),
     }
     if said.slider is not None:
         scale, slider = finest**said.slider.voxel_power, said.slider
-        row |= amount(slider.low * scale, slider.high * scale, value, slider.power, slider.limit, slider.words, per)
+        row |= amount(
+            slider.low * scale,
+            slider.high * scale,
+            value,
+            slider.power,
+            slider.limit,
+            slider.words,
+            per,
+        )
     return row
 
 
@@ -218,11 +266,17 @@ def shown_value(key: str, value: Any, per: float) -> Any:
 def _names(key: str, settings: RunConfig) -> list[dict[str, str]]:
     """Return the choices, each with its meaning."""
     if key == "preset":
-        presets = {name: f"{preset.summary} Sets {_said(preset.settings)}." for name, preset in PRESETS.items()}
+        presets = {
+            name: f"{preset.summary} Sets {_said(preset.settings)}."
+            for name, preset in PRESETS.items()
+        }
         return _listed({"": "No preset: its values are the defaults again.", **presets})
     if key == "energy":
         # The run's energy may be an expression that is not in the list.
-        return _listed({name: TERMS[name.partition(":")[0]].help for name in examples()} | {settings.energy: ""})
+        return _listed(
+            {name: TERMS[name.partition(":")[0]].help for name in examples()}
+            | {settings.energy: ""}
+        )
     return _listed(names_of(key)) if kind_of(key) == "list" else []
 
 
@@ -242,15 +296,24 @@ def _term_rows(energy: str, terms: Sequence[Mapping[str, Any]]) -> list[Row]:
         for key, kind in TERMS[term.name].settings.items():
             if key == "channel" and "channels" not in known:
                 continue  # there is but one
-            names = _listed({"": "", **dict.fromkeys(kind.words, "")}) if isinstance(kind, Word) else []
+            names = (
+                _listed({"": "", **dict.fromkeys(kind.words, "")}) if isinstance(kind, Word) else []
+            )
             now = known.get(key)
-            rows.append(DEFAULTS | {
-                "key": f"{term.name}-{place}-{key}", "label": f"{term.name} {key}", "names": names,
-                "help": f"{kind.help[:1].upper()}{kind.help[1:]}: {kind.expected}.",
-                "group": EXPERT, "kind": "list" if names else "text", "value": as_typed(term.settings.get(key)),
-                "term": [place, key],
-                "now": f"{now:.4g}" if isinstance(now, float) else as_typed(now),
-            })  # fmt: skip
+            rows.append(
+                DEFAULTS
+                | {
+                    "key": f"{term.name}-{place}-{key}",
+                    "label": f"{term.name} {key}",
+                    "names": names,
+                    "help": f"{kind.help[:1].upper()}{kind.help[1:]}: {kind.expected}.",
+                    "group": EXPERT,
+                    "kind": "list" if names else "text",
+                    "value": as_typed(term.settings.get(key)),
+                    "term": [place, key],
+                    "now": f"{now:.4g}" if isinstance(now, float) else as_typed(now),
+                }
+            )
     return rows
 
 
@@ -271,14 +334,18 @@ class SettingsFeature(Feature):
         now = (status.settings, status.terms)
         if self._shown is None or any(a is not b for a, b in zip(now, self._shown, strict=True)):
             self._shown = now
-            self._rows = settings_rows(status.settings, status.terms, self._finest, self._unit, status.flow_why)
+            self._rows = settings_rows(
+                status.settings, status.terms, self._finest, self._unit, status.flow_why
+            )
         return {"settings": self._rows, "energy_error": self._energy_error}
 
     # -- changes ------------------------------------------------------------------------------------------
 
     def _set(self, key: Any, value: Any) -> None:
         if not isinstance(key, str) or key not in SETTINGS:
-            raise UsageError(f"set: {short(key)}: there is no such setting", did_you_mean(short(key), SETTINGS))
+            raise UsageError(
+                f"set: {short(key)}: there is no such setting", did_you_mean(short(key), SETTINGS)
+            )
         self._change(key, self._checked(key, from_read(value, unit_read(key, self._unit)[1])))
 
     def _checked(self, key: str, value: Any) -> Any:
@@ -291,7 +358,9 @@ class SettingsFeature(Feature):
             value = str(value)
         typed = text(value, MAX_VALUE)
         if any(start in typed for start in FILE_WORDS):
-            raise UsageError(f"{key}: {short(value)} was given, expected no file", "the command line takes files")
+            raise UsageError(
+                f"{key}: {short(value)} was given, expected no file", "the command line takes files"
+            )
         if not typed:
             return catalogue.default_of(key)
         return tuple(typed.split()) if entry(key).repeated else typed
@@ -300,7 +369,9 @@ class SettingsFeature(Feature):
         """Change a setting from here on, or begin another run where it is fixed; the same value changes nothing."""
         session = self.actions.session
         if entry(key).fixed:
-            if key == "preset" or as_typed(value) != as_typed(getattr(session.status.settings, key)):
+            if key == "preset" or as_typed(value) != as_typed(
+                getattr(session.status.settings, key)
+            ):
                 self.actions.ask(session.restart_with(**{key: value}))
             return
         if key == "energy":
@@ -309,7 +380,11 @@ class SettingsFeature(Feature):
 
     def _set_term(self, place: Any, key: Any, value: Any) -> None:
         place, key = whole(place, 0, energy_expression.MAX_TERMS), text(key, 40)
-        value = str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else text(value, 40)
+        value = (
+            str(value)
+            if isinstance(value, (int, float)) and not isinstance(value, bool)
+            else text(value, 40)
+        )
         energy = self.actions.session.status.settings.energy
         self._change("energy", energy_expression.with_setting(energy, place, key, value))
 

@@ -86,11 +86,21 @@ class SlicesFeature(Feature):
         scene, tiles = self.actions.scene, self.actions.scene.tiles
         window = scene.window
         return {
-            "level": window.level, "width": window.width, "window_word": self._word, "windows": list(WINDOWS),
-            "layout": tiles.layout, "layouts": list(LAYOUTS), "large": tiles.large, "chart": tiles.shows_chart,
-            "interpolate": scene.is_interpolated, "straight": scene.is_straight, "is_oblique": scene.is_oblique,
+            "level": window.level,
+            "width": window.width,
+            "window_word": self._word,
+            "windows": list(WINDOWS),
+            "layout": tiles.layout,
+            "layouts": list(LAYOUTS),
+            "large": tiles.large,
+            "chart": tiles.shows_chart,
+            "interpolate": scene.is_interpolated,
+            "straight": scene.is_straight,
+            "is_oblique": scene.is_oblique,
             # Number of the slice that each tile shows, from 1, and how many there are.
-            "slices": {name: [tile.index + 1, tile.stack.count] for name, tile in scene.slice_tiles.items()},
+            "slices": {
+                name: [tile.index + 1, tile.stack.count] for name, tile in scene.slice_tiles.items()
+            },
             "cursor": self._text(scene.cursor),
             **self.read_out(),
         }
@@ -139,24 +149,33 @@ class SlicesFeature(Feature):
             if surface.has_surface
         ]
         if not corners:
-            raise UsageError("window: there is no object yet whose grey values could be shown", "begin with a click")
+            raise UsageError(
+                "window: there is no object yet whose grey values could be shown",
+                "begin with a click",
+            )
         low, high = np.min(corners, axis=0), np.max(corners, axis=0)
         around = AROUND * (high - low)
         z, y, x = (
             slice(max(int(a), 0), min(int(b) + 1, n))
             for a, b, n in zip(low - around, high + around, array.shape, strict=True)
         )
-        return window_of(array[z, y, x], np.any([surface.inside((z, y, x)) for surface in surfaces], axis=0))
+        return window_of(
+            array[z, y, x], np.any([surface.inside((z, y, x)) for surface in surfaces], axis=0)
+        )
 
     def drag_window(self, right: float, up: float) -> None:
         """A drag with the right button, by parts of the picture: sideways the width, up darkens as a higher level."""
         level, width = self.actions.scene.window.level, self.actions.scene.window.width
         # In widths, so that it is as fine in an image from 0 to 1 as in one of 16 bits.
-        self._show_window(GreyWindow.of(level + DRAG * up * width, width * float(np.exp(DRAG * right))), "")
+        self._show_window(
+            GreyWindow.of(level + DRAG * up * width, width * float(np.exp(DRAG * right))), ""
+        )
 
     def write(self, tile: str) -> None:
         """Write level, width and the value under the mouse into a tile: grey values are being dragged in it."""
-        text = self._window_text() + (f", value {self.read_out()['value']}" if self._picked is not None else "")
+        text = self._window_text() + (
+            f", value {self.read_out()['value']}" if self._picked is not None else ""
+        )
         self.actions.scene.slice_tiles[tile].write(text)
 
     # -- layout -------------------------------------------------------------------------------------------
@@ -202,7 +221,9 @@ class SlicesFeature(Feature):
 
     def _straighten(self, on: Any) -> None:
         if not self.actions.scene.is_oblique:
-            raise UsageError("straight: the voxels of this image lie along the world's axes, or in one slice")
+            raise UsageError(
+                "straight: the voxels of this image lie along the world's axes, or in one slice"
+            )
         self.actions.scene.straighten(bool(on))
 
     # -- places -------------------------------------------------------------------------------------------
@@ -215,7 +236,11 @@ class SlicesFeature(Feature):
     def _through(self, count: Any) -> None:
         """Go through the slices of the tile under the mouse, or else of the first."""
         scene, picked = self.actions.scene, self._picked
-        tile = picked.tile if picked is not None and picked.tile in scene.slice_tiles else next(iter(scene.slice_tiles))
+        tile = (
+            picked.tile
+            if picked is not None and picked.tile in scene.slice_tiles
+            else next(iter(scene.slice_tiles))
+        )
         scene.step_slice(tile, whole(count, -100, 100))
 
     def _cursor(self, x: Any, y: Any, z: Any) -> None:
@@ -230,14 +255,20 @@ class SlicesFeature(Feature):
         scene, picked = self.actions.scene, self._picked
         world = scene.cursor if picked is None or picked.world is None else np.asarray(picked.world)
         index = scene.geometry.world_to_index(world)
-        voxel = tuple(int(np.clip(round(float(i)), 0, n - 1)) for i, n in zip(index, scene.geometry.shape, strict=True))
+        voxel = tuple(
+            int(np.clip(round(float(i)), 0, n - 1))
+            for i, n in zip(index, scene.geometry.shape, strict=True)
+        )
         surfaces = () if scene.frame is None else scene.frame.surfaces
         ids = [str(surface.id) for surface in surfaces if surface.contains(voxel)]
         value = scene.volume.array[voxel]
         where = self._text(world)
         return {
-            "place": where, "where": self.shown(world), "voxel": ", ".join(str(i) for i in voxel[::-1]),
-            "value": f"{value:.6g}" if np.isfinite(value) else str(value), "label": ", ".join(ids) or "0",
+            "place": where,
+            "where": self.shown(world),
+            "voxel": ", ".join(str(i) for i in voxel[::-1]),
+            "value": f"{value:.6g}" if np.isfinite(value) else str(value),
+            "label": ", ".join(ids) or "0",
             "as_ball": f"ball:{where.replace(' ', '')},{self.actions.radius:.4g}",
             "as_point": f"point:{where.replace(' ', '')}",
         }

@@ -150,7 +150,9 @@ def text(value: Any, letters: int) -> str:
     return value.strip()
 
 
-def carry_out(requests: Mapping[str, Callable[..., None]], name: Any, values: Sequence[Any]) -> None:
+def carry_out(
+    requests: Mapping[str, Callable[..., None]], name: Any, values: Sequence[Any]
+) -> None:
     """Carry out a request that a page has sent.
 
     Raises
@@ -166,7 +168,9 @@ def carry_out(requests: Mapping[str, Callable[..., None]], name: Any, values: Se
     except TypeError as error:
         if "argument" not in str(error):
             raise
-        raise UsageError(f"{name}: {len(values)} values were given, another number expected") from None
+        raise UsageError(
+            f"{name}: {len(values)} values were given, another number expected"
+        ) from None
 
 
 def short(value: Any) -> str:
@@ -239,7 +243,9 @@ def numbers_text(numbers: Iterable[float]) -> str:
 
 def finest(geometry: Geometry) -> float:
     """Return the smallest spacing of an image, mm, along axes of more than one voxel."""
-    return min((h for h, n in zip(geometry.spacing, geometry.shape, strict=True) if n > 1), default=1.0)
+    return min(
+        (h for h, n in zip(geometry.spacing, geometry.shape, strict=True) if n > 1), default=1.0
+    )
 
 
 def first_radius(geometry: Geometry) -> float:

@@ -115,9 +115,13 @@ class ChangeLog:
         return now
 
     def _renew(self) -> None:
-        both = [*((change, True) for change in self._done), *((change, False) for change in reversed(self._undone))]
+        both = [
+            *((change, True) for change in self._done),
+            *((change, False) for change in reversed(self._undone)),
+        ]
         self._lines = tuple(
-            ChangeLine(number, change.moment.step, change.line, done) for number, (change, done) in enumerate(both, 1)
+            ChangeLine(number, change.moment.step, change.line, done)
+            for number, (change, done) in enumerate(both, 1)
         )
 
 
@@ -148,7 +152,9 @@ def edits_with(
     before = config.replace(edit=earlier).at(step)
     after = before.replace(**{**(last.settings if last else {}), **settings})
     changed = {
-        key: getattr(after, key) for key in RunConfig.model_fields if getattr(after, key) != getattr(before, key)
+        key: getattr(after, key)
+        for key in RunConfig.model_fields
+        if getattr(after, key) != getattr(before, key)
     }
     # An edit without settings makes a converged run continue.
     continues = last is not None and not last.settings

@@ -15,7 +15,15 @@ from accelsurf.correct.finished import result_of, state_at_end
 from accelsurf.correct.refiner import Change, Refiner
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, counted_from, enclosing, placed_at
+from accelsurf.grid.boxes import (
+    Box,
+    Corner,
+    bounding_box,
+    corner_of,
+    counted_from,
+    enclosing,
+    placed_at,
+)
 from accelsurf.grid.geometry import Geometry
 from accelsurf.output.pictures.preview_content import marks_of
 from accelsurf.run.clicks import BallEdit
@@ -47,7 +55,9 @@ class Corrections:
         Called with a line while a correction is made; it must return soon.
     """
 
-    def __init__(self, wanted: tuple[Correction, ...], on_progress: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self, wanted: tuple[Correction, ...], on_progress: Callable[[str], None] | None = None
+    ) -> None:
         self._wanted = wanted
         self._progress = on_progress or (lambda message: None)
         self._refiner: Refiner | None = None
@@ -71,11 +81,15 @@ class Corrections:
     def _begun(self, run: Run) -> Refiner:
         """Return what corrects a run that has ended."""
         if self._refiner is None:
-            result = dataclasses.replace(result_of(run), config=repeating(run), state=state_at_end(run))
+            result = dataclasses.replace(
+                result_of(run), config=repeating(run), state=state_at_end(run)
+            )
             self._refiner, self._before = Refiner(result), []
             surfaces = self._refiner.surfaces
             self._last_step = max(surface.history[-1].step for surface in surfaces)
-            self._boxes = {surface.id: _box_of_inside(surface.psi < 0, surface.corner) for surface in surfaces}
+            self._boxes = {
+                surface.id: _box_of_inside(surface.psi < 0, surface.corner) for surface in surfaces
+            }
         return self._refiner
 
     def correct(self, run: Run, correction: Correction, said: str) -> str:
@@ -89,17 +103,27 @@ class Corrections:
         self._progress(f"{said}: correcting")
         refiner = self._begun(run)
         changes = refiner.apply(
-            correction, on_step=lambda record, id: self._progress(f"{said}: correcting, step {record.step}")
+            correction,
+            on_step=lambda record, id: self._progress(f"{said}: correcting, step {record.step}"),
         )
         self._follow(refiner, correction, changes)
         self._wanted = refiner.config.refine
-        moved, seconds = sum(change.voxels for change in changes), sum(change.seconds for change in changes)
-        return f"{said}: " + (f"moved {moved} voxels in {seconds:.2f} s" if moved else "nothing changed")
+        moved, seconds = (
+            sum(change.voxels for change in changes),
+            sum(change.seconds for change in changes),
+        )
+        return f"{said}: " + (
+            f"moved {moved} voxels in {seconds:.2f} s" if moved else "nothing changed"
+        )
 
-    def _follow(self, refiner: Refiner, correction: Correction, changes: tuple[Change, ...]) -> None:
+    def _follow(
+        self, refiner: Refiner, correction: Correction, changes: tuple[Change, ...]
+    ) -> None:
         """Note where the objects are after a correction."""
         self._before.append(self._boxes)
-        moved = [change.box for change in changes if change.voxels]  # the object gained or lost, others lost there
+        moved = [
+            change.box for change in changes if change.voxels
+        ]  # the object gained or lost, others lost there
         changed = {change.object_id for change in changes}
         boxes = {}
         for surface in refiner.surfaces:
@@ -146,7 +170,10 @@ class Corrections:
 
     def stops(self, run: Run) -> dict[int, Stop | None]:
         """Return why each object, or its last correction, ended."""
-        return {each.id: each.stop for each in (run.objects if self._refiner is None else self._refiner.surfaces)}
+        return {
+            each.id: each.stop
+            for each in (run.objects if self._refiner is None else self._refiner.surfaces)
+        }
 
     def stop(self, run: Run) -> Stop | None:
         """Return why the run, or the last correction, ended; None while it goes on."""
@@ -158,7 +185,11 @@ class Corrections:
     @property
     def ids(self) -> tuple[int, ...] | None:
         """Ids of the objects after the corrections; None where none was made."""
-        return None if self._refiner is None else tuple(surface.id for surface in self._refiner.surfaces)
+        return (
+            None
+            if self._refiner is None
+            else tuple(surface.id for surface in self._refiner.surfaces)
+        )
 
     def nearest(self, run: Run, place: str) -> int | None:
         """Return the object nearest to a place, or that contains it; None where there is one without an id.
@@ -173,7 +204,9 @@ class Corrections:
         geometry = run.geometry
         centre = _place_of(place, geometry)
         distances = {
-            surface.id: _distance_of(surface.psi, surface.corner, self._boxes[surface.id], centre, geometry.spacing)
+            surface.id: _distance_of(
+                surface.psi, surface.corner, self._boxes[surface.id], centre, geometry.spacing
+            )
             for surface in self._refiner.surfaces
         }
         return min(distances, key=lambda id: distances[id])
@@ -193,10 +226,14 @@ class Corrections:
         """Return the corrected result, whose settings repeat run and corrections; None where none was made."""
         return None if self._refiner is None else self._refiner.result()
 
-    def picture(self, run: Run, max_voxels: int | None) -> tuple[Frame, tuple[tuple[StepRecord, ...], ...]]:
+    def picture(
+        self, run: Run, max_voxels: int | None
+    ) -> tuple[Frame, tuple[tuple[StepRecord, ...], ...]]:
         """Return what is drawn, see `Frame.of_run`, and each object's records up to it."""
         if self._refiner is not None:
-            return self._frame(run, self._refiner), tuple(tuple(each.history) for each in self._refiner.surfaces)
+            return self._frame(run, self._refiner), tuple(
+                tuple(each.history) for each in self._refiner.surfaces
+            )
         records = [step.record for step in run.current()]
         frame = Frame.of_run(run, records, max_voxels)
         if run.stop is not None and not run.has_ids:
@@ -211,11 +248,25 @@ class Corrections:
         for surface in refiner.surfaces:
             box, corner, shape = self._boxes[surface.id], surface.corner, surface.psi.shape
             part = None if box is None else _within(counted_from(box, corner), shape)
-            psi = surface.psi[:0, :0, :0] if part is None or not surface.inside else surface.psi[part]
-            z, y, x = corner if part is None else (a + b for a, b in zip(corner, corner_of(part), strict=True))
+            psi = (
+                surface.psi[:0, :0, :0] if part is None or not surface.inside else surface.psi[part]
+            )
+            z, y, x = (
+                corner
+                if part is None
+                else (a + b for a, b in zip(corner, corner_of(part), strict=True))
+            )
             surfaces.append(
                 SurfaceFrame(
-                    surface.id, surface.history[-1], run.grid, psi.copy(), (z, y, x), 1, corner, shape, {},
+                    surface.id,
+                    surface.history[-1],
+                    run.grid,
+                    psi.copy(),
+                    (z, y, x),
+                    1,
+                    corner,
+                    shape,
+                    {},
                     prepared.first,
                 )
             )
@@ -240,7 +291,8 @@ def _around(box: Box | None, other: Box) -> Box:
 def _within(box: Box, shape: tuple[int, ...]) -> Box:
     """Return a box with some voxels around it, as far as an array goes."""
     z, y, x = (
-        slice(max(s.start - AROUND, 0), max(min(s.stop + AROUND, n), 0)) for s, n in zip(box, shape, strict=True)
+        slice(max(s.start - AROUND, 0), max(min(s.stop + AROUND, n), 0))
+        for s, n in zip(box, shape, strict=True)
     )
     return z, y, x
 
@@ -260,7 +312,9 @@ def nearest_object(run: Run, where: str) -> int:
     UsageError, InputError
         When it is no such place or lies outside.
     """
-    centre = BallEdit("add", *starts.ball_of(_as_ball(where, run.geometry), run.geometry)).on_level(run.grid)[0]
+    centre = BallEdit("add", *starts.ball_of(_as_ball(where, run.geometry), run.geometry)).on_level(
+        run.grid
+    )[0]
     return min(run.objects, key=lambda evolving: _distance(evolving, centre)).id
 
 
@@ -270,7 +324,10 @@ def _place_of(where: str, geometry: Geometry) -> NDArray[np.float64]:
 
 
 def _distance_of(
-    psi: NDArray[np.float32], corner: Corner, box: Box | None, place: NDArray[np.float64],
+    psi: NDArray[np.float32],
+    corner: Corner,
+    box: Box | None,
+    place: NDArray[np.float64],
     spacing: tuple[float, float, float],
 ) -> float:
     """Distance, mm, of an index (z, y, x) from an object; below 0 in it; inf where it has no voxel.
@@ -279,7 +336,9 @@ def _distance_of(
     """
     if box is None:
         return float("inf")
-    z, y, x = (slice(max(s.start - c, 0), max(s.stop - c, 0)) for s, c in zip(box, corner, strict=True))
+    z, y, x = (
+        slice(max(s.start - c, 0), max(s.stop - c, 0)) for s, c in zip(box, corner, strict=True)
+    )
     part = psi[z, y, x]
     at = place - np.array(corner) - np.array([z.start, y.start, x.start])
     return _depth(part, at) or _away(np.argwhere(part < 0), at, spacing)

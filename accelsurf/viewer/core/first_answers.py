@@ -62,7 +62,9 @@ class FirstAnswers:
         if self._run is not run or self._clicks is not clicks:
             taken, *others = _answers(run) or (None,)
             self._run, self._clicks, self._left = run, clicks, others
-            self._found = () if taken is None else (FirstAnswer(taken.number, taken.volume_mm3, True),)
+            self._found = (
+                () if taken is None else (FirstAnswer(taken.number, taken.volume_mm3, True),)
+            )
         return bool(self._left)
 
     def find_next(self, run: Run) -> None:
@@ -75,11 +77,18 @@ class FirstAnswers:
         """Return the answers to choose from, the taken one too; none while they are looked for, or where there is one
         alone, or something was corrected.
         """
-        if self.is_wanted(run) or refinements or len(self._found) < 2 or not uses_model(run.settings.energy):
+        if (
+            self.is_wanted(run)
+            or refinements
+            or len(self._found) < 2
+            or not uses_model(run.settings.energy)
+        ):
             return ()
         return self._found
 
-    def settings_of(self, run: Run, refinements: Sequence[Correction], number: int) -> dict[str, int]:
+    def settings_of(
+        self, run: Run, refinements: Sequence[Correction], number: int
+    ) -> dict[str, int]:
         """Return the settings of another run, of an answer by its number.
 
         Raises
@@ -120,20 +129,35 @@ def _found(run: Run, answer: Answer) -> FirstAnswer:
             return FirstAnswer(answer.number, None, False)
         frame = _outline(run, model.field, model.box, (1, 1, 1), context.spacing)
         return FirstAnswer(answer.number, model.answers[0].volume_mm3, False, frame)
-    window, field, _, _ = first_blocks(scene, seed_of(context.clicks.clicks[0], scene), answer=answer.number)
+    window, field, _, _ = first_blocks(
+        scene, seed_of(context.clicks.clicks[0], scene), answer=answer.number
+    )
     z, y, x = (int(n) for n in window.steps)
     hz, hy, hx = (float(side) for side in window.size)
     frame = _outline(run, -field, window.box, (z, y, x), (hz, hy, hx))
     return FirstAnswer(answer.number, answer.volume_mm3, False, frame)
 
 
-def _outline(run: Run, psi: NDArray[np.float32], box: Box, steps: Index, size: Spacing) -> SurfaceFrame:
+def _outline(
+    run: Run, psi: NDArray[np.float32], box: Box, steps: Index, size: Spacing
+) -> SurfaceFrame:
     """Return a surface on blocks of voxels of a box."""
     # Places of blocks are those of their middles.
-    z, y, x = (corner + 0.5 * (step - 1) for corner, step in zip(corner_of(box), steps, strict=True))
+    z, y, x = (
+        corner + 0.5 * (step - 1) for corner, step in zip(corner_of(box), steps, strict=True)
+    )
     nz, ny, nx = psi.shape
     level = pyramid.Level(0, steps, (nz, ny, nx), size, (z, y, x))
     record, nowhere = run.current()[0].record, (0, 0, 0)
     return SurfaceFrame(
-        run.objects[0].id, record, level, psi, nowhere, 1, nowhere, (nz, ny, nx), {}, run.prepared.first
+        run.objects[0].id,
+        record,
+        level,
+        psi,
+        nowhere,
+        1,
+        nowhere,
+        (nz, ny, nx),
+        {},
+        run.prepared.first,
     )

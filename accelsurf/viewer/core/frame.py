@@ -108,20 +108,40 @@ class SurfaceFrame:
     first: Index = (0, 0, 0)
 
     @classmethod
-    def of(cls, state: ObjectState, level: pyramid.Level, max_voxels: int | None, first: Index) -> SurfaceFrame:
+    def of(
+        cls, state: ObjectState, level: pyramid.Level, max_voxels: int | None, first: Index
+    ) -> SurfaceFrame:
         """Copy what is drawn of an object; parameters as of `Frame.of`."""
-        record, surface, corner, quantities = state.record, state.surface, state.corner, _quantities(state)
+        record, surface, corner, quantities = (
+            state.record,
+            state.surface,
+            state.corner,
+            _quantities(state),
+        )
         ranges = _band_box(surface)
         if ranges is None:
             nothing = np.zeros((0, 0, 0), np.float32)
-            return cls(state.id, record, level, nothing, corner, 1, corner, surface.shape, quantities, first)
+            return cls(
+                state.id,
+                record,
+                level,
+                nothing,
+                corner,
+                1,
+                corner,
+                surface.shape,
+                quantities,
+                first,
+            )
         stride = 1
         if max_voxels is not None:
             while math.prod(-(-(b - a) // stride) for a, b in ranges) > max_voxels:
                 stride += 1
         psi = surface.psi[tuple(slice(a, b, stride) for a, b in ranges)].copy()
         offset = (corner[0] + ranges[0][0], corner[1] + ranges[1][0], corner[2] + ranges[2][0])
-        return cls(state.id, record, level, psi, offset, stride, corner, surface.shape, quantities, first)
+        return cls(
+            state.id, record, level, psi, offset, stride, corner, surface.shape, quantities, first
+        )
 
     @classmethod
     def of_result(cls, segmented: SegmentedObject, level: pyramid.Level) -> SurfaceFrame:
@@ -132,7 +152,16 @@ class SurfaceFrame:
             nothing = np.zeros((0, 0, 0), np.float32)
             return cls(segmented.id, record, level, nothing, corner, 1, corner, segmented.psi.shape)
         z, y, x = (a + b for a, b in zip(corner, corner_of(box), strict=True))
-        return cls(segmented.id, record, level, segmented.psi[box].copy(), (z, y, x), 1, corner, segmented.psi.shape)
+        return cls(
+            segmented.id,
+            record,
+            level,
+            segmented.psi[box].copy(),
+            (z, y, x),
+            1,
+            corner,
+            segmented.psi.shape,
+        )
 
     @property
     def has_surface(self) -> bool:
@@ -149,17 +178,23 @@ class SurfaceFrame:
         if step == 1:
             return self
         part = slice(None, None, step)
-        return replace(self, psi=np.ascontiguousarray(self.psi[part, part, part]), stride=self.stride * step)
+        return replace(
+            self, psi=np.ascontiguousarray(self.psi[part, part, part]), stride=self.stride * step
+        )
 
     def to_image(self, places: ArrayLike) -> Floats:
         """Return indices of the image's voxels, (..., 3), of (continuous) indices (z, y, x) of ``psi``."""
         on_level = np.asarray(self.offset) + self.stride * np.asarray(places, float)
-        return np.asarray(on_level * self.level.factors + np.asarray(self.level.first) + np.asarray(self.first))
+        return np.asarray(
+            on_level * self.level.factors + np.asarray(self.level.first) + np.asarray(self.first)
+        )
 
     def from_image(self, indices: ArrayLike) -> Floats:
         """The inverse of `to_image`."""
         factors = np.array(self.level.factors, float)
-        on_level = (np.asarray(indices, float) - np.asarray(self.first) - np.asarray(self.level.first)) / factors
+        on_level = (
+            np.asarray(indices, float) - np.asarray(self.first) - np.asarray(self.level.first)
+        ) / factors
         return np.asarray((on_level - np.asarray(self.offset)) / self.stride)
 
     def middle(self) -> Floats:
@@ -167,7 +202,10 @@ class SurfaceFrame:
         inside = self.psi < 0
         if not inside.any():
             return self.to_image(0.5 * (np.array(self.psi.shape) - 1.0))
-        counts = [inside.sum(axis=tuple(other for other in range(3) if other != axis)) for axis in range(3)]
+        counts = [
+            inside.sum(axis=tuple(other for other in range(3) if other != axis))
+            for axis in range(3)
+        ]
         return self.to_image([np.average(np.arange(len(c)), weights=c) for c in counts])
 
     def contains(self, index: ArrayLike) -> bool:
@@ -179,7 +217,10 @@ class SurfaceFrame:
     def inside(self, box: Box) -> NDArray[np.bool_]:
         """Return which voxels of a box of the image, or every so many of them, are inside."""
         ranges = [np.arange(side.start, side.stop, side.step or 1) for side in box]
-        axes = [np.rint(self.from_image(np.stack([at] * 3, -1))[:, axis]).astype(int) for axis, at in enumerate(ranges)]
+        axes = [
+            np.rint(self.from_image(np.stack([at] * 3, -1))[:, axis]).astype(int)
+            for axis, at in enumerate(ranges)
+        ]
         valid = [(at >= 0) & (at < n) for at, n in zip(axes, self.psi.shape, strict=True)]
         inside = np.zeros([len(at) for at in axes], bool)
         here = [at[part] for at, part in zip(axes, valid, strict=True)]
@@ -189,7 +230,9 @@ class SurfaceFrame:
     @property
     def _stands_for(self) -> int:
         """Voxels of the image that one of psi stands for."""
-        return math.prod(self.level.factors) * math.prod(self.stride if n > 1 else 1 for n in self.level.shape)
+        return math.prod(self.level.factors) * math.prod(
+            self.stride if n > 1 else 1 for n in self.level.shape
+        )
 
     @property
     def voxels(self) -> int:
@@ -203,7 +246,9 @@ class SurfaceFrame:
         """
         inside = self.psi < 0
         places = [
-            np.clip(np.rint(self.to_image(np.stack([np.arange(m)] * 3, axis=-1))[:, axis]), 0, n - 1).astype(int)
+            np.clip(
+                np.rint(self.to_image(np.stack([np.arange(m)] * 3, axis=-1))[:, axis]), 0, n - 1
+            ).astype(int)
             for axis, (m, n) in enumerate(zip(self.psi.shape, labels.shape, strict=True))
         ]
         return self._stands_for * int((inside & labels[np.ix_(*places)]).sum()), self.voxels
@@ -228,7 +273,9 @@ class SurfaceFrame:
         if cells.size == 0:
             return np.zeros(len(places), np.float32)
         last = np.array(self.shape) - 1
-        at = np.clip(np.asarray(self.offset) - np.asarray(self.corner) + self.stride * places, 0, last)
+        at = np.clip(
+            np.asarray(self.offset) - np.asarray(self.corner) + self.stride * places, 0, last
+        )
         # A corner of the isosurface lies on an edge: along two axes it is at a voxel, but for rounding.
         low = np.floor(at + 1e-4).astype(np.int64)
         high = np.minimum(np.ceil(at - 1e-4).astype(np.int64), last)
@@ -275,7 +322,10 @@ class Frame:
 
     @classmethod
     def of(
-        cls, states: Iterable[ObjectState], level: pyramid.Level, max_voxels: int | None = None,
+        cls,
+        states: Iterable[ObjectState],
+        level: pyramid.Level,
+        max_voxels: int | None = None,
         first: Index = (0, 0, 0),
     ) -> Frame:
         """The frame of the present state of some objects; call it between two steps.
@@ -297,7 +347,9 @@ class Frame:
         return cls(tuple(SurfaceFrame.of(state, level, max_voxels, first) for state in states))
 
     @classmethod
-    def of_run(cls, run: Run, records: Sequence[StepRecord] = (), max_voxels: int | None = None) -> Frame:
+    def of_run(
+        cls, run: Run, records: Sequence[StepRecord] = (), max_voxels: int | None = None
+    ) -> Frame:
         """The frame of the present state of a run.
 
         Parameters
@@ -326,20 +378,33 @@ class Frame:
         records = records or [evolving.evolution.history[-1] for evolving in run.objects]
         states = (
             ObjectState(
-                evolving.id, record, evolving.surface, evolving.corner, evolving.evolution.state.fields, evolving.flow
+                evolving.id,
+                record,
+                evolving.surface,
+                evolving.corner,
+                evolving.evolution.state.fields,
+                evolving.flow,
             )
             for evolving, record in zip(run.objects, records, strict=True)
         )
         made = cls.of(states, run.grid, max_voxels, run.prepared.first)
         clicks = on_image(run.clicks, run.prepared.first, run.volume.geometry.shape)
-        return made if clicks is None else replace(made, clicks=marks_of(clicks.clicks, run.geometry.spacing))
+        return (
+            made
+            if clicks is None
+            else replace(made, clicks=marks_of(clicks.clicks, run.geometry.spacing))
+        )
 
     @classmethod
     def of_result(cls, result: Result) -> Frame:
         """The frame of the final state of a run that has ended."""
         level = pyramid.levels(result.geometry.shape, result.geometry.spacing, 1)[0]
-        clicks = () if result.clicks is None else marks_of(result.clicks.clicks, result.geometry.spacing)
-        return cls(tuple(SurfaceFrame.of_result(segmented, level) for segmented in result.objects), clicks)
+        clicks = (
+            () if result.clicks is None else marks_of(result.clicks.clicks, result.geometry.spacing)
+        )
+        return cls(
+            tuple(SurfaceFrame.of_result(segmented, level) for segmented in result.objects), clicks
+        )
 
     @property
     def step(self) -> int:
@@ -379,7 +444,9 @@ def volume_interval(result: Result) -> Interval | None:
     return None if intervals is None else intervals.volume_mm3
 
 
-def histories_of_run(run: Run, present: Sequence[StepRecord] = ()) -> tuple[tuple[StepRecord, ...], ...]:
+def histories_of_run(
+    run: Run, present: Sequence[StepRecord] = ()
+) -> tuple[tuple[StepRecord, ...], ...]:
     """Return the records so far of each object of a run, as copies.
 
     Parameters
@@ -421,5 +488,12 @@ def _band_box(surface: LevelSet) -> list[tuple[int, int]] | None:
     # Raster order: the planes of the first and the last cell; the other two axes have to be searched.
     line = cells // nx
     column, row = cells - line * nx, line % ny
-    ends = [(cells[0] // (ny * nx), cells[-1] // (ny * nx)), (row.min(), row.max()), (column.min(), column.max())]
-    return [(max(int(a) - 1, 0), min(int(b) + 2, n)) for (a, b), n in zip(ends, surface.shape, strict=True)]
+    ends = [
+        (cells[0] // (ny * nx), cells[-1] // (ny * nx)),
+        (row.min(), row.max()),
+        (column.min(), column.max()),
+    ]
+    return [
+        (max(int(a) - 1, 0), min(int(b) + 2, n))
+        for (a, b), n in zip(ends, surface.shape, strict=True)
+    ]

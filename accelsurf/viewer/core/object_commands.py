@@ -96,7 +96,10 @@ class ObjectCommands:
     def has_ids(self) -> bool:
         """True if labels are ids."""
         timeline = self._timeline
-        return timeline.run.has_ids or timeline.run.config.replace(refine=timeline.corrections.wanted).has_ids
+        return (
+            timeline.run.has_ids
+            or timeline.run.config.replace(refine=timeline.corrections.wanted).has_ids
+        )
 
     @property
     def words(self) -> dict[int, str]:
@@ -119,7 +122,9 @@ class ObjectCommands:
         if object_id is not None and not run.has_ids and object_id == run.objects[0].id:
             return None
         if object_id in self.ids and self.is_beside(object_id):
-            raise UsageError(f"object {object_id} is made again when the run ends", "let the run end first")
+            raise UsageError(
+                f"object {object_id} is made again when the run ends", "let the run end first"
+            )
         return object_id
 
     def named(self, object_id: int) -> int | None:
@@ -128,7 +133,9 @@ class ObjectCommands:
 
     def is_beside(self, object_id: int | None) -> bool:
         """Return True if an object is none of the run itself, but of its corrections."""
-        return object_id is not None and object_id not in [evolving.id for evolving in self._timeline.run.objects]
+        return object_id is not None and object_id not in [
+            evolving.id for evolving in self._timeline.run.objects
+        ]
 
     # -- clicks and sizes ----------------------------------------------------------------------------------
 
@@ -141,8 +148,13 @@ class ObjectCommands:
             When they are outside of it, or cannot be used.
         """
         if side != "inside":
-            raise UsageError(f"object {object_id} has not begun, so nothing is outside of it", "click inside it first")
-        self._timeline.refine({"new": object_id, "inside": list(where)}, f"new object {object_id}: {where[0]}")
+            raise UsageError(
+                f"object {object_id} has not begun, so nothing is outside of it",
+                "click inside it first",
+            )
+        self._timeline.refine(
+            {"new": object_id, "inside": list(where)}, f"new object {object_id}: {where[0]}"
+        )
 
     def press(self, ball: str, size_mm3: float, object_id: int | None = None) -> SizeDrag:
         """Begin to drag the size of an object, see `Session.press`.
@@ -154,7 +166,9 @@ class ObjectCommands:
         """
         timeline, ids = self._timeline, self.ids
         if object_id is None and len(ids) > 1:
-            raise UsageError("a size is dragged for one object, there are several", "choose one, or add one")
+            raise UsageError(
+                "a size is dragged for one object, there are several", "choose one, or add one"
+            )
         taken = timeline.corrections.taken(timeline.run, ball, object_id or ids[0])
         drag = size_drag_of(timeline.run, ball, size_mm3, taken)
         self._drag = drag, object_id
@@ -171,7 +185,9 @@ class ObjectCommands:
             When nothing was pressed.
         """
         if self._drag is None:
-            raise UsageError("nothing was pressed, so there is no size to take", "press in the object first")
+            raise UsageError(
+                "nothing was pressed, so there is no size to take", "press in the object first"
+            )
         (drag, object_id), self._drag = self._drag, None
         size, ids = drag.size_text(drag_mm) if drag_mm > 0 else None, self.ids
         words = drag.click if size is None else f"{drag.click}, size {size}"
@@ -241,7 +257,9 @@ class ObjectCommands:
         for text in colors.values():
             colored(text)
         self._names, self._colors = self._names | names, self._colors | colors
-        self.labels = self._first.with_settings(tuple(self._names.values()), tuple(self._colors.values()))
+        self.labels = self._first.with_settings(
+            tuple(self._names.values()), tuple(self._colors.values())
+        )
         self._timeline.say(f"object {changed} is {said[changed][0]}")
 
     def named_settings(self, config: RunConfig) -> dict[str, Any]:
@@ -249,12 +267,17 @@ class ObjectCommands:
         out: dict[str, Any] = {}
         for key, texts in (("name", self._names), ("color", self._colors)):
             if texts:
-                before = {named(text)[0] if key == "name" else colored(text)[0]: text for text in getattr(config, key)}
+                before = {
+                    named(text)[0] if key == "name" else colored(text)[0]: text
+                    for text in getattr(config, key)
+                }
                 out[key] = tuple((before | texts)[label] for label in sorted(before | texts))
         return out
 
 
-def size_drag_of(run: Run, ball: str, size_mm3: float = 0.0, taken: BoxMask | None = None) -> SizeDrag:
+def size_drag_of(
+    run: Run, ball: str, size_mm3: float = 0.0, taken: BoxMask | None = None
+) -> SizeDrag:
     """Find the objects around a ball by their size.
 
     Parameters

@@ -29,9 +29,30 @@ from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 
 #: Settings that belong to one image: places in it, files on its grid, which part of its file it is.
 OF_ONE_IMAGE = (
-    "start", "objects", "mask", "roi", "foreground", "background", "channel", "edit", "inside", "outside", "box",
-    "size", "refine", "checkpoint", "level", "channel_index", "time_index", "channels_from_time", "series", "spacing",
-    "resample", "name", "color", "label_table",
+    "start",
+    "objects",
+    "mask",
+    "roi",
+    "foreground",
+    "background",
+    "channel",
+    "edit",
+    "inside",
+    "outside",
+    "box",
+    "size",
+    "refine",
+    "checkpoint",
+    "level",
+    "channel_index",
+    "time_index",
+    "channels_from_time",
+    "series",
+    "spacing",
+    "resample",
+    "name",
+    "color",
+    "label_table",
 )
 
 
@@ -78,8 +99,13 @@ class OpenedImage:
     def session(self, checkpoint_mb: float = CHECKPOINT_MB, begin: bool = True) -> Session:
         """Return a session of it, which prepares itself in its own thread, at once or when it is told to begin."""
         return Session(
-            self.volume, self.config, name=self.name, source=self.source, checkpoint_mb=checkpoint_mb,
-            channels=self.channels, begin=begin,
+            self.volume,
+            self.config,
+            name=self.name,
+            source=self.source,
+            checkpoint_mb=checkpoint_mb,
+            channels=self.channels,
+            begin=begin,
         )
 
 
@@ -118,12 +144,20 @@ def choices_of(path: Path, config: RunConfig) -> list[Choice]:
             # One file stands for its series; where it does not, reading says so.
             is_study = path.is_dir()
             found = load(form.listing)(path) if is_study and config.series is None else []
-            return _several([Choice(_volume_text(entry), {"series": str(entry["number"])}) for entry in found])
+            return _several(
+                [Choice(_volume_text(entry), {"series": str(entry["number"])}) for entry in found]
+            )
         asked = config.reading.restricted_to(form.options)
-        if "time_index" not in form.options or asked.time_index is not None or asked.channels_from_time:
+        if (
+            "time_index" not in form.options
+            or asked.time_index is not None
+            or asked.channels_from_time
+        ):
             return []
         moments = headers.counts(path, replace(asked, level=0))[1]
-    return _several([Choice(f"time point {n + 1} of {moments}", {"time_index": n}) for n in range(moments)])
+    return _several(
+        [Choice(f"time point {n + 1} of {moments}", {"time_index": n}) for n in range(moments)]
+    )
 
 
 def _several(found: list[Choice]) -> list[Choice]:
@@ -133,10 +167,16 @@ def _several(found: list[Choice]) -> list[Choice]:
 def _volume_text(entry: Mapping[str, Any]) -> str:
     """A volume of a DICOM folder in one line."""
     phase = ", ".join(f"{name} {value}" for name, value in entry["phase"].items())
-    words = [" ".join(word for word in (entry["modality"], entry["description"]) if word) or "without a name"]
+    words = [
+        " ".join(word for word in (entry["modality"], entry["description"]) if word)
+        or "without a name"
+    ]
     words += [phase] if phase else []
     if entry["size"] is not None:
-        size, voxel = " x ".join(map(str, entry["size"])), " x ".join(f"{h:.4g}" for h in entry["spacing"])
+        size, voxel = (
+            " x ".join(map(str, entry["size"])),
+            " x ".join(f"{h:.4g}" for h in entry["spacing"]),
+        )
         words += [f"{size} voxels of {voxel} mm", entry["orientation"]]
     return f"{entry['number']}  {', '.join([*words, *entry['warnings']])}"
 
@@ -157,12 +197,22 @@ def read_image(path: Path, config: RunConfig) -> OpenedImage:
         When it cannot be read.
     """
     asked = config.reading.restricted_to(_options(path))
-    config = config.replace(**{name: getattr(asked, name) for name in OF_ONE_IMAGE if hasattr(asked, name)})
+    config = config.replace(
+        **{name: getattr(asked, name) for name in OF_ONE_IMAGE if hasattr(asked, name)}
+    )
     config, note = _with_level(path, config)
     volume, *more = channels.read_channels(path, config.reading)
     notes = [text for text in (note, volume.metadata.get(io.WARNING_KEY, "")) if text]
     name = io.split_name(path)[0]
-    return OpenedImage(volume, config, name, path, tuple(more), note="; ".join(notes), frames=frames_of(path, config))
+    return OpenedImage(
+        volume,
+        config,
+        name,
+        path,
+        tuple(more),
+        note="; ".join(notes),
+        frames=frames_of(path, config),
+    )
 
 
 def frames_of(path: Path, config: RunConfig) -> SequenceView | None:
@@ -206,7 +256,9 @@ def read_tracked(
         When there is no such frame.
     """
     sequence = io.read_sequence(
-        path, frame_time=frame_time, frames_from_slices=frames_from_slices,
+        path,
+        frame_time=frame_time,
+        frames_from_slices=frames_from_slices,
         options=replace(config.reading, time_index=None),
     )
     name = headers.name_of(path)
@@ -217,7 +269,15 @@ def read_tracked(
     config = config.replace(time_index=home if is_file and not frames_from_slices else None)
     source = None if frames_from_slices else path if is_file else volume.source or path
     note = "; ".join(sequence.notes)
-    return OpenedImage(volume, config, name, source, tuple(more), note=note, frames=SequenceView(sequence, home, saved))
+    return OpenedImage(
+        volume,
+        config,
+        name,
+        source,
+        tuple(more),
+        note=note,
+        frames=SequenceView(sequence, home, saved),
+    )
 
 
 def _options(path: Path) -> tuple[str, ...]:
@@ -312,7 +372,9 @@ class ServedFolder:
         UsageError
             When it is not in the folder, links followed.
         """
-        refused = UsageError(f"{text[:80]}: is not in the folder {self.root.name or self.root}", "give a path in it")
+        refused = UsageError(
+            f"{text[:80]}: is not in the folder {self.root.name or self.root}", "give a path in it"
+        )
         path = Path(text)
         try:
             check_name(path)
@@ -339,10 +401,18 @@ class ServedFolder:
             When the folder cannot be read.
         """
         try:
-            found = [each for each in os.scandir(folder) if not each.name.startswith(".") and each.name.isprintable()]
+            found = [
+                each
+                for each in os.scandir(folder)
+                if not each.name.startswith(".") and each.name.isprintable()
+            ]
         except OSError as error:
-            raise UsageError(f"{self.shown(folder)}: {error.strerror or error}", "choose another folder") from None
-        listed = [entry for entry in (self._entry(Path(each.path)) for each in found) if entry is not None]
+            raise UsageError(
+                f"{self.shown(folder)}: {error.strerror or error}", "choose another folder"
+            ) from None
+        listed = [
+            entry for entry in (self._entry(Path(each.path)) for each in found) if entry is not None
+        ]
         listed.sort(key=lambda entry: (not entry.is_folder, entry.name.casefold(), entry.name))
         return listed[:MAX_ENTRIES], max(len(listed) - MAX_ENTRIES, 0)
 

@@ -55,7 +55,9 @@ class RecentFiles:
         names = [name, *(known for known in self._read() if known != name)]
         with contextlib.suppress(OSError, UnicodeError):
             self._file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            handle, draft = tempfile.mkstemp(dir=self._file.parent, prefix=self._file.name)  # for this user alone
+            handle, draft = tempfile.mkstemp(
+                dir=self._file.parent, prefix=self._file.name
+            )  # for this user alone
             try:
                 with os.fdopen(handle, "w", encoding="utf-8") as file:
                     json.dump(names[:MAX_RECENT], file)
@@ -73,7 +75,11 @@ class RecentFiles:
         except (OSError, ValueError, RecursionError):
             return []
         names = found if isinstance(found, list) else []
-        fit = (item for item in names if isinstance(item, str) and 0 < len(item) <= _MAX_LETTERS and item.isprintable())
+        fit = (
+            item
+            for item in names
+            if isinstance(item, str) and 0 < len(item) <= _MAX_LETTERS and item.isprintable()
+        )
         return list(dict.fromkeys(fit))[:MAX_RECENT]
 
 

@@ -40,7 +40,11 @@ def restarted(
     UsageError
         When a value is not valid.
     """
-    clicked = [correction for correction in (*edits, *refinements) if correction.inside or correction.outside]
+    clicked = [
+        correction
+        for correction in (*edits, *refinements)
+        if correction.inside or correction.outside
+    ]
     has_clicks = bool(settings.inside) or any(each.inside for each in clicked)
     if changes.get("preset") is not None:
         changes = {**changes, **of_preset(settings, str(changes["preset"]), has_clicks)}
@@ -49,10 +53,14 @@ def restarted(
         return config
     if needs_clicks(config) and not config.inside and not has_ids:
         sides = {
-            side: tuple(text for each in clicked for text in getattr(each, side)) for side in ("inside", "outside")
+            side: tuple(text for each in clicked for text in getattr(each, side))
+            for side in ("inside", "outside")
         }
         return config.replace(inside=sides["inside"], outside=(*config.outside, *sides["outside"]))
-    first = [Correction(step=0, inside=each.inside, outside=each.outside, object=each.object) for each in clicked]
+    first = [
+        Correction(step=0, inside=each.inside, outside=each.outside, object=each.object)
+        for each in clicked
+    ]
     return config.replace(edit=tuple(first))
 
 
@@ -65,7 +73,10 @@ def of_preset(settings: RunConfig, name: str, has_clicks: bool) -> dict[str, Any
     if settings.objects is not None or settings.labels is not None:
         values.pop("start", None)
     if not has_clicks:
-        waits = {"start": FROM_CLICKS == values.get("start"), "energy": uses_model(values.get("energy", "chan-vese"))}
+        waits = {
+            "start": FROM_CLICKS == values.get("start"),
+            "energy": uses_model(values.get("energy", "chan-vese")),
+        }
         values |= {key: getattr(settings, key) for key, is_so in waits.items() if is_so}
     return values
 
@@ -83,12 +94,20 @@ def restart_message(before: RunConfig, after: RunConfig) -> str:
     >>> restart_message(RunConfig(), RunConfig(cfl=0.3, presmooth="1vox"))
     'from the start: presmooth 1vox, cfl 0.3'
     """
-    shown = [key for key in RunConfig.model_fields if key not in ("edit", "refine", "inside", "outside", "preset")]
+    shown = [
+        key
+        for key in RunConfig.model_fields
+        if key not in ("edit", "refine", "inside", "outside", "preset")
+    ]
     changed = [key for key in shown if getattr(before, key) != getattr(after, key)]
-    said = ", ".join(f"{key.replace('_', ' ')} {as_typed(getattr(after, key)) or 'none'}" for key in changed)
+    said = ", ".join(
+        f"{key.replace('_', ' ')} {as_typed(getattr(after, key)) or 'none'}" for key in changed
+    )
     said = said or "nothing else changes"
     if after.preset is None or after.preset == before.preset:
         return f"from the start: {said}"
-    waits = PRESETS[after.preset].settings.get("start") == FROM_CLICKS and after.start != FROM_CLICKS
+    waits = (
+        PRESETS[after.preset].settings.get("start") == FROM_CLICKS and after.start != FROM_CLICKS
+    )
     then = "; now click in the object, or draw its size" if waits else ""
     return f"from the start: preset {after.preset}: {said}{then}"

@@ -28,8 +28,14 @@ RUN_FILE = "_run.toml"
 
 
 def save(
-    run: Run, folder: Path, name: str, source: Path | None, what: Collection[str], replaceable: Collection[Path] | None,
-    corrected: Result | None = None, others: Mapping[str, Any] | None = None,
+    run: Run,
+    folder: Path,
+    name: str,
+    source: Path | None,
+    what: Collection[str],
+    replaceable: Collection[Path] | None,
+    corrected: Result | None = None,
+    others: Mapping[str, Any] | None = None,
 ) -> list[Path]:
     """Write the present result of a run into a folder, all files at once.
 
@@ -80,7 +86,9 @@ def save(
     inputs = inputs_of(source, result.config) if source is not None else named_files(result.config)
     with output_folder.opened_set(folder, name, inputs) as files:
         what = _all_beside_report(folder / result_sets.report_name(name), what)
-        all_names = output_names.names(config, labels, run.volume.geometry.slice_axis is not None).items()
+        all_names = output_names.names(
+            config, labels, run.volume.geometry.slice_axis is not None
+        ).items()
         names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
         paths = _result_paths(result, folder, names)
         paths |= {"run": folder / f"{name}{RUN_FILE}"} if "run" in what else {}
@@ -96,16 +104,27 @@ def _all_beside_report(report: Path, what: Collection[str]) -> set[str]:
     if result_sets.load_report(report) is None or result_sets.is_failure_report(report):
         return set(what)
     listed = result_sets.names_of_outputs(report)
-    return {*what, "report", *("run" if kind == "config" else _kind(kind) for kind in listed)} & set(SAVED_KINDS)
+    return {
+        *what,
+        "report",
+        *("run" if kind == "config" else _kind(kind) for kind in listed),
+    } & set(SAVED_KINDS)
 
 
 def _write(
-    files: FileSet, paths: Mapping[str, Path], names: Mapping[str, str], name: str, source: Path | None, result: Result
+    files: FileSet,
+    paths: Mapping[str, Path],
+    names: Mapping[str, str],
+    name: str,
+    source: Path | None,
+    result: Result,
 ) -> list[Path]:
     """Write all files at once; return them, the configuration first and the report last."""
     kinds = {}
     if "run" in paths:
-        write_bytes(files.staging / paths["run"].name, _toml(paths["run"].name, result, source).encode())
+        write_bytes(
+            files.staging / paths["run"].name, _toml(paths["run"].name, result, source).encode()
+        )
         kinds[paths["run"].name] = "run"
     content = outputs.preview_content(result, outputs.outcome_title(name, result))
     image = io.sha256(source) if source is not None and "state" in names else None
@@ -125,13 +144,21 @@ def _result_paths(result: Result, folder: Path, names: Mapping[str, str]) -> dic
     """The files of a result by kind; of meshes of several objects those that exist: they are replaced or removed."""
     if not result.has_ids:
         return {kind: folder / last for kind, last in names.items()}
-    paths = {kind: folder / last for kind, last in names.items() if not kind.startswith(output_names.EACH)}
+    paths = {
+        kind: folder / last
+        for kind, last in names.items()
+        if not kind.startswith(output_names.EACH)
+    }
     return paths | {path.name: path for path in output_names.existing(folder, names)}
 
 
 def _check_paths(paths: dict[str, Path], replaceable: Collection[Path] | None) -> None:
     """Refuse to replace other files, and folders that cannot be written."""
-    others = {kind: path for kind, path in paths.items() if replaceable is not None and path not in replaceable}
+    others = {
+        kind: path
+        for kind, path in paths.items()
+        if replaceable is not None and path not in replaceable
+    }
     output_folder.refuse_existing(others, overwrite=False)
     output_folder.refuse_existing(paths, overwrite=True)
 
@@ -145,7 +172,9 @@ def _write_report(
         exit_code=0,
         argv=sys.argv,
         config=result.config,
-        source=None if source is None else document.describe_input(source, geometry=result.geometry),
+        source=None
+        if source is None
+        else document.describe_input(source, geometry=result.geometry),
         result=result,
         outputs=document.describe_staged(files, kinds),
     )
@@ -154,7 +183,13 @@ def _write_report(
 
 def _kind(output: str) -> str:
     """The one of `SAVED_KINDS` that an output belongs to."""
-    kinds = {"labels": "labels", "data": "labels", "sdf": "labels", "objects": "report", "trace": "trace"}
+    kinds = {
+        "labels": "labels",
+        "data": "labels",
+        "sdf": "labels",
+        "objects": "report",
+        "trace": "trace",
+    }
     kinds |= {"preview": "picture", "run": "run", "state": "report", "config": ""}
     return kinds.get(output, "mesh")
 
@@ -165,7 +200,9 @@ def repeating(run: Run) -> RunConfig:
     steps = run.step_number if run.stop is None else run.step_number - 1
     edits = tuple(edit for edit in run.config.edit if edit.step <= steps)
     # A run that met its stop rule meets it again; a paused one ends here.
-    reasons = ["interrupted" if evolving.stop is None else evolving.stop.reason for evolving in run.objects]
+    reasons = [
+        "interrupted" if evolving.stop is None else evolving.stop.reason for evolving in run.objects
+    ]
     ends = not {"interrupted", "max-steps"} & set(reasons)
     if ends:
         return run.config.replace(edit=edits, max_steps=max(run.config.max_steps, steps + 1))

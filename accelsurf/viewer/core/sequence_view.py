@@ -29,7 +29,9 @@ class SequenceView:
         Of the same sequence.
     """
 
-    def __init__(self, sequence: ImageSequence, home: int = 0, tracks: SavedTracks | None = None) -> None:
+    def __init__(
+        self, sequence: ImageSequence, home: int = 0, tracks: SavedTracks | None = None
+    ) -> None:
         self.sequence, self.home, self.tracks = sequence, home, tracks
         self._level = pyramid.levels(sequence.geometry.shape, sequence.geometry.spacing, 1)[0]
         self._volumes: OrderedDict[int, Volume] = OrderedDict()
@@ -82,7 +84,9 @@ class SequenceView:
         return Frame(
             tuple(self._surface(tracked.id, tracked.surface) for tracked in drawn),
             predicted=tuple(
-                self._surface(tracked.id, tracked.predicted) for tracked in drawn if tracked.predicted is not None
+                self._surface(tracked.id, tracked.predicted)
+                for tracked in drawn
+                if tracked.predicted is not None
             ),
             paths=tuple(paths[tracked.id] for tracked in drawn if tracked.id in paths),
             said=self.said(number),

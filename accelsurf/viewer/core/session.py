@@ -23,7 +23,14 @@ from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.core.status import SAVED_KINDS, Status, UncertainLocation, View, ViewSlot, error_line
+from accelsurf.viewer.core.status import (
+    SAVED_KINDS,
+    Status,
+    UncertainLocation,
+    View,
+    ViewSlot,
+    error_line,
+)
 
 if TYPE_CHECKING:
     from accelsurf.run.result import Result, SegmentedObject
@@ -231,7 +238,9 @@ class Session:
         texts = tuple(balls)
         return self._do(lambda timeline: timeline.edit_balls(kind, texts, object_id))
 
-    def add_click(self, side: Side, where: str | Sequence[str], object_id: int | None = None) -> Future[None]:
+    def add_click(
+        self, side: Side, where: str | Sequence[str], object_id: int | None = None
+    ) -> Future[None]:
         """Say of voxels that they are in the object, or are not, as `--inside` takes them: balls, points, paths.
 
         Several at once are one correction. They take voxels that they contradict from earlier ones. While the
@@ -242,7 +251,9 @@ class Session:
         texts = (where,) if isinstance(where, str) else tuple(where)
         return self._do(lambda timeline: timeline.add_click(side, texts, object_id))
 
-    def press(self, ball: str, size_mm3: float = 0.0, object_id: int | None = None) -> Future[SizeDrag]:
+    def press(
+        self, ball: str, size_mm3: float = 0.0, object_id: int | None = None
+    ) -> Future[SizeDrag]:
         """Begin to drag the size of an object from a ball in it, ``ball:X,Y,Z,R``.
 
         The answer has the arrival times: what they show for any size is read from it in the caller's own thread, so
@@ -297,7 +308,11 @@ class Session:
         return self._do(lambda timeline: timeline.go_to_change(count))
 
     def save(
-        self, folder: Path, what: Sequence[str] = SAVED_KINDS, overwrite: bool = False, mesh: str = ""
+        self,
+        folder: Path,
+        what: Sequence[str] = SAVED_KINDS,
+        overwrite: bool = False,
+        mesh: str = "",
     ) -> Future[list[Path]]:
         """Write files into a folder as `accelsurf segment` does, and ``NAME_run.toml``, which repeats the run.
 
@@ -318,7 +333,11 @@ class Session:
             From the Future; files written before stay whole.
         """
         kinds = tuple(what)
-        return self._do(lambda timeline: timeline.save(Path(folder), self.name, self.source, kinds, overwrite, mesh))
+        return self._do(
+            lambda timeline: timeline.save(
+                Path(folder), self.name, self.source, kinds, overwrite, mesh
+            )
+        )
 
     # -- the thread ---------------------------------------------------------------------------------------
 
@@ -332,7 +351,9 @@ class Session:
     def _prepare_and_run(self) -> None:
         """Make the run, and carry out commands until the session is closed."""
         try:
-            timeline = _solver()(self.volume, self._config, self._checkpoint_mb, self._channels, self._show_progress)
+            timeline = _solver()(
+                self.volume, self._config, self._checkpoint_mb, self._channels, self._show_progress
+            )
         except Exception as error:
             self._status = Status.preparing(self._config, error_line(error), True)
             self.ready.set_exception(error)
@@ -348,7 +369,9 @@ class Session:
 
     def _reject_commands(self) -> None:
         """Answer each command with the error of the preparation, until the session is closed."""
-        while (command := self._commands.next(block=True)) is not None or not self._commands.is_closed:
+        while (
+            command := self._commands.next(block=True)
+        ) is not None or not self._commands.is_closed:
             if command is not None:
                 command.future.set_exception(UsageError(self._status.message))
                 self._commands.done()
@@ -357,9 +380,14 @@ class Session:
     def _carry_out_commands(self, timeline: Timeline) -> None:
         """Carry out commands, and make steps while the timeline plays, until the session is closed."""
         while True:
-            looks = self._uncertainty.is_wanted(self._version, timeline.stop is not None) and not timeline.is_playing
+            looks = (
+                self._uncertainty.is_wanted(self._version, timeline.stop is not None)
+                and not timeline.is_playing
+            )
             answers = timeline.answers.is_wanted(timeline.run)
-            command = self._commands.next(not timeline.is_playing and not answers, IDLE if looks else None)
+            command = self._commands.next(
+                not timeline.is_playing and not answers, IDLE if looks else None
+            )
             if command is not None:
                 self._carry_out(command, timeline)
             elif self._commands.is_closed:
@@ -419,7 +447,9 @@ class Session:
     def _look_for_uncertain(self, timeline: Timeline) -> None:
         """Find where to click next, when it has been idle for some time."""
         try:
-            found = self._uncertainty.find(self._version, timeline.run, timeline.corrections.result())
+            found = self._uncertainty.find(
+                self._version, timeline.run, timeline.corrections.result()
+            )
         except Exception as error:
             self._status = self._status._replace(message=error_line(error), failed=True)
             return
@@ -443,7 +473,9 @@ class Session:
             self._views.refuse()
             self._status = timeline.status(error_line(error), True)
             return
-        self._views.put(View(frame, histories, self._status), self._version, time.perf_counter() - began)
+        self._views.put(
+            View(frame, histories, self._status), self._version, time.perf_counter() - began
+        )
 
 
 def _solver() -> type[Timeline]:
@@ -495,7 +527,9 @@ class UncertaintyWatch:
         self._looked_at = version
         result = corrected if corrected is not None else result_of(run)
         judged = result.objects if len(result.objects) <= MAX_JUDGED else ()
-        return uncertain_locations(result), {each.id: each.quality.probability for each in judged if each.labels.any()}
+        return uncertain_locations(result), {
+            each.id: each.quality.probability for each in judged if each.labels.any()
+        }
 
 
 def uncertain_locations(result: Result) -> tuple[UncertainLocation, ...]:
@@ -506,12 +540,20 @@ def uncertain_locations(result: Result) -> tuple[UncertainLocation, ...]:
     result : Result
         Of a run that has ended.
     """
-    ranked = [entry for segmented in result.objects for entry in enumerate(_uncertain_in(segmented))]
-    return tuple(location for _, location in sorted(ranked, key=lambda entry: (entry[0], -entry[1].share))[:COUNT])
+    ranked = [
+        entry for segmented in result.objects for entry in enumerate(_uncertain_in(segmented))
+    ]
+    return tuple(
+        location
+        for _, location in sorted(ranked, key=lambda entry: (entry[0], -entry[1].share))[:COUNT]
+    )
 
 
 def _uncertain_in(segmented: SegmentedObject) -> list[UncertainLocation]:
-    from accelsurf.measure.evidence import gather, uncertain_places  # an image is drawn before SciPy is loaded
+    from accelsurf.measure.evidence import (
+        gather,
+        uncertain_places,
+    )  # an image is drawn before SciPy is loaded
 
     inside = segmented.psi < 0
     evidence = gather(inside, segmented.image, segmented.geometry.spacing, segmented.clicked)

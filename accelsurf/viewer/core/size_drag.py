@@ -67,7 +67,11 @@ class SizeDrag:
     def volume_of(self, drag_mm: float) -> float:
         """Volume, mm3, that a drag so far from the press stands for."""
         return float(
-            np.clip(self._wanted(drag_mm), self.voxel_mm3, min(self.most_mm3, self.times.size * self.voxel_mm3))
+            np.clip(
+                self._wanted(drag_mm),
+                self.voxel_mm3,
+                min(self.most_mm3, self.times.size * self.voxel_mm3),
+            )
         )
 
     def level_of(self, volume_mm3: float) -> float:

@@ -168,7 +168,11 @@ class ViewSlot:
 
     def is_due(self, version: int, playing: bool) -> bool:
         """Return True if a view of this version of the state is to be made now."""
-        return self._wanted and self._version != version and (not playing or time.perf_counter() >= self._next_time)
+        return (
+            self._wanted
+            and self._version != version
+            and (not playing or time.perf_counter() >= self._next_time)
+        )
 
     def put(self, view: View, version: int, seconds: float) -> None:
         """Put a view of a version of the state there; ``seconds`` is what it took to make."""

@@ -188,7 +188,9 @@ class Timeline:
 
     def _check_begun(self, what: str) -> None:
         if not self.has_begun:
-            raise UsageError(f"there is no object yet to {what}", "press in it and drag until the outline fits")
+            raise UsageError(
+                f"there is no object yet to {what}", "press in it and drag until the outline fits"
+            )
 
     def picture(self, max_voxels: int | None) -> tuple[Frame, tuple[tuple[StepRecord, ...], ...]]:
         """Return the frame, see `Frame.of_run`, and each object's records up to it; nothing before it has begun."""
@@ -226,7 +228,10 @@ class Timeline:
         """Return the steps in which an object rested before it broke through, also those ahead that were made."""
         last = self.checkpoints.last
         watches = [evolving.evolution.state.rests for evolving in self.run.objects]
-        watches += [segmented.evolution.loop.rests for segmented in (last.objects if last is not None else ())]
+        watches += [
+            segmented.evolution.loop.rests
+            for segmented in (last.objects if last is not None else ())
+        ]
         return tuple(sorted({rest.at.step for watch in watches for rest in watch.found}))
 
     def close(self) -> None:
@@ -260,13 +265,20 @@ class Timeline:
         run = self.run
         stop = run.stop
         if self._is_given:
-            raise UsageError("the surface is that of a label map, which clicks alone change", "click where it is wrong")
+            raise UsageError(
+                "the surface is that of a label map, which clicks alone change",
+                "click where it is wrong",
+            )
         if stop is not None and all(reason in FINAL_REASONS for reason in self._reasons()):
-            raise UsageError(f"the run has ended: {stop.message}", "go back, change the settings, or restart")
+            raise UsageError(
+                f"the run has ended: {stop.message}", "go back, change the settings, or restart"
+            )
         if stop is not None and "max-steps" in self._reasons():
             run.restore(self._present)
         elif stop is not None:
-            self._replace_edits((*self._edits_so_far(), Correction(step=self.step_number)), "runs on")
+            self._replace_edits(
+                (*self._edits_so_far(), Correction(step=self.step_number)), "runs on"
+            )
         if self.step_number >= run.max_steps:
             run.extend(self.step_number + max(run.config.max_steps, 1))
         if 0 <= last_step <= self.step_number:
@@ -313,7 +325,9 @@ class Timeline:
             raise UsageError(f"step {step} was given, expected a number at least 0")
         last = max((self.step_number, *self.checkpoints.steps))
         if step > last:
-            raise UsageError(f"step {step} was given, expected at most {last}", "make more steps first")
+            raise UsageError(
+                f"step {step} was given, expected at most {last}", "make more steps first"
+            )
         self.pause()
         self._restore(step)
         self._message = f"step {step}"
@@ -322,7 +336,11 @@ class Timeline:
         """Go to the start and forget all edits and corrections but the settings in force."""
         run, before = self.run, self._now()
         base, now, config = run.config.at(-1), run.settings, run.config
-        changed = {key: getattr(now, key) for key in RunConfig.model_fields if getattr(now, key) != getattr(base, key)}
+        changed = {
+            key: getattr(now, key)
+            for key in RunConfig.model_fields
+            if getattr(now, key) != getattr(base, key)
+        }
         changed.pop("seed", None)
         self.pause()
         self._restore(0)
@@ -363,7 +381,10 @@ class Timeline:
 
     def _replace_run(self, config: RunConfig) -> None:
         """Begin another run; the present one stays until that one is ready."""
-        before, self.run = self.run, Run(self.volume, config.replace(refine=()), None, self._channels)
+        before, self.run = (
+            self.run,
+            Run(self.volume, config.replace(refine=()), None, self._channels),
+        )
         before.close()
         self.corrections.leave()
         self.checkpoints.clear()
@@ -387,7 +408,9 @@ class Timeline:
             self._replace_edits(altered, said)
         self._message = said
 
-    def edit_balls(self, kind: Literal["add", "remove"], balls: tuple[str, ...], object_id: int | None) -> None:
+    def edit_balls(
+        self, kind: Literal["add", "remove"], balls: tuple[str, ...], object_id: int | None
+    ) -> None:
         """Add balls to an object (``add``), or remove them from it (``remove``), see `Session.edit_balls`.
 
         Raises
@@ -399,7 +422,10 @@ class Timeline:
         object_id = self._whose(balls[0], object_id)
         if self._is_given or (self.run.stop is not None and self.objects.is_beside(object_id)):
             return self.add_click("inside" if kind == "add" else "outside", balls, object_id)
-        rows = [{"step": self.step_number, kind: ball, "object": self.objects.of_run(object_id)} for ball in balls]
+        rows = [
+            {"step": self.step_number, kind: ball, "object": self.objects.of_run(object_id)}
+            for ball in balls
+        ]
         said = balls_in_words(kind, balls, object_id)
         self._replace_edits((*self._edits_so_far(), *RunConfig(edit=rows).edit), said)
         self._message = said
@@ -424,7 +450,10 @@ class Timeline:
         is_final = all(reason in FINAL_REASONS for reason in self._reasons())
         if self.run.stop is not None and (self.objects.is_beside(object_id) or not is_final):
             (refinement,) = RunConfig(refine=[clicks]).refine
-            before, self._message = self._now(), self.corrections.correct(self.run, refinement, said)
+            before, self._message = (
+                self._now(),
+                self.corrections.correct(self.run, refinement, said),
+            )
             return self.log.add(before, said)
         clicks["object"] = self.objects.of_run(object_id)
         (edit,) = RunConfig(edit=[{"step": self.step_number, **clicks}]).edit
@@ -433,7 +462,11 @@ class Timeline:
 
     def _whose(self, place: str, object_id: int | None) -> int | None:
         """Return the object that a click is for, see `Session.add_click`; None where there is one without an id."""
-        return self.corrections.nearest(self.run, place) if object_id is None else self.objects.named(object_id)
+        return (
+            self.corrections.nearest(self.run, place)
+            if object_id is None
+            else self.objects.named(object_id)
+        )
 
     def refine(self, correction: dict[str, Any], said: str) -> None:
         """Make a correction of the run's end, all or nothing; while the run goes on, it goes on to its end first."""
@@ -454,7 +487,9 @@ class Timeline:
     def restart_with(self, settings: dict[str, Any]) -> None:
         """Begin another run with other settings and what was clicked, see `Session.restart_with`."""
         before = self.run.settings
-        config = restarted(before, self._edits_so_far(), self.corrections.wanted, settings, self.run.has_ids)
+        config = restarted(
+            before, self._edits_so_far(), self.corrections.wanted, settings, self.run.has_ids
+        )
         self._begin_again(config, restart_message(before, config))
 
     def start_with(self, settings: dict[str, Any], said: str) -> None:
@@ -535,7 +570,13 @@ class Timeline:
     # -- files --------------------------------------------------------------------------------------------
 
     def save(
-        self, folder: Path, name: str, source: Path | None, what: tuple[str, ...], overwrite: bool, mesh: str = ""
+        self,
+        folder: Path,
+        name: str,
+        source: Path | None,
+        what: tuple[str, ...],
+        overwrite: bool,
+        mesh: str = "",
     ) -> list[Path]:
         """Write files, see `saving.save`; those written before may be replaced."""
         self._check_begun("save")
@@ -563,6 +604,7 @@ def clicks_in_words(side: Side, where: Sequence[str], object_id: int | None = No
         return f"{side}: stroke of {where[0].count(';') + 1} places{whose}"
     more = f" and {len(where) - 1} more" if len(where) > 1 else ""
     return f"{side}: {where[0]}{more}{whose}"
+
 
 def balls_in_words(kind: str, balls: Sequence[str], object_id: int | None = None) -> str:
     """Return balls that were added or removed in words.

@@ -60,7 +60,12 @@ class ConnectionLimit:
         """Take a new connection; where there are too many, the oldest without the token is closed, or else this one."""
         self.connections[_peer(transport)] = _Connection(transport, time.monotonic())
         if len(self.connections) > MAX_CONNECTIONS:
-            self._close(next((peer for peer, known in self.connections.items() if not known.trusted), _peer(transport)))
+            self._close(
+                next(
+                    (peer for peer, known in self.connections.items() if not known.trusted),
+                    _peer(transport),
+                )
+            )
 
     def requested(self, transport: Any) -> None:
         """Note that a request came over a connection."""
@@ -95,7 +100,13 @@ LOCAL = "127.0.0.1"
 #: Bytes of the longest message that a page may send: its requests have a few numbers each.
 MAX_BYTES = 16384
 #: What a page's messages may ask of trame; the first has the token.
-METHODS = ("wslink.hello", "trame.state.get", "trame.trigger", "trame.lifecycle.update", "trame.state.update")
+METHODS = (
+    "wslink.hello",
+    "trame.state.get",
+    "trame.trigger",
+    "trame.lifecycle.update",
+    "trame.state.update",
+)
 #: Those whose arguments are ignored, and what is put in their place.
 IGNORED: dict[str, Any] = {"trame.lifecycle.update": "page", "trame.state.update": []}
 #: Triggers of the page, see `page.Page`.
@@ -225,7 +236,9 @@ def _may_leave(connections_of: Callable[..., list[Any]]) -> Callable[..., list[_
     """
 
     def connections(*args: Any, **options: Any) -> list[_PageThatMayLeave]:
-        return [_PageThatMayLeave(page) for page in connections_of(*args, **options) if page is not None]
+        return [
+            _PageThatMayLeave(page) for page in connections_of(*args, **options) if page is not None
+        ]
 
     return connections
 

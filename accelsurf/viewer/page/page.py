@@ -80,7 +80,12 @@ class Page:
     """
 
     def __init__(
-        self, opening: Opening, settings: ViewerSettings, temporary: Path, host: str = LOCAL, port: int = 0
+        self,
+        opening: Opening,
+        settings: ViewerSettings,
+        temporary: Path,
+        host: str = LOCAL,
+        port: int = 0,
     ) -> None:
         self.opening, self._settings = opening, settings
         self.actions: Actions | None = None
@@ -127,7 +132,9 @@ class Page:
             return state
         link = f"files/{{}}?secret={self.token}"
         state |= self.actions.state()
-        return state | {"files": [{"name": name, "link": link.format(name)} for name in state["saved"]]}
+        return state | {
+            "files": [{"name": name, "link": link.format(name)} for name in state["saved"]]
+        }
 
     def _saved_files(self) -> Mapping[str, Path]:
         return {} if self.actions is None else self.actions.feature(FilesFeature).files
@@ -166,8 +173,11 @@ class Page:
         settings, former = self._settings, self.actions
         theme = settings.theme if former is None else former.scene.theme_name
         scene = Scene(
-            opened.volume, theme=theme, reference=opened.reference,
-            title=None if opened.source is not None else opened.name, window=parse_window(opened.config.window),
+            opened.volume,
+            theme=theme,
+            reference=opened.reference,
+            title=None if opened.source is not None else opened.name,
+            window=parse_window(opened.config.window),
         )
         if former is not None:
             former.scene.close()
@@ -182,11 +192,19 @@ class Page:
         self.opening.show(self.actions, opened)
         tools, keys = self.actions.tools.values(), self.actions.keys
         with self._server.state as state:
-            state.update(self._state() | {
-                "picture": "", "title": scene.title or "accelsurf", "keys": list(keys),
-                "tools": [{"name": tool.name, "key": tool.key, "text": tool.text, "tip": tool.tip} for tool in tools],
-                "help": [list(row) for row in help_rows(keys)],
-            })
+            state.update(
+                self._state()
+                | {
+                    "picture": "",
+                    "title": scene.title or "accelsurf",
+                    "keys": list(keys),
+                    "tools": [
+                        {"name": tool.name, "key": tool.key, "text": tool.text, "tip": tool.tip}
+                        for tool in tools
+                    ],
+                    "help": [list(row) for row in help_rows(keys)],
+                }
+            )
             self._lay_out()
 
     def close(self) -> None:
@@ -207,8 +225,14 @@ class Page:
         """
         with _command_line_for_trame(self.token):
             task = self._server.start(
-                exec_mode="coroutine", host=self._host, port=self._port, open_browser=False, thread=True,
-                show_connection_info=False, disable_logging=True, timeout=0,
+                exec_mode="coroutine",
+                host=self._host,
+                port=self._port,
+                open_browser=False,
+                thread=True,
+                show_connection_info=False,
+                disable_logging=True,
+                timeout=0,
             )
         serving = asyncio.ensure_future(task)
         try:
@@ -217,13 +241,16 @@ class Page:
                 if self._server.running and not self.address:
                     name = socket.gethostname() if self._host in ("0.0.0.0", "::") else self._host
                     self._guard.watch()
-                    self.address = f"http://{name}:{self._server.port}/index.html?secret={self.token}"
+                    self.address = (
+                        f"http://{name}:{self._server.port}/index.html?secret={self.token}"
+                    )
                 self._update()
                 self._guard.connections.close_idle()
             await serving
         except OSError as error:
             raise OutputError(
-                f"{self._host}:{self._port}: cannot be listened on ({error.strerror or error})", "take another --port"
+                f"{self._host}:{self._port}: cannot be listened on ({error.strerror or error})",
+                "take another --port",
             ) from None
         finally:
             with contextlib.suppress(Exception):
@@ -271,8 +298,17 @@ class Page:
 
 #: The panels of the page, in their order, that of the window.
 PANELS = (
-    "head", "tools", "result", "objects", "history", "settings", "slices", "picture", "open", "help",
-)  # fmt: skip
+    "head",
+    "tools",
+    "result",
+    "objects",
+    "history",
+    "settings",
+    "slices",
+    "picture",
+    "open",
+    "help",
+)
 
 
 def _jpeg(picture: NDArray[np.uint8]) -> bytes:
@@ -405,7 +441,11 @@ def document(panels: Sequence[str]) -> str:
         return f'<div class="page" :class="theme" {_NO_DROP}>{begin}</div>'
     inner = "\n".join(_with_lists(f"{name}.html") for name in panels)
     on_key = _inline(_ON_KEY.replace("COPY", _COPY))
-    canvas = page_text("canvas.html").replace("PLACE", _inline(_PLACE)).replace("FRAMES", page_text("frames.html"))
+    canvas = (
+        page_text("canvas.html")
+        .replace("PLACE", _inline(_PLACE))
+        .replace("FRAMES", page_text("frames.html"))
+    )
     return f"""<div class="page" :class="theme" tabindex="0" autofocus @keydown="{on_key}" {_NO_DROP}>
 {canvas}<details class="panels" open><summary id="fold">Panels</summary>
 <aside aria-label="panels">{asked}{inner}</aside></details>
@@ -419,7 +459,8 @@ def style_sheet() -> str:
     light = {"edge": EDGE["light"], "alarm": ALARM["light"]}
     sheets = ((".page", dark), (".page.light", light))
     colors_of_page = "\n".join(
-        f"{where} {{ {' '.join(f'--{name}: {color};' for name, color in colors.items())} }}" for where, colors in sheets
+        f"{where} {{ {' '.join(f'--{name}: {color};' for name, color in colors.items())} }}"
+        for where, colors in sheets
     )
     return f"{colors_of_page}\n{page_text('page.css')}"
 

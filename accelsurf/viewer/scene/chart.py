@@ -29,9 +29,13 @@ class _Curve(NamedTuple):
     values: list[float]
 
     @classmethod
-    def of(cls, position: int, records: Sequence[StepRecord], column: Literal["potential", "kinetic"]) -> _Curve:
+    def of(
+        cls, position: int, records: Sequence[StepRecord], column: Literal["potential", "kinetic"]
+    ) -> _Curve:
         """The curve of an energy."""
-        values = [record.potential if column == "potential" else record.kinetic for record in records]
+        values = [
+            record.potential if column == "potential" else record.kinetic for record in records
+        ]
         return cls(position, [float(record.step) for record in records], values)
 
     def points(self) -> tuple[list[float], list[float]]:
@@ -57,7 +61,9 @@ class EnergyChart:
 
     def __init__(self, plotter: pv.Plotter, theme: Theme) -> None:
         self._charts = [pv.Chart2D(size=(0.94, 0.49), loc=(0.03, low)) for low in (0.5, 0.01)]
-        for chart, title in zip(self._charts, ("Energy (potential)", "Kinetic energy"), strict=True):
+        for chart, title in zip(
+            self._charts, ("Energy (potential)", "Kinetic energy"), strict=True
+        ):
             chart.title = title
             chart.border_style = ""
             chart.x_label, chart.y_label = "", ""
@@ -84,7 +90,9 @@ class EnergyChart:
         Each level has an image of its own, with energies of its own: lines of the potential have gaps there.
         """
         self._is_single = len(histories) < 2
-        numbered = [(position, list(history)) for position, history in enumerate(histories) if history]
+        numbered = [
+            (position, list(history)) for position, history in enumerate(histories) if history
+        ]
         potential = [
             _Curve.of(position, list(records), "potential")
             for position, history in numbered
@@ -96,7 +104,9 @@ class EnergyChart:
         for chart, curves in zip(self._charts, (potential, kinetic), strict=True):
             if curves:
                 chart.x_range = (0.0, float(last))
-                chart.y_range = _range([v for curve in curves for v in curve.values], from_zero=curves is kinetic)
+                chart.y_range = _range(
+                    [v for curve in curves for v in curve.values], from_zero=curves is kinetic
+                )
             chart.visible = bool(curves)
         self._wait.text = "" if potential else WAIT
         self._room = (0, 0, 0)
@@ -104,7 +114,9 @@ class EnergyChart:
     def _draw(self, potential: list[_Curve], kinetic: list[_Curve]) -> None:
         """Draw the curves, in place of those before; a chart needs at least one line of kinetic energy."""
         self._curves = (potential, kinetic or [_Curve(0, [0.0, 1.0], [0.0, 0.0])])
-        for chart, lines, curves in zip(self._charts, (self._potential, self._kinetic), self._curves, strict=True):
+        for chart, lines, curves in zip(
+            self._charts, (self._potential, self._kinetic), self._curves, strict=True
+        ):
             while len(lines) < len(curves):
                 lines.append(chart.line([0.0, 1.0], [0.0, 0.0], width=LINE))
             while len(lines) > len(curves):
@@ -173,7 +185,9 @@ def _most(room: float) -> int:
     return min(max(int(room), 1), 5)
 
 
-def _set_ticks(axis: pv.plotting.charts.Axis, ends: tuple[float, float], most: int, whole: bool) -> None:
+def _set_ticks(
+    axis: pv.plotting.charts.Axis, ends: tuple[float, float], most: int, whole: bool
+) -> None:
     """Put ticks at round numbers, with at most so many gaps in the range; those of VTK have many digits."""
     low, high = ends
     gap = max(round_up((high - low) / most), 1.0) if whole else round_up((high - low) / most)

@@ -135,7 +135,10 @@ def given_styles(config: RunConfig) -> dict[int, ObjectStyle]:
     >>> given_styles(RunConfig(name=["liver"], color=["#c83c3c"]))
     {1: ObjectStyle(name='liver', color='#c83c3c', visible=True, opacity=1.0)}
     """
-    return {object_id: ObjectStyle(said.name, said.hex) for object_id, said in given_labels(config).entries.items()}
+    return {
+        object_id: ObjectStyle(said.name, said.hex)
+        for object_id, said in given_labels(config).entries.items()
+    }
 
 
 class ObjectStyles:

@@ -59,7 +59,9 @@ def require_graphics() -> str:
     """
     name = _probed()
     if not name:
-        raise GraphicsError("no picture can be drawn: neither a screen nor EGL nor OSMesa was found", HINT)
+        raise GraphicsError(
+            "no picture can be drawn: neither a screen nor EGL nor OSMesa was found", HINT
+        )
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
     return name
 
@@ -74,9 +76,13 @@ def draws_in_software(window: vtkRenderWindow) -> bool:
 def _probed() -> str:
     """Name of the render window that drew in another process, or nothing; does not change while we run."""
     try:
-        done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=_SECONDS)
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=_SECONDS
+        )
     except (OSError, subprocess.TimeoutExpired):
         return ""
     before, found, name = done.stdout.partition("drew with ")
     # The base class draws nothing.
-    return name.strip() if done.returncode == 0 and found and name.strip() != "vtkRenderWindow" else ""
+    return (
+        name.strip() if done.returncode == 0 and found and name.strip() != "vtkRenderWindow" else ""
+    )

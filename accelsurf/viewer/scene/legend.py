@@ -40,9 +40,13 @@ class Legend:
         """Write lines, text and what colour it names, in place of those before."""
         while len(self._labels) < len(lines):
             self._labels.append(Label(self._renderer, self._ink, (RIGHT, TOP), top=True))
-            self._swatches.append((FlatLine(self._renderer, self._ink), FlatLine(self._renderer, self._ink)))
+            self._swatches.append(
+                (FlatLine(self._renderer, self._ink), FlatLine(self._renderer, self._ink))
+            )
         self._has_color = [color is not None for _, color in lines]
-        for number, (label, (rim, swatch)) in enumerate(zip(self._labels, self._swatches, strict=True)):
+        for number, (label, (rim, swatch)) in enumerate(
+            zip(self._labels, self._swatches, strict=True)
+        ):
             text, color = lines[number] if number < len(lines) else ("", None)
             label.text = text
             rim.show(color is not None)
@@ -105,14 +109,19 @@ def caption(frame: Frame, geometry: Geometry, unit: str = "mm") -> list[str]:
     """
     if not frame.surfaces and not frame.said:
         return []
-    step = frame.said or f"step {frame.step}" + (f", level {frame.level} (coarse grid)" if frame.level else "")
+    step = frame.said or f"step {frame.step}" + (
+        f", level {frame.level} (coarse grid)" if frame.level else ""
+    )
     step += ", corrected" if frame.corrected_at is not None else ""
     axis = geometry.slice_axis
     if axis is None:
         ends = [measure(in_unit(end, unit, 3)) for end in frame.volume_interval or ()]
         lines = [step, f"volume {volume_line(frame.volume_mm3, unit)}"]
         return [*lines, f"95 %: {' to '.join(ends)} {unit}3"] if ends else lines
-    return [step, f"area {measure(in_unit(frame.volume_mm3 / geometry.spacing[axis], unit, 2))} {unit}2"]
+    return [
+        step,
+        f"area {measure(in_unit(frame.volume_mm3 / geometry.spacing[axis], unit, 2))} {unit}2",
+    ]
 
 
 def volume_line(mm3: float, unit: str = "mm") -> str:

@@ -83,7 +83,11 @@ class Label:
         style.SetFontFamilyToArial()
         style.SetBold(boxed)
         side = (place[0] >= 0.4) + (place[0] > 0.6)
-        (style.SetJustificationToLeft, style.SetJustificationToCentered, style.SetJustificationToRight)[side]()
+        (
+            style.SetJustificationToLeft,
+            style.SetJustificationToCentered,
+            style.SetJustificationToRight,
+        )[side]()
         if top:
             style.SetVerticalJustificationToTop()
         if boxed or backed:
@@ -167,7 +171,9 @@ class ScaleBar:
         On a dark ground, to be read on any image.
     """
 
-    def __init__(self, renderer: pv.Renderer, color: str, unit: str = "mm", backed: bool = False) -> None:
+    def __init__(
+        self, renderer: pv.Renderer, color: str, unit: str = "mm", backed: bool = False
+    ) -> None:
         self._renderer, self._unit = renderer, unit
         self._label = Label(renderer, color, (0.97, 0.045), backed=backed)
         self._ground = FlatLine(renderer, "black") if backed else None
@@ -183,7 +189,9 @@ class ScaleBar:
         length = round_length(0.25 * wide)
         low, rim = up + 0.03, pixels.ratio / width
         if self._ground is not None:
-            self._ground.move(0.97 - length / wide - rim, 0.97 + rim, low, (BAR + 2.0) * pixels.ratio)
+            self._ground.move(
+                0.97 - length / wide - rim, 0.97 + rim, low, (BAR + 2.0) * pixels.ratio
+            )
         self._bar.move(0.97 - length / wide, 0.97, low, BAR * pixels.ratio)
         self._label.move(0.97, low + 0.015)
         self._label.text = f"{length:g} {self._unit}"
@@ -203,7 +211,9 @@ def round_length(largest: float) -> float:
     (50.0, 0.2)
     """
     decade = 10.0 ** math.floor(math.log10(largest))
-    return float(f"{max(step * decade for step in (1, 2, 5) if step * decade <= largest * (1 + 1e-9)):g}")
+    return float(
+        f"{max(step * decade for step in (1, 2, 5) if step * decade <= largest * (1 + 1e-9)):g}"
+    )
 
 
 def round_up(least: float) -> float:

@@ -107,7 +107,8 @@ class Redraw:
         """Return the renderers that have changed, are shown and need not wait, with what is drawn over them."""
         due = self._waiting & self._shown
         over = {
-            over for over, tile in self._overlays.items()
+            over
+            for over, tile in self._overlays.items()
             if tile in self._shown and (tile in due or over in self._waiting)
         }
         waits = self._hurries and self._seconds > SLOW and not self._is_empty
@@ -145,7 +146,12 @@ class Redraw:
 def _sight(renderer: vtkRenderer) -> tuple[Any, ...]:
     """Return place and direction of a renderer's camera."""
     camera = renderer.GetActiveCamera()
-    return camera.GetPosition(), camera.GetFocalPoint(), camera.GetViewUp(), camera.GetParallelScale()
+    return (
+        camera.GetPosition(),
+        camera.GetFocalPoint(),
+        camera.GetViewUp(),
+        camera.GetParallelScale(),
+    )
 
 
 class TileContext(NamedTuple):

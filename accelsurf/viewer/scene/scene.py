@@ -112,11 +112,16 @@ class Scene:
         self.title = (volume.source.name if volume.source else "") if title is None else title
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
-        self.anatomical, self.unit = is_anatomical(volume.metadata), volume.metadata.get(UNIT_KEY, "mm")
+        self.anatomical, self.unit = (
+            is_anatomical(volume.metadata),
+            volume.metadata.get(UNIT_KEY, "mm"),
+        )
         self.is_straight = self.anatomical and self.is_oblique
         if plotter is None:
             require_graphics()
-            plotter = pv.Plotter(off_screen=True, window_size=list(size), **self.layout(self.geometry))
+            plotter = pv.Plotter(
+                off_screen=True, window_size=list(size), **self.layout(self.geometry)
+            )
         self.plotter = plotter
         self.styles = ObjectStyles()
         self._redraw = Redraw(plotter.render_window, plotter.renderers)
@@ -135,10 +140,18 @@ class Scene:
         return {"shape": (2, 4), "groups": [([0, 1], [0, 1])], "border": False}
 
     def _build(self) -> None:
-        plotter, upright, image = self.plotter, DisplayOrientation.of(self.geometry), self.volume.array
+        plotter, upright, image = (
+            self.plotter,
+            DisplayOrientation.of(self.geometry),
+            self.volume.array,
+        )
         flat = self.geometry.slice_axis
         context = TileContext(self._redraw, self.styles, self.theme, self.anatomical, self.unit)
-        places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
+        places = (
+            {0: (0, 2), 1: (0, 3), 2: (1, 2)}
+            if flat is None
+            else {upright.order.index(flat): (0, 0)}
+        )
         self.space: SpaceTile | None = None
         if flat is None:
             plotter.subplot(0, 0)
@@ -146,14 +159,20 @@ class Scene:
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
-            tile = SliceTile(plotter.renderer, image, self._window, self._stack_of(plane), plane, context)
+            tile = SliceTile(
+                plotter.renderer, image, self._window, self._stack_of(plane), plane, context
+            )
             self.slice_tiles[TILES[plane]] = tile
         plotter.subplot(*((1, 3) if flat is None else (0, 2)))
         self._chart_renderer = plotter.renderer
         self._chart_renderer.SetInteractive(False)
         self._chart = EnergyChart(plotter, self.theme)
         plotter.subplot(0, 0)
-        largest = self.space.renderer if self.space is not None else next(iter(self.slice_tiles.values())).renderer
+        largest = (
+            self.space.renderer
+            if self.space is not None
+            else next(iter(self.slice_tiles.values())).renderer
+        )
         self._legend = Legend(largest, self.theme.ink)
         for tile in self.slice_tiles.values():
             tile.show(self._cursor)
@@ -162,7 +181,9 @@ class Scene:
 
     # -- what is drawn ------------------------------------------------------------------------------------
 
-    def update(self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = (), coarse: bool = False) -> None:
+    def update(
+        self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = (), coarse: bool = False
+    ) -> None:
         """Draw a frame of this image, its objects' ``histories`` in the chart; ``coarse`` as of `Tiles.coarsen`."""
         self.frame = frame
         if frame.has_surface and not self._cursor_is_set:
@@ -216,7 +237,11 @@ class Scene:
     @property
     def dice(self) -> float | None:
         """Dice of the objects drawn now and the reference; None without either. Coarse frames count their voxels."""
-        return None if self._reference is None or self.frame is None else self._reference.dice(self.frame)
+        return (
+            None
+            if self._reference is None or self.frame is None
+            else self._reference.dice(self.frame)
+        )
 
     def color_by(self, name: str) -> None:
         """Colour the surfaces by a quantity of `COLORS`, plain where they lack it; another is a UsageError."""
@@ -228,7 +253,9 @@ class Scene:
     def show_planes(self, on: bool) -> None:
         """Draw the three slices in 3D, or not."""
         if self.space is not None:
-            self.space.show_planes([tile.in_space() for tile in self.slice_tiles.values()] if on else None)
+            self.space.show_planes(
+                [tile.in_space() for tile in self.slice_tiles.values()] if on else None
+            )
 
     @property
     def shows_planes(self) -> bool:
@@ -257,7 +284,10 @@ class Scene:
     @property
     def is_oblique(self) -> bool:
         """Test if slices along the voxels and straight ones differ."""
-        return self.geometry.slice_axis is None and not DisplayOrientation.of(self.geometry).is_parallel
+        return (
+            self.geometry.slice_axis is None
+            and not DisplayOrientation.of(self.geometry).is_parallel
+        )
 
     def straighten(self, on: bool) -> None:
         """Show slices straight along the world's axes, or along the voxels, if that makes a difference."""
@@ -277,8 +307,12 @@ class Scene:
     def cursor(self, world: ArrayLike) -> None:
         place = np.asarray(world, float)
         if place.shape != (3,) or not np.isfinite(place).all():
-            raise UsageError(f"cursor: {world!r} was given, expected three finite numbers x, y, z in mm")
-        self._cursor = np.clip(self.geometry.world_to_index(place), 0.0, np.array(self.geometry.shape) - 1.0)
+            raise UsageError(
+                f"cursor: {world!r} was given, expected three finite numbers x, y, z in mm"
+            )
+        self._cursor = np.clip(
+            self.geometry.world_to_index(place), 0.0, np.array(self.geometry.shape) - 1.0
+        )
         self._cursor_is_set = True
         self._show_slices()
 
@@ -322,7 +356,9 @@ class Scene:
         """Draw in the slices what belongs to an object of the size that a drag stands for; None removes it."""
         volume = None if drag is None else drag.volume_of(drag_mm)
         for tile in self.slice_tiles.values():
-            tile.mark_size(drag, volume, "" if volume is None else f"size {volume_line(volume, self.unit)}")
+            tile.mark_size(
+                drag, volume, "" if volume is None else f"size {volume_line(volume, self.unit)}"
+            )
 
     def paint(self, theme: str) -> None:
         """Use a theme; an unknown one is a UsageError."""
@@ -381,7 +417,9 @@ def grab(window: vtkRenderWindow) -> NDArray[np.uint8]:
     filter_.Update()
     image = pv.wrap(filter_.GetOutput())
     width, height, _ = image.dimensions
-    return np.asarray(image.point_data.active_scalars).reshape(height, width, -1)[::-1, :, :3].copy()
+    return (
+        np.asarray(image.point_data.active_scalars).reshape(height, width, -1)[::-1, :, :3].copy()
+    )
 
 
 class Reference:

@@ -53,10 +53,15 @@ def label_surface(labels: NDArray[np.bool_], geometry: Geometry) -> pv.PolyData:
     inside = np.argwhere(labels)
     if not len(inside):
         return pv.PolyData()
-    low, high = np.maximum(inside.min(axis=0) - 3, 0), np.minimum(inside.max(axis=0) + 4, labels.shape)
+    low, high = (
+        np.maximum(inside.min(axis=0) - 3, 0),
+        np.minimum(inside.max(axis=0) + 4, labels.shape),
+    )
     box = labels[tuple(slice(a, b) for a, b in zip(low, high, strict=True))].astype(np.float32)
     # Voxels beyond the border count as outside, as in the label map.
-    soft = ndimage.gaussian_filter(box, [SMOOTH_LABELS if n > 1 else 0.0 for n in labels.shape], mode="nearest")
+    soft = ndimage.gaussian_filter(
+        box, [SMOOTH_LABELS if n > 1 else 0.0 for n in labels.shape], mode="nearest"
+    )
     mesh = closed_surface(np.float32(0.5) - soft)
     if mesh.n_points:
         places = np.asarray(mesh.points, float)[:, ::-1] + low
@@ -218,5 +223,7 @@ def dashed(lines: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def path_lines(paths: Sequence[NDArray[np.float64]]) -> pv.PolyData:
     """Return paths (n, 3), world mm, as lines; empty without one of two places."""
-    ends = [np.stack([path[:-1], path[1:]], axis=1).reshape(-1, 3) for path in paths if len(path) > 1]
+    ends = [
+        np.stack([path[:-1], path[1:]], axis=1).reshape(-1, 3) for path in paths if len(path) > 1
+    ]
     return pv.line_segments_from_points(np.concatenate(ends)) if ends else pv.PolyData()

@@ -34,18 +34,26 @@ def surface_lines(surface: SurfaceFrame, stack: SliceStack, number: int) -> Floa
         return NONE
     if not stack.is_straight:
         part = slice_of(surface, stack.axis, number)
-        return NONE if part is None else stack.to_place(surface.to_image(_ends(contour(part), stack.axis)))[..., :2]
+        return (
+            NONE
+            if part is None
+            else stack.to_place(surface.to_image(_ends(contour(part), stack.axis)))[..., :2]
+        )
     last = np.array(surface.psi.shape) - 1.0
     patch = stack.patch(number, surface.to_image((0.0, 0.0, 0.0)), surface.to_image(last))
     index = surface.from_image(np.stack(np.broadcast_arrays(*patch.places), axis=-1))
     lines = contour(linear(surface.psi, (index[..., 0], index[..., 1], index[..., 2])))
-    return _in_plane(lines, patch, stack, number, surface.to_image((-0.5,) * 3), surface.to_image(last + 0.5))
+    return _in_plane(
+        lines, patch, stack, number, surface.to_image((-0.5,) * 3), surface.to_image(last + 0.5)
+    )
 
 
 def function_lines(function: NDArray[np.float32], stack: SliceStack, number: int) -> Floats:
     """Return the lines in a slice on which a function (nz, ny, nx) of the whole image, negative inside, is 0."""
     if not stack.is_straight:
-        return stack.to_place(_ends(contour(np.asarray(function.take(number, axis=stack.axis))), stack.axis))[..., :2]
+        return stack.to_place(
+            _ends(contour(np.asarray(function.take(number, axis=stack.axis))), stack.axis)
+        )[..., :2]
     patch = stack.patch(number)
     lines = contour(linear(function, patch.places))
     return _in_plane(lines, patch, stack, number, (-0.5,) * 3, np.array(function.shape) - 0.5)
@@ -63,7 +71,11 @@ class DragLines:
         first = np.asarray(drag.first, float)
         if not stack.is_straight:
             plane = drag.plane(stack.axis, number, volume_mm3)
-            return NONE if plane is None else stack.to_place(_ends(contour(plane), stack.axis) + first)[..., :2]
+            return (
+                NONE
+                if plane is None
+                else stack.to_place(_ends(contour(plane), stack.axis) + first)[..., :2]
+            )
         last = first + drag.times.shape - 1.0
         patch = stack.patch(number, first, last)
         if self._read_for != (drag, stack, number):  # drags and stacks are themselves alone
@@ -178,7 +190,11 @@ class SliceTile:
         self._picture.SetTexture(self._texture.texture)
         camera = renderer.camera
         camera.parallel_projection = True
-        camera.focal_point, camera.position, camera.up = middle, (middle[0], middle[1], 100.0), (0.0, 1.0, 0.0)
+        camera.focal_point, camera.position, camera.up = (
+            middle,
+            (middle[0], middle[1], 100.0),
+            (0.0, 1.0, 0.0),
+        )
         camera.clipping_range = (1.0, 200.0)
         renderer.camera_set = True
         renderer.SetInteractive(False)
@@ -211,7 +227,11 @@ class SliceTile:
     def from_tile(self, right: float, up: float) -> NDArray[np.float64] | None:
         """Index (z, y, x) of a place in the tile, on the slice that is shown; None beside the image."""
         index = self.stack.to_index([right, up, self.across])
-        return np.clip(index, 0.0, np.array(self._image.shape) - 1.0) if self.stack.contains(index) else None
+        return (
+            np.clip(index, 0.0, np.array(self._image.shape) - 1.0)
+            if self.stack.contains(index)
+            else None
+        )
 
     def to_plane(self, right: float, up: float) -> tuple[float, float]:
         """Place in the tile's plane, mm, of a place in its renderer, each from 0 to 1."""
@@ -233,7 +253,9 @@ class SliceTile:
         cross = np.array([[[left, y], [right, y]], [[x, bottom], [x, top]]])
         self._draw_lines("cursor", cross, CURSOR, 1.0, 0.45)
         name, unit = PLANES[self.plane] if self._context.anatomical else "Slice", self._context.unit
-        self.title.text = f"{name}  {self.stack.name} = {measure(in_unit(self.across, unit))} {unit}"
+        self.title.text = (
+            f"{name}  {self.stack.name} = {measure(in_unit(self.across, unit))} {unit}"
+        )
 
     def use_stack(self, stack: SliceStack, cursor: NDArray[np.float64]) -> None:
         """Show other slices of the image, the one nearest to an index (z, y, x), as a whole."""
@@ -246,7 +268,11 @@ class SliceTile:
     def _show_values(self) -> None:
         """Draw the image in the slice, as far as it reaches."""
         last = np.array(self._image.shape) - 1
-        corners = self.stack.outline(self.across, (0, 0, 0), last) if self.stack.is_straight else self._corners
+        corners = (
+            self.stack.outline(self.across, (0, 0, 0), last)
+            if self.stack.is_straight
+            else self._corners
+        )
         self._picture.mapper.SetInputData(polygon(corners, self.stack.extent))
         self._values = self.stack.values(self._image, self.index, self._is_smooth)
         self._show_grey()
@@ -290,19 +316,25 @@ class SliceTile:
 
     def draw_objects(self, frame: Frame) -> None:
         """Draw the contour of each object of a frame in this slice."""
-        for position, (surface, style) in enumerate(zip(frame.surfaces, self._context.styles.of(frame), strict=True)):
+        for position, (surface, style) in enumerate(
+            zip(frame.surfaces, self._context.styles.of(frame), strict=True)
+        ):
             lines = surface_lines(surface, self.stack, self.index) if style.visible else NONE
             self._draw_lines(f"object {position}", lines, style.color, 2.2, style.opacity)
         for position in range(len(frame.surfaces), self._drawn_objects):
             self._lines[f"object {position}"][0].SetVisibility(False)
         self._drawn_objects = len(frame.surfaces)
-        expected = (dashed(surface_lines(surface, self.stack, self.index)) for surface in frame.predicted)
+        expected = (
+            dashed(surface_lines(surface, self.stack, self.index)) for surface in frame.predicted
+        )
         self._draw_lines("predicted", np.concatenate([NONE, *expected]), REFERENCE, 1.6)
         self._draw_clicks(frame)
 
     def draw_reference(self, function: NDArray[np.float32]) -> None:
         """Draw the lines in this slice on which a function of the whole image, negative inside, is 0."""
-        self._draw_lines("reference", function_lines(function, self.stack, self.index), REFERENCE, 1.8)
+        self._draw_lines(
+            "reference", function_lines(function, self.stack, self.index), REFERENCE, 1.8
+        )
 
     def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
         """Draw the circle in which this slice cuts a ball around an index (z, y, x) of the image, radius in mm; nothing
@@ -314,7 +346,9 @@ class SliceTile:
 
     def write(self, text: str) -> None:
         """Write a line below the title; none for an empty text."""
-        self.title.text = "\n".join(line for line in (self.title.text.partition("\n")[0], text) if line)
+        self.title.text = "\n".join(
+            line for line in (self.title.text.partition("\n")[0], text) if line
+        )
         self.mark()
 
     def mark_size(self, drag: SizeDrag | None, volume_mm3: float | None, text: str = "") -> None:
@@ -334,8 +368,14 @@ class SliceTile:
     def mark_places(self, places: NDArray[np.float64]) -> None:
         """Draw a diamond in a larger one at each of these indices (z, y, x), (n, 3), that lies in this slice."""
         left, right, bottom, top = self.stack.extent
-        here = self.to_tile(places[np.rint(self.stack.place_number(places)) == self.index].reshape(-1, 3))
-        corners = ARM * max(right - left, top - bottom) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+        here = self.to_tile(
+            places[np.rint(self.stack.place_number(places)) == self.index].reshape(-1, 3)
+        )
+        corners = (
+            ARM
+            * max(right - left, top - bottom)
+            * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+        )
         sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         lines = [place + size * sides for place in here for size in (1.4, 2.4)]
         self._draw_lines("places", np.concatenate(lines) if lines else NONE, CURSOR, 2.5)
@@ -356,7 +396,9 @@ class SliceTile:
             low, high = ([getattr(side, end) for side in mark.box] for end in ("start", "stop"))
             if self.stack.cuts(self.index, low, np.array(high) - 1):
                 place = self.to_tile(np.asarray(mark.place, float))
-                arms[mark.side] += [np.stack([place - arm * way, place + arm * way]) for way in _WAYS[mark.side]]
+                arms[mark.side] += [
+                    np.stack([place - arm * way, place + arm * way]) for way in _WAYS[mark.side]
+                ]
         for side, lines in arms.items():
             segments = np.array(lines) if lines else NONE
             self._draw_lines(side, segments, INSIDE if side == "inside" else OUTSIDE, 3.0)
@@ -399,14 +441,19 @@ class SliceTile:
             left, right, bottom, top = self.stack.extent
             scale = 2.0 * self.renderer.camera.parallel_scale
             room = LETTER * pixels.text / height
-            self._place_letters((right - left) * height / width / scale, (top - bottom) / scale, room)
+            self._place_letters(
+                (right - left) * height / width / scale, (top - bottom) / scale, room
+            )
 
     # -- slider -------------------------------------------------------------------------------------------
 
     def show_slider(self) -> None:
         """Draw a slider over the slices along the lower edge."""
         if self._slider is None and self.stack.count > 1:
-            self._slider = FlatLine(self.renderer, "#8A93A0"), FlatLine(self.renderer, self._context.theme.ink)
+            self._slider = (
+                FlatLine(self.renderer, "#8A93A0"),
+                FlatLine(self.renderer, self._context.theme.ink),
+            )
 
     def _fit_slider(self, track: FlatLine, handle: FlatLine, pixels: Pixels) -> None:
         width = self.renderer.GetSize()[0]
@@ -433,12 +480,20 @@ class SliceTile:
         """Half the mm that the tile must be high for the whole slice to be seen."""
         width, height = self.renderer.GetSize()
         left, right, bottom, top = self.stack.extent
-        return 0.5 * max((top - bottom) / (1.0 - self._strip), (right - left) * height / max(width, 1)) / FILL
+        return (
+            0.5
+            * max((top - bottom) / (1.0 - self._strip), (right - left) * height / max(width, 1))
+            / FILL
+        )
 
     @property
     def _strip(self) -> float:
         """Part of the tile's height that the slider takes, which the image leaves free."""
-        return 0.0 if self._slider is None else min(STRIP * self._ratio / max(self.renderer.GetSize()[1], 1), 0.5)
+        return (
+            0.0
+            if self._slider is None
+            else min(STRIP * self._ratio / max(self.renderer.GetSize()[1], 1), 0.5)
+        )
 
     def _aim(self) -> None:
         camera = self.renderer.camera
@@ -462,7 +517,9 @@ class SliceTile:
     def _move(self, right_mm: float, up_mm: float) -> None:
         """Move the camera by mm in the tile's plane; never so far that the slice is out of sight."""
         left, right, bottom, top = self.stack.extent
-        self._middle = np.clip(self._middle + np.array([right_mm, up_mm]), [left, bottom], [right, top])
+        self._middle = np.clip(
+            self._middle + np.array([right_mm, up_mm]), [left, bottom], [right, top]
+        )
         self._aim()
         self.mark()
 
@@ -486,7 +543,10 @@ class SliceTile:
         left, right = LETTERS[2 - self._horizontal]
         low, high = LETTERS[2 - self._vertical]
         top, bottom = (low, high) if self.plane == 0 else (high, low)  # the front at the top
-        return [Label(self.renderer, "white", (0.5, 0.5), text, boxed=True) for text in (left, right, top, bottom)]
+        return [
+            Label(self.renderer, "white", (0.5, 0.5), text, boxed=True)
+            for text in (left, right, top, bottom)
+        ]
 
     def _place_letters(self, wide: float, high: float, room: float) -> None:
         """Put the letters beside an image that takes these parts of the tile, ``room`` from it: two at a thin slab do

@@ -15,11 +15,26 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
-from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
+from accelsurf.viewer.scene.colors import (
+    CURSOR,
+    MARK,
+    REFERENCE,
+    SHADES,
+    SURFACE,
+    Theme,
+    color_range,
+)
 from accelsurf.viewer.scene.legend import color_scale
 from accelsurf.viewer.scene.overlay import EDGE, Label, Pixels, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.redraw import TileContext
-from accelsurf.viewer.scene.shapes import TRANSLUCENT, Texture, add_actor, box_edges, isosurface, path_lines
+from accelsurf.viewer.scene.shapes import (
+    TRANSLUCENT,
+    Texture,
+    add_actor,
+    box_edges,
+    isosurface,
+    path_lines,
+)
 
 
 class Picked(NamedTuple):
@@ -31,7 +46,9 @@ class Picked(NamedTuple):
     world: NDArray[np.float64] | None
 
 
-def place_in_renderer(renderer: pv.Renderer, x: float, y: float, beside: bool = False) -> tuple[float, float] | None:
+def place_in_renderer(
+    renderer: pv.Renderer, x: float, y: float, beside: bool = False
+) -> tuple[float, float] | None:
     """Return the place of a pixel of the window in a renderer, each coordinate from 0 to 1.
 
     None outside it, unless places ``beside`` it are wanted too; None where the renderer is not shown.
@@ -50,7 +67,9 @@ FINE = 2.0
 Floats = NDArray[np.float64]
 
 
-def first_met(surfaces: Iterable[SurfaceFrame], geometry: Geometry, start: Floats, end: Floats) -> Floats | None:
+def first_met(
+    surfaces: Iterable[SurfaceFrame], geometry: Geometry, start: Floats, end: Floats
+) -> Floats | None:
     """Return the point (x, y, z), world mm, where the line from start to end enters the first surface; None beside all.
 
     Parameters
@@ -159,7 +178,9 @@ class SpaceTile:
         self._scale = color_scale(self.renderer)
         self._quantity = Label(self.renderer, theme.ink, (0.5, 0.135))
         # VTK's own labels come to lie on the colours in a picture that is drawn once.
-        self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
+        self._ends = [
+            Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)
+        ]
         self.title = Label(self.renderer, theme.ink, (0.015, 0.985), top=True)
         self._bar = ScaleBar(self.renderer, theme.ink, context.unit)
         self._cube = orientation_cube(context.anatomical)
@@ -171,8 +192,14 @@ class SpaceTile:
     def show(self, frame: Frame, color: str, coarse: bool = False) -> None:
         """Draw a frame coloured by a quantity, plain where it lacks that; ``coarse``: fewer triangles, much sooner."""
         self._frame, self._wanted = frame, color
-        drawn = tuple(surface.coarser(COARSE_VOXELS) for surface in frame.surfaces) if coarse else frame.surfaces
-        self.is_coarse = any(shown is not fine for shown, fine in zip(drawn, frame.surfaces, strict=True))
+        drawn = (
+            tuple(surface.coarser(COARSE_VOXELS) for surface in frame.surfaces)
+            if coarse
+            else frame.surfaces
+        )
+        self.is_coarse = any(
+            shown is not fine for shown, fine in zip(drawn, frame.surfaces, strict=True)
+        )
         self.meshes = [isosurface(surface, self._geometry, color) for surface in drawn]
         while len(self._surfaces) < len(self.meshes):
             self._surfaces.append(self._add_surface())
@@ -197,14 +224,18 @@ class SpaceTile:
         meshes = [isosurface(surface, self._geometry) for surface in frame.predicted]
         meshes = [mesh for mesh in meshes if mesh.n_points]
         for actor, mesh in zip(
-            self._tracks, (pv.merge(meshes) if meshes else pv.PolyData(), path_lines(frame.paths)), strict=True
+            self._tracks,
+            (pv.merge(meshes) if meshes else pv.PolyData(), path_lines(frame.paths)),
+            strict=True,
         ):
             actor.mapper.SetInputData(mesh)
             actor.SetVisibility(mesh.n_points > 0)
 
     def restyle(self) -> None:
         """Draw each surface in its style."""
-        for actor, mesh, style in zip(self._surfaces, self.meshes, self._context.styles.of(self._frame), strict=False):
+        for actor, mesh, style in zip(
+            self._surfaces, self.meshes, self._context.styles.of(self._frame), strict=False
+        ):
             actor.prop.color, actor.prop.opacity = style.color, style.opacity
             actor.SetVisibility(mesh.n_points > 0 and style.visible)
         self.mark()
@@ -222,7 +253,9 @@ class SpaceTile:
 
     def _show_scale(self, color: str) -> None:
         """Colour the surfaces that have this quantity on a common scale, and draw the scale."""
-        values = [np.asarray(mesh.point_data[color]) for mesh in self.meshes if color in mesh.point_data]
+        values = [
+            np.asarray(mesh.point_data[color]) for mesh in self.meshes if color in mesh.point_data
+        ]
         self._scale.SetVisibility(bool(values))
         self._quantity.text = SHADES[color].title if values else ""
         if not values:
@@ -246,13 +279,18 @@ class SpaceTile:
     @property
     def color(self) -> str:
         """The quantity that colours the surfaces drawn now, or ``plain``."""
-        return self._color if any(self._color in mesh.point_data for mesh in self.meshes) else "plain"
+        return (
+            self._color if any(self._color in mesh.point_data for mesh in self.meshes) else "plain"
+        )
 
     def show_reference(self, mesh: pv.PolyData) -> None:
         """Draw a second surface, translucent."""
         if self._reference_actor is not None:
             self.renderer.RemoveActor(self._reference_actor)
-        self.reference, self._reference_actor = mesh, add_actor(self.renderer, mesh, REFERENCE, 0.35, is_lit=True)
+        self.reference, self._reference_actor = (
+            mesh,
+            add_actor(self.renderer, mesh, REFERENCE, 0.35, is_lit=True),
+        )
 
     def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
         """Draw a translucent ball (world mm); nothing for None."""
@@ -353,14 +391,18 @@ class SpaceTile:
         """Enlarge by a factor, within limits; what is at this place of the tile, each from 0 to 1, stays there."""
         before, (width, height) = self.mm_per_pixel(), self.renderer.GetSize()
         camera, diagonal = self.renderer.camera, float(np.linalg.norm(self._geometry.extent_mm))
-        camera.parallel_scale = float(np.clip(camera.parallel_scale / factor, 1e-3 * diagonal, 10.0 * diagonal))
+        camera.parallel_scale = float(
+            np.clip(camera.parallel_scale / factor, 1e-3 * diagonal, 10.0 * diagonal)
+        )
         grown = 1.0 - before / self.mm_per_pixel()
         self.shift((right - 0.5) * width * grown, (up - 0.5) * height * grown)
 
     def shift(self, right: float, up: float) -> None:
         """Shift the picture by pixels."""
         camera, mm = self.renderer.camera, self.mm_per_pixel()
-        position, focus, upward = (np.array(v) for v in (camera.position, camera.focal_point, camera.up))
+        position, focus, upward = (
+            np.array(v) for v in (camera.position, camera.focal_point, camera.up)
+        )
         side = np.cross(focus - position, upward)
         side /= max(float(np.linalg.norm(side)), 1e-30)
         upward = np.cross(side, focus - position)
@@ -415,5 +457,10 @@ class SpaceTile:
     def _add_surface(self) -> pv.Actor:
         actor = add_actor(self.renderer, pv.PolyData(), SURFACE, is_lit=True)
         style = actor.prop
-        style.interpolation, style.ambient, style.specular, style.specular_power = "Gouraud", 0.15, 0.2, 20.0
+        style.interpolation, style.ambient, style.specular, style.specular_power = (
+            "Gouraud",
+            0.15,
+            0.2,
+            20.0,
+        )
         return actor

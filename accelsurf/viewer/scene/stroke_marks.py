@@ -54,7 +54,11 @@ class Marks:
     """
 
     def __init__(
-        self, geometry: Geometry, tiles: Iterable[SliceTile], space: SpaceTile | None, redraw: Redraw
+        self,
+        geometry: Geometry,
+        tiles: Iterable[SliceTile],
+        space: SpaceTile | None,
+        redraw: Redraw,
     ) -> None:
         self._geometry, self._space = geometry, space
         self._layers = [_Layer(tile) for tile in tiles]
@@ -70,7 +74,9 @@ class Marks:
         self._strokes[self._last] = []
         return self._last
 
-    def add(self, stroke: int, side: Side, places: Sequence[NDArray[np.float64]], radius: float) -> None:
+    def add(
+        self, stroke: int, side: Side, places: Sequence[NDArray[np.float64]], radius: float
+    ) -> None:
         """Draw a piece of a stroke: the voxels near one or two places (x, y, z), world mm."""
         index = np.array([self._geometry.world_to_index(place) for place in places])
         found = segment_voxels(index, [radius] * len(places), self._geometry)
@@ -111,14 +117,18 @@ class Marks:
     def show_slices(self) -> None:
         """Draw strokes, places and answers in the slices that are shown now."""
         pieces = [piece for stroke in self._strokes.values() for piece in stroke]
-        index = np.array([self._geometry.world_to_index(place) for place in self.places]).reshape(-1, 3)
+        index = np.array([self._geometry.world_to_index(place) for place in self.places]).reshape(
+            -1, 3
+        )
         for layer in self._layers:
             layer.show(pieces)
             layer.tile.mark_places(index)
             layer.tile.mark_answers(self.answers)
 
 
-def voxels_of(piece: Click, stack: SliceStack, number: int) -> tuple[slice, slice, NDArray[np.bool_]] | None:
+def voxels_of(
+    piece: Click, stack: SliceStack, number: int
+) -> tuple[slice, slice, NDArray[np.bool_]] | None:
     """Return rows and columns of a part of a slice, with `SliceStack.fine` pixels along its pitch, and which pixels
     there lie in a voxel of a click; None where the slice does not cut its box.
     """
@@ -126,7 +136,9 @@ def voxels_of(piece: Click, stack: SliceStack, number: int) -> tuple[slice, slic
     if not stack.cuts(number, low, np.array(high) - 1):
         return None
     patch = stack.patch(number, low, np.array(high) - 1, stack.fine)
-    inside = np.ones((patch.rows.stop - patch.rows.start, patch.columns.stop - patch.columns.start), np.bool_)
+    inside = np.ones(
+        (patch.rows.stop - patch.rows.start, patch.columns.stop - patch.columns.start), np.bool_
+    )
     at = []
     for place, first, n in zip(patch.places, low, piece.mask.shape, strict=True):
         offset = np.rint(place).astype(np.intp) - first
@@ -174,7 +186,9 @@ class _Layer:
         self.tile.mark()
         self._actor.SetVisibility(not self._is_empty)
         if not self._is_empty:
-            self._texture.show(_PACKED.take(self._sides).view(np.uint8).reshape(*self._sides.shape, 4))
+            self._texture.show(
+                _PACKED.take(self._sides).view(np.uint8).reshape(*self._sides.shape, 4)
+            )
 
 
 class _Beads:

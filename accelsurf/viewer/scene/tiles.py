@@ -64,7 +64,11 @@ class Tiles:
     """
 
     def __init__(
-        self, redraw: Redraw, space: SpaceTile | None, slices: Mapping[str, SliceTile], chart: pv.Renderer
+        self,
+        redraw: Redraw,
+        space: SpaceTile | None,
+        slices: Mapping[str, SliceTile],
+        chart: pv.Renderer,
     ) -> None:
         self._space, self._slices, self._chart = space, slices, chart
         self.redraw, self._window, self.pixel_ratio = redraw, redraw.window, 1.0
@@ -93,7 +97,11 @@ class Tiles:
         return (*self._slices, *(("space",) if self._space is not None else ()))
 
     def lay_out(
-        self, layout: str | None = None, large: str | None = None, chart: bool | None = None, space: bool | None = None
+        self,
+        layout: str | None = None,
+        large: str | None = None,
+        chart: bool | None = None,
+        space: bool | None = None,
     ) -> None:
         """Change how the tiles lie, and whether chart and picture in 3D are shown; what is not given stays.
 
@@ -129,7 +137,10 @@ class Tiles:
         ``space``: with the picture in 3D.
         """
         extents = {name: tile.stack.extent for name, tile in self._slices.items()}
-        sides = {name: (right - left, top - bottom) for name, (left, right, bottom, top) in extents.items()}
+        sides = {
+            name: (right - left, top - bottom)
+            for name, (left, right, bottom, top) in extents.items()
+        }
         space = space and self._space is not None
         layout, large, is_tall = fitting(sides, width, height, space)
         now = self.layout, self.large, self._is_tall, self.shows_chart, self.shows_space
@@ -240,10 +251,16 @@ def viewports(
     check_known("layout", layout, LAYOUTS)
     if len(tiles) == 1:
         width = 0.75 if chart else 1.0
-        return {tiles[0]: (0.0, 0.0, width, 1.0), **({"energies": (0.75, 0.0, 1.0, 1.0)} if chart else {})}
+        return {
+            tiles[0]: (0.0, 0.0, width, 1.0),
+            **({"energies": (0.75, 0.0, 1.0, 1.0)} if chart else {}),
+        }
     if is_tall and not chart:
         flat = viewports(layout, tiles, large, False)
-        return {name: (1.0 - top, 1.0 - right, 1.0 - low, 1.0 - left) for name, (left, low, right, top) in flat.items()}
+        return {
+            name: (1.0 - top, 1.0 - right, 1.0 - low, 1.0 - left)
+            for name, (left, low, right, top) in flat.items()
+        }
     if layout == "one":
         return _one(tiles, large, chart)
     floor = STRIP if chart else 0.0
@@ -258,7 +275,10 @@ def viewports(
         case _:
             middle = 0.5 * (floor + 1.0)
             places = [
-                (0.0, middle, 0.5, 1.0), (0.5, middle, 1.0, 1.0), (0.0, floor, 0.5, middle), (0.5, floor, 1.0, middle)
+                (0.0, middle, 0.5, 1.0),
+                (0.5, middle, 1.0, 1.0),
+                (0.0, floor, 0.5, middle),
+                (0.5, floor, 1.0, middle),
             ]
             if len(tiles) == 3:
                 places[2] = (0.0, floor, 1.0, middle)
@@ -295,10 +315,16 @@ def fitting(
 
     def area(layout: str, large: str, tall: bool) -> float:
         total = 0.0
-        for name, (left, bottom, right, top) in viewports(layout, names, large, False, tall).items():
+        for name, (left, bottom, right, top) in viewports(
+            layout, names, large, False, tall
+        ).items():
             if name in sides:
                 wide, high = sides[name]
-                total += wide * high * min((right - left) * width / wide, (top - bottom) * height / high) ** 2
+                total += (
+                    wide
+                    * high
+                    * min((right - left) * width / wide, (top - bottom) * height / high) ** 2
+                )
         return total
 
     return max(choices, key=lambda choice: area(*choice))
@@ -308,8 +334,16 @@ def _one(tiles: tuple[str, ...], large: str, chart: bool) -> dict[str, Viewport]
     """The large tile at the left; the others beside it, two by two with the chart, or in a column without."""
     others = [name for name in tiles if name != large]
     if chart:
-        places = [(0.5, 0.5, 0.75, 1.0), (0.75, 0.5, 1.0, 1.0), (0.5, 0.0, 0.75, 0.5), (0.75, 0.0, 1.0, 0.5)]
-        return {large: (0.0, 0.0, 0.5, 1.0), **dict(zip([*others, "energies"], places, strict=False))}
+        places = [
+            (0.5, 0.5, 0.75, 1.0),
+            (0.75, 0.5, 1.0, 1.0),
+            (0.5, 0.0, 0.75, 0.5),
+            (0.75, 0.0, 1.0, 0.5),
+        ]
+        return {
+            large: (0.0, 0.0, 0.5, 1.0),
+            **dict(zip([*others, "energies"], places, strict=False)),
+        }
     weights = [SPACE if name == "space" else 1.0 for name in others]
     ends = [1.0 - sum(weights[:number]) / sum(weights) for number in range(len(others) + 1)]
     column = {name: (LARGE, max(ends[i + 1], 0.0), 1.0, ends[i]) for i, name in enumerate(others)}

@@ -36,8 +36,12 @@ def page_of_help(keys: Mapping[str, Key]) -> str:
     rows = [*help_rows(keys), *of_window]
     half = -(-len(rows) // 2)
     # The keys stay in one line; what they do may take two where the window is narrow.
-    columns = ("".join(f"<tr><td style='white-space: pre'><b>{a}</b>  </td><td>{b}</td></tr>" for a, b in part)
-               for part in (rows[:half], rows[half:]))
+    columns = (
+        "".join(
+            f"<tr><td style='white-space: pre'><b>{a}</b>  </td><td>{b}</td></tr>" for a, b in part
+        )
+        for part in (rows[:half], rows[half:])
+    )
     cells = "".join(f"<td width='50%'><table>{column}</table></td>" for column in columns)
     return f"<table width='100%'><tr>{cells}</tr></table>"
 
@@ -48,9 +52,17 @@ def palette(theme: str) -> QPalette:
     made = QPalette()
     roles = QPalette.ColorRole
     for role, color in {
-        roles.Window: ui.background, roles.Base: ui.field, roles.AlternateBase: ui.raised, roles.Button: ui.raised,
-        roles.Text: ui.ink, roles.WindowText: ui.ink, roles.ButtonText: ui.ink, roles.ToolTipBase: ui.field,
-        roles.ToolTipText: ui.ink, roles.Highlight: SURFACE, roles.HighlightedText: ON_SURFACE,
+        roles.Window: ui.background,
+        roles.Base: ui.field,
+        roles.AlternateBase: ui.raised,
+        roles.Button: ui.raised,
+        roles.Text: ui.ink,
+        roles.WindowText: ui.ink,
+        roles.ButtonText: ui.ink,
+        roles.ToolTipBase: ui.field,
+        roles.ToolTipText: ui.ink,
+        roles.Highlight: SURFACE,
+        roles.HighlightedText: ON_SURFACE,
         roles.PlaceholderText: ui.weak,
     }.items():
         made.setColor(role, QColor(color))
@@ -62,5 +74,10 @@ def palette(theme: str) -> QPalette:
 def sheet(theme: str) -> str:
     """Return the style sheet of the window."""
     text = resources.files("accelsurf.viewer").joinpath("window.qss").read_text(encoding="utf-8")
-    shared = {"surface": SURFACE, "on_surface": ON_SURFACE, "edge": EDGE[theme], "alarm": ALARM[theme]}
+    shared = {
+        "surface": SURFACE,
+        "on_surface": ON_SURFACE,
+        "edge": EDGE[theme],
+        "alarm": ALARM[theme],
+    }
     return Template(text).substitute(shared, **CONTROL_COLORS[theme]._asdict())

@@ -5,14 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt
-from PySide6.QtGui import QEventPoint, QInputDevice, QMouseEvent, QNativeGestureEvent, QTouchEvent, QWheelEvent
+from PySide6.QtGui import (
+    QEventPoint,
+    QInputDevice,
+    QMouseEvent,
+    QNativeGestureEvent,
+    QTouchEvent,
+    QWheelEvent,
+)
 from pyvistaqt import QtInteractor
 
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.mouse import LEFT, MIDDLE, RIGHT, ZOOM, MouseFeature
 from accelsurf.viewer.actions.slices import SlicesFeature
 
-_BUTTONS = {Qt.MouseButton.LeftButton: LEFT, Qt.MouseButton.MiddleButton: MIDDLE, Qt.MouseButton.RightButton: RIGHT}
+_BUTTONS = {
+    Qt.MouseButton.LeftButton: LEFT,
+    Qt.MouseButton.MiddleButton: MIDDLE,
+    Qt.MouseButton.RightButton: RIGHT,
+}
 _PRESSES = (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick)
 #: After these the screen may have other pixels.
 _FITS = (QEvent.Type.Show, QEvent.Type.Resize, QEvent.Type.DevicePixelRatioChange)
@@ -46,7 +57,9 @@ class CanvasEvents(QObject):
             return True
         if event.type() in _FITS:
             self._actions.scene.tiles.pixel_ratio = self._canvas.devicePixelRatioF()
-            self._actions.feature(SlicesFeature).fit_layout(self._canvas.width(), self._canvas.height())
+            self._actions.feature(SlicesFeature).fit_layout(
+                self._canvas.width(), self._canvas.height()
+            )
         if isinstance(event, QWheelEvent):
             zoom = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
             turned = event.angleDelta().y()
@@ -57,7 +70,10 @@ class CanvasEvents(QObject):
             if event.gestureType() == Qt.NativeGestureType.ZoomNativeGesture:
                 self._ask("scroll", event.position(), event.value() / (ZOOM - 1.0), True)
             return True
-        if isinstance(event, QTouchEvent) and event.device().type() == QInputDevice.DeviceType.TouchScreen:
+        if (
+            isinstance(event, QTouchEvent)
+            and event.device().type() == QInputDevice.DeviceType.TouchScreen
+        ):
             self._touch(event)
             event.accept()  # so that Qt makes no mouse of it
             return True
@@ -87,7 +103,12 @@ class CanvasEvents(QObject):
             self._actions.request("touch_cancel")
         for point in event.points():
             if point.state() == QEventPoint.State.Pressed:
-                self._request("touch_down", point.position(), point.id(), event.type() == QEvent.Type.TouchBegin)
+                self._request(
+                    "touch_down",
+                    point.position(),
+                    point.id(),
+                    event.type() == QEvent.Type.TouchBegin,
+                )
             elif point.state() == QEventPoint.State.Updated:
                 self._request("touch_move", point.position(), point.id())
             elif point.state() == QEventPoint.State.Released:

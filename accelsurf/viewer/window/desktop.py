@@ -112,7 +112,11 @@ class Window(QMainWindow):
         self.canvas = QtInteractor(self, auto_update=False, **Scene.layout(geometry))
         self.canvas.setAcceptDrops(False)  # VTK would take them for meshes
         self.scene = Scene(
-            session.volume, theme=theme, reference=reference, plotter=self.canvas, title=session.name,
+            session.volume,
+            theme=theme,
+            reference=reference,
+            plotter=self.canvas,
+            title=session.name,
             window=parse_window(session.status.settings.window),
         )
         self.scene.tiles.redraw.is_painted = True
@@ -148,7 +152,9 @@ class Window(QMainWindow):
         last.setSpacing(24)
         self.message, self.read_out = Message(), QLabel("")
         self.read_out.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.read_out.setToolTip("Place (x, y, z), voxel (i, j, k), value and label under the mouse")
+        self.read_out.setToolTip(
+            "Place (x, y, z), voxel (i, j, k), value and label under the mouse"
+        )
         last.addWidget(self.message, 1)
         last.addWidget(self.read_out)
         rows.addLayout(last)
@@ -162,7 +168,10 @@ class Window(QMainWindow):
         self.side.changes.help_wanted.connect(self.toggle_help)
         self.side.changes.save_wanted.connect(self.save)
         of_window: dict[str, Callable[[], Any]] = {
-            "Ctrl+S": self.save, "F1": self.toggle_help, "H": self.toggle_help, "Escape": self._escape,
+            "Ctrl+S": self.save,
+            "F1": self.toggle_help,
+            "H": self.toggle_help,
+            "Escape": self._escape,
             "Ctrl+Q": lambda: self.window().close(),
         }
         for key in dict.fromkeys((*self.user_actions.keys, *of_window)):
@@ -182,7 +191,9 @@ class Window(QMainWindow):
     def save(self) -> None:
         """Save into the folder, which the user is asked for if it is not known."""
         if self.user_actions.folder is None:
-            folder = QFileDialog.getExistingDirectory(self, "Save labels, mesh, picture and settings in")
+            folder = QFileDialog.getExistingDirectory(
+                self, "Save labels, mesh, picture and settings in"
+            )
             if not folder:
                 return
             self.user_actions.folder = Path(folder)
@@ -239,7 +250,9 @@ class Window(QMainWindow):
         self.side.show_state(state)
         self.bar.show_state(state)
         self.frame_bar.show_state(state)
-        self.setWindowTitle(f"accelsurf - {self.session.name} - step {state['step']} - {state['state_word']}")
+        self.setWindowTitle(
+            f"accelsurf - {self.session.name} - step {state['step']} - {state['state_word']}"
+        )
         self.message.say(state["message"], state["failed"])
 
     # -- the window ---------------------------------------------------------------------------------------
@@ -264,7 +277,10 @@ class Window(QMainWindow):
         room = self.help.parentWidget().size()
         self.help.setFixedWidth(min(HELP_WIDTH, room.width() - 2 * HELP_MARGIN))
         self.help.adjustSize()
-        left, above = ((room.width() - self.help.width()) // 2, (room.height() - self.help.height()) // 2)
+        left, above = (
+            (room.width() - self.help.width()) // 2,
+            (room.height() - self.help.height()) // 2,
+        )
         self.help.move(max(left, 0), max(above, 0))
         self.help.raise_()
 
@@ -303,7 +319,9 @@ class ToolsPanel(Section):
         self._group = QButtonGroup(self)
         self.tools: dict[str, QPushButton] = {}
         for place, (name, tool) in enumerate(actions.tools.items()):
-            made = self.tools[name] = self.button(tool.text, f"{tool.tip} ({tool.key})", "tool", name)
+            made = self.tools[name] = self.button(
+                tool.text, f"{tool.tip} ({tool.key})", "tool", name
+            )
             made.setCheckable(True)
             self._group.addButton(made)
             grid.addWidget(made, place // IN_ROW, place % IN_ROW)
@@ -314,7 +332,9 @@ class ToolsPanel(Section):
         shown = actions.state()["radius_row"]
         self.radius = Amount(shown)
         self.radius.changed.connect(lambda value: self.ask("set_radius", value))
-        grid.addWidget(QLabel(f"Radius of click, ball and brush ({shown['unit']})"), row, 0, 1, IN_ROW)
+        grid.addWidget(
+            QLabel(f"Radius of click, ball and brush ({shown['unit']})"), row, 0, 1, IN_ROW
+        )
         grid.addWidget(self.radius, row + 1, 0, 1, IN_ROW)
         self.answers = AnswersRow(actions)
         grid.addWidget(self.answers, row + 2, 0, 1, IN_ROW)
@@ -357,9 +377,9 @@ class AnswersRow(QWidget):
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the answers, the taken one pressed."""
         answers = state["first_answers"]
-        if answers == self._shown and [self.buttons[each["number"]].isChecked() for each in answers] == [
-            each["taken"] for each in answers
-        ]:
+        if answers == self._shown and [
+            self.buttons[each["number"]].isChecked() for each in answers
+        ] == [each["taken"] for each in answers]:
             return
         self._shown = answers
         self.setVisible(bool(answers))
@@ -438,7 +458,9 @@ class HistoryPanel(Section):
         super().__init__("History", actions)
         self.list = QListWidget()
         self.list.setAccessibleName("changes")
-        self.list.setToolTip("A click goes back, or forward again, to what was in force after that change")
+        self.list.setToolTip(
+            "A click goes back, or forward again, to what was in force after that change"
+        )
         # A long line ends in an ellipsis, with all of it in its tip: a bar below would cover one of the few lines.
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.list.itemClicked.connect(lambda item: self.ask("change", self.list.row(item)))
@@ -456,12 +478,16 @@ class HistoryPanel(Section):
             self.list.addItem("0: as at first")
             for change in self._shown:
                 item = QListWidgetItem(f"{change['number']}: {change['line']}")
-                item.setToolTip(f"{change['line']}, at step {change['step']}{'' if change['done'] else ', undone'}")
+                item.setToolTip(
+                    f"{change['line']}, at step {change['step']}{'' if change['done'] else ', undone'}"
+                )
                 if not change["done"]:
                     item.setForeground(grey)
                 self.list.addItem(item)
             lines = min(self.list.count(), LINES)
-            self.list.setFixedHeight(lines * self.list.sizeHintForRow(0) + 2 * self.list.frameWidth() + 8)
+            self.list.setFixedHeight(
+                lines * self.list.sizeHintForRow(0) + 2 * self.list.frameWidth() + 8
+            )
             done = sum(change["done"] for change in self._shown)
             self.list.setCurrentRow(done)
             self.list.scrollToItem(self.list.item(done))

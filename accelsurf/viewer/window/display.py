@@ -22,7 +22,9 @@ def lacks_window_packages() -> str:
     """Return in one sentence what packages the window lacks; empty when it lacks none."""
     missing = _missing(WINDOW_PACKAGES)
     verb = "is" if len(missing) == 1 else "are"
-    return f"the window needs {' and '.join(missing)}, which {verb} not installed" if missing else ""
+    return (
+        f"the window needs {' and '.join(missing)}, which {verb} not installed" if missing else ""
+    )
 
 
 def has_page_packages() -> bool:
@@ -53,7 +55,9 @@ def require_display(meanwhile: Callable[[], None] = lambda: None) -> None:
         )
     # Qt ends the process when it cannot open a window, so another process tries it first.
     try:
-        trial = subprocess.Popen([sys.executable, "-c", _PROBE], stdout=PIPE, stderr=PIPE, text=True)
+        trial = subprocess.Popen(
+            [sys.executable, "-c", _PROBE], stdout=PIPE, stderr=PIPE, text=True
+        )
     except OSError:
         meanwhile()
         return
@@ -86,4 +90,7 @@ def _missing(packages: tuple[str, ...]) -> list[str]:
 
 def _shortened(words: str) -> str:
     """The first sentence of Qt's message, without the names of its parts."""
-    return words.removeprefix("qt.qpa.xcb: ").removeprefix("qt.qpa.plugin: ")[:160] or "Qt gives no reason"
+    return (
+        words.removeprefix("qt.qpa.xcb: ").removeprefix("qt.qpa.plugin: ")[:160]
+        or "Qt gives no reason"
+    )

@@ -89,7 +89,9 @@ class MainWindow(QMainWindow):
 
     def ask_folder(self) -> None:
         """Ask for a folder that is an image, and open it."""
-        name = QFileDialog.getExistingDirectory(self, "Open a folder: a scan in DICOM, slices, OME-Zarr")
+        name = QFileDialog.getExistingDirectory(
+            self, "Open a folder: a scan in DICOM, slices, OME-Zarr"
+        )
         if name:
             self.opening.request("open", name)
 
@@ -111,7 +113,9 @@ class MainWindow(QMainWindow):
     def dropEvent(self, event: QDropEvent) -> None:
         """Open what was dropped."""
         event.acceptProposedAction()
-        self.opening.request("drop", *(url.toLocalFile() for url in event.mimeData().urls() if url.isLocalFile()))
+        self.opening.request(
+            "drop", *(url.toLocalFile() for url in event.mimeData().urls() if url.isLocalFile())
+        )
 
     # -- news ---------------------------------------------------------------------------------------------
 
@@ -138,7 +142,10 @@ class MainWindow(QMainWindow):
         self._ask_back(state)
 
     def _fill_menus(self, state: dict[str, Any], before: dict[str, Any]) -> None:
-        lists = ((self._recent, "recent", "open_recent"), (self._phantoms, "phantoms", "open_phantom"))
+        lists = (
+            (self._recent, "recent", "open_recent"),
+            (self._phantoms, "phantoms", "open_phantom"),
+        )
         for menu, key, request in lists:
             if state[key] == before.get(key):
                 continue
@@ -160,9 +167,14 @@ class MainWindow(QMainWindow):
             return
         if state["question"]:
             box = question_box(self, state["question"], state["answers"])
-            box.finished.connect(lambda _: self._answered(
-                "answer", box.clickedButton().property("name") if box.clickedButton() is not None else "cancel"
-            ))
+            box.finished.connect(
+                lambda _: self._answered(
+                    "answer",
+                    box.clickedButton().property("name")
+                    if box.clickedButton() is not None
+                    else "cancel",
+                )
+            )
             self.dialog = box
         elif state["choices"]:
             choice, rows = choice_dialog(self, state["choices"])
@@ -180,7 +192,9 @@ class MainWindow(QMainWindow):
 
     # -- images -------------------------------------------------------------------------------------------
 
-    def open(self, opened: OpenedImage, session: Session | None = None, close_if_it_fails: bool = False) -> None:
+    def open(
+        self, opened: OpenedImage, session: Session | None = None, close_if_it_fails: bool = False
+    ) -> None:
         """Show an image in place of what is shown now; its slices at once, its surface when the run is prepared.
 
         Parameters
@@ -193,10 +207,14 @@ class MainWindow(QMainWindow):
             what is wrong.
         """
         settings, former = self._settings, self.inner
-        session = opened.session(settings.checkpoint_mb, begin=False) if session is None else session
+        session = (
+            opened.session(settings.checkpoint_mb, begin=False) if session is None else session
+        )
         theme = settings.theme if former is None else former.scene.theme_name
         folder = self.opening.results_of_next(settings.folder, opened.name)
-        self.inner = Window(session, opened.reference, folder, theme, settings.overwrite, opened.frames)
+        self.inner = Window(
+            session, opened.reference, folder, theme, settings.overwrite, opened.frames
+        )
         self.inner.setWindowFlags(Qt.WindowType.Widget)
         self.inner.windowTitleChanged.connect(self.setWindowTitle)
         self.inner.side.hints_unwanted.connect(lambda: self.opening.request("hints_off"))

@@ -48,7 +48,9 @@ class ObjectsPanel(Section):
         super().__init__("Objects", actions)
         table = self.table = QTableWidget(0, len(COLUMNS))
         table.setAccessibleName("objects")
-        table.setToolTip("The chosen object takes strokes and sizes; double click: rename, or another colour")
+        table.setToolTip(
+            "The chosen object takes strokes and sizes; double click: rename, or another colour"
+        )
         table.setHorizontalHeaderLabels(list(COLUMNS))
         table.verticalHeader().hide()
         table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
@@ -65,8 +67,12 @@ class ObjectsPanel(Section):
         table.itemChanged.connect(self._edited)
         table.cellClicked.connect(lambda row, _: self.ask("object_active", self._id(row)))
         table.cellDoubleClicked.connect(self._double_clicked)
-        self.add = self.button("Add", "A further object: the next press or click inside begins it (U)", "object_add")
-        self.merge = button("Merge", "Make the chosen objects the first of them (choose several with Ctrl)")
+        self.add = self.button(
+            "Add", "A further object: the next press or click inside begins it (U)", "object_add"
+        )
+        self.merge = button(
+            "Merge", "Make the chosen objects the first of them (choose several with Ctrl)"
+        )
         self.merge.clicked.connect(lambda: self.ask("object_merge", *self._selected()))
         self.remove = button("Remove", "Take the chosen object away")
         self.remove.clicked.connect(self._remove)
@@ -99,7 +105,9 @@ class ObjectsPanel(Section):
         self._rows, self._active = rows, active
         with QSignalBlocker(self.table):
             self.table.setRowCount(len(rows))
-            self.table.setFixedHeight((min(len(rows), ROWS) + 1) * (self.table.fontMetrics().lineSpacing() + 9))
+            self.table.setFixedHeight(
+                (min(len(rows), ROWS) + 1) * (self.table.fontMetrics().lineSpacing() + 9)
+            )
             for place, row in enumerate(rows):
                 self._fill(place, row)
             # With Ctrl several are chosen, of which the last one is active.
@@ -110,7 +118,13 @@ class ObjectsPanel(Section):
 
     def _fill(self, place: int, row: Mapping[str, Any]) -> None:
         """Write a row of the table."""
-        texts = {_SEEN: "", _COLOR: "", _NAME: row["name"], _VOLUME: row["volume"], _WORD: row["word"]}
+        texts = {
+            _SEEN: "",
+            _COLOR: "",
+            _NAME: row["name"],
+            _VOLUME: row["volume"],
+            _WORD: row["word"],
+        }
         for column, text in texts.items():
             item = self.table.item(place, column)
             if item is None:
@@ -119,7 +133,9 @@ class ObjectsPanel(Section):
             item.setText(text)
             flags = Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsSelectable
             if column == _SEEN:
-                item.setCheckState(Qt.CheckState.Checked if row["visible"] else Qt.CheckState.Unchecked)
+                item.setCheckState(
+                    Qt.CheckState.Checked if row["visible"] else Qt.CheckState.Unchecked
+                )
                 item.setToolTip("Whether it is drawn")
                 flags |= Qt.ItemFlag.ItemIsUserCheckable
             if column == _COLOR:
@@ -154,12 +170,16 @@ class ObjectsPanel(Section):
         if item.column() == _NAME:
             self.ask("object_name", self._id(item.row()), item.text())
         elif item.column() == _SEEN:
-            self.ask("object_visible", self._id(item.row()), item.checkState() == Qt.CheckState.Checked)
+            self.ask(
+                "object_visible", self._id(item.row()), item.checkState() == Qt.CheckState.Checked
+            )
         self._is_typed = True
 
     def _double_clicked(self, row: int, column: int) -> None:
         if column == _COLOR:
-            color = QColorDialog.getColor(QColor(self._rows[row]["color"]), self, "Colour of the object")
+            color = QColorDialog.getColor(
+                QColor(self._rows[row]["color"]), self, "Colour of the object"
+            )
             if color.isValid():
                 self.ask("object_color", self._id(row), color.name())
 

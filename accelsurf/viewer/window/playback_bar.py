@@ -28,7 +28,9 @@ class _Bar(QWidget):
         made.clicked.connect(lambda: self._actions.request(request, *values))
         return made
 
-    def _lay_out(self, buttons: Sequence[QWidget], slider: QSlider, others: Sequence[QWidget], below: int) -> None:
+    def _lay_out(
+        self, buttons: Sequence[QWidget], slider: QSlider, others: Sequence[QWidget], below: int
+    ) -> None:
         row = in_row(*buttons, spacing=6)
         row.setContentsMargins(8, 5, 8, below)
         row.addWidget(slider, 1)
@@ -44,7 +46,9 @@ class PlaybackBar(_Bar):
         self.timeline = QSlider(Qt.Orientation.Horizontal)
         super().__init__(actions, self.timeline, "stored steps")
         self._steps: list[int] = []
-        self.restart = self._button("Restart", "Restart: from the start, with the settings in force (Home)", "restart")
+        self.restart = self._button(
+            "Restart", "Restart: from the start, with the settings in force (Home)", "restart"
+        )
         self.back = self._button("Back", "Back one step (Left)", "back")
         self.play = self._button("Run", "Run or pause (Space)", "toggle")
         self.forward = self._button("Step", "One step (Right)", "step")
@@ -69,7 +73,9 @@ class PlaybackBar(_Bar):
             self.timeline.setRange(0, max(len(self._steps) - 1, 0))
             if not self.timeline.isSliderDown() and state["step"] in self._steps:
                 self.timeline.setValue(self._steps.index(state["step"]))
-        edits = f", {state['edits']} edit{'' if state['edits'] == 1 else 's'}" if state["edits"] else ""
+        edits = (
+            f", {state['edits']} edit{'' if state['edits'] == 1 else 's'}" if state["edits"] else ""
+        )
         self.where.setText(f"step {state['step']}{edits}")
 
     def _slid(self, place: int) -> None:

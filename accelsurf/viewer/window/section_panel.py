@@ -256,7 +256,9 @@ class Amount(QWidget):
 
     def show_value(self, value: float | str) -> None:
         """Show the value in force, without emitting it."""
-        blockers = [QSignalBlocker(part) for part in (self.slider, self.box, self.word) if part is not None]
+        blockers = [
+            QSignalBlocker(part) for part in (self.slider, self.box, self.word) if part is not None
+        ]
         if isinstance(value, str) and self.word is not None:
             self.word.setCurrentText(value)
         else:

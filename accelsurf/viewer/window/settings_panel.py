@@ -61,7 +61,11 @@ class SettingRow(QWidget):
 
     def __init__(self, row: Row) -> None:
         super().__init__()
-        again = "\nA change begins the run again from the start; clicks stay." if row["restarts"] else ""
+        again = (
+            "\nA change begins the run again from the start; clicks stay."
+            if row["restarts"]
+            else ""
+        )
         self.setToolTip(row["help"] + again)
         self.label = QLabel(titled(row))
         self.label.setWordWrap(True)
@@ -104,7 +108,9 @@ class SettingRow(QWidget):
             self.box.setAccessibleName(name)
             self.box.toggled.connect(lambda on: self.changed.emit(on))
         if self.choice is not None:
-            self.choice.activated.connect(lambda _, made=self.choice: self.changed.emit(made.currentData()))
+            self.choice.activated.connect(
+                lambda _, made=self.choice: self.changed.emit(made.currentData())
+            )
         if self.line is not None and self.error is None:
             self.line.setAccessibleName(name)
             self.line.editingFinished.connect(functools.partial(self._typed, self.line))
@@ -125,7 +131,9 @@ class SettingRow(QWidget):
         if self.box is not None:
             show_switch(self.box, value)
         if self.choice is not None:
-            show_choice(self.choice, {choice["name"]: choice["help"] for choice in row["names"]}, value)
+            show_choice(
+                self.choice, {choice["name"]: choice["help"] for choice in row["names"]}, value
+            )
         if self.line is not None:
             if self.error is None:
                 self.line.setPlaceholderText(row["now"])  # what an empty line means
@@ -215,7 +223,9 @@ class SettingsPanel(Section):
     def _made(self, row: Row) -> SettingRow:
         widget = SettingRow(row)
         if row["term"]:
-            widget.changed.connect(lambda value, term=row["term"]: self.ask("set_term", *term, value))
+            widget.changed.connect(
+                lambda value, term=row["term"]: self.ask("set_term", *term, value)
+            )
         else:
             widget.changed.connect(functools.partial(self.ask, "set", row["key"]))
         widget.typing.connect(lambda text: self.ask("type_energy", text))

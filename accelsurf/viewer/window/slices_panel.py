@@ -11,7 +11,14 @@ from PySide6.QtWidgets import QDoubleSpinBox, QFormLayout, QGridLayout, QLabel
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.slices import MAX_GREY
 from accelsurf.viewer.scene.colors import THEMES
-from accelsurf.viewer.window.section_panel import ScrollGuard, Section, choice, framed, show_choice, show_switch
+from accelsurf.viewer.window.section_panel import (
+    ScrollGuard,
+    Section,
+    choice,
+    framed,
+    show_choice,
+    show_switch,
+)
 
 #: What the list of windows shows where level and width were set by hand.
 BY_HAND = "by hand"
@@ -24,11 +31,15 @@ class SlicesPanel(Section):
         super().__init__("Slices", actions)
         grid = framed(QGridLayout(self.body))
         self.window_word = choice("grey values")
-        self.window_word.setToolTip("Values that are drawn black and white; in a slice: drag with the right button")
+        self.window_word.setToolTip(
+            "Values that are drawn black and white; in a slice: drag with the right button"
+        )
         self.window_word.activated.connect(self._named)
         self.level, self.width_ = _number(-MAX_GREY), _number(0.0)
         for box in (self.level, self.width_):
-            box.valueChanged.connect(lambda _: self.ask("window", self.level.value(), self.width_.value()))
+            box.valueChanged.connect(
+                lambda _: self.ask("window", self.level.value(), self.width_.value())
+            )
         self.layout_ = self.choice("layout", "layout")
         self.chart = self.switch("Chart", "chart", "The energies at each step")
         tip = "Slices smooth between voxels, or each voxel as a rectangle"
@@ -51,7 +62,9 @@ class SlicesPanel(Section):
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the grey values and the layout."""
         word = state["window_word"]
-        show_choice(self.window_word, [*state["windows"], *([] if word else [BY_HAND])], word or BY_HAND)
+        show_choice(
+            self.window_word, [*state["windows"], *([] if word else [BY_HAND])], word or BY_HAND
+        )
         for number, key in ((self.level, "level"), (self.width_, "width")):
             if not number.hasFocus():
                 with QSignalBlocker(number):
@@ -59,7 +72,11 @@ class SlicesPanel(Section):
                     number.setSingleStep(max(state["width"] / 20, 1e-4))
                     number.setValue(state[key])
         show_choice(self.layout_, state["layouts"], state["layout"])
-        for box, key in ((self.chart, "chart"), (self.interpolate, "interpolate"), (self.straight, "straight")):
+        for box, key in (
+            (self.chart, "chart"),
+            (self.interpolate, "interpolate"),
+            (self.straight, "straight"),
+        ):
             show_switch(box, state[key])
         self.straight.setEnabled(state["is_oblique"])
 

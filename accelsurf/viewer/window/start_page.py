@@ -42,15 +42,24 @@ class StartPage(QWidget):
         self._opening, self._shown = opening, dict[str, Any]()
         title = QLabel("accelsurf")
         title.setObjectName("title")
-        self.open_file, self.open_folder = QPushButton("Open file ..."), QPushButton("Open folder ...")
+        self.open_file, self.open_folder = (
+            QPushButton("Open file ..."),
+            QPushButton("Open folder ..."),
+        )
         self.open_file.setToolTip("An image in a file (Ctrl+O)")
         self.open_folder.setToolTip("A scan in DICOM, slices, or OME-Zarr (Ctrl+Shift+O)")
         self.open_file.clicked.connect(self.file_wanted)
         self.open_folder.clicked.connect(self.folder_wanted)
         self.recent, self.phantoms = _list("Recent images"), _list("Phantoms")
-        self.recent.itemActivated.connect(lambda item: self._ask("open_recent", self.recent.row(item)))
-        self.recent.itemClicked.connect(lambda item: self._ask("open_recent", self.recent.row(item)))
-        self.phantoms.itemActivated.connect(lambda item: self._ask("open_phantom", item.data(_NAME)))
+        self.recent.itemActivated.connect(
+            lambda item: self._ask("open_recent", self.recent.row(item))
+        )
+        self.recent.itemClicked.connect(
+            lambda item: self._ask("open_recent", self.recent.row(item))
+        )
+        self.phantoms.itemActivated.connect(
+            lambda item: self._ask("open_phantom", item.data(_NAME))
+        )
         self.phantoms.itemClicked.connect(lambda item: self._ask("open_phantom", item.data(_NAME)))
         self.message = Message()
         self.hint = QLabel("or drop an image, or the folder of a scan, here")
@@ -86,10 +95,16 @@ class StartPage(QWidget):
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show what can be opened, and what is being done."""
         if state["recent"] != self._shown.get("recent"):
-            rows = [(f"{file['name']}\n{file['folder']}", file["name"], file["exists"]) for file in state["recent"]]
+            rows = [
+                (f"{file['name']}\n{file['folder']}", file["name"], file["exists"])
+                for file in state["recent"]
+            ]
             _fill(self.recent, rows or [("none yet", "", False)])
         if state["phantoms"] != self._shown.get("phantoms"):
-            phantoms = [(f"{entry['name']}\n{entry['text']}", entry["name"], True) for entry in state["phantoms"]]
+            phantoms = [
+                (f"{entry['name']}\n{entry['text']}", entry["name"], True)
+                for entry in state["phantoms"]
+            ]
             _fill(self.phantoms, phantoms)
         for part in (self.recent, self.phantoms, self.open_file, self.open_folder):
             part.setEnabled(not state["opening"])

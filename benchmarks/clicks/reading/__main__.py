@@ -30,7 +30,9 @@ PASSES, HELD, CHUNK = 2, 0.08, 20
 AROUND, STEPS = 1.0, 4000
 
 
-def gathered(work: Path, name: str, first: int, count: int, make: Callable[[int], list[Rows]], jobs: int) -> Rows:
+def gathered(
+    work: Path, name: str, first: int, count: int, make: Callable[[int], list[Rows]], jobs: int
+) -> Rows:
     """Rows of scenes, file by file: those that are there already are read."""
     chunks = [
         (work / f"{name}-{start}.npz", range(start, min(start + CHUNK, first + count)))
@@ -42,7 +44,10 @@ def gathered(work: Path, name: str, first: int, count: int, make: Callable[[int]
             print(done, flush=True)
     parts = [np.load(path) for path, _ in chunks]
     names = [str(text) for text in parts[0]["names"]]
-    return Rows(names, *(np.concatenate([part[key] for part in parts]) for key in ("table", "wanted", "scenes")))
+    return Rows(
+        names,
+        *(np.concatenate([part[key] for part in parts]) for key in ("table", "wanted", "scenes")),
+    )
 
 
 def _written(job: tuple[Path, range], make: Callable[[int], list[Rows]]) -> str:
@@ -77,7 +82,9 @@ def fitted(name: str, rows: Rows, passes: int) -> tuple[Network, dict[str, float
     return network, {key: round(float(value), 4) for key, value in figures.items()}
 
 
-def train(work: Path, scenes: int, jobs: int, passes: int, steps: int, out: Path) -> dict[str, object]:
+def train(
+    work: Path, scenes: int, jobs: int, passes: int, steps: int, out: Path
+) -> dict[str, object]:
     """Train all networks; later clicks in two rounds, the second on games of the first."""
     work.mkdir(parents=True, exist_ok=True)
     began, record = time.monotonic(), dict[str, object]()
@@ -95,18 +102,30 @@ def train(work: Path, scenes: int, jobs: int, passes: int, steps: int, out: Path
     fit("first", "first", gathered(work, "first", 0, scenes, first_rows, jobs))
     as_asked()
     seeds = range(400_000, 400_000 + round(AROUND * scenes))
-    seen = lessons.written(work, "around", seeds, partial(lessons.lessons_of_first, networks=dict(networks)), jobs)
+    seen = lessons.written(
+        work, "around", seeds, partial(lessons.lessons_of_first, networks=dict(networks)), jobs
+    )
     layers, record["around"] = lessons.fitted(seen, steps, jobs)
-    networks["first"] = dataclasses.replace(networks["first"], around=tuple(Layer(*pair) for pair in layers))
+    networks["first"] = dataclasses.replace(
+        networks["first"], around=tuple(Layer(*pair) for pair in layers)
+    )
     as_asked()
     print("around", record["around"], flush=True)
-    rough = gathered(work, "rough", 100_000, scenes // 2, partial(later_rows, networks=dict(networks)), jobs)
+    rough = gathered(
+        work, "rough", 100_000, scenes // 2, partial(later_rows, networks=dict(networks)), jobs
+    )
     fit("later", "rough", rough)
-    played = gathered(work, "later", 200_000, scenes // 2, partial(later_rows, networks=dict(networks)), jobs)
-    both = Rows(rough.names, *(np.concatenate(pair) for pair in zip(rough[1:], played[1:], strict=True)))
+    played = gathered(
+        work, "later", 200_000, scenes // 2, partial(later_rows, networks=dict(networks)), jobs
+    )
+    both = Rows(
+        rough.names, *(np.concatenate(pair) for pair in zip(rough[1:], played[1:], strict=True))
+    )
     fit("later", "later", both)
     as_asked()
-    near = gathered(work, "near", 300_000, scenes // 3, partial(boundary_rows, networks=dict(networks)), jobs)
+    near = gathered(
+        work, "near", 300_000, scenes // 3, partial(boundary_rows, networks=dict(networks)), jobs
+    )
     fit("boundary", "boundary", near)
     save(out, networks)
     record["minutes"] = round((time.monotonic() - began) / 60.0, 1)
@@ -117,18 +136,30 @@ def train(work: Path, scenes: int, jobs: int, passes: int, steps: int, out: Path
 
 def main() -> None:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.clicks.reading", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.clicks.reading", description=__doc__
+    )
     commands = parser.add_subparsers(required=True)
-    training = commands.add_parser("train", help="train on scenes drawn on the fly; goes on where it was interrupted")
-    training.add_argument("--work", type=Path, required=True, help="folder for rows; about 1 MB a scene")
+    training = commands.add_parser(
+        "train", help="train on scenes drawn on the fly; goes on where it was interrupted"
+    )
+    training.add_argument(
+        "--work", type=Path, required=True, help="folder for rows; about 1 MB a scene"
+    )
     training.add_argument("--scenes", type=int, default=1200)
     training.add_argument("--jobs", type=int, default=2)
     training.add_argument("--passes", type=int, default=PASSES)
-    training.add_argument("--steps", type=int, default=STEPS, help="of the network that sees a block's surroundings")
+    training.add_argument(
+        "--steps", type=int, default=STEPS, help="of the network that sees a block's surroundings"
+    )
     training.add_argument("--out", type=Path, default=PLACE)
-    training.set_defaults(run=lambda a: print(train(a.work, a.scenes, a.jobs, a.passes, a.steps, a.out)))
+    training.set_defaults(
+        run=lambda a: print(train(a.work, a.scenes, a.jobs, a.passes, a.steps, a.out))
+    )
     showing = commands.add_parser("show", help="print what the weights are")
-    showing.set_defaults(run=lambda a: print({n: (w.parameters, w.names) for n, w in load(PLACE).items()}))
+    showing.set_defaults(
+        run=lambda a: print({n: (w.parameters, w.names) for n, w in load(PLACE).items()})
+    )
     asked = parser.parse_args()
     asked.run(asked)
 

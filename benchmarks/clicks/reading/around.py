@@ -91,7 +91,9 @@ def _single(values: Floats, weights: Floats, biases: Floats) -> Floats:
     return (_flat(values) @ weights + biases).reshape(*values.shape[:3], -1)
 
 
-def _single_back(values: Floats, weights: Floats, slope: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
+def _single_back(
+    values: Floats, weights: Floats, slope: Floats
+) -> tuple[Floats, tuple[Floats, Floats]]:
     flat = _flat(slope)
     return (flat @ weights.T).reshape(values.shape), (_flat(values).T @ flat, flat.sum(0))
 
@@ -101,7 +103,9 @@ def _slabs(values: Floats) -> Floats:
     padded = np.pad(values, [(1, 1)] * 3 + [(0, 0)])
     z, y, x, k = padded.strides
     nz, ny, nx, n = values.shape
-    return np.lib.stride_tricks.as_strided(padded, (nz, ny, nx, 3, 3, 3 * n), (z, y, x, z, y, k), writeable=False)
+    return np.lib.stride_tricks.as_strided(
+        padded, (nz, ny, nx, 3, 3, 3 * n), (z, y, x, z, y, k), writeable=False
+    )
 
 
 def _cube(values: Floats, weights: Floats, biases: Floats) -> Floats:
@@ -112,13 +116,17 @@ def _cube(values: Floats, weights: Floats, biases: Floats) -> Floats:
     return out
 
 
-def _cube_back(values: Floats, weights: Floats, slope: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
+def _cube_back(
+    values: Floats, weights: Floats, slope: Floats
+) -> tuple[Floats, tuple[Floats, Floats]]:
     nz, ny, nx, n = values.shape
     total = np.zeros_like(weights)
     for slab, part in zip(_slabs(values), slope, strict=True):
         total += slab.reshape(ny * nx, -1).T @ part.reshape(ny * nx, -1)
     m = weights.shape[1]
-    turned = np.ascontiguousarray(weights.reshape(27, n, m)[::-1].transpose(0, 2, 1).reshape(27 * m, n))
+    turned = np.ascontiguousarray(
+        weights.reshape(27, n, m)[::-1].transpose(0, 2, 1).reshape(27 * m, n)
+    )
     return _cube(slope, turned, np.zeros(n, weights.dtype)), (total, _flat(slope).sum(0))
 
 

@@ -58,7 +58,9 @@ class Game:
         Those that are trained already.
     """
 
-    def __init__(self, volume: Volume, truth: Mask, random: Random, networks: Mapping[str, Network]) -> None:
+    def __init__(
+        self, volume: Volume, truth: Mask, random: Random, networks: Mapping[str, Network]
+    ) -> None:
         self.volume, self.truth, self.random, self.networks = volume, truth, random, networks
         self.scene = Images((volume.as_float32(),), volume.geometry.spacing)
         self.largest = MOST_SPACINGS * min(volume.geometry.spacing)
@@ -72,7 +74,9 @@ class Game:
     def click(self) -> bool:
         """Add the next click; False where nothing is wrong."""
         labels = self.labels if self.seeds else None
-        click = next_click(self.truth, labels, self.volume.geometry, None if self.is_exact else self.random)
+        click = next_click(
+            self.truth, labels, self.volume.geometry, None if self.is_exact else self.random
+        )
         if click is None:
             return False
         part = 1.0
@@ -80,7 +84,9 @@ class Game:
             part = float(np.exp(self.random.uniform(np.log(SMALLEST), 0.0)))
         radius = max(min(part * click.radius, self.largest), 0.5 * min(self.scene.spacing))
         seed = seed_of(voxels_of(click._replace(radius=radius), self.volume.geometry), self.scene)
-        self.seeds.append(seed._replace(is_limited=seed.is_limited or radius >= self.largest * (1 - 1e-6)))
+        self.seeds.append(
+            seed._replace(is_limited=seed.is_limited or radius >= self.largest * (1 - 1e-6))
+        )
         return True
 
     def window(self, number: int) -> Window:
@@ -89,7 +95,9 @@ class Game:
 
     def later_features(self, window: Window) -> tuple[Features, Mask]:
         """Features of a later click's window, and the blocks that are on its side already."""
-        return features_of_later(window, self.labels[window.box], len(self.seeds), int(np.count_nonzero(self.labels)))
+        return features_of_later(
+            window, self.labels[window.box], len(self.seeds), int(np.count_nonzero(self.labels))
+        )
 
     def answer(self) -> None:
         """Find the labels after the last click; with the truth near it while no network answers later clicks."""
@@ -111,7 +119,9 @@ class Game:
         seed = self.seeds[-1]
         z, y, x = (int(i) for i in seed.core[0])
         wide = seed.radius * self.random.uniform(1.0, 3.5)
-        return ball_voxels(PersonClick("inside", (z, y, x), (0.0, 0.0, 0.0), wide), self.volume.geometry)
+        return ball_voxels(
+            PersonClick("inside", (z, y, x), (0.0, 0.0, 0.0), wide), self.volume.geometry
+        )
 
 
 def games(seed: int, kind: int, objects: int, networks: Mapping[str, Network]) -> Iterator[Game]:
@@ -122,7 +132,11 @@ def games(seed: int, kind: int, objects: int, networks: Mapping[str, Network]) -
 
 
 def sampled(
-    features: Features, share: NDArray[np.floating], where: NDArray[np.int64], seed: int, random: Random
+    features: Features,
+    share: NDArray[np.floating],
+    where: NDArray[np.int64],
+    seed: int,
+    random: Random,
 ) -> Rows:
     """Some of the blocks ``where``, half of them near the click."""
     near = where[np.asarray(features["distance"]).ravel()[where] < 2.0]
@@ -130,10 +144,15 @@ def sampled(
     return rows_of(features, share.ravel()[rows], rows, seed)
 
 
-def rows_of(features: Features, wanted: NDArray[np.floating], rows: NDArray[np.int64], seed: int) -> Rows:
+def rows_of(
+    features: Features, wanted: NDArray[np.floating], rows: NDArray[np.int64], seed: int
+) -> Rows:
     """Rows of some blocks, by flat index."""
     names = sorted(features)
-    columns = [np.broadcast_to(f, len(rows)) if f.ndim == 0 else f.ravel()[rows] for f in map(features.get, names)]
+    columns = [
+        np.broadcast_to(f, len(rows)) if f.ndim == 0 else f.ravel()[rows]
+        for f in map(features.get, names)
+    ]
     table = np.stack(columns, 1).astype(np.float16)
     return Rows(names, table, wanted.astype(np.float16), np.full(len(rows), seed))
 

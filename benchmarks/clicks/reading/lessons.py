@@ -69,7 +69,9 @@ def _lesson(window: Window, network: Network, truth: NDArray[np.bool_], seed: in
     share = np.rint(window.means(truth) * 255).astype(np.uint8)
     last = np.ascontiguousarray(np.moveaxis(values, 0, -1))
     fixed = window.mine | window.theirs
-    return Lesson(last.astype(np.float16), answer.astype(np.float16), share, fixed, window.mine, seed)
+    return Lesson(
+        last.astype(np.float16), answer.astype(np.float16), share, fixed, window.mine, seed
+    )
 
 
 def written(
@@ -124,11 +126,22 @@ def fitted(lessons: Sequence[Lesson], steps: int, jobs: int) -> tuple[Layers, di
             while len(order) < BATCH:
                 order += list(random.permutation(taught))
             todo, order = order[:BATCH], order[BATCH:]
-            found = list(pool.map(_slopes, [(layers, int(i), (step, j)) for j, i in enumerate(todo)]))
-            slopes = [np.sum([each[i] for each in found], axis=0) / BATCH for i in range(len(parts))]
-            less = min(1.0, LONGEST / max(float(np.sqrt(sum((part**2).sum() for part in slopes))), 1e-9))
+            found = list(
+                pool.map(_slopes, [(layers, int(i), (step, j)) for j, i in enumerate(todo)])
+            )
+            slopes = [
+                np.sum([each[i] for each in found], axis=0) / BATCH for i in range(len(parts))
+            ]
+            less = min(
+                1.0, LONGEST / max(float(np.sqrt(sum((part**2).sum() for part in slopes))), 1e-9)
+            )
             share = step / steps
-            rate = RATE * min(share / WARM, 1.0) * 0.5 * (1.0 + np.cos(np.pi * max(share - WARM, 0.0) / (1.0 - WARM)))
+            rate = (
+                RATE
+                * min(share / WARM, 1.0)
+                * 0.5
+                * (1.0 + np.cos(np.pi * max(share - WARM, 0.0) / (1.0 - WARM)))
+            )
             for i, slope in enumerate(slopes):
                 means[i] += FADING * (less * slope - means[i])
                 squares[i] += SQUARES * ((less * slope) ** 2 - squares[i])
@@ -140,7 +153,10 @@ def fitted(lessons: Sequence[Lesson], steps: int, jobs: int) -> tuple[Layers, di
         told = np.mean(list(pool.map(_told, [(layers, i) for i in held])), axis=0)
     names = ("cross_entropy_before", "dice_before", "cross_entropy", "dice")
     figures = dict(zip(names, (round(float(value), 4) for value in told), strict=True))
-    counts = {"windows": float(len(lessons)), "parameters": float(sum(w.size + b.size for w, b in layers))}
+    counts = {
+        "windows": float(len(lessons)),
+        "parameters": float(sum(w.size + b.size for w, b in layers)),
+    }
     return tuple(layers), counts | figures
 
 

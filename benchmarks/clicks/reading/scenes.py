@@ -57,7 +57,9 @@ def _objects(random: Random, labels: Labels, spacing: Sequence[float]) -> list[M
             around = around[around > 0]
             if len(around):
                 wanted |= labels == np.bincount(around).argmax()
-        parts, _ = ndimage.label(ndimage.binary_fill_holes(wanted) if kind < JOINED + FILLED else wanted)
+        parts, _ = ndimage.label(
+            ndimage.binary_fill_holes(wanted) if kind < JOINED + FILLED else wanted
+        )
         counts = np.bincount(parts.ravel())[1:]
         mask = parts == counts.argmax() + 1
         if LEAST_VOXELS <= counts.max() <= MOST_PART * mask.size and len(out) < MOST_OBJECTS:
@@ -83,13 +85,18 @@ def drawn(random: Random) -> Labels:
         else:
             _add_tubes(random, labels)
     if random.random() < 0.22:
-        for label in random.permutation(np.unique(labels[labels > 0]))[: int(random.integers(1, 6))]:
+        for label in random.permutation(np.unique(labels[labels > 0]))[
+            : int(random.integers(1, 6))
+        ]:
             mask = labels == label
             rim = ndimage.binary_dilation(mask, iterations=int(random.integers(1, 4))) & ~mask
             labels[rim] = labels.max() + 1
     if random.random() < 0.3:  # air around
         middle, axes = SIDE * random.uniform(0.3, 0.7, 3), _coordinates(random, 0.0)
-        apart = [((axis - m) / (SIDE * random.uniform(0.35, 0.7))) ** 2 for axis, m in zip(axes, middle, strict=True)]
+        apart = [
+            ((axis - m) / (SIDE * random.uniform(0.35, 0.7))) ** 2
+            for axis, m in zip(axes, middle, strict=True)
+        ]
         labels[sum(apart) + 0.12 * rough(random, (SIDE,) * 3, 10.0) > 1.0] = 0
     return labels
 
@@ -117,7 +124,9 @@ def painted(random: Random, labels: Labels) -> Floats:
             edge &= rough(random, shape, 4.0) < random.uniform(0.0, 1.6)
         image[edge] = random.uniform(-0.3, 1.4)
     if texture.max() > 0:
-        image += texture[where].astype(np.float32) * rough(random, shape, _between(random, 0.7, 4.0))
+        image += texture[where].astype(np.float32) * rough(
+            random, shape, _between(random, 0.7, 4.0)
+        )
     if random.random() < 0.45:
         image *= 1.0 + random.uniform(0.0, 0.3) * rough(random, shape, _between(random, 14.0, 40.0))
     if random.random() < 0.15:
@@ -141,7 +150,9 @@ def _degraded(random: Random, image: Floats, amount: float) -> Floats:
     else:
         image = image + amount * noise * np.sqrt(np.abs(image) + 0.02) * 1.5
     if random.random() < 0.25:
-        image = np.clip(image, *np.quantile(image, [random.uniform(0.0, 0.05), random.uniform(0.9, 1.0)]))
+        image = np.clip(
+            image, *np.quantile(image, [random.uniform(0.0, 0.05), random.uniform(0.9, 1.0)])
+        )
     if random.random() < 0.25:
         low, high = float(image.min()), float(image.max())
         image = ((image - low) / (high - low + 1e-9)) ** _between(random, 0.5, 2.0)
@@ -162,7 +173,11 @@ def _with_parts(
         mask = where[box] == index
         if kind < 0.2:
             depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1, 1:-1]
-            part = mask & (depth <= random.uniform(1.0, 3.5) if kind < 0.13 else depth > random.uniform(2.0, 7.0))
+            part = mask & (
+                depth <= random.uniform(1.0, 3.5)
+                if kind < 0.13
+                else depth > random.uniform(2.0, 7.0)
+            )
         else:
             field = rough(random, mask.shape, _between(random, 1.0, 4.0))
             part = mask & (field > np.quantile(field, random.uniform(0.5, 0.93)))
@@ -233,7 +248,10 @@ def _classes(random: Random, warp: float) -> Labels:
 def _folds(random: Random, warp: float) -> Labels:
     axes, shape = _coordinates(random, 0.0), (SIDE,) * 3
     middle = SIDE * (0.5 + random.uniform(-0.12, 0.12, 3))
-    apart = [(axis - m) ** 2 * np.exp(random.uniform(-0.3, 0.3)) for axis, m in zip(axes, middle, strict=True)]
+    apart = [
+        (axis - m) ** 2 * np.exp(random.uniform(-0.3, 0.3))
+        for axis, m in zip(axes, middle, strict=True)
+    ]
     depth = np.sqrt(sum(apart)) - random.uniform(0.25, 0.5) * SIDE
     depth += random.uniform(2.0, 8.0) * rough(random, shape, _between(random, 3.0, 7.0))
     depth += random.uniform(0.0, 6.0) * rough(random, shape, 12.0)
@@ -245,7 +263,11 @@ def _add_blobs(random: Random, labels: Labels, warp: float, large: bool) -> None
     axes = _coordinates(random, warp)
     count = int(_between(random, 1.0, 5.0 if large else 40.0))
     base = _between(random, 10.0, 0.45 * SIDE) if large else _between(random, 3.5, 15.0)
-    power, first, covers = random.choice([2.0, 2.0, 2.5, 4.0]), int(labels.max()) + 1, random.random() < 0.5
+    power, first, covers = (
+        random.choice([2.0, 2.0, 2.5, 4.0]),
+        int(labels.max()) + 1,
+        random.random() < 0.5,
+    )
     for number in range(count):
         radii = base * np.exp(random.uniform(-0.35, 0.35)) * np.exp(random.uniform(-0.45, 0.45, 3))
         middle, turn = random.uniform(0.0, SIDE, 3), _rotation(random) / radii[:, None]
@@ -260,7 +282,10 @@ def _add_tubes(random: Random, labels: Labels) -> None:
     first, joined = int(labels.max()) + 1, random.random() < 0.4
     for number in range(int(random.integers(1, 6))):
         thin = random.random() < 0.35
-        radius, curl = _between(random, 0.9, 2.5) if thin else _between(random, 1.3, 9.0), random.uniform(0.03, 0.3)
+        radius, curl = (
+            _between(random, 0.9, 2.5) if thin else _between(random, 1.3, 9.0),
+            random.uniform(0.03, 0.3),
+        )
         todo = [(random.uniform(0.1, 0.9, 3) * SIDE, random.standard_normal(3), radius, 0)]
         while todo:
             place, way, radius, branching = todo.pop()
@@ -270,7 +295,10 @@ def _add_tubes(random: Random, labels: Labels) -> None:
                 if (place < -6).any() or (place > SIDE + 6).any():
                     break
                 here = max(radius * (1.0 + 0.1 * random.standard_normal()), 0.8 if thin else 1.0)
-                low, high = np.maximum(np.floor(place - here), 0).astype(int), np.ceil(place + here).astype(int) + 1
+                low, high = (
+                    np.maximum(np.floor(place - here), 0).astype(int),
+                    np.ceil(place + here).astype(int) + 1,
+                )
                 box = tuple(slice(a, max(b, 0)) for a, b in zip(low, high, strict=True))
                 z, y, x = (np.arange(*s.indices(SIDE)) - p for s, p in zip(box, place, strict=True))
                 ball = z[:, None, None] ** 2 + y[:, None] ** 2 + x**2 < here**2

@@ -16,7 +16,12 @@ BATCH, STEP, DECAY, WARM = 4096, 4e-3, 1e-4, 0.1
 
 
 def trained(
-    names: Sequence[str], table: Floats, wanted: Floats, hidden: Sequence[int], passes: int, batch: int = BATCH
+    names: Sequence[str],
+    table: Floats,
+    wanted: Floats,
+    hidden: Sequence[int],
+    passes: int,
+    batch: int = BATCH,
 ) -> Network:
     """Train on rows by Adam on the cross entropy.
 
@@ -41,7 +46,9 @@ def trained(
     widths = [table.shape[1], *hidden, 1]
     parts: list[Floats] = []
     for rows, columns in zip(widths, widths[1:], strict=False):
-        parts.append((random.standard_normal((rows, columns)) * np.sqrt(2.0 / rows)).astype(np.float32))
+        parts.append(
+            (random.standard_normal((rows, columns)) * np.sqrt(2.0 / rows)).astype(np.float32)
+        )
         parts.append(np.zeros(columns, np.float32))
     first, second = ([np.zeros_like(part) for part in parts] for _ in range(2))
     total, step = passes * (len(wanted) // batch), 0
@@ -52,11 +59,17 @@ def trained(
             slopes = _slopes(parts, standardised(table[rows_], middle, spread), wanted[rows_])
             step += 1
             share = step / total
-            rate = STEP * (min(share / WARM, 1.0) * 0.5 * (1.0 + np.cos(np.pi * max(share - WARM, 0.0) / (1.0 - WARM))))
+            rate = STEP * (
+                min(share / WARM, 1.0)
+                * 0.5
+                * (1.0 + np.cos(np.pi * max(share - WARM, 0.0) / (1.0 - WARM)))
+            )
             for i, slope in enumerate(slopes):
                 first[i] += 0.1 * (slope - first[i])
                 second[i] += 0.001 * (slope**2 - second[i])
-                change = (first[i] / (1.0 - 0.9**step)) / (np.sqrt(second[i] / (1.0 - 0.999**step)) + 1e-8)
+                change = (first[i] / (1.0 - 0.9**step)) / (
+                    np.sqrt(second[i] / (1.0 - 0.999**step)) + 1e-8
+                )
                 parts[i] -= np.float32(rate) * (change + DECAY * parts[i] * (i % 2 == 0))
     return Network(tuple(names), middle, spread, tuple(map(Layer, parts[::2], parts[1::2])))
 
@@ -82,5 +95,3 @@ def loss(network: Network, table: Floats, wanted: Floats) -> float:
     columns = dict(zip(network.names, table.astype(np.float32).T, strict=True))
     p = np.clip(network.probability(columns, wanted.shape), 1e-6, 1.0 - 1e-6)
     return float(-np.mean(wanted * np.log(p) + (1.0 - wanted) * np.log(1.0 - p)))
-
-

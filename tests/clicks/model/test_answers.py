@@ -19,8 +19,14 @@ def tube(shape, spacing):
     turn = np.linspace(0.0, 4.0 * np.pi, 400)
     extent = np.array(shape) * spacing
     middle = 0.5 * extent
-    line = np.stack([extent[0] * (0.1 + 0.8 * turn / turn[-1]), middle[1] + 0.3 * extent[1] * np.sin(turn),
-                     middle[2] + 0.3 * extent[2] * np.cos(turn)], 1)
+    line = np.stack(
+        [
+            extent[0] * (0.1 + 0.8 * turn / turn[-1]),
+            middle[1] + 0.3 * extent[1] * np.sin(turn),
+            middle[2] + 0.3 * extent[2] * np.cos(turn),
+        ],
+        1,
+    )
     index = np.rint(line / spacing).astype(int)
     mask = np.ones(shape, bool)
     mask[tuple(index.T)] = False
@@ -59,7 +65,9 @@ def test_a_tube_is_followed_to_both_ends_whatever_its_sign(shape, spacing, sign)
     taken = alike.answers[0]
     assert (taken.number, taken.level) == (OF_ALIKE, None)
     assert taken.volume_mm3 == pytest.approx(alike.count * np.prod(spacing), rel=0.02)
-    assert sorted(answer.number for answer in alike.answers) == sorted(a.number for a in likeliest.answers)
+    assert sorted(answer.number for answer in alike.answers) == sorted(
+        a.number for a in likeliest.answers
+    )
     # The sign of F is that of the object, and there is no second piece.
     assert np.array_equal(alike.field < 0, alike.inside) and ndimage.label(shown(alike))[1] == 1
 
@@ -70,7 +78,9 @@ def test_a_brighter_gap_ends_it_and_what_is_closed_stays_out():
     image = ndimage.gaussian_filter(truth.astype(np.float32), 0.5)
     image[32:35] = 3.0
     clicks = click(place, shape)
-    assert not shown(click_model(Scene((image,), (1.0, 1.0, 1.0)), clicks, answer=OF_ALIKE))[32:].any()
+    assert not shown(click_model(Scene((image,), (1.0, 1.0, 1.0)), clicks, answer=OF_ALIKE))[
+        32:
+    ].any()
     image[32:35] = 0.0
     image += ndimage.gaussian_filter(truth.astype(np.float32), 0.5) * (image == 0.0)
     may = np.ones(shape, bool)
@@ -85,12 +95,16 @@ def test_channels_and_units_of_values_do_not_matter():
     truth, place = tube(shape, np.ones(3))
     image = truth + np.random.default_rng(1).normal(0.0, 0.1, shape)
     clicks = click(place, shape)
-    usual = click_model(Scene((image.astype(np.float32),), (1.0, 1.0, 1.0)), clicks, answer=OF_ALIKE)
+    usual = click_model(
+        Scene((image.astype(np.float32),), (1.0, 1.0, 1.0)), clicks, answer=OF_ALIKE
+    )
     scaled = (np.float32(64.0) * image.astype(np.float32) + np.float32(128.0)).astype(np.float32)
     other = click_model(Scene((scaled,), (1.0, 1.0, 1.0)), clicks, answer=OF_ALIKE)
     assert dice(shown(usual), shown(other)) > 0.99
     flat = np.random.default_rng(2).normal(0.0, 0.1, shape).astype(np.float32)
-    two = click_model(Scene((flat, image.astype(np.float32)), (1.0, 1.0, 1.0)), clicks, answer=OF_ALIKE)
+    two = click_model(
+        Scene((flat, image.astype(np.float32)), (1.0, 1.0, 1.0)), clicks, answer=OF_ALIKE
+    )
     assert dice(shown(two), truth) > 0.85
 
 
@@ -112,8 +126,14 @@ def test_a_box_says_about_how_large_the_object_is():
     image, part, whole = part_and_whole()
     found = {}
     for name, mask in (("part", part), ("whole", whole)):
-        box = ",".join(str(n) for side in (0, 1) for n in (
-            (s.start, s.stop - 1)[side] for s in bounding_box(mask)[::-1])) + "vox"
+        box = (
+            ",".join(
+                str(n)
+                for side in (0, 1)
+                for n in ((s.start, s.stop - 1)[side] for s in bounding_box(mask)[::-1])
+            )
+            + "vox"
+        )
         found[name] = segment(image, inside=CLICK, box=box).labels > 0
         assert dice(found[name], mask) > 0.8, name
     assert found["whole"].sum() > 1.3 * found["part"].sum()
@@ -122,7 +142,9 @@ def test_a_box_says_about_how_large_the_object_is():
     assert 500 < small.sum() * image.geometry.voxel_volume < 2000
 
 
-@pytest.mark.parametrize(("sizes", "wanted"), [(None, 1.0), ((0.5, 2.0), 1.0), ((0.1, 0.5), 0.5), ((3.0, 9.0), 3.0)])
+@pytest.mark.parametrize(
+    ("sizes", "wanted"), [(None, 1.0), ((0.5, 2.0), 1.0), ((0.1, 0.5), 0.5), ((3.0, 9.0), 3.0)]
+)
 def test_the_likeliest_answer_is_as_large_as_it_may_be(sizes, wanted):
     shape = (40, 40, 40)
     z, y, x = np.indices(shape) - 19.5

@@ -58,7 +58,9 @@ def test_one_click_finds_a_ball_to_the_voxel():
     truth = ball((12, 20, 22), 10.0)
     for noise, least in ((0.0, 0.995), (0.3, 0.95)):
         image = truth + np.random.default_rng(2).normal(0.0, noise, SHAPE)
-        model = click_model(Scene((image.astype(np.float32),), SPACING), clicks(click("inside", (12, 20, 22), 5.0)))
+        model = click_model(
+            Scene((image.astype(np.float32),), SPACING), clicks(click("inside", (12, 20, 22), 5.0))
+        )
         assert dice(shown(model), truth) >= least
         assert np.array_equal(model.inside, model.field < 0)
 
@@ -71,8 +73,12 @@ def test_clicks_are_on_their_sides_and_an_outside_one_takes_a_part_off(two_balls
     assert not shown(both)[far.box][far.mask].any() and shown(both)[FIRST.box][FIRST.mask].all()
     assert not (shown(both) & ~shown(first)).any()
     assert dice(shown(both), truth) >= dice(shown(first), truth) - 0.02
-    again = click_model(scene, clicks(FIRST, far, click("inside", (12, 32, 32), 4.0)), previous=both)
-    assert not (shown(both) & ~shown(again)).any() and (shown(again) & other).sum() > 0.5 * other.sum()
+    again = click_model(
+        scene, clicks(FIRST, far, click("inside", (12, 32, 32), 4.0)), previous=both
+    )
+    assert (
+        not (shown(both) & ~shown(again)).any() and (shown(again) & other).sum() > 0.5 * other.sum()
+    )
 
 
 def test_what_an_outside_click_cuts_off_goes_with_it(two_balls):
@@ -97,11 +103,15 @@ def test_a_piece_that_is_more_than_what_remains_is_not_cut_off(length, stays):
     row[..., 1 : 11 + length] = True
     inside = Click("inside", (slice(0, 1), slice(0, 1), slice(2, 4)), np.ones((1, 1, 2), bool))
     outside = Click("outside", (slice(0, 1), slice(0, 1), slice(10, 11)), np.ones((1, 1, 1), bool))
-    before = ClickModel(clicks(inside, shape=shape), whole_box(shape), np.where(row, -1, 1).astype(np.float32), row)
+    before = ClickModel(
+        clicks(inside, shape=shape), whole_box(shape), np.where(row, -1, 1).astype(np.float32), row
+    )
     now = row.copy()
     now[..., 10] = False
     now[..., 30] = True  # was never in one piece with the click
-    after = replace(before, clicks=clicks(inside, outside, shape=shape), field=np.where(now, -1, 1), inside=now)
+    after = replace(
+        before, clicks=clicks(inside, outside, shape=shape), field=np.where(now, -1, 1), inside=now
+    )
     found = without_cut_off(after, before).inside
     assert found[..., 11 : 11 + length].all() == found[..., 11 : 11 + length].any() == stays
     assert found[..., 1:10].all() and found[..., 30].all()
@@ -109,7 +119,11 @@ def test_a_piece_that_is_more_than_what_remains_is_not_cut_off(length, stays):
 
 def test_click_by_click_and_at_once_are_the_same_bytes(two_balls):
     scene = two_balls[0]
-    later = click("outside", (12, 24, 23), 2.0), click("inside", (8, 14, 13), 1.5), click("outside", (3, 16, 14), 2.0)
+    later = (
+        click("outside", (12, 24, 23), 2.0),
+        click("inside", (8, 14, 13), 1.5),
+        click("outside", (3, 16, 14), 2.0),
+    )
     given = [FIRST, *later]
     model = None
     for count in range(1, len(given) + 1):
@@ -166,8 +180,13 @@ def test_a_size_is_met_and_another_answer_is_a_part(two_balls):
 def test_a_size_that_is_too_small_makes_no_holes(part, radius):
     truth = ball((24, 28, 28), 18.0, (48, 56, 56), (1.0, 1.0, 1.0))
     noise = np.random.default_rng(4).normal(0.0, 0.1, truth.shape)
-    scene = Scene(((ndimage.gaussian_filter(truth.astype(float), 0.5) + noise).astype(np.float32),), (1.0, 1.0, 1.0))
-    given = clicks(click("inside", (24, 28, 28), radius, truth.shape, (1.0, 1.0, 1.0)), shape=truth.shape)
+    scene = Scene(
+        ((ndimage.gaussian_filter(truth.astype(float), 0.5) + noise).astype(np.float32),),
+        (1.0, 1.0, 1.0),
+    )
+    given = clicks(
+        click("inside", (24, 28, 28), radius, truth.shape, (1.0, 1.0, 1.0)), shape=truth.shape
+    )
     model = click_model(scene, given, size_mm3=part * truth.sum())
     assert np.array_equal(ndimage.binary_fill_holes(model.inside), model.inside)
 
@@ -195,7 +214,9 @@ def test_features_mean_the_same_in_other_units(two_balls):
     usual, changed = features(scene), features(other)
     assert sorted(usual) == sorted(changed)
     for name, wanted in usual.items():
-        different = np.abs(np.asarray(wanted, float) - changed[name]) > 1e-2 * (1.0 + np.abs(wanted))
+        different = np.abs(np.asarray(wanted, float) - changed[name]) > 1e-2 * (
+            1.0 + np.abs(wanted)
+        )
         assert np.mean(different) < 0.02, name  # ties of an order may fall elsewhere
 
 
@@ -212,7 +233,9 @@ def test_in_one_slice():
     truth = ball((0, 30, 35), 9.0, shape, spacing)
     image = (truth + np.random.default_rng(3).normal(0.0, 0.2, shape)).astype(np.float32)
     scene = Scene((image,), spacing)
-    model = click_model(scene, clicks(click("inside", (0, 30, 35), 4.5, shape, spacing), shape=shape))
+    model = click_model(
+        scene, clicks(click("inside", (0, 30, 35), 4.5, shape, spacing), shape=shape)
+    )
     assert dice(shown(model, shape), truth) > 0.95
     off = click("outside", (0, 30, 50), 1.0, shape, spacing)
     less = click_model(scene, Clicks((*model.clicks.clicks, off), shape), previous=model)
@@ -225,7 +248,10 @@ def test_clicks_of_other_objects_keep_theirs(two_balls):
     theirs = click("inside", (12, 32, 32), 4.0)._replace(id=2)
     both = clicks(FIRST, theirs)
     mine, second = (click_model(scene, both.of(number)) for number in (1, 2))
-    assert not shown(mine)[theirs.box][theirs.mask].any() and not shown(second)[FIRST.box][FIRST.mask].any()
+    assert (
+        not shown(mine)[theirs.box][theirs.mask].any()
+        and not shown(second)[FIRST.box][FIRST.mask].any()
+    )
     assert dice(shown(mine), truth) > 0.7 and dice(shown(second), other) > 0.7
 
 
@@ -233,7 +259,10 @@ def test_a_part_of_an_image_has_the_model_of_the_whole_or_asks_for_more():
     shape, spacing = (64, 120, 124), (1.0, 1.0, 1.0)
     truth = ball((32, 50, 52), 7.0, shape, spacing)
     image = (truth + np.random.default_rng(7).normal(0.0, 0.2, shape)).astype(np.float32)
-    given = [click("inside", (32, 50, 52), 3.5, shape, spacing), click("outside", (32, 50, 60), 1.0, shape, spacing)]
+    given = [
+        click("inside", (32, 50, 52), 3.5, shape, spacing),
+        click("outside", (32, 50, 60), 1.0, shape, spacing),
+    ]
     whole = click_model(Scene((image,), spacing), Clicks(tuple(given), shape))
     geometry = Geometry(shape, spacing)
     for last in (110, 64):
@@ -259,9 +288,13 @@ def test_inputs_stay_as_they_are(two_balls):
 
 def test_confidence_is_higher_of_a_clear_object(two_balls):
     clear = ball((12, 20, 22), 9.0).astype(np.float32)
-    sure = confidence_of(click_model(Scene((clear,), SPACING), clicks(click("inside", (12, 20, 22), 4.5))))
+    sure = confidence_of(
+        click_model(Scene((clear,), SPACING), clicks(click("inside", (12, 20, 22), 4.5)))
+    )
     noise = np.random.default_rng(0).normal(0.0, 1.0, SHAPE).astype(np.float32)
-    unsure = confidence_of(click_model(Scene((noise,), SPACING), clicks(click("inside", (12, 20, 22), 4.5))))
+    unsure = confidence_of(
+        click_model(Scene((noise,), SPACING), clicks(click("inside", (12, 20, 22), 4.5)))
+    )
     assert sure.overlap > unsure.overlap and sure.spread < unsure.spread
     assert sure.correction is None and 0.0 <= unsure.overlap <= 1.0
 
@@ -279,7 +312,10 @@ def test_what_an_outside_click_took_away_is_known(two_balls):
     cut = click_model(scene, clicks(FIRST, click("outside", (12, 16, 20), 4.0)), previous=first)
     share = 1 - cut.count / first.count
     assert cut.taken == pytest.approx(share, abs=0.02) and confidence_of(cut).taken == cut.taken
-    added = click_model(scene, clicks(FIRST, click("outside", (12, 16, 20), 4.0), click("inside", (12, 16, 23), 1.0)))
+    added = click_model(
+        scene,
+        clicks(FIRST, click("outside", (12, 16, 20), 4.0), click("inside", (12, 16, 23), 1.0)),
+    )
     assert added.taken == 0.0
 
 
@@ -288,6 +324,8 @@ def test_clicks_in_far_objects_cost_no_reading_and_change_nothing(two_balls, mon
     first = click_model(scene, clicks(FIRST))
     far = [click("outside", (1, y, x))._replace(owner=2) for y in (1, 42) for x in (1, 44)]
     read = []
-    monkeypatch.setattr("accelsurf.clicks.model.model.seed_of", lambda *given: read.append(given) or seed_of(*given))
+    monkeypatch.setattr(
+        "accelsurf.clicks.model.model.seed_of", lambda *given: read.append(given) or seed_of(*given)
+    )
     many = click_model(scene, clicks(FIRST, *far))
     assert many.field.tobytes() == first.field.tobytes() and len(read) == 1

@@ -12,10 +12,15 @@ from accelsurf.clicks.model.network import WEIGHTS, Layer, Network, load, networ
 def made():
     random = np.random.default_rng(2)
     layers = tuple(
-        Layer(random.normal(size=size).astype(np.float32), random.normal(size=size[1]).astype(np.float32))
+        Layer(
+            random.normal(size=size).astype(np.float32),
+            random.normal(size=size[1]).astype(np.float32),
+        )
         for size in ((2, 4), (4, 1))
     )
-    return Network(("a", "b"), np.array([1.0, 0.0], np.float32), np.array([2.0, 1.0], np.float32), layers)
+    return Network(
+        ("a", "b"), np.array([1.0, 0.0], np.float32), np.array([2.0, 1.0], np.float32), layers
+    )
 
 
 def test_the_probability_is_that_of_standardised_features(tmp_path):

@@ -41,8 +41,14 @@ def table(path, clicks):
 
 
 def mean_dice(labels, truth):
-    return np.mean([2 * ((labels == id) & (truth == id)).sum() / ((labels == id).sum() + (truth == id).sum())
-                    for id in np.unique(truth[truth > 0])])  # fmt: skip
+    return np.mean(
+        [
+            2
+            * ((labels == id) & (truth == id)).sum()
+            / ((labels == id).sum() + (truth == id).sum())
+            for id in np.unique(truth[truth > 0])
+        ]
+    )
 
 
 def test_objects_fill_the_space_and_none_overlap(cells, clicks):
@@ -66,7 +72,9 @@ def test_what_objects_share_is_computed_once_for_the_same_clicks(cells, clicks):
     assert once.of(images, SPACING, clicks.of(2), None) is first
     more = clicks.with_more([point("inside", (0, 0, 0), 2)])
     assert once.of(images, SPACING, more.of(2), None) is not first
-    assert once.of([image.copy()], SPACING, more.of(2), None) is not once.of(images, SPACING, more.of(2), None)
+    assert once.of([image.copy()], SPACING, more.of(2), None) is not once.of(
+        images, SPACING, more.of(2), None
+    )
 
 
 def test_an_outside_click_takes_from_its_object_alone(cells, clicks):
@@ -80,13 +88,18 @@ def test_an_outside_click_takes_from_its_object_alone(cells, clicks):
     left = whole(after)[0]
     assert not left[tuple(at)] and left.sum() < start.sum()
     other = partition_model([image], SPACING, more.of(2), basins=once)
-    assert other.field.tobytes() == partition_model([image], SPACING, clicks.of(2), basins=once).field.tobytes()
+    assert (
+        other.field.tobytes()
+        == partition_model([image], SPACING, clicks.of(2), basins=once).field.tobytes()
+    )
 
 
 def test_what_is_no_object_and_a_mask(cells, clicks):
     """Of one object with the others clicked as no object (id 0), and within a mask."""
     image = cells[0]
-    seen = Clicks((clicks.clicks[1], *(one._replace(id=0) for one in clicks.clicks if one.id != 2)), SHAPE).of(2)
+    seen = Clicks(
+        (clicks.clicks[1], *(one._replace(id=0) for one in clicks.clicks if one.id != 2)), SHAPE
+    ).of(2)
     start = whole(partition_model([image], SPACING, seen))[0]
     assert (cells[1][start] == 2).mean() > 0.9
     mask = np.ones(SHAPE, bool)
@@ -98,7 +111,9 @@ def test_what_is_no_object_and_a_mask(cells, clicks):
 def test_clicks_of_one_object_need_no_owner(cells, clicks):
     own, other = clicks.clicks[0], clicks.clicks[1]._replace(side="outside", id=1)
     plain = Clicks((own, other), SHAPE)
-    same = [partition_model([cells[0]], SPACING, one).field.tobytes() for one in (plain, plain.of(1))]
+    same = [
+        partition_model([cells[0]], SPACING, one).field.tobytes() for one in (plain, plain.of(1))
+    ]
     assert same[0] == same[1]
 
 
@@ -109,7 +124,10 @@ def test_a_run_of_cells_ends_at_the_model_and_is_as_good_as_a_watershed(tmp_path
     assert {(cell.stop.reason, cell.stop.steps) for cell in result.objects} == {("converged", 0)}
     seeds = np.zeros(truth.shape, int)
     seeds[tuple(centres.T)] = np.arange(1, 9)
-    flooded = max(mean_dice(watershed(ndimage.gaussian_filter(image, s), seeds), truth) for s in (0.5, 1.0, 1.5))
+    flooded = max(
+        mean_dice(watershed(ndimage.gaussian_filter(image, s), seeds), truth)
+        for s in (0.5, 1.0, 1.5)
+    )
     assert mean_dice(result.labels, truth) > flooded - 0.001
     moved = segment_objects(image, path, preset="membrane-cells", smoothness=0.1)
     assert all(cell.stop.steps > 0 for cell in moved.objects)
@@ -118,7 +136,9 @@ def test_a_run_of_cells_ends_at_the_model_and_is_as_good_as_a_watershed(tmp_path
 def test_what_is_no_object_has_a_tissue_of_its_own(tmp_path):
     """Two bright balls that touch, on dark ground that is clicked as no object."""
     z, y, x = np.indices((24, 32, 48)) - np.array([12.0, 16.0, 24.0])[:, None, None, None]
-    truth = np.where(z**2 + y**2 + (x + 8) ** 2 < 64, 1, 0) + np.where(z**2 + y**2 + (x - 8) ** 2 < 64, 2, 0)
+    truth = np.where(z**2 + y**2 + (x + 8) ** 2 < 64, 1, 0) + np.where(
+        z**2 + y**2 + (x - 8) ** 2 < 64, 2, 0
+    )
     image = 100.0 * (truth > 0) + np.random.default_rng(0).normal(0.0, 20.0, truth.shape)
     path = table(tmp_path / "clicks.csv", [(1, (12, 16, 16)), (2, (12, 16, 32)), (0, (3, 3, 3))])
     result = segment_objects(image, path, energy="partition:0", presmooth="0.5vox", smoothness=0)
@@ -128,7 +148,9 @@ def test_what_is_no_object_has_a_tissue_of_its_own(tmp_path):
 def test_the_ground_holds_far_from_its_click(tmp_path):
     """Two balls, near to the ground's click and far from it, keep their sizes."""
     z, y, x = np.indices((20, 20, 600)) - np.array([10.0, 10.0, 0.0])[:, None, None, None]
-    truth = np.where(z**2 + y**2 + (x - 30) ** 2 < 36, 1, 0) + np.where(z**2 + y**2 + (x - 580) ** 2 < 36, 2, 0)
+    truth = np.where(z**2 + y**2 + (x - 30) ** 2 < 36, 1, 0) + np.where(
+        z**2 + y**2 + (x - 580) ** 2 < 36, 2, 0
+    )
     blurred = ndimage.gaussian_filter(100.0 * (truth > 0), 1.5)
     image = blurred + np.random.default_rng(0).normal(0.0, 10.0, truth.shape)
     path = table(tmp_path / "clicks.csv", [(1, (10, 10, 30)), (2, (10, 10, 580)), (0, (10, 10, 5))])

@@ -10,13 +10,16 @@ from accelsurf.image.volume import Volume
 
 
 def ball(shape, spacing, middle, radius):
-    squares = (((np.arange(n) - m) * h) ** 2 for n, m, h in zip(shape, middle, spacing, strict=True))
+    squares = (
+        ((np.arange(n) - m) * h) ** 2 for n, m, h in zip(shape, middle, spacing, strict=True)
+    )
     z, y, x = np.meshgrid(*squares, indexing="ij", sparse=True)
     return z + y + x < radius**2
 
 
 @pytest.mark.parametrize(
-    ("spacing", "radius"), [((1, 1, 1), 5), ((1, 1, 1), 12.3), ((0.5, 0.5, 0.5), 5), ((1, 0.5, 0.7), 7)]
+    ("spacing", "radius"),
+    [((1, 1, 1), 5), ((1, 1, 1), 12.3), ((0.5, 0.5, 0.5), 5), ((1, 0.5, 0.7), 7)],
 )
 def test_of_a_ball_it_is_two_over_the_radius(spacing, radius):
     shape = tuple(int(2 * radius / h) + 12 for h in spacing)
@@ -66,7 +69,9 @@ def test_the_same_object_in_a_larger_grid_has_the_same():
 def test_the_area_smooths_and_does_not_shrink(noise, monkeypatch):
     """In noise no edge tells the place of the boundary, and F rises gently: the area took away a layer all around."""
     shape, truth = (48, 48, 48), ball((48, 48, 48), (1, 1, 1), (24, 24, 24), 11)
-    image = Volume.from_array((truth + np.random.default_rng(3).normal(0, noise, shape)).astype(np.float32), 1.0)
+    image = Volume.from_array(
+        (truth + np.random.default_rng(3).normal(0, noise, shape)).astype(np.float32), 1.0
+    )
     options = {"inside": "ball:24,24,24,5.5", "size": f"{np.count_nonzero(truth)}mm3"}
 
     def change(result):
@@ -88,9 +93,14 @@ def test_the_area_weight_follows_the_noise():
     shape = (24, 26, 28)
     inside = ball(shape, (1, 1, 1), (12, 13, 14), 8)
     noise = np.random.default_rng(6).normal(0, 1, shape)
-    found = [area_weight([(inside + part * noise).astype(np.float32)], (1.0, 1.0, 1.0), inside) for part in (0, 0.5, 5)]
+    found = [
+        area_weight([(inside + part * noise).astype(np.float32)], (1.0, 1.0, 1.0), inside)
+        for part in (0, 0.5, 5)
+    ]
     assert found[0] == pytest.approx(AREA)
     assert found[1] == pytest.approx(AREA + 0.5 * NOISY_AREA, rel=0.1)
     assert found[2] == pytest.approx(AREA + NOISY_AREA)
     clean = inside.astype(np.float32)
-    assert area_weight([(5 * noise).astype(np.float32), clean], (4.0, 2.0, 2.0), inside) == pytest.approx(2 * AREA)
+    assert area_weight(
+        [(5 * noise).astype(np.float32), clean], (4.0, 2.0, 2.0), inside
+    ) == pytest.approx(2 * AREA)

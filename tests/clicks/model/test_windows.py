@@ -17,7 +17,9 @@ def scene(spacing=(1.0, 1.0, 1.0), shape=SHAPE, **more):
 
 
 def ball(middle, radius, spacing=(1.0, 1.0, 1.0), shape=SHAPE, side="inside"):
-    squares = (((np.arange(n) - m) * h) ** 2 for n, m, h in zip(shape, middle, spacing, strict=True))
+    squares = (
+        ((np.arange(n) - m) * h) ** 2 for n, m, h in zip(shape, middle, spacing, strict=True)
+    )
     z, y, x = np.meshgrid(*squares, indexing="ij", sparse=True)
     mask = z + y + x <= radius**2
     box = bounding_box(mask)
@@ -34,7 +36,11 @@ def test_a_ball_has_its_middle_and_radius(radius, spacing):
 
 def test_a_ball_that_the_image_cuts_off_is_as_wide_as_a_whole_one():
     whole, cut = (seed_of(ball((z, 20, 25), 6.0), scene()) for z in (15, 0))
-    assert cut.radius == pytest.approx(whole.radius, rel=0.05) and cut.core[0].tolist() == [0, 20, 25]
+    assert cut.radius == pytest.approx(whole.radius, rel=0.05) and cut.core[0].tolist() == [
+        0,
+        20,
+        25,
+    ]
 
 
 def test_large_clicks_and_points_are_limited():
@@ -67,7 +73,10 @@ def test_in_one_slice_a_disc():
 
 
 def test_all_of_an_image_may_be_clicked():
-    seed = seed_of(Click("inside", box_at((0, 0, 0), (4, 5, 6)), np.ones((4, 5, 6), bool)), scene(shape=(4, 5, 6)))
+    seed = seed_of(
+        Click("inside", box_at((0, 0, 0), (4, 5, 6)), np.ones((4, 5, 6), bool)),
+        scene(shape=(4, 5, 6)),
+    )
     assert seed.radius > 0 and len(seed.core)
 
 
@@ -90,7 +99,9 @@ def test_a_part_of_an_image_has_the_windows_of_the_whole_or_says_that_it_is_too_
     for low, high, fits in ((0, 60, True), (20, 42, False), (1, 60, True)):
         box = slice(low, high), slice(0, 70), slice(0, 80)
         part = Scene((image[box],), geometry.spacing, None, Window(geometry, box))
-        moved = click._replace(box=(slice(click.box[0].start - low, click.box[0].stop - low), *click.box[1:]))
+        moved = click._replace(
+            box=(slice(click.box[0].start - low, click.box[0].stop - low), *click.box[1:])
+        )
         if not fits:
             with pytest.raises(LeavesWindow):
                 window_around(part, [seed_of(moved, part)], SCALES[0])
@@ -111,5 +122,8 @@ def test_channels_are_combined_to_what_tells_the_click_apart():
     assert abs(window.weights[1]) > 3 * abs(window.weights[0])
     assert np.array_equal(
         window.image_on(box_at((1, 2, 3), (4, 4, 4))),
-        sum(np.float32(w) * image[1:5, 2:6, 3:7] for w, image in zip(window.weights, images, strict=False)),
+        sum(
+            np.float32(w) * image[1:5, 2:6, 3:7]
+            for w, image in zip(window.weights, images, strict=False)
+        ),
     )

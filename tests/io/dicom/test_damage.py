@@ -49,9 +49,17 @@ def ends(content):
     """Where a file may be cut: by what of it remains."""
     series, pixels = content.index(b"\x20\x00\x0e\x00UI"), content.rindex(b"\xe0\x7f\x10\x00OW")
     return {
-        "pixels": len(content) - 3, "first pixel": pixels + 14, "header": pixels, "geometry": pixels - 60,
-        "series": series + 30, "within the series": series + 17, "study": series, "class": 400, "mark": 132,
-        "less than a mark": 90, "nothing": 0,
+        "pixels": len(content) - 3,
+        "first pixel": pixels + 14,
+        "header": pixels,
+        "geometry": pixels - 60,
+        "series": series + 30,
+        "within the series": series + 17,
+        "study": series,
+        "class": 400,
+        "mark": 132,
+        "less than a mark": 90,
+        "nothing": 0,
     }
 
 
@@ -124,10 +132,14 @@ def test_wherever_a_file_is_cut_it_is_never_left_out_in_silence(tmp_path, seed, 
         except AccelsurfError as error:
             assert names[-1] in error.message, size
         else:
-            assert found.array.shape[0] == COUNT - 1 and names[-1] in found.metadata["warning"], size
+            assert found.array.shape[0] == COUNT - 1 and names[-1] in found.metadata["warning"], (
+                size
+            )
 
 
-@pytest.mark.parametrize("what", ["no pixels", "no rows", "another transfer syntax", "packed, without an end"])
+@pytest.mark.parametrize(
+    "what", ["no pixels", "no rows", "another transfer syntax", "packed, without an end"]
+)
 def test_a_whole_file_without_its_image(tmp_path, what):
     series, names, files = series_of(4)
     dataset = series.dataset(COUNT - 1)

@@ -16,12 +16,37 @@ from pathlib import Path
 import pytest
 
 NAMES = (
-    "a billion frames", "frames without bytes", "65536 frames of a pixel", "large sides", "large sides, packed",
-    "large sides and frames, packed", "groups of an announced length", "groups without an end", "groups of no frame",
-    "deep groups without an end", "deep groups", "a long element", "a long sequence", "long pixels", "deflated zeros",
-    "no bits", "many bits", "many samples", "many bits stored", "far away", "no size", "commas in numbers",
-    "a scale of 0", "packed nonsense", "packed as JPEG", "packed as JPEG-LS", "packed as RLE",
-    "plain pixels called JPEG 2000", "packed pixels called plain", "many pieces", "many steps of time",
+    "a billion frames",
+    "frames without bytes",
+    "65536 frames of a pixel",
+    "large sides",
+    "large sides, packed",
+    "large sides and frames, packed",
+    "groups of an announced length",
+    "groups without an end",
+    "groups of no frame",
+    "deep groups without an end",
+    "deep groups",
+    "a long element",
+    "a long sequence",
+    "long pixels",
+    "deflated zeros",
+    "no bits",
+    "many bits",
+    "many samples",
+    "many bits stored",
+    "far away",
+    "no size",
+    "commas in numbers",
+    "a scale of 0",
+    "packed nonsense",
+    "packed as JPEG",
+    "packed as JPEG-LS",
+    "packed as RLE",
+    "plain pixels called JPEG 2000",
+    "packed pixels called plain",
+    "many pieces",
+    "many steps of time",
 )
 READ = ("deep groups",)
 MAX_SECONDS, MAX_RSS_MB = 5.0, 700
@@ -30,8 +55,16 @@ MAX_SECONDS, MAX_RSS_MB = 5.0, 700
 @pytest.fixture(scope="module")
 def told(tmp_path_factory):
     done = subprocess.run(
-        [sys.executable, "-m", "tests.io.dicom.test_hostile", str(tmp_path_factory.mktemp("hostile"))],
-        capture_output=True, text=True, timeout=300, cwd=Path(__file__).parents[3],
+        [
+            sys.executable,
+            "-m",
+            "tests.io.dicom.test_hostile",
+            str(tmp_path_factory.mktemp("hostile")),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=Path(__file__).parents[3],
     )
     assert done.returncode == 0 and done.stderr == "", done.stderr[-2000:]
     return json.loads(done.stdout)
@@ -63,7 +96,9 @@ def cases():
         if syntax is not None:
             dataset.file_meta.TransferSyntaxUID = syntax
             if syntax.is_encapsulated:
-                dataset.PixelData = encapsulate(changes.get("pieces", [b"\xff\x4f\xff\x51" + bytes(50) + b"\xff\xd9"]))
+                dataset.PixelData = encapsulate(
+                    changes.get("pieces", [b"\xff\x4f\xff\x51" + bytes(50) + b"\xff\xd9"])
+                )
                 dataset["PixelData"].is_undefined_length = True
         stream = streams.BytesIO()
         dataset.save_as(stream, enforce_file_format=True)
@@ -71,7 +106,10 @@ def cases():
 
     def element(group, number, vr, length, value=b""):
         form = "<HH2sHL" if vr in (b"OB", b"OW", b"SQ") else "<HH2sH"
-        return struct.pack(form, group, number, vr, *((0, length) if form[-1] == "L" else (length,))) + value
+        return (
+            struct.pack(form, group, number, vr, *((0, length) if form[-1] == "L" else (length,)))
+            + value
+        )
 
     def groups(length, value=b""):
         return element(0x5200, 0x9230, b"SQ", length, value)
@@ -84,32 +122,48 @@ def cases():
     for _ in range(2000):
         deep = groups(len(deep) + 8, item + struct.pack("<L", len(deep)) + deep)
     uid = pydicom.uid
-    plain_called_packed = whole.replace(uid.ExplicitVRLittleEndian.encode() + b"\0", b"1.2.840.10008.1.2.5\0")
+    plain_called_packed = whole.replace(
+        uid.ExplicitVRLittleEndian.encode() + b"\0", b"1.2.840.10008.1.2.5\0"
+    )
     packed_called_plain = stored(syntax=uid.RLELossless).replace(
         b"1.2.840.10008.1.2.5\0", uid.ExplicitVRLittleEndian.encode() + b"\0"
     )
     return {
         "a billion frames": stored(NumberOfFrames=10**9),
         "frames without bytes": stored(NumberOfFrames=60_000),
-        "65536 frames of a pixel": stored(NumberOfFrames=65536, Rows=1, Columns=1, PixelData=bytes(1 << 17)),
+        "65536 frames of a pixel": stored(
+            NumberOfFrames=65536, Rows=1, Columns=1, PixelData=bytes(1 << 17)
+        ),
         "large sides": stored(Rows=65535, Columns=65535),
         "large sides, packed": stored(Rows=65535, Columns=65535, syntax=uid.JPEG2000Lossless),
         "large sides and frames, packed": stored(
-            Rows=65535, Columns=65535, NumberOfFrames=60_000, syntax=uid.JPEGLSLossless, pieces=[b"\xff\xd9"] * 60_000
+            Rows=65535,
+            Columns=65535,
+            NumberOfFrames=60_000,
+            syntax=uid.JPEGLSLossless,
+            pieces=[b"\xff\xd9"] * 60_000,
         ),
-        "groups of an announced length": head + groups(0xFFFF_FFF0, item + b"\xf0\xff\xff\xff") + tail,
+        "groups of an announced length": head
+        + groups(0xFFFF_FFF0, item + b"\xf0\xff\xff\xff")
+        + tail,
         "groups without an end": head + groups(endless) + tail,
         "groups of no frame": head + groups(80_000, (item + bytes(4)) * 10_000) + tail,
-        "deep groups without an end": head + (groups(endless) + item + b"\xff\xff\xff\xff") * 5000 + tail,
+        "deep groups without an end": head
+        + (groups(endless) + item + b"\xff\xff\xff\xff") * 5000
+        + tail,
         "deep groups": head + deep.replace(b"\x00\x52", b"\x00\x54") + tail,
         "a long element": head + element(0x0029, 0x1010, b"OB", 0xFFFF_FFFE) + tail,
         "a long sequence": head + element(0x0028, 0x3000, b"SQ", 0xFFFF_FFFE) + tail,
         "long pixels": head + element(0x7FE0, 0x0010, b"OW", 0xFFFF_FFFE) + tail[12:],
         "deflated zeros": stored(
-            syntax=uid.DeflatedExplicitVRLittleEndian, Rows=16384, Columns=16384, PixelData=bytes(1 << 29)
+            syntax=uid.DeflatedExplicitVRLittleEndian,
+            Rows=16384,
+            Columns=16384,
+            PixelData=bytes(1 << 29),
         ),
-        "no bits": stored(BitsStored=0, BitsAllocated=0).replace(b"\x28\x00\x00\x01US\x02\x00\x00\x00",
-                                                              b"\x28\x00\x00\x01US\x02\x00\x07\x00"),
+        "no bits": stored(BitsStored=0, BitsAllocated=0).replace(
+            b"\x28\x00\x00\x01US\x02\x00\x00\x00", b"\x28\x00\x00\x01US\x02\x00\x07\x00"
+        ),
         "many bits": stored(BitsAllocated=65535),
         "many samples": stored(SamplesPerPixel=65535),
         "many bits stored": stored(BitsStored=60000),
@@ -123,9 +177,15 @@ def cases():
         "packed as RLE": stored(syntax=uid.RLELossless),
         "plain pixels called JPEG 2000": plain_called_packed,
         "packed pixels called plain": packed_called_plain,
-        "many pieces": stored(syntax=uid.JPEG2000Lossless, NumberOfFrames=3, pieces=[b"\xff\xd9"] * 300_000),
+        "many pieces": stored(
+            syntax=uid.JPEG2000Lossless, NumberOfFrames=3, pieces=[b"\xff\xd9"] * 300_000
+        ),
         "many steps of time": stored(
-            NumberOfFrames=60_000, Rows=1, Columns=1, PixelData=bytes(120_000), FrameTimeVector=[1.0] * 60_000
+            NumberOfFrames=60_000,
+            Rows=1,
+            Columns=1,
+            PixelData=bytes(120_000),
+            FrameTimeVector=[1.0] * 60_000,
         ),
     }
 

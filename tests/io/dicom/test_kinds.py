@@ -66,23 +66,37 @@ def test_a_table_that_cannot_be_read_is_refused(tmp_path, fault):
 
 @pytest.mark.parametrize(
     ("is_signed", "value", "limit", "padding"),
-    [(True, -2000, None, [-2000]), (True, 63536, None, [-2000]), (False, 65535, None, [65535]),
-     (True, -2000, -1990, [-2000, -1995, -1990]), (True, -1990, -2000, [-2000, -1993]), (False, 0, None, [0])],
+    [
+        (True, -2000, None, [-2000]),
+        (True, 63536, None, [-2000]),
+        (False, 65535, None, [65535]),
+        (True, -2000, -1990, [-2000, -1995, -1990]),
+        (True, -1990, -2000, [-2000, -1993]),
+        (False, 0, None, [0]),
+    ],
 )
-def test_padding_gets_the_smallest_value_of_the_image_and_is_named(tmp_path, is_signed, value, limit, padding):
+def test_padding_gets_the_smallest_value_of_the_image_and_is_named(
+    tmp_path, is_signed, value, limit, padding
+):
     rng = np.random.default_rng(len(padding))
     image = rng.integers(100, 900, (3, 6, 7)).astype(np.int32)
     where = rng.random(image.shape) < 0.3
     stored = np.where(where, rng.choice(padding, image.shape), image)
 
     def change(dataset):
-        dataset.PixelRepresentation, dataset.RescaleSlope, dataset.RescaleIntercept = int(is_signed), 2, -1024
+        dataset.PixelRepresentation, dataset.RescaleSlope, dataset.RescaleIntercept = (
+            int(is_signed),
+            2,
+            -1024,
+        )
         sort = "SS" if value < 0 else "US"
         dataset.add_new(0x0028_0120, sort, value)
         if limit is not None:
             dataset.add_new(0x0028_0121, sort, limit)
 
-    found = io.read(stored_slices(tmp_path, stored.astype(np.int16 if is_signed else np.uint16), change))
+    found = io.read(
+        stored_slices(tmp_path, stored.astype(np.int16 if is_signed else np.uint16), change)
+    )
     expected = 2 * np.where(where, image[~where].min(), image) - 1024
     np.testing.assert_array_equal(found.array, expected)
     assert f"{where.sum()} voxels of padding" in found.metadata["warning"]
@@ -105,7 +119,9 @@ def test_padding_of_inverse_pictures_and_padding_alone(tmp_path):
     assert "padding" not in unused.metadata["warning"]
 
 
-def nuclear(count, step, order=None, placed=True, orientation=(1, 0, 0, 0, 1, 0), kind="RECON TOMO"):
+def nuclear(
+    count, step, order=None, placed=True, orientation=(1, 0, 0, 0, 1, 0), kind="RECON TOMO"
+):
     """A reconstruction of nuclear medicine in a file; frame n has slice ``order[n]``, slices follow by ``step``."""
     series = Series(orientation=orientation)
     origin = np.array((10.0, -20.0, 30.0))
@@ -119,7 +135,10 @@ def nuclear(count, step, order=None, placed=True, orientation=(1, 0, 0, 0, 1, 0)
     dataset.SliceVector = [int(k) + 1 for k in order]
     detector = Dataset()
     if placed:
-        detector.ImagePositionPatient, detector.ImageOrientationPatient = origin.tolist(), list(orientation)
+        detector.ImagePositionPatient, detector.ImageOrientationPatient = (
+            origin.tolist(),
+            list(orientation),
+        )
     dataset.DetectorInformationSequence = [detector]
     del dataset.ImagePositionPatient, dataset.ImageOrientationPatient
     return dataset, planes[np.argsort(order)]
@@ -133,7 +152,9 @@ def test_slices_of_nuclear_medicine_lie_where_the_sign_of_their_distance_says(tm
     orientation = ((1, 0, 0, 0, 1, 0), (0, 1, 0, 0, 0, -1), (-1, 0, 0, 0, 0.6, 0.8))[seed]
     save(nuclear(6, step, order, orientation=orientation)[0], tmp_path / "nm.dcm")
     volume = io.read(tmp_path / "nm.dcm")
-    assert volume.array.shape == (6, 5, 7) and volume.geometry.spacing[0] == pytest.approx(abs(step))
+    assert volume.array.shape == (6, 5, 7) and volume.geometry.spacing[0] == pytest.approx(
+        abs(step)
+    )
     truth = world_of(volume) @ np.array([3.0, -5.0, 7.0])
     assert np.abs(volume.array - truth).max() <= 0.5 + 1e-6
 
@@ -163,7 +184,10 @@ def packed(kind, values, path):
         writer.SetCompressor("JPEG2000")
         writer.Execute(sitk.GetImageFromArray(values))
         made = pydicom.dcmread(path)
-        content, dataset.file_meta.TransferSyntaxUID = made.PixelData, made.file_meta.TransferSyntaxUID
+        content, dataset.file_meta.TransferSyntaxUID = (
+            made.PixelData,
+            made.file_meta.TransferSyntaxUID,
+        )
     else:
         content = encapsulate([bytes(pytest.importorskip("jpeg_ls").encode_array(values))])
         dataset.file_meta.TransferSyntaxUID = JPEGLSLossless
@@ -185,17 +209,31 @@ def test_packed_values_are_whole_or_refused(tmp_path, kind, sort):
     values = np.random.default_rng(7).integers(low, high, (20, 24)).astype(sort)
     bits, read = 8 * values.dtype.itemsize, []
     changes = [
-        {}, {"BitsStored": 8, "HighBit": 7}, {"BitsStored": min(12, bits), "HighBit": min(12, bits) - 1},
-        {"BitsAllocated": 24 - bits, "BitsStored": 24 - bits, "HighBit": 23 - bits}, {"Rows": 19}, {"Columns": 25},
+        {},
+        {"BitsStored": 8, "HighBit": 7},
+        {"BitsStored": min(12, bits), "HighBit": min(12, bits) - 1},
+        {"BitsAllocated": 24 - bits, "BitsStored": 24 - bits, "HighBit": 23 - bits},
+        {"Rows": 19},
+        {"Columns": 25},
         {"Rows": 24, "Columns": 20},
         # What was packed without a sign has the one of the header, by common practice.
         *([{"PixelRepresentation": 1 - int(sort == "int16")}] if sort != "uint8" else []),
-        *({"syntax": syntax} for syntax in (JPEG2000Lossless, JPEGLSLossless, JPEGBaseline8Bit, RLELossless)),
+        *(
+            {"syntax": syntax}
+            for syntax in (JPEG2000Lossless, JPEGLSLossless, JPEGBaseline8Bit, RLELossless)
+        ),
     ]
     for number, change in enumerate(changes):
         dataset = packed(kind, values, tmp_path / "packed.dcm")
         for name, value in change.items():
-            setattr(*((dataset.file_meta, "TransferSyntaxUID") if name == "syntax" else (dataset, name)), value)
+            setattr(
+                *(
+                    (dataset.file_meta, "TransferSyntaxUID")
+                    if name == "syntax"
+                    else (dataset, name)
+                ),
+                value,
+            )
         save(dataset, tmp_path / f"{number}" / "a.dcm")
         try:
             found = io.read(tmp_path / f"{number}")
@@ -229,9 +267,17 @@ def test_tiles_and_projections_are_no_slices(tmp_path, how):
 
 
 def test_info_of_a_file_is_of_its_own_series(tmp_path, capsys):
-    Series(changes={"SeriesNumber": 9, "SeriesDescription": "mine"}).stacked(4).write(tmp_path, list("abcd"))
-    Series(uid="1.9", changes={"SeriesNumber": 1, "SeriesDescription": "other"}).stacked(3).write(tmp_path, list("xyz"))
-    scout = Series(uid="1.8", changes={"ImageType": ["ORIGINAL", "PRIMARY", "LOCALIZER"]}).stacked(1).dataset(0)
+    Series(changes={"SeriesNumber": 9, "SeriesDescription": "mine"}).stacked(4).write(
+        tmp_path, list("abcd")
+    )
+    Series(uid="1.9", changes={"SeriesNumber": 1, "SeriesDescription": "other"}).stacked(3).write(
+        tmp_path, list("xyz")
+    )
+    scout = (
+        Series(uid="1.8", changes={"ImageType": ["ORIGINAL", "PRIMARY", "LOCALIZER"]})
+        .stacked(1)
+        .dataset(0)
+    )
     save(scout, tmp_path / "scout")
     for name, mine, others in (("b", "mine", "other"), ("y", "other", "mine")):
         assert cli.execute(["info", str(tmp_path / name)]) == 0

@@ -57,7 +57,9 @@ def test_oblique_slices_in_mixed_order_without_suffix_in_folders(tmp_path):
     series.write(tmp_path / "scan", names)
     (tmp_path / "scan" / "readme.txt").write_text("not a slice")
     volume = io.read(tmp_path / "scan")
-    assert volume.geometry.shape == (6, 5, 7) and volume.geometry.spacing == pytest.approx((1.25, 0.5, 0.75))
+    assert volume.geometry.shape == (6, 5, 7) and volume.geometry.spacing == pytest.approx(
+        (1.25, 0.5, 0.75)
+    )
     truth = world_of(volume) @ np.array([3.0, -5.0, 7.0])
     assert np.abs(volume.array - truth).max() <= 0.5 + 1e-6
     assert io.headers.is_anatomical(volume.metadata) and volume.metadata["value_unit"] == "HU"
@@ -74,8 +76,14 @@ def test_one_file_stands_for_its_series(tmp_path):
     [
         (lambda p: p.pop(2), "1 slice missing: 4 mm between 001.dcm, 002.dcm, 2 mm elsewhere"),
         (lambda p: p.append(p[1].copy()), "two images lie at one place: 001.dcm, 005.dcm"),
-        (lambda p: p.__setitem__(4, p[4] + [0, 0, 0.7]), "distances of slices differ: 2.7 mm between 003.dcm, 004.dcm"),
-        (lambda p: [one.__iadd__([0, 0.25 * n, 0]) for n, one in enumerate(p)], "tilted by 7.13 degrees"),
+        (
+            lambda p: p.__setitem__(4, p[4] + [0, 0, 0.7]),
+            "distances of slices differ: 2.7 mm between 003.dcm, 004.dcm",
+        ),
+        (
+            lambda p: [one.__iadd__([0, 0.25 * n, 0]) for n, one in enumerate(p)],
+            "tilted by 7.13 degrees",
+        ),
         (lambda p: p[2].__iadd__([0.3, 0, 0]), "shifted sideways, 002.dcm by 0.3 mm"),
     ],
     ids=["gap", "twice", "uneven", "tilt", "shift"],
@@ -104,7 +112,9 @@ def test_a_slice_of_another_kind_is_named(tmp_path, what):
     series = Series().stacked(4)
     paths = series.write(tmp_path)
     other = {
-        "size": Series(rows=6), "direction": Series(orientation=(1, 0, 0, 0, 0.8, 0.6)), "pixel": Series(spacing=(1, 1))
+        "size": Series(rows=6),
+        "direction": Series(orientation=(1, 0, 0, 0, 0.8, 0.6)),
+        "pixel": Series(spacing=(1, 1)),
     }[what].stacked(4)
     save(other.dataset(3), paths[3])
     with pytest.raises(GeometryError, match="003.dcm differ"):
@@ -144,7 +154,9 @@ def test_two_phases_are_two_volumes(tmp_path):
     second = Series(changes={"AcquisitionNumber": 2}).stacked()
     first.write(tmp_path, [f"a{n}" for n in range(4)])
     second.write(tmp_path, [f"b{n}" for n in range(4)])
-    with pytest.raises(InputError, match=r"2 volumes are in it: 1 CT phantom \(acquisition 1\), 4 slices; 2 "):
+    with pytest.raises(
+        InputError, match=r"2 volumes are in it: 1 CT phantom \(acquisition 1\), 4 slices; 2 "
+    ):
         io.read(tmp_path)
     check(io.read(tmp_path, options=ReadOptions(series="2")), (4, 5, 7))
     with pytest.raises(InputError, match="has 2 volumes, numbers 1, 2"):
@@ -164,7 +176,9 @@ def test_of_several_series_one_is_chosen(tmp_path):
     Series().stacked().write(tmp_path / "a")
     thin = Series(uid="1.2.3.8", changes={"SeriesNumber": 1, "SeriesDescription": "thin"})
     thin.stacked(3, 1.0).write(tmp_path / "b")
-    with pytest.raises(InputError, match="2 volumes are in it: 1 CT thin, 3 slices; 2 CT phantom, 4 slices"):
+    with pytest.raises(
+        InputError, match="2 volumes are in it: 1 CT thin, 3 slices; 2 CT phantom, 4 slices"
+    ):
         io.read(tmp_path)
     check(io.read(tmp_path, options=ReadOptions(series="1")), (3, 5, 7))
     check(io.read(tmp_path, options=ReadOptions(series="1.2.3.4.5")), (4, 5, 7))
@@ -174,8 +188,12 @@ def test_of_several_series_one_is_chosen(tmp_path):
 
 def test_what_is_no_volume_is_left_out_and_said(tmp_path):
     Series().stacked().write(tmp_path)
-    save(Series(uid="1.5", changes={"ImageType": ["ORIGINAL", "PRIMARY", "LOCALIZER"]}).stacked(1).dataset(0),
-         tmp_path / "scout")
+    save(
+        Series(uid="1.5", changes={"ImageType": ["ORIGINAL", "PRIMARY", "LOCALIZER"]})
+        .stacked(1)
+        .dataset(0),
+        tmp_path / "scout",
+    )
     capture = Series(uid="1.6", changes={"SOPClassUID": SECONDARY}).stacked(1).dataset(0)
     del capture.ImagePositionPatient, capture.ImageOrientationPatient
     save(capture, tmp_path / "capture")
@@ -186,7 +204,12 @@ def test_what_is_no_volume_is_left_out_and_said(tmp_path):
     volume = io.read(tmp_path)
     check(volume, (4, 5, 7))
     said = volume.metadata["warning"]
-    for part in ("1 localizer (scout)", "1 picture without a place (capture)", "1 report (report)", "broken.dcm: "):
+    for part in (
+        "1 localizer (scout)",
+        "1 picture without a place (capture)",
+        "1 report (report)",
+        "broken.dcm: ",
+    ):
         assert part in said
 
 

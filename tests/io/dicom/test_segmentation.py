@@ -25,7 +25,9 @@ def oblique():
 GRIDS = {
     "axial": Geometry((6, 20, 24), (3.0, 0.8, 0.7), (10.0, -20.0, 30.5)),
     "oblique": Geometry((6, 20, 24), (3.0, 0.8, 0.7), (10.0, -20.0, 30.5), oblique()),
-    "left-handed": Geometry((6, 20, 24), (0.5, 0.8, 0.7), (10.0, -20.0, 30.5), np.diag([1.0, 1.0, -1.0])),
+    "left-handed": Geometry(
+        (6, 20, 24), (0.5, 0.8, 0.7), (10.0, -20.0, 30.5), np.diag([1.0, 1.0, -1.0])
+    ),
     "odd": Geometry((3, 7, 5), (3.0, 0.8, 0.7)),
     "one slice": Geometry((1, 20, 24), (3.0, 0.8, 0.7)),
 }
@@ -44,7 +46,13 @@ def labels_on(geometry):
 
 def written(labels, geometry, source, as_labelmap=False, seed="seed", segments=SEGMENTS):
     return segmentation_bytes(
-        labels, geometry, source, segments, Algorithm("0.1", {"energy": "chan-vese"}), seed, as_labelmap
+        labels,
+        geometry,
+        source,
+        segments,
+        Algorithm("0.1", {"energy": "chan-vese"}),
+        seed,
+        as_labelmap,
     )
 
 
@@ -79,13 +87,18 @@ def test_names_colours_patient_and_references(tmp_path, as_labelmap):
     geometry = GRIDS["axial"]
     order = [3, 0, 5, 1, 4, 2]
     labels = labels_on(geometry)
-    content = written(labels, geometry, source_of(write_slices(tmp_path, geometry, order)), as_labelmap)
+    content = written(
+        labels, geometry, source_of(write_slices(tmp_path, geometry, order)), as_labelmap
+    )
     found = highdicom.seg.segread(io.BytesIO(content))
     assert found.segment_numbers == ([3, 7] if as_labelmap else [1, 2])
     described = [found.get_segment_description(n) for n in found.segment_numbers]
     assert [one.segment_label for one in described] == ["Leber rechts ä", "tumour"]
     assert [one.tracking_id for one in described] == ["label 3", "label 7"]
-    colors = [highdicom.color.CIELabColor.from_dicom_value(one.RecommendedDisplayCIELabValue) for one in described]
+    colors = [
+        highdicom.color.CIELabColor.from_dicom_value(one.RecommendedDisplayCIELabValue)
+        for one in described
+    ]
     assert [color.to_rgb() for color in colors] == [(200, 60, 60), (0, 255, 0)]
     assert described[0].algorithm_identification.parameters == {"energy": "chan-vese"}
     assert (str(found.PatientName), found.PatientID, found.PatientSex) == ("Müller^Ada", "P1", "F")
@@ -101,7 +114,10 @@ def test_names_colours_patient_and_references(tmp_path, as_labelmap):
         (item,) = group.DerivationImageSequence[0].SourceImageSequence
         assert item.ReferencedSOPInstanceUID == f"{SERIES}.{order[round(k)] + 1}"
         assert item.SpatialLocationsPreserved == "YES"
-    listed = {item.ReferencedSOPInstanceUID for item in found.ReferencedSeriesSequence[0].ReferencedInstanceSequence}
+    listed = {
+        item.ReferencedSOPInstanceUID
+        for item in found.ReferencedSeriesSequence[0].ReferencedInstanceSequence
+    }
     assert listed == {f"{SERIES}.{n + 1}" for n in range(6)}
     assert found.ReferencedSeriesSequence[0].SeriesInstanceUID == SERIES
 
@@ -113,21 +129,30 @@ def test_empty_frames_are_left_out(tmp_path):
     frames = sum(int((labels[k] == n).any()) for k in range(6) for n in (3, 7))
     assert pydicom.dcmread(io.BytesIO(written(labels, geometry, source))).NumberOfFrames == frames
     slices = sum(int(labels[k].any()) for k in range(6))
-    assert pydicom.dcmread(io.BytesIO(written(labels, geometry, source, True))).NumberOfFrames == slices == 5
+    assert (
+        pydicom.dcmread(io.BytesIO(written(labels, geometry, source, True))).NumberOfFrames
+        == slices
+        == 5
+    )
 
 
 def test_frames_of_one_file_are_named_by_number(tmp_path):
     geometry = GRIDS["oblique"]
     order = [3, 0, 5, 1, 4, 2]
     labels = labels_on(geometry)
-    content = written(labels, geometry, source_of(write_frames(tmp_path / "f.dcm", geometry, order)))
+    content = written(
+        labels, geometry, source_of(write_frames(tmp_path / "f.dcm", geometry, order))
+    )
     assert np.array_equal(world_points(content, geometry, False) == 1, labels == 3)
     found = pydicom.dcmread(io.BytesIO(content))
     for group in found.PerFrameFunctionalGroupsSequence:
         place = [float(v) for v in group.PlanePositionSequence[0].ImagePositionPatient]
         k = round(float(geometry.world_to_index(place)[0]))
         (item,) = group.DerivationImageSequence[0].SourceImageSequence
-        assert (item.ReferencedSOPInstanceUID, item.ReferencedFrameNumber) == (f"{SERIES}.1", order[k] + 1)
+        assert (item.ReferencedSOPInstanceUID, item.ReferencedFrameNumber) == (
+            f"{SERIES}.1",
+            order[k] + 1,
+        )
 
 
 def test_a_resampled_grid_has_places_of_its_own(tmp_path):
@@ -142,9 +167,17 @@ def test_a_resampled_grid_has_places_of_its_own(tmp_path):
     named = {}
     for group in found.PerFrameFunctionalGroupsSequence:
         k = round(float(group.PlanePositionSequence[0].ImagePositionPatient[2]) / 1.5)
-        items = group.DerivationImageSequence[0].SourceImageSequence if group.DerivationImageSequence else []
-        named[k] = [(item.ReferencedSOPInstanceUID, item.SpatialLocationsPreserved) for item in items]
-    assert named == {k: [(f"{SERIES}.{k // 2 + 1}", "NO")] if k % 2 == 0 else [] for k in range(1, 9)}
+        items = (
+            group.DerivationImageSequence[0].SourceImageSequence
+            if group.DerivationImageSequence
+            else []
+        )
+        named[k] = [
+            (item.ReferencedSOPInstanceUID, item.SpatialLocationsPreserved) for item in items
+        ]
+    assert named == {
+        k: [(f"{SERIES}.{k // 2 + 1}", "NO")] if k % 2 == 0 else [] for k in range(1, 9)
+    }
 
 
 @pytest.mark.parametrize("as_labelmap", [False, True])
@@ -158,7 +191,11 @@ def test_same_bytes_and_nothing_of_clock_or_chance(tmp_path, as_labelmap):
     first, second = (pydicom.dcmread(io.BytesIO(one)) for one in (content, other))
     for keyword in ("SOPInstanceUID", "SeriesInstanceUID"):
         assert first[keyword].value != second[keyword].value
-    values = [element for element in first.iterall() if element.VR in ("UI", "DA", "TM", "DT") and element.value]
+    values = [
+        element
+        for element in first.iterall()
+        if element.VR in ("UI", "DA", "TM", "DT") and element.value
+    ]
     dates = {str(element.value) for element in values if element.VR != "UI"}
     assert dates == {"19500102", "20200304", "101112", "111213.5", "20200304111213.5"}
     uids = {str(element.value) for element in values if element.VR == "UI"}
@@ -176,13 +213,19 @@ def test_refusals(tmp_path):
     far = [LabelEntry(70000, "far", (1, 2, 3))]
     with pytest.raises(UsageError, match="70000"):
         written(labels, geometry, source, True, segments=far)
-    assert world_points(written(labels, geometry, source, segments=far), geometry, False)[1, 1, 1] == 1
+    assert (
+        world_points(written(labels, geometry, source, segments=far), geometry, False)[1, 1, 1] == 1
+    )
 
 
 def test_a_source_without_a_frame_of_reference(tmp_path):
     geometry = GRIDS["odd"]
-    files = write_slices(tmp_path, geometry, FrameOfReferenceUID=None, PatientSex="X", PatientBirthDate=None)
+    files = write_slices(
+        tmp_path, geometry, FrameOfReferenceUID=None, PatientSex="X", PatientBirthDate=None
+    )
     source = source_of(files)
     assert isinstance(source, SourceImages) and source.frame_of_reference.startswith("2.25.")
     labels = labels_on(geometry)
-    assert np.array_equal(world_points(written(labels, geometry, source), geometry, False) == 1, labels == 3)
+    assert np.array_equal(
+        world_points(written(labels, geometry, source), geometry, False) == 1, labels == 3
+    )

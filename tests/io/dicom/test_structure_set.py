@@ -41,7 +41,8 @@ def test_contours_come_back_with_names_colours_and_references(tmp_path):
     loops = {1: [square(2, 15, 1), square(5.25, 9.75, 1)], 2: [square(3, 4, 2)]}
     found = read(written([Region(LIVER, loops), Region(TUMOUR, {0: [square(1, 2, 0)]})], source))
     assert [(roi.ROINumber, roi.ROIName) for roi in found.StructureSetROISequence] == [
-        (3, "Leber rechts ä"), (7, "a/b")
+        (3, "Leber rechts ä"),
+        (7, "a/b"),
     ]
     first, second = found.ROIContourSequence
     assert (first.ReferencedROINumber, list(first.ROIDisplayColor)) == (3, [200, 60, 60])
@@ -55,15 +56,21 @@ def test_contours_come_back_with_names_colours_and_references(tmp_path):
     (world,) = found.ReferencedFrameOfReferenceSequence
     (study,) = world.RTReferencedStudySequence
     (series,) = study.RTReferencedSeriesSequence
-    assert (world.FrameOfReferenceUID, study.ReferencedSOPInstanceUID, series.SeriesInstanceUID) == (
-        FRAME, STUDY, SERIES
-    )
+    assert (
+        world.FrameOfReferenceUID,
+        study.ReferencedSOPInstanceUID,
+        series.SeriesInstanceUID,
+    ) == (FRAME, STUDY, SERIES)
     assert {image.ReferencedSOPInstanceUID for image in series.ContourImageSequence} == {
         f"{SERIES}.{n + 1}" for n in range(4)
     }
     assert {roi.ReferencedFrameOfReferenceUID for roi in found.StructureSetROISequence} == {FRAME}
     assert [one.ReferencedROINumber for one in found.RTROIObservationsSequence] == [3, 7]
-    assert (found.PatientID, str(found.PatientName), found.Modality) == ("P1", "Müller^Ada", "RTSTRUCT")
+    assert (found.PatientID, str(found.PatientName), found.Modality) == (
+        "P1",
+        "Müller^Ada",
+        "RTSTRUCT",
+    )
 
 
 def test_frames_of_one_file_are_named_by_number(tmp_path):
@@ -76,7 +83,9 @@ def test_frames_of_one_file_are_named_by_number(tmp_path):
 def test_a_plane_between_the_slices_names_none(tmp_path):
     source = source_of(write_slices(tmp_path, GRID))
     fine = Geometry((7, 20, 24), (1.5, 0.8, 0.7), GRID.origin)
-    found = read(written([Region(LIVER, {k: [square(2, 5, k, fine)] for k in range(7)})], source, fine))
+    found = read(
+        written([Region(LIVER, {k: [square(2, 5, k, fine)] for k in range(7)})], source, fine)
+    )
     named = ["ContourImageSequence" in item for item in found.ROIContourSequence[0].ContourSequence]
     assert named == [True, False] * 3 + [True]
 
@@ -84,11 +93,16 @@ def test_a_plane_between_the_slices_names_none(tmp_path):
 def test_a_contour_of_any_number_of_points(tmp_path):
     source = source_of(write_slices(tmp_path, GRID))
     angle = np.linspace(0, 2 * np.pi, 9000, endpoint=False)
-    loop = np.stack([12 + 8 * np.cos(angle), 8 * np.sin(angle) - 12, np.full(len(angle), 33.5)], axis=1)
+    loop = np.stack(
+        [12 + 8 * np.cos(angle), 8 * np.sin(angle) - 12, np.full(len(angle), 33.5)], axis=1
+    )
     found = read(written([Region(LIVER, {1: [loop]})], source))
     (item,) = found.ROIContourSequence[0].ContourSequence
     assert item["ContourData"].VR == "DS" and np.abs(points_of(item) - loop).max() <= 5e-7
-    assert inside([points_of(item)[:, :2]], np.array([[12.0, -12.0], [21.0, -12.0]])).tolist() == [True, False]
+    assert inside([points_of(item)[:, :2]], np.array([[12.0, -12.0], [21.0, -12.0]])).tolist() == [
+        True,
+        False,
+    ]
 
 
 def test_same_bytes_and_nothing_of_clock_or_chance(tmp_path):
@@ -99,7 +113,11 @@ def test_same_bytes_and_nothing_of_clock_or_chance(tmp_path):
     first, other = read(content), read(written(regions, source, seed="another"))
     for keyword in ("SOPInstanceUID", "SeriesInstanceUID"):
         assert first[keyword].value != other[keyword].value
-    values = [element for element in first.iterall() if element.VR in ("UI", "DA", "TM", "DT") and element.value]
+    values = [
+        element
+        for element in first.iterall()
+        if element.VR in ("UI", "DA", "TM", "DT") and element.value
+    ]
     dates = {str(element.value) for element in values if element.VR != "UI"}
     assert dates == {"19500102", "20200304", "101112", "111213.5"}
     uids = {str(element.value) for element in values if element.VR == "UI"}

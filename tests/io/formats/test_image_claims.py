@@ -33,10 +33,26 @@ def told(tmp_path_factory):
 
 #: Tag, type and values of the entries of a page of 16 x 12 bytes; the others are those of the strip.
 TAGS = [
-    (254, 4, [0]), (256, 4, [16]), (257, 4, [12]), (258, 3, [8]), (259, 3, [1]), (262, 3, [1]), (270, 2, b"a\0"),
-    (274, 3, [1]), (277, 3, [1]), (278, 4, [12]), (282, 5, [2, 1]), (283, 5, [2, 1]), (284, 3, [1]), (296, 3, [1]),
-    (317, 3, [1]), (338, 3, [0]), (339, 3, [1]), (330, 4, [8]), (320, 3, [0] * 768),
-]  # fmt: skip
+    (254, 4, [0]),
+    (256, 4, [16]),
+    (257, 4, [12]),
+    (258, 3, [8]),
+    (259, 3, [1]),
+    (262, 3, [1]),
+    (270, 2, b"a\0"),
+    (274, 3, [1]),
+    (277, 3, [1]),
+    (278, 4, [12]),
+    (282, 5, [2, 1]),
+    (283, 5, [2, 1]),
+    (284, 3, [1]),
+    (296, 3, [1]),
+    (317, 3, [1]),
+    (338, 3, [0]),
+    (339, 3, [1]),
+    (330, 4, [8]),
+    (320, 3, [0] * 768),
+]
 CODES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "I", 16: "Q"}
 
 
@@ -48,16 +64,25 @@ def tiff(order="<", big=False, changes=None, text=b"", pages=1, following=None, 
     shown += [tag for tag in TAGS if tag[0] in changes and tag not in shown]
     if text:
         shown = [tag for tag in shown if tag[0] != 270] + [(270, 2, text + b"\0")]
-    out = bytearray(struct.pack(order + "2sHHHQ" if big else order + "2sHI", *(
-        (b"II" if order == "<" else b"MM", 43, 8, 0, 16) if big else (b"II" if order == "<" else b"MM", 42, 8)
-    )))  # fmt: skip
+    out = bytearray(
+        struct.pack(
+            order + "2sHHHQ" if big else order + "2sHI",
+            *(
+                (b"II" if order == "<" else b"MM", 43, 8, 0, 16)
+                if big
+                else (b"II" if order == "<" else b"MM", 42, 8)
+            ),
+        )
+    )
     counted = [*shown, (273, 4, [0]), (279, 4, [len(body)])]
     for page in range(pages):
         length = (8 if big else 2) + entry * len(counted) + (8 if big else 4)
         here, beyond, far = len(out), len(out) + length, b""
         rows = []
         for tag, kind, values in sorted(counted):
-            raw = values if kind == 2 else struct.pack(f"{order}{len(values)}{CODES[kind]}", *values)
+            raw = (
+                values if kind == 2 else struct.pack(f"{order}{len(values)}{CODES[kind]}", *values)
+            )
             count = len(values) // (2 if kind == 5 else 1)
             if tag == 273:
                 raw = None
@@ -70,16 +95,25 @@ def tiff(order="<", big=False, changes=None, text=b"", pages=1, following=None, 
             raw = struct.pack(order + "I", at) if raw is None else raw
             kind, count, value = changes.get(tag, (kind, count, None))
             raw = raw if value is None else struct.pack(order + word, value)
-            out += struct.pack(order + "HH" + word, tag, kind, count) + raw.ljust(8 if big else 4, b"\0")
+            out += struct.pack(order + "HH" + word, tag, kind, count) + raw.ljust(
+                8 if big else 4, b"\0"
+            )
         following_page = at + len(body) if page < pages - 1 else 0
-        out += struct.pack(order + word, following_page if following is None else following(here)) + far + body
+        out += (
+            struct.pack(order + word, following_page if following is None else following(here))
+            + far
+            + body
+        )
     return bytes(out)
 
 
 TIFFS = {
-    "little": {}, "big-endian": {"order": ">"}, "BigTIFF": {"big": True}, "pages": {"pages": 14},
+    "little": {},
+    "big-endian": {"order": ">"},
+    "BigTIFF": {"big": True},
+    "pages": {"pages": 14},
     "ImageJ": {"text": b"ImageJ=1.53\nimages=1\nunit=um\nspacing=2\n"},
-}  # fmt: skip
+}
 
 
 def damages():
@@ -91,19 +125,30 @@ def damages():
         for other in (1, 3, 4, 5, 12, 16):
             out[f"tag {tag} of type {other}, twice {HUGE}"] = {tag: (other, 2 * HUGE, 16)}
     out |= {
-        "width": {256: (4, 1, HUGE)}, "rows and columns": {256: (4, 1, 2**32 - 1), 257: (4, 1, 2**32 - 1)},
-        "height in strips of a row": {257: (4, 1, HUGE), 278: (4, 1, 1)}, "rows of a strip": {278: (4, 1, 0)},
-        "samples": {277: (4, 1, HUGE)}, "samples as a fraction": {277: (5, 1, 8)}, "many samples": {277: (4, 1, 65535)},
+        "width": {256: (4, 1, HUGE)},
+        "rows and columns": {256: (4, 1, 2**32 - 1), 257: (4, 1, 2**32 - 1)},
+        "height in strips of a row": {257: (4, 1, HUGE), 278: (4, 1, 1)},
+        "rows of a strip": {278: (4, 1, 0)},
+        "samples": {277: (4, 1, HUGE)},
+        "samples as a fraction": {277: (5, 1, 8)},
+        "many samples": {277: (4, 1, 65535)},
         "packed": {256: (4, 1, 40_000), 257: (4, 1, 40_000), 278: (4, 1, 40_000), 259: (4, 1, 8)},
-        "packed by LZW": {256: (4, 1, 40_000), 257: (4, 1, 40_000), 278: (4, 1, 40_000), 259: (4, 1, 5)},
+        "packed by LZW": {
+            256: (4, 1, 40_000),
+            257: (4, 1, 40_000),
+            278: (4, 1, 40_000),
+            259: (4, 1, 5),
+        },
         "levels in a circle": {330: (4, 1, 8)},
-    }  # fmt: skip
+    }
     return out
 
 
 def tiny_directories(_):
     """A directory without an entry at every place, each with the next."""
-    return b"II*\0\x08\0\0\0" + b"".join(struct.pack("<HI", 0, 8 + 6 * (n + 1)) for n in range(1_000_000))
+    return b"II*\0\x08\0\0\0" + b"".join(
+        struct.pack("<HI", 0, 8 + 6 * (n + 1)) for n in range(1_000_000)
+    )
 
 
 def directories_upon_one_another(_):
@@ -127,9 +172,11 @@ XML = (
 )
 SIZES = 'SizeZ="1" SizeC="1" SizeT="1"'
 MANY = '<TiffData IFD="0" FirstZ="{0}"><UUID FileName="{0}.tif">{0}</UUID></TiffData>'
-BOMB = "<!DOCTYPE a [<!ENTITY a0 'aaaaaaaaaa'>" + "".join(
-    f"<!ENTITY a{n + 1} '{f'&a{n};' * 10}'>" for n in range(12)
-) + "]>"  # fmt: skip
+BOMB = (
+    "<!DOCTYPE a [<!ENTITY a0 'aaaaaaaaaa'>"
+    + "".join(f"<!ENTITY a{n + 1} '{f'&a{n};' * 10}'>" for n in range(12))
+    + "]>"
+)
 
 
 def ome(sizes=SIZES, data="<TiffData/>", head=""):
@@ -137,23 +184,41 @@ def ome(sizes=SIZES, data="<TiffData/>", head=""):
 
 
 TEXTS = {
-    **{f"ImageJ: {line}": "ImageJ=1.53\n" + line for line in (
-        f"images={HUGE}", f"images={2**40}", "images=4000000", f"slices={HUGE}", f"images=1\nframes={HUGE}",
-        f"images={HUGE}\nchannels={HUGE}", f"images={HUGE}\nframes=1000\nslices=1000000", f"images={'9' * 4000}",
-        f"images={'9' * 100_000}", f"spacing={'9' * 1_000_000}x",
-    )},
-    **{f"OME: {axis}": ome(f'{SIZES} Size{axis}1="{HUGE}"'.replace(f'Size{axis}="1"', "").replace("1=", "="))
-       for axis in "ZCT"},
-    "OME: all pages that are allowed": ome('SizeZ="4194304" SizeC="1" SizeT="1"', '<TiffData PlaneCount="4194304"/>'),
+    **{
+        f"ImageJ: {line}": "ImageJ=1.53\n" + line
+        for line in (
+            f"images={HUGE}",
+            f"images={2**40}",
+            "images=4000000",
+            f"slices={HUGE}",
+            f"images=1\nframes={HUGE}",
+            f"images={HUGE}\nchannels={HUGE}",
+            f"images={HUGE}\nframes=1000\nslices=1000000",
+            f"images={'9' * 4000}",
+            f"images={'9' * 100_000}",
+            f"spacing={'9' * 1_000_000}x",
+        )
+    },
+    **{
+        f"OME: {axis}": ome(
+            f'{SIZES} Size{axis}1="{HUGE}"'.replace(f'Size{axis}="1"', "").replace("1=", "=")
+        )
+        for axis in "ZCT"
+    },
+    "OME: all pages that are allowed": ome(
+        'SizeZ="4194304" SizeC="1" SizeT="1"', '<TiffData PlaneCount="4194304"/>'
+    ),
     "OME: pages": ome(data=f'<TiffData PlaneCount="{HUGE}"/>'),
     "OME: entities": ome(head=BOMB, data="&a12;"),
-    "OME: files": ome('SizeZ="60000" SizeC="1" SizeT="1"', "".join(MANY.format(n) for n in range(60_000))),
+    "OME: files": ome(
+        'SizeZ="60000" SizeC="1" SizeT="1"', "".join(MANY.format(n) for n in range(60_000))
+    ),
     "OME: depth": ome(data="<a>" * 1_000_000),
     "OME: attributes": ome(data="<a " + " ".join(f'b{n}="1"' for n in range(200_000)) + "/>"),
     "OME: a number": ome(f'SizeZ="{"9" * 1_000_000}" SizeC="1" SizeT="1"'),
     "tifffile: axes": '{"shape": [' + "1000000000, " * 3 + '12, 16], "axes": "TCZYX"}',
     "tifffile: depth": '{"shape": [' + "[" * 60_000 + '"axes"',
-}  # fmt: skip
+}
 
 
 def png(*parts, width=16, height=12, depth=8, colour=0, rows=None):
@@ -161,7 +226,8 @@ def png(*parts, width=16, height=12, depth=8, colour=0, rows=None):
     rows = bytes(17 * 12) if rows is None else rows
     every = ((b"IHDR", head), *parts, (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body)) for name, body in every
+        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+        for name, body in every
     )
 
 
@@ -176,7 +242,9 @@ PNGS = {
     "PNG: rows": lambda: png(height=HUGE),
     "PNG: a colour": lambda: png(width=HUGE, depth=16, colour=6),
     "PNG: unpacked beyond its end": lambda: png(rows=bytes(1 << 28)),
-    "PNG: a part of 2 GB": lambda: png().replace(b"\0\0\0\0IEND", struct.pack(">I", 2**31 - 1) + b"teXt"),
+    "PNG: a part of 2 GB": lambda: png().replace(
+        b"\0\0\0\0IEND", struct.pack(">I", 2**31 - 1) + b"teXt"
+    ),
     "PNG: packed text": lambda: png((b"zTXt", b"a\0\0" + packed_zeros())),
     "PNG: packed text in UTF-8": lambda: png((b"iTXt", b"a\0\1\0\0\0" + packed_zeros())),
     "PNG: packed profile": lambda: png((b"iCCP", b"a\0\0" + packed_zeros())),
@@ -210,10 +278,16 @@ FOLDERS = {"slices: too many": many_slices}
 def test_each_is_refused_at_once_or_read_as_it_is(told, kind):
     """Read where what announces much says nothing about voxels: a palette beside grey values, a circle of levels."""
     shape = "(14, 12, 16)" if kind == "pages" else "(1, 12, 16)"
-    mine = {name: found for name, found in told.items() if name.startswith(f"{kind}:") and name not in HARMLESS}
+    mine = {
+        name: found
+        for name, found in told.items()
+        if name.startswith(f"{kind}:") and name not in HARMLESS
+    }
     assert mine
     refused = sum(readings[0][0] != "read" for readings in mine.values())
-    assert refused >= 0.8 * len(mine) or kind == "tifffile"  # its axes are heeded where they fit the pages
+    assert (
+        refused >= 0.8 * len(mine) or kind == "tifffile"
+    )  # its axes are heeded where they fit the pages
     for name, readings in mine.items():
         for error, message, hint, seconds in readings:
             if error == "read":
@@ -259,9 +333,14 @@ def main(folder):
 
     (folder / "plain.tif").write_bytes(tiff())
     (folder / "plain.png").write_bytes(png())
-    for path in (folder / "plain.tif", folder / "plain.png"):  # what is imported for it does not count
+    for path in (
+        folder / "plain.tif",
+        folder / "plain.png",
+    ):  # what is imported for it does not count
         assert io.read(path).array.shape == (1, 12, 16)
-    grown = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() + MAX_GROWTH
+    grown = (
+        int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() + MAX_GROWTH
+    )
     resource.setrlimit(resource.RLIMIT_AS, (grown, grown))
     out = {}
     for name, path in inputs(folder):

@@ -10,10 +10,20 @@ from accelsurf.image.volume import Volume
 from tests.io.test_lazy_volume import assert_same_boxes, values
 
 NRRD_TYPES = {
-    "int16": "short", "uint8": "uchar", "float32": "float", "uint64": "uint64", "int32": "int", "int8": "int8",
+    "int16": "short",
+    "uint8": "uchar",
+    "float32": "float",
+    "uint64": "uint64",
+    "int32": "int",
+    "int8": "int8",
 }
 META_TYPES = {
-    **{"int16": "MET_SHORT", "uint8": "MET_UCHAR", "float32": "MET_FLOAT", "uint64": "MET_ULONG_LONG"},
+    **{
+        "int16": "MET_SHORT",
+        "uint8": "MET_UCHAR",
+        "float32": "MET_FLOAT",
+        "uint64": "MET_ULONG_LONG",
+    },
     **{"int32": "MET_LONG", "int8": "MET_CHAR"},
 }
 
@@ -23,7 +33,9 @@ def nrrd(dtype: str, order: str, more: str = "") -> bytes:
         f"NRRD0004\ntype: {NRRD_TYPES[dtype]}\ndimension: 3\nspace: right-anterior-superior\nsizes: 9 7 5\n"
         f"space directions: (0,0.5,0) (0.25,0,0) (0,0,2)\nspace origin: (1,-2,3)\nencoding: raw\n{more}"
     )
-    return (head + ("" if order == "|" else f"endian: {'big' if order == '>' else 'little'}\n")).encode()
+    return (
+        head + ("" if order == "|" else f"endian: {'big' if order == '>' else 'little'}\n")
+    ).encode()
 
 
 def metaimage(dtype: str, order: str, more: str = "", key: str = "BinaryDataByteOrderMSB") -> bytes:
@@ -49,14 +61,18 @@ def test_boxes_are_those_of_the_whole_image(tmp_path, dtype, order, detached):
     (tmp_path / "voxels.raw").write_bytes(stored)
     rest = b"" if detached else stored
     data = b"data file: voxels.raw\n" if detached else b""
-    (tmp_path / "a.nrrd").write_bytes(nrrd(dtype, order if np.dtype(dtype).itemsize > 1 else "|") + data + b"\n" + rest)
+    (tmp_path / "a.nrrd").write_bytes(
+        nrrd(dtype, order if np.dtype(dtype).itemsize > 1 else "|") + data + b"\n" + rest
+    )
     where = b"ElementDataFile = voxels.raw\n" if detached else b"ElementDataFile = LOCAL\n"
     (tmp_path / "a.mha").write_bytes(metaimage(dtype, order) + where + rest)
     other = metaimage(dtype, order, key="ElementByteOrderMSB")
     (tmp_path / "b.mhd").write_bytes(other + where + rest)
     for name in ("a.nrrd", "a.mha", "b.mhd"):
         lazy = assert_same_boxes(tmp_path / name)
-        np.testing.assert_array_equal(lazy.read(tuple(slice(0, n) for n in lazy.shape)), values(dtype))
+        np.testing.assert_array_equal(
+            lazy.read(tuple(slice(0, n) for n in lazy.shape)), values(dtype)
+        )
 
 
 @pytest.mark.parametrize("skip", [-1, 0, 13, 400])
@@ -66,17 +82,23 @@ def test_bytes_before_the_voxels_are_skipped_as_by_others(tmp_path, skip, detach
     stored, noise = values("int16").tobytes(), bytes(range(200)) * 2
     before = {-1: noise, 0: b"", 13: noise[:13], 400: noise}[skip]
     (tmp_path / "voxels.raw").write_bytes(before + stored)
-    text = nrrd("int16", "<", f"byte skip: {skip}\n") + (b"data file: voxels.raw\n\n" if detached else b"\n")
+    text = nrrd("int16", "<", f"byte skip: {skip}\n") + (
+        b"data file: voxels.raw\n\n" if detached else b"\n"
+    )
     (tmp_path / "a.nrrd").write_bytes(text if detached else text + before + stored)
     head = metaimage("int16", "<", f"HeaderSize = {skip}\n")
     head += b"ElementDataFile = voxels.raw\n" if detached else b"ElementDataFile = LOCAL\n"
     if not detached and skip == 400:
         head += b"#" * (400 - len(head))
     if detached or skip in (-1, 0, 400):
-        (tmp_path / "a.mhd").write_bytes(head if detached else head + (stored if skip == 400 else before + stored))
+        (tmp_path / "a.mhd").write_bytes(
+            head if detached else head + (stored if skip == 400 else before + stored)
+        )
     for path in (path for path in (tmp_path / "a.nrrd", tmp_path / "a.mhd") if path.exists()):
         lazy = assert_same_boxes(path)
-        np.testing.assert_array_equal(lazy.read(tuple(slice(0, n) for n in lazy.shape)), values("int16"))
+        np.testing.assert_array_equal(
+            lazy.read(tuple(slice(0, n) for n in lazy.shape)), values("int16")
+        )
 
 
 @pytest.mark.parametrize("suffix", [".nrrd", ".mha", ".mhd"])

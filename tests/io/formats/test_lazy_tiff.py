@@ -23,7 +23,11 @@ OPTIONS = {
     "packed bigtiff": {"bigtiff": True, "compression": "zlib"},
     "big-endian": {"byteorder": ">"},
     "packed big-endian": {"byteorder": ">", "compression": "zlib"},
-    "ImageJ": {"imagej": True, "resolution": (3.0, 4.0), "metadata": {"unit": "mm", "spacing": 2.5, "axes": "ZYX"}},
+    "ImageJ": {
+        "imagej": True,
+        "resolution": (3.0, 4.0),
+        "metadata": {"unit": "mm", "spacing": 2.5, "axes": "ZYX"},
+    },
     "contiguous": {"contiguous": True},
 }
 
@@ -59,13 +63,21 @@ def test_pages_packed_by_others(tmp_path, compression, mode):
     path = tmp_path / "a.tif"
     pages[0].save(path, save_all=True, append_images=pages[1:], compression=compression)
     lazy = assert_same_boxes(path)
-    assert len(np.unique(lazy.read(whole_box(lazy.shape)))) == (2 if mode == "1" else len(np.unique(array)))
+    assert len(np.unique(lazy.read(whole_box(lazy.shape)))) == (
+        2 if mode == "1" else len(np.unique(array))
+    )
 
 
 def test_tiles_of_bytes(tmp_path):
     array = np.random.default_rng(2).integers(0, 255, (5, 40, 50)).astype(np.uint8)
     for compression in (None, "zlib"):
-        tifffile.imwrite(tmp_path / "a.tif", array, tile=(16, 32), photometric="minisblack", compression=compression)
+        tifffile.imwrite(
+            tmp_path / "a.tif",
+            array,
+            tile=(16, 32),
+            photometric="minisblack",
+            compression=compression,
+        )
         lazy = assert_same_boxes(tmp_path / "a.tif")
         np.testing.assert_array_equal(lazy.read(whole_box(lazy.shape)), array)
 
@@ -85,7 +97,9 @@ def test_pages_are_held_up_to_a_number_of_bytes(tmp_path):
 
 
 def test_a_rows_of_plain_pages_are_read_where_they_lie(tmp_path):
-    tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 30, 9000), np.uint16), photometric="minisblack")
+    tifffile.imwrite(
+        tmp_path / "a.tif", np.zeros((4, 30, 9000), np.uint16), photometric="minisblack"
+    )
     lazy = io.open_volume(tmp_path / "a.tif")
     lazy.read((slice(1, 3), slice(4, 10), slice(0, 100)))
     assert lazy.bytes_read == 2 * 6 * 100 * 2
@@ -115,9 +129,12 @@ def test_a_damaged_page_is_named_and_the_others_are_read(tmp_path, compression):
     stream = streams.BytesIO()
     pages = [Image.fromarray(page) for page in array]
     pages[0].save(
-        stream, "TIFF", save_all=True, append_images=pages[1:],
+        stream,
+        "TIFF",
+        save_all=True,
+        append_images=pages[1:],
         compression={"zlib": "tiff_adobe_deflate", "lzw": "tiff_lzw"}[compression],
-    )  # fmt: skip
+    )
     raw = bytearray(stream.getvalue())
     with tifffile.TiffFile(streams.BytesIO(raw)) as found:
         at, length = found.pages[3].dataoffsets[0], found.pages[3].databytecounts[0]
@@ -126,7 +143,9 @@ def test_a_damaged_page_is_named_and_the_others_are_read(tmp_path, compression):
         raw[at + length // 2] ^= 0xFF
         path.write_bytes(raw)
         lazy = io.open_volume(path)
-        np.testing.assert_array_equal(lazy.read((slice(0, 3), slice(0, 40), slice(0, 50))), array[:3])
+        np.testing.assert_array_equal(
+            lazy.read((slice(0, 3), slice(0, 40), slice(0, 50))), array[:3]
+        )
         with pytest.raises(InputError, match=r"a\.tif: page 4 is damaged"):
             lazy.read(whole_box(lazy.shape))
     path.write_bytes(raw[: at + length // 2])  # with directories beyond, or not

@@ -27,7 +27,9 @@ def test_mgh(tmp_path, suffix):
         (tmp_path / f"{number}.{suffix}").write_bytes(bad)
         with pytest.raises(InputError):
             io.read(tmp_path / f"{number}.{suffix}")
-    nibabel.save(nibabel.freesurfer.MGHImage(np.stack([data, data], -1), affine), tmp_path / f"t.{suffix}")
+    nibabel.save(
+        nibabel.freesurfer.MGHImage(np.stack([data, data], -1), affine), tmp_path / f"t.{suffix}"
+    )
     with pytest.raises(InputError, match="2 frames"):
         io.read(tmp_path / f"t.{suffix}")
 
@@ -49,7 +51,9 @@ def test_mgh_whose_axes_have_another_length_than_1_is_refused(seed, tmp_path):
         io.read(tmp_path / "b.mgh")
 
 
-@pytest.mark.parametrize("key", ["ElementSpacing = 1 2 3", "Offset = 5 5 5", "DimSize = 1 1 1", "junk"])
+@pytest.mark.parametrize(
+    "key", ["ElementSpacing = 1 2 3", "Offset = 5 5 5", "DimSize = 1 1 1", "junk"]
+)
 def test_a_metaimage_header_that_goes_on_after_its_data_file_is_refused(key, tmp_path):
     volume = io.read(_metaimage(tmp_path, ""))
     assert volume.array.shape == (4, 5, 6)

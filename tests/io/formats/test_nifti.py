@@ -71,7 +71,9 @@ def load(path):
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
-@pytest.mark.parametrize("codes", [(0, 0), (1, 0), (0, 1), (1, 1), (2, 2), (0, 4), (1, 4), (3, 2), (2, 1)])
+@pytest.mark.parametrize(
+    "codes", [(0, 0), (1, 0), (0, 1), (1, 1), (2, 2), (0, 4), (1, 4), (3, 2), (2, 1)]
+)
 @pytest.mark.parametrize("half", [0.0, 10.0, 89.9, 90.0])
 def test_codes_and_matrices_come_back_number_by_number(tmp_path, suffix, codes, half):
     raw = nifti(codes, half=half)
@@ -84,8 +86,13 @@ def test_codes_and_matrices_come_back_number_by_number(tmp_path, suffix, codes, 
     assert ours.GetSpacing() == theirs.GetSpacing() and ours.GetOrigin() == theirs.GetOrigin()
     assert ours.GetDirection() == theirs.GetDirection()
     # geometry is ITK's
-    assert volume.geometry.spacing_xyz == theirs.GetSpacing() and volume.geometry.origin == theirs.GetOrigin()
-    np.testing.assert_allclose(volume.geometry.direction.ravel(), theirs.GetDirection(), rtol=0, atol=1e-7)
+    assert (
+        volume.geometry.spacing_xyz == theirs.GetSpacing()
+        and volume.geometry.origin == theirs.GetOrigin()
+    )
+    np.testing.assert_allclose(
+        volume.geometry.direction.ravel(), theirs.GetDirection(), rtol=0, atol=1e-7
+    )
 
 
 def test_codes_survive_also_from_a_big_endian_file(tmp_path):
@@ -105,7 +112,9 @@ def test_qfac_mirrors_the_third_axis(tmp_path):
     volume = io.read(save(tmp_path / "a.nii", nifti((1, 0), pixdim=(-1, *SPACING))))
     assert np.linalg.det(volume.geometry.direction) < 0
     io.write(volume, tmp_path / "b.nii")
-    assert grid_fields(load(tmp_path / "b.nii")) == grid_fields(nifti((1, 0), pixdim=(-1, *SPACING)))
+    assert grid_fields(load(tmp_path / "b.nii")) == grid_fields(
+        nifti((1, 0), pixdim=(-1, *SPACING))
+    )
 
 
 TURNED = turn(60) * SPACING
@@ -113,7 +122,14 @@ TURNED = turn(60) * SPACING
 
 @pytest.mark.parametrize(
     ("codes", "used"),
-    [((1, 1), "sform"), ((2, 1), "sform"), ((1, 2), "qform"), ((2, 2), "qform"), ((1, 4), "qform"), ((3, 2), "qform")],
+    [
+        ((1, 1), "sform"),
+        ((2, 1), "sform"),
+        ((1, 2), "qform"),
+        ((2, 2), "qform"),
+        ((1, 4), "qform"),
+        ((3, 2), "qform"),
+    ],
 )
 def test_forms_that_disagree(tmp_path, codes, used):
     raw = nifti(codes, TURNED)
@@ -121,7 +137,10 @@ def test_forms_that_disagree(tmp_path, codes, used):
     angle = np.degrees(np.arctan2(volume.geometry.direction[1, 0], volume.geometry.direction[0, 0]))
     assert abs((angle % 180) - (60 if used == "sform" else 20)) < 1e-3
     warning = volume.metadata[io.WARNING_KEY]
-    assert "qform and sform place the image differently" in warning and f"the {used} is used" in warning
+    assert (
+        "qform and sform place the image differently" in warning
+        and f"the {used} is used" in warning
+    )
     io.write(volume, tmp_path / "b.nii")
     assert grid_fields(load(tmp_path / "b.nii")) == grid_fields(raw)
 
@@ -140,7 +159,9 @@ def sheared(amount):
 @pytest.mark.parametrize("codes", [(0, 1), (1, 1), (0, 2), (2, 2), (4, 4), (3, 1)])
 @pytest.mark.parametrize("amount", [0.001, 0.01, 0.5])
 def test_shear_is_refused_with_its_size(tmp_path, codes, amount, capfd):
-    with pytest.raises(GeometryError, match="axes of the NIfTI sform are not perpendicular") as caught:
+    with pytest.raises(
+        GeometryError, match="axes of the NIfTI sform are not perpendicular"
+    ) as caught:
         io.read(save(tmp_path / "a.nii", nifti(codes, sheared(amount), half=0)))
     column = (amount, 1.0)
     cosine = column[0] / np.hypot(*column)
@@ -200,12 +221,16 @@ def test_a_qform_that_is_no_transform(tmp_path, field, version, capfd):
 def test_spacing_must_be_positive(tmp_path, codes, axis, value):
     pixdim = [1, *SPACING]
     pixdim[axis] = value
-    with pytest.raises(GeometryError, match=r"spacing \(x,y,z\) = .*three positive numbers expected") as caught:
+    with pytest.raises(
+        GeometryError, match=r"spacing \(x,y,z\) = .*three positive numbers expected"
+    ) as caught:
         io.read(save(tmp_path / "a.nii", nifti(codes, pixdim=pixdim)))
     assert "pixdim" in caught.value.hint
 
 
-@pytest.mark.parametrize(("units", "mm"), [(0, 1), (2, 1), (10, 1), (1, 1000), (9, 1000), (3, 1e-3), (11, 1e-3)])
+@pytest.mark.parametrize(
+    ("units", "mm"), [(0, 1), (2, 1), (10, 1), (1, 1000), (9, 1000), (3, 1e-3), (11, 1e-3)]
+)
 def test_units_of_length_become_mm_and_come_back(tmp_path, units, mm):
     raw = nifti((1, 1), units=units)
     volume = io.read(save(tmp_path / "a.nii", raw))
@@ -268,18 +293,25 @@ def second(raw, order=None):
 
 def read_both(tmp_path, raw, suffix=".nii", order=None):
     """A NIfTI-1 file read by ITK, and the same as NIfTI-2."""
-    one, two = save(tmp_path / f"one{suffix}", raw), save(tmp_path / f"two{suffix}", second(raw, order))
+    one, two = (
+        save(tmp_path / f"one{suffix}", raw),
+        save(tmp_path / f"two{suffix}", second(raw, order)),
+    )
     assert struct.unpack_from((order or "<") + "i", load(two)) == (540,)
     return io.read(one), io.read(two)
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("codes", [(0, 0), (1, 0), (0, 1), (1, 1), (2, 2), (0, 4), (1, 4), (3, 2), (2, 1)])
+@pytest.mark.parametrize(
+    "codes", [(0, 0), (1, 0), (0, 1), (1, 1), (2, 2), (0, 4), (1, 4), (3, 2), (2, 1)]
+)
 @pytest.mark.parametrize("half", [0.0, 10.0, 89.9, 90.0])
 @pytest.mark.parametrize("qfac", [1, -1])
 def test_nifti_2_is_placed_as_itk_places_nifti_1(tmp_path, codes, half, qfac):
     matrix = turn(2 * half) * SPACING * (1, 1, qfac)
-    one, two = read_both(tmp_path, nifti(codes, matrix, half=half, pixdim=(qfac, *SPACING), units=3))
+    one, two = read_both(
+        tmp_path, nifti(codes, matrix, half=half, pixdim=(qfac, *SPACING), units=3)
+    )
     assert two.geometry.matches(one.geometry, 1e-6 * max(one.geometry.spacing))
     np.testing.assert_array_equal(two.array, one.array)
     assert two.metadata == one.metadata and two.array.dtype == one.array.dtype
@@ -313,7 +345,10 @@ def test_values_of_nifti_2_are_those_that_itk_gives_of_nifti_1(tmp_path, code, s
 def test_forms_of_nifti_2_that_disagree_or_contradict_pixdim(tmp_path):
     one, two = read_both(tmp_path, nifti((1, 2), TURNED))
     assert two.metadata[io.WARNING_KEY] == one.metadata[io.WARNING_KEY]
-    for matrix, words in ((2 * turn(20) * SPACING, "contradicts itself"), (sheared(0.1), "not perpendicular")):
+    for matrix, words in (
+        (2 * turn(20) * SPACING, "contradicts itself"),
+        (sheared(0.1), "not perpendicular"),
+    ):
         with pytest.raises(GeometryError, match=words):
             io.read(save(tmp_path / "a.nii", second(nifti((1, 1), matrix))))
 
@@ -324,7 +359,9 @@ def test_forms_of_nifti_2_that_disagree_or_contradict_pixdim(tmp_path):
 def test_nifti_2_cut_short(tmp_path, suffix, keep):
     whole = second(nifti())
     assert len(whole) == 664
-    with pytest.raises(InputError, match="has only|announces 664 bytes of voxels, the file holds|lacks the NIfTI"):
+    with pytest.raises(
+        InputError, match="has only|announces 664 bytes of voxels, the file holds|lacks the NIfTI"
+    ):
         io.read(save(tmp_path / f"a{suffix}", whole[:keep]))
 
 
@@ -352,7 +389,9 @@ def test_nifti_2_that_is_none_or_too_large(tmp_path):
         io.read(save(tmp_path / "a.nii", struct.pack("<i", 540) + bytes(1000)))
     raw = bytearray(second(nifti()))
     struct.pack_into("<3q", raw, 24, 10**6, 10**6, 10**6)
-    with pytest.raises(InputError, match="announces 20{15}\\d{3} bytes of voxels, the file holds 664"):
+    with pytest.raises(
+        InputError, match="announces 20{15}\\d{3} bytes of voxels, the file holds 664"
+    ):
         io.read(save(tmp_path / "a.nii", bytes(raw)))
     with pytest.raises(InputError, match="needs about"):
         io.read(save(tmp_path / "a.nii", second(nifti())), memory_bytes=60 * (2 + 12) - 1)
@@ -381,4 +420,8 @@ def test_channels_are_placed_and_scaled_as_one_alone(tmp_path, version, axes):
 def test_the_header_knows_its_own_grid():
     """The rule by which ITK places an image, which the tests above check on files."""
     header = nifti_format.parse_header(nifti((0, 0), TURNED))
-    assert header.grid.geometry().origin == (0, 0, 0) and header.grid.geometry().spacing == (3, 2, 1)
+    assert header.grid.geometry().origin == (0, 0, 0) and header.grid.geometry().spacing == (
+        3,
+        2,
+        1,
+    )

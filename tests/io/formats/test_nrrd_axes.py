@@ -25,7 +25,8 @@ def header(place, kind, more="", encoding="raw", directions=True):
     space = f"space: left-posterior-superior\nspace directions: {' '.join(vectors)}\nspace origin: (1,2,3)\n"
     return (
         f"NRRD0005\ntype: short\ndimension: 4\n{space if directions else ''}sizes: {' '.join(sizes)}\n"
-        f"kinds: {' '.join(kinds)}\nendian: little\nencoding: {encoding}\n" + (more + "\n" if more else "")
+        f"kinds: {' '.join(kinds)}\nendian: little\nencoding: {encoding}\n"
+        + (more + "\n" if more else "")
     )
 
 
@@ -62,27 +63,38 @@ def test_a_time_axis_without_a_direction_is_named_with_the_remedy(tmp_path, kind
             read(path)
         assert "--time-index" in caught.value.hint and "track" in caught.value.hint
     content = path.read_bytes()
-    path.write_bytes(content.replace(f" {kind}\nendian".encode(), b" list\nendian"))  # as the hint says
+    path.write_bytes(
+        content.replace(f" {kind}\nendian".encode(), b" list\nendian")
+    )  # as the hint says
     check_frames(path)
 
 
 @pytest.mark.parametrize("name", ["a.nrrd", "a.nhdr", "a.seq.nrrd"])
-@pytest.mark.parametrize("more", [SLICER, "axis 0 index type:=text", "MultiVolume.FrameLabels:=0,1,2"])
+@pytest.mark.parametrize(
+    "more", [SLICER, "axis 0 index type:=text", "MultiVolume.FrameLabels:=0,1,2"]
+)
 def test_a_list_of_slicer_is_a_sequence(tmp_path, name, more):
     path = saved(tmp_path, name, header(0, "list", more), voxels(0))
     check_frames(path)
 
 
-@pytest.mark.parametrize(("unit", "times"), [
-    ("s", (0.0, 0.5, 2.0)), ("ms", (0.0, 0.0005, 0.002)), ("", (0.0, 1.0, 2.0)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("unit", "times"),
+    [
+        ("s", (0.0, 0.5, 2.0)),
+        ("ms", (0.0, 0.0005, 0.002)),
+        ("", (0.0, 1.0, 2.0)),
+    ],
+)
 def test_times_of_slicer_are_read(tmp_path, unit, times):
     text = header(0, "list", f'units: "{unit}" "" "" ""\n{SLICER}')
     found = io.read_sequence(saved(tmp_path, "a.seq.nrrd", text, voxels(0)))
     assert found.times == times and found.time_unit == ("s" if unit else "frame")
 
 
-@pytest.mark.parametrize("values", ["0 1", "0 1 nan", "2 1 0", "0 0 0", "a b c", "0 1e400 2", "1" * 500])
+@pytest.mark.parametrize(
+    "values", ["0 1", "0 1 nan", "2 1 0", "0 0 0", "a b c", "0 1e400 2", "1" * 500]
+)
 def test_times_of_slicer_that_are_none_are_counted(tmp_path, values):
     more = f'units: "s" "" "" ""\naxis 0 index type:=numeric\naxis 0 index values:={values}'
     found = io.read_sequence(saved(tmp_path, "a.seq.nrrd", header(0, "list", more), voxels(0)))
@@ -91,20 +103,29 @@ def test_times_of_slicer_that_are_none_are_counted(tmp_path, values):
 
 def check_frames(path):
     """It is called a sequence, each frame is what was written, and lies where the header says."""
-    with pytest.raises(InputError, match="a sequence of 3 time points given, one image expected") as caught:
+    with pytest.raises(
+        InputError, match="a sequence of 3 time points given, one image expected"
+    ) as caught:
         io.read(path)
     assert "--time-index" in caught.value.hint
     found = io.read_sequence(path)
     for number, array in enumerate(FRAMES):
         for volume in (
-            found.frame(number), io.read(path, options=ReadOptions(time_index=number)),
-            io.open_volume(path, time_index=number) if "list" not in path.read_bytes()[:400].decode("latin1") else None,
-        ):  # fmt: skip
+            found.frame(number),
+            io.read(path, options=ReadOptions(time_index=number)),
+            io.open_volume(path, time_index=number)
+            if "list" not in path.read_bytes()[:400].decode("latin1")
+            else None,
+        ):
             if volume is not None:
                 box = (slice(0, 4), slice(0, 5), slice(0, 6))
                 values = volume.array if hasattr(volume, "array") else volume.read(box)
                 np.testing.assert_array_equal(values, array)
-                assert volume.geometry.spacing == (4.0, 3.0, 2.0) and volume.geometry.origin == (1.0, 2.0, 3.0)
+                assert volume.geometry.spacing == (4.0, 3.0, 2.0) and volume.geometry.origin == (
+                    1.0,
+                    2.0,
+                    3.0,
+                )
     every = channels.read_channels(path, ReadOptions(channels_from_time=True))
     np.testing.assert_array_equal([volume.array for volume in every], FRAMES)
 
@@ -112,7 +133,8 @@ def check_frames(path):
 @pytest.mark.sampled
 @pytest.mark.parametrize("name", ["a.nrrd", "a.nhdr"])
 @pytest.mark.parametrize(
-    ("place", "kind"), [(0, "vector"), (0, "list"), (0, "RGB-color"), (3, "vector"), (3, "3-vector")]
+    ("place", "kind"),
+    [(0, "vector"), (0, "list"), (0, "RGB-color"), (3, "vector"), (3, "3-vector")],
 )
 def test_values_of_a_voxel_are_channels(tmp_path, name, place, kind):
     path = saved(tmp_path, name, header(place, kind), voxels(place))
@@ -121,10 +143,14 @@ def test_values_of_a_voxel_are_channels(tmp_path, name, place, kind):
     assert "--channel-index" in caught.value.hint
     np.testing.assert_array_equal([volume.array for volume in channels.read_channels(path)], FRAMES)
     for number, array in enumerate(FRAMES):
-        np.testing.assert_array_equal(io.read(path, options=ReadOptions(channel_index=number)).array, array)
+        np.testing.assert_array_equal(
+            io.read(path, options=ReadOptions(channel_index=number)).array, array
+        )
 
 
-@pytest.mark.parametrize(("place", "kind"), list(itertools.product((1, 2), ("list", "vector", "time"))))
+@pytest.mark.parametrize(
+    ("place", "kind"), list(itertools.product((1, 2), ("list", "vector", "time")))
+)
 def test_an_axis_between_is_refused_by_name(tmp_path, place, kind):
     for directions in (True, False):
         path = saved(tmp_path, "a.nrrd", header(place, kind, directions=directions), voxels(place))
@@ -140,10 +166,23 @@ def test_detached_headers_are_read_where_others_are(tmp_path, capfd):
     path.write_text(f"{text}{names}data file: v.raw\n")
     np.testing.assert_array_equal(io.read(path).array, FRAMES[0])
     np.testing.assert_array_equal(io.read_labels(path).array, FRAMES[0])
-    np.testing.assert_array_equal(io.open_volume(path).read((slice(0, 4), slice(0, 5), slice(0, 6))), FRAMES[0])
+    np.testing.assert_array_equal(
+        io.open_volume(path).read((slice(0, 4), slice(0, 5), slice(0, 6))), FRAMES[0]
+    )
     assert label_tables.read_table(path)[4].name == "liver"
-    words = ["segment", str(path), "-o", str(tmp_path / "out"), "--start", "ball:3,4,6,3", "--channel", str(path)]
-    assert execute([*words, "--mask", str(path), "--max-steps", "1", "--quiet"]) == 0, capfd.readouterr().err
+    words = [
+        "segment",
+        str(path),
+        "-o",
+        str(tmp_path / "out"),
+        "--start",
+        "ball:3,4,6,3",
+        "--channel",
+        str(path),
+    ]
+    assert execute([*words, "--mask", str(path), "--max-steps", "1", "--quiet"]) == 0, (
+        capfd.readouterr().err
+    )
     assert (tmp_path / "out" / "a_seg.nii.gz").exists()
     assert accelsurf.io.split_name(path) == ("a", ".nhdr")
     # A folder of frames, each with its own header.

@@ -30,11 +30,19 @@ def silence(capfd):
         ({"spacings": "nan 1 1"}, "spacings = nan 1 1, 3 finite numbers"),
         ({"spacings": "1 1"}, "spacings = 1 1, 3 finite numbers"),
         (
-            {"spacings": None, "space": "left-posterior-superior", "space_directions": "(0,0,0) (0,1,0) (0,0,1)"},
+            {
+                "spacings": None,
+                "space": "left-posterior-superior",
+                "space_directions": "(0,0,0) (0,1,0) (0,0,1)",
+            },
             r"spacing \(x,y,z\) = \(0, 1, 1\), positive",
         ),
         (
-            {"spacings": None, "space": "left-posterior-superior", "space_directions": "none (0,1,0) (0,0,1)"},
+            {
+                "spacings": None,
+                "space": "left-posterior-superior",
+                "space_directions": "none (0,1,0) (0,0,1)",
+            },
             "space directions = .*9 finite numbers",
         ),
     ],
@@ -46,7 +54,14 @@ def test_nrrd_axes(tmp_path, changes, words):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"type": "block"}, {"type": None}, {"sizes": "6 5"}, {"sizes": "6 0 4"}, {"sizes": "6 x 4"}, {"encoding": None}],
+    [
+        {"type": "block"},
+        {"type": None},
+        {"sizes": "6 5"},
+        {"sizes": "6 0 4"},
+        {"sizes": "6 x 4"},
+        {"encoding": None},
+    ],
 )
 def test_nrrd_damaged_header(tmp_path, changes):
     (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", **changes) + VALUES.tobytes())
@@ -80,18 +95,26 @@ def test_nrrd_as_text(tmp_path, encoding):
 
 
 def test_nrrd_with_bytes_to_skip(tmp_path):
-    (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", byte_skip="7") + b"skipped" + VALUES.tobytes())
+    (tmp_path / "a.nrrd").write_bytes(
+        text_header(".nrrd", byte_skip="7") + b"skipped" + VALUES.tobytes()
+    )
     np.testing.assert_array_equal(io.read(tmp_path / "a.nrrd").array, VALUES)
     (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", byte_skip="7") + VALUES.tobytes())
     refuse(tmp_path / "a.nrrd", "announces 240 bytes of voxels, the file holds 233")
-    (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", byte_skip="-1") + b"any" + VALUES.tobytes())
+    (tmp_path / "a.nrrd").write_bytes(
+        text_header(".nrrd", byte_skip="-1") + b"any" + VALUES.tobytes()
+    )
     np.testing.assert_array_equal(io.read(tmp_path / "a.nrrd").array, VALUES)
 
 
 @pytest.mark.parametrize("key", ["space_units", "units"])
 def test_nrrd_units(tmp_path, key):
     """ITK takes any unit for mm."""
-    place = {"spacings": None, "space": "left-posterior-superior", "space directions": "(1,0,0) (0,2,0) (0,0,3)"}
+    place = {
+        "spacings": None,
+        "space": "left-posterior-superior",
+        "space directions": "(1,0,0) (0,2,0) (0,0,3)",
+    }
     place = place if key == "space_units" else {}
     for unit, good in (("mm", True), ("um", False), ("microns", False)):
         head = text_header(".nrrd", **place, **{key: f'"{unit}" "{unit}" "{unit}"'})
@@ -141,7 +164,9 @@ def test_metaimage_singular_matrix(tmp_path):
     ],
 )
 def test_metaimage_damaged_header(tmp_path, changes, words):
-    (tmp_path / "a.mha").write_bytes(text_header(".mha", **changes) + zlib.compress(VALUES.tobytes()))
+    (tmp_path / "a.mha").write_bytes(
+        text_header(".mha", **changes) + zlib.compress(VALUES.tobytes())
+    )
     refuse(tmp_path / "a.mha", words)
 
 
@@ -161,7 +186,9 @@ def test_metaimage_without_its_data_file(tmp_path):
 
 def test_metaimage_data_file_with_a_header_of_its_own(tmp_path):
     for size, before in (("16", b"x" * 16), ("-1", b"any length")):
-        (tmp_path / "a.mhd").write_bytes(text_header(".mha", HeaderSize=size, ElementDataFile="a.raw"))
+        (tmp_path / "a.mhd").write_bytes(
+            text_header(".mha", HeaderSize=size, ElementDataFile="a.raw")
+        )
         (tmp_path / "a.raw").write_bytes(before + VALUES.tobytes())
         np.testing.assert_array_equal(io.read(tmp_path / "a.mhd").array, VALUES)
     (tmp_path / "a.raw").write_bytes(VALUES.tobytes()[:-1])

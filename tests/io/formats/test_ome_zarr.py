@@ -31,7 +31,9 @@ def axes(names: str, unit: str | None = "micrometer") -> list[dict]:
     return [{"name": name, **({"type": kinds[name]} if name in kinds else space)} for name in names]
 
 
-def make_store(path: Path, arrays: list[np.ndarray], names: str, scales: list, version="0.5", **more) -> Path:
+def make_store(
+    path: Path, arrays: list[np.ndarray], names: str, scales: list, version="0.5", **more
+) -> Path:
     """Write an OME-Zarr as other programs do."""
     form = 3 if version == "0.5" else 2
     datasets = []
@@ -52,11 +54,15 @@ def make_store(path: Path, arrays: list[np.ndarray], names: str, scales: list, v
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("dtype", ["bool", "uint8", "<u2", ">u2", ">i2", "int32", "uint64", "float32", ">f8"])
+@pytest.mark.parametrize(
+    "dtype", ["bool", "uint8", "<u2", ">u2", ">i2", "int32", "uint64", "float32", ">f8"]
+)
 @pytest.mark.parametrize("version", ["0.4", "0.5"])
 def test_boxes_are_those_of_the_whole_image(tmp_path, dtype, version):
     array = np.abs(values("f4")).astype("u1").astype(dtype)
-    path = make_store(tmp_path / "a.zarr", [array], "zyx", [((3.0, 0.5, 0.25), (10.0, 20.0, 30.0))], version)
+    path = make_store(
+        tmp_path / "a.zarr", [array], "zyx", [((3.0, 0.5, 0.25), (10.0, 20.0, 30.0))], version
+    )
     lazy = assert_same_boxes(path)
     np.testing.assert_array_equal(lazy.read(whole_box(lazy.shape)), array)
     np.testing.assert_allclose(lazy.geometry.spacing, (3e-3, 0.5e-3, 0.25e-3))
@@ -64,7 +70,14 @@ def test_boxes_are_those_of_the_whole_image(tmp_path, dtype, version):
 
 
 @pytest.mark.parametrize(
-    ("unit", "mm"), [("nanometer", 1e-6), ("micrometer", 1e-3), ("millimeter", 1.0), ("meter", 1e3), ("angstrom", 1e-7)]
+    ("unit", "mm"),
+    [
+        ("nanometer", 1e-6),
+        ("micrometer", 1e-3),
+        ("millimeter", 1.0),
+        ("meter", 1e3),
+        ("angstrom", 1e-7),
+    ],
 )
 def test_lengths_become_mm(tmp_path, unit, mm):
     path = make_store(tmp_path / "a.zarr", [values("u1")], "zyx", [((2.0, 1.0, 0.5),)], unit=unit)
@@ -74,10 +87,16 @@ def test_lengths_become_mm(tmp_path, unit, mm):
 
 
 def test_no_unit_is_mm_with_a_warning_and_others_are_refused(tmp_path):
-    lazy = io.open_volume(make_store(tmp_path / "a.zarr", [values("u1")], "zyx", [((2.0, 1.0, 0.5),)], unit=None))
-    assert lazy.geometry.spacing == (2.0, 1.0, 0.5) and "taken as mm" in lazy.metadata[io.WARNING_KEY]
+    lazy = io.open_volume(
+        make_store(tmp_path / "a.zarr", [values("u1")], "zyx", [((2.0, 1.0, 0.5),)], unit=None)
+    )
+    assert (
+        lazy.geometry.spacing == (2.0, 1.0, 0.5) and "taken as mm" in lazy.metadata[io.WARNING_KEY]
+    )
     with pytest.raises(InputError, match="lengths in furlong"):
-        io.open_volume(make_store(tmp_path / "b.zarr", [values("u1")], "zyx", [((1.0,) * 3,)], unit="furlong"))
+        io.open_volume(
+            make_store(tmp_path / "b.zarr", [values("u1")], "zyx", [((1.0,) * 3,)], unit="furlong")
+        )
 
 
 @pytest.mark.parametrize("names", ["xyz", "yxz", "zxy", "zyx"])
@@ -86,7 +105,12 @@ def test_axes_in_another_order_are_turned(tmp_path, names):
     stored = array.transpose(["zyx".index(name) for name in names])
     sizes = dict(zip("zyx", (3.0, 0.5, 0.25), strict=True))
     path = make_store(
-        tmp_path / "a.zarr", [stored], names, [([sizes[n] for n in names],)], unit="millimeter", chunks=(2, 3, 4)
+        tmp_path / "a.zarr",
+        [stored],
+        names,
+        [([sizes[n] for n in names],)],
+        unit="millimeter",
+        chunks=(2, 3, 4),
     )
     lazy = assert_same_boxes(path)
     np.testing.assert_array_equal(lazy.read(whole_box(lazy.shape)), array)
@@ -94,25 +118,40 @@ def test_axes_in_another_order_are_turned(tmp_path, names):
 
 
 def test_scales_of_all_levels_act_after_those_of_each(tmp_path):
-    more = {"coordinateTransformations": [
-        {"type": "scale", "scale": [2.0, 2.0, 2.0]}, {"type": "translation", "translation": [1.0, 2.0, 3.0]},
-    ]}  # fmt: skip
+    more = {
+        "coordinateTransformations": [
+            {"type": "scale", "scale": [2.0, 2.0, 2.0]},
+            {"type": "translation", "translation": [1.0, 2.0, 3.0]},
+        ]
+    }
     scales = [((3.0, 1.0, 1.0), (5.0, 6.0, 7.0))]
-    path = make_store(tmp_path / "a.zarr", [values("u1")], "zyx", scales, unit="millimeter", multiscale=more)
+    path = make_store(
+        tmp_path / "a.zarr", [values("u1")], "zyx", scales, unit="millimeter", multiscale=more
+    )
     geometry = io.open_volume(path).geometry
-    assert geometry.spacing == (6.0, 2.0, 2.0) and geometry.origin == (2 * 7 + 3.0, 2 * 6 + 2.0, 2 * 5 + 1.0)
+    assert geometry.spacing == (6.0, 2.0, 2.0) and geometry.origin == (
+        2 * 7 + 3.0,
+        2 * 6 + 2.0,
+        2 * 5 + 1.0,
+    )
 
 
 def test_channels_and_time_points_are_named(tmp_path):
     array = np.random.default_rng(0).integers(0, 99, (2, 3, 5, 7, 9)).astype("u1")
-    path = make_store(tmp_path / "a.zarr", [array], "tczyx", [((1.0,) * 5,)], chunks=(1, 2, 3, 4, 9))
+    path = make_store(
+        tmp_path / "a.zarr", [array], "tczyx", [((1.0,) * 5,)], chunks=(1, 2, 3, 4, 9)
+    )
     for options, words, family in (
         ({}, "2 time points given", InputError),
         ({"time_index": 0}, "3 channels given", InputError),
         ({"time_index": 2, "channel_index": 0}, "time 2 asked for, the image has 2", UsageError),
         ({"time_index": 0, "channel_index": 3}, "channel 3 asked for, the image has 3", UsageError),
         ({"time_index": 0, "channel_index": -1}, "channel -1 asked for", UsageError),
-        ({"time_index": 0, "channel_index": 0, "level": 1}, "level 1 asked for, the image has 1", UsageError),
+        (
+            {"time_index": 0, "channel_index": 0, "level": 1},
+            "level 1 asked for, the image has 1",
+            UsageError,
+        ),
     ):
         with pytest.raises(family, match=words) as caught:
             io.open_volume(path, **options)
@@ -127,7 +166,9 @@ def test_channels_and_time_points_are_named(tmp_path):
 
 
 def test_a_2d_image_is_one_slice(tmp_path):
-    path = make_store(tmp_path / "a.zarr", [values("u1")[0]], "yx", [((0.5, 0.25), (4.0, 8.0))], unit="millimeter")
+    path = make_store(
+        tmp_path / "a.zarr", [values("u1")[0]], "yx", [((0.5, 0.25), (4.0, 8.0))], unit="millimeter"
+    )
     lazy = io.open_volume(path)
     assert lazy.geometry.difference(Geometry((1, 7, 9), (1.0, 0.5, 0.25), (8.0, 4.0, 0.0))) == ""
     np.testing.assert_array_equal(lazy.read(whole_box(lazy.shape)), values("u1")[:1])
@@ -150,7 +191,11 @@ def test_what_is_written_keeps_its_place_in_the_world_and_has_levels_of_means(tm
     path = tmp_path / "a.ome.zarr"
     io.write(Volume(world.astype(np.float32).reshape(grid.shape), grid, {"a": "b"}), path)
     back = io.read(path)
-    assert back.geometry.difference(grid) == "" and back.geometry.origin == grid.origin and back.metadata == {"a": "b"}
+    assert (
+        back.geometry.difference(grid) == ""
+        and back.geometry.origin == grid.origin
+        and back.metadata == {"a": "b"}
+    )
     yaozarrs.validate_zarr_store(path)
     for level, shape in ((1, (70, 38, 75)), (2, (70, 19, 38))):
         coarse = io.open_volume(path, level=level)
@@ -168,11 +213,18 @@ def test_means_of_whole_numbers_are_rounded_and_do_not_overflow(tmp_path):
     io.write(Volume.from_array(array), tmp_path / "a.ome.zarr")
     coarse = io.open_volume(tmp_path / "a.ome.zarr", level=1)
     got = coarse.read(whole_box(coarse.shape))
-    assert got.shape == (33, 33, 33) and got[0, 0, 0] == 255 and (got[32] == 7).all() and got[:32].sum() == 255
+    assert (
+        got.shape == (33, 33, 33)
+        and got[0, 0, 0] == 255
+        and (got[32] == 7).all()
+        and got[:32].sum() == 255
+    )
 
 
 def test_chunks_are_held_up_to_a_number_of_bytes(tmp_path):
-    path = make_store(tmp_path / "a.zarr", [np.zeros((4, 8, 8), "u2")], "zyx", [((1.0,) * 3,)], chunks=(4, 4, 4))
+    path = make_store(
+        tmp_path / "a.zarr", [np.zeros((4, 8, 8), "u2")], "zyx", [((1.0,) * 3,)], chunks=(4, 4, 4)
+    )
     corners = [tuple(slice(c, c + 1) for c in (0, y, x)) for y in (0, 4) for x in (0, 4)]
     lazy = io.open_volume(path, cache_bytes=2 * 128)
     for corner in (corners[0], corners[1], corners[0], corners[1]):
@@ -209,17 +261,23 @@ def test_a_damaged_chunk_is_named_and_never_zeros(tmp_path, damage):
     chunk = path / "0" / "c" / "0" / "0" / "0"
     raw = bytearray(chunk.read_bytes())
     raw[len(raw) // 2] ^= 0xFF
-    chunk.write_bytes({"flipped": bytes(raw), "cut": bytes(raw[:100]), "empty": b"", "noise": b"x" * 300}[damage])
+    chunk.write_bytes(
+        {"flipped": bytes(raw), "cut": bytes(raw[:100]), "empty": b"", "noise": b"x" * 300}[damage]
+    )
     refused(path, r"chunk \(0, 0, 0\) of the array 0 is damaged")
     lazy = io.open_volume(path)
-    np.testing.assert_array_equal(lazy.read((slice(64, 65), slice(0, 20), slice(0, 20))), array[64:])
+    np.testing.assert_array_equal(
+        lazy.read((slice(64, 65), slice(0, 20), slice(0, 20))), array[64:]
+    )
     refused(path, "is damaged", lazy)
 
 
 def test_a_damaged_shard_is_an_error(tmp_path):
     group = zarr.open_group(make_store(tmp_path / "a.zarr", [], "zyx", [((1.0,) * 3,)]), mode="a")
     array = np.random.default_rng(0).integers(1, 99, (8, 8, 8)).astype("u2")
-    group.create_array("0", shape=array.shape, dtype=array.dtype, chunks=(2, 2, 2), shards=(8, 8, 8))[:] = array
+    group.create_array(
+        "0", shape=array.shape, dtype=array.dtype, chunks=(2, 2, 2), shards=(8, 8, 8)
+    )[:] = array
     path = tmp_path / "a.zarr"
     np.testing.assert_array_equal(io.read(path).array, array)
     shard = path / "0" / "c" / "0" / "0" / "0"
@@ -242,8 +300,14 @@ def test_what_is_no_image_is_refused_by_name(tmp_path):
     refused(tmp_path / "array.zarr", "a Zarr array without the metadata of OME-Zarr")
     zarr.create_group(tmp_path / "plain.zarr")
     refused(tmp_path / "plain.zarr", "a Zarr group without the metadata of an OME-Zarr")
-    for key, words in (("plate", "plate of many"), ("well", "well of many"), ("labels", "label maps")):
-        zarr.create_group(tmp_path / f"{key}.zarr", attributes={"ome": {"version": "0.5", key: ["one"]}})
+    for key, words in (
+        ("plate", "plate of many"),
+        ("well", "well of many"),
+        ("labels", "label maps"),
+    ):
+        zarr.create_group(
+            tmp_path / f"{key}.zarr", attributes={"ome": {"version": "0.5", key: ["one"]}}
+        )
         refused(tmp_path / f"{key}.zarr", words)
     (tmp_path / "empty.zarr").mkdir()
     refused(tmp_path / "empty.zarr", "no Zarr")
@@ -259,22 +323,33 @@ def test_what_is_no_image_is_refused_by_name(tmp_path):
 def test_a_plain_array_or_group_is_called_so_and_told_what_to_do(tmp_path, version, name):
     path = tmp_path / name
     zarr.create_array(path, shape=(3, 3, 3), dtype="u1", zarr_format=version)
-    refused(path, "a Zarr array without the metadata of OME-Zarr given: nothing says how large a voxel is")
+    refused(
+        path,
+        "a Zarr array without the metadata of OME-Zarr given: nothing says how large a voxel is",
+    )
     path = tmp_path / f"group{name}"
     zarr.create_group(path, zarr_format=version).create_array("raw", shape=(3, 3, 3), dtype="u1")
     refused(path, r"a Zarr group \(raw\) without the metadata of an OME-Zarr image given")
-    make_store(path / "cells", [values("u1")], "zyx", [((1.0,) * 3,)], "0.5" if version == 3 else "0.4")
+    make_store(
+        path / "cells", [values("u1")], "zyx", [((1.0,) * 3,)], "0.5" if version == 3 else "0.4"
+    )
     refused(path, "a Zarr group of the images cells given, one image expected")
     refused(path / "cells/0", "the array 0 of an OME-Zarr given, its image expected")
 
 
-@pytest.mark.parametrize("name", ["a.zarr.zip", "a.ome.zarr.zip", "a.zip", "a.ozx", "a.zarr", "scan"])
+@pytest.mark.parametrize(
+    "name", ["a.zarr.zip", "a.ome.zarr.zip", "a.zip", "a.ozx", "a.zarr", "scan"]
+)
 def test_a_zipped_zarr_is_told_to_be_unpacked(tmp_path, name):
     store = make_store(tmp_path / "store", [values("u1")], "zyx", [((1.0,) * 3,)], "0.5")
     with zipfile.ZipFile(tmp_path / name, "w") as archive:
         for file in sorted(store.rglob("*")):
             archive.write(file, file.relative_to(store))
-    said = "this is a file, the folder of an OME-Zarr" if name == "a.zarr" else "zip archives are not read"
+    said = (
+        "this is a file, the folder of an OME-Zarr"
+        if name == "a.zarr"
+        else "zip archives are not read"
+    )
     with pytest.raises(InputError, match=said) as caught:
         io.open_volume(tmp_path / name)
     assert "unpack it" in caught.value.hint
@@ -298,13 +373,28 @@ def image_of(said):
 CLAIMS = {
     "shape": in_file("0/zarr.json", lambda said: said.update(shape=[10**9] * 3)),
     "axis": in_file("0/zarr.json", lambda said: said.update(shape=[10**18] * 3)),
-    "chunk": in_file("0/zarr.json", lambda said: said["chunk_grid"]["configuration"].update(chunk_shape=[10**9] * 3)),
+    "chunk": in_file(
+        "0/zarr.json",
+        lambda said: said["chunk_grid"]["configuration"].update(chunk_shape=[10**9] * 3),
+    ),
     "axes of the array": in_file("0/zarr.json", lambda said: said.update(shape=[1] * 10**5)),
-    "codecs": in_file("0/zarr.json", lambda said: said.update(codecs=said["codecs"] + [{"name": "crc32c"}] * 10**4)),
-    "levels": in_file("zarr.json", lambda said: image_of(said).update(datasets=image_of(said)["datasets"] * 10**4)),
-    "axes": in_file("zarr.json", lambda said: image_of(said).update(axes=image_of(said)["axes"] * 10**4)),
-    "images": in_file("zarr.json", lambda said: said["attributes"]["ome"].update(multiscales=[image_of(said)] * 10**3)),
-    "labels": in_file("zarr.json", lambda said: said["attributes"].update(ome={"labels": ["cells"] * 10**5})),
+    "codecs": in_file(
+        "0/zarr.json",
+        lambda said: said.update(codecs=said["codecs"] + [{"name": "crc32c"}] * 10**4),
+    ),
+    "levels": in_file(
+        "zarr.json", lambda said: image_of(said).update(datasets=image_of(said)["datasets"] * 10**4)
+    ),
+    "axes": in_file(
+        "zarr.json", lambda said: image_of(said).update(axes=image_of(said)["axes"] * 10**4)
+    ),
+    "images": in_file(
+        "zarr.json",
+        lambda said: said["attributes"]["ome"].update(multiscales=[image_of(said)] * 10**3),
+    ),
+    "labels": in_file(
+        "zarr.json", lambda said: said["attributes"].update(ome={"labels": ["cells"] * 10**5})
+    ),
     "depth": lambda path: (path / "zarr.json").write_text('{"attributes":' + '{"a":' * 10**5),
     "depth of the array": lambda path: (path / "0/zarr.json").write_text("[" * 10**5),
     "length": lambda path: os.truncate(path / "zarr.json", 1 << 40),
@@ -324,21 +414,35 @@ def test_claims_are_checked_before_anything_is_made_of_them(tmp_path, claim):
         assert tracemalloc.get_traced_memory()[1] < 1 << 26
     finally:
         tracemalloc.stop()
-    assert time.thread_time() - began < 3.0  # most take some ms; the limit is for machines that are busy
+    assert (
+        time.thread_time() - began < 3.0
+    )  # most take some ms; the limit is for machines that are busy
 
 
 @pytest.mark.parametrize(
     ("width", "words"),
     [
-        (200, r"chunk \(0, 0, 0\) of the array 0 is damaged \(its shard has \d+ bytes, its index alone 128000004"),
-        (10**9, "the index of a shard of the Zarr: 16000000000000000000000000004 bytes, at most 1073741824"),
+        (
+            200,
+            r"chunk \(0, 0, 0\) of the array 0 is damaged \(its shard has \d+ bytes, its index alone 128000004",
+        ),
+        (
+            10**9,
+            "the index of a shard of the Zarr: 16000000000000000000000000004 bytes, at most 1073741824",
+        ),
     ],
 )
 def test_a_shard_of_too_many_chunks_is_refused_before_its_index_is_read(tmp_path, width, words):
     path, array = written(tmp_path)
-    sharding = {"chunk_shape": [1, 1, 1], "codecs": [{"name": "bytes"}], "index_location": "end", "index_codecs": [
-        {"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"},
-    ]}  # fmt: skip
+    sharding = {
+        "chunk_shape": [1, 1, 1],
+        "codecs": [{"name": "bytes"}],
+        "index_location": "end",
+        "index_codecs": [
+            {"name": "bytes", "configuration": {"endian": "little"}},
+            {"name": "crc32c"},
+        ],
+    }
 
     def change(said):
         said.update(codecs=[{"name": "sharding_indexed", "configuration": sharding}])
@@ -365,10 +469,22 @@ def first_scale(ome):
         (lambda ome: ome["multiscales"].append(ome["multiscales"][0]), "2 images in one group"),
         (lambda ome: ome.update(multiscales=[]), "metadata are damaged"),
         (lambda ome: ome["multiscales"][0].update(datasets=[]), "0 levels"),
-        (lambda ome: ome["multiscales"][0]["datasets"][0].update(path="../a"), "metadata are damaged"),
-        (lambda ome: ome["multiscales"][0]["datasets"][0].update(path="/a"), "metadata are damaged"),
-        (lambda ome: ome["multiscales"][0]["datasets"][0].update(path="9"), "array 9 is missing or damaged"),
-        (lambda ome: ome["multiscales"][0]["datasets"][0].update(coordinateTransformations=[]), "damaged"),
+        (
+            lambda ome: ome["multiscales"][0]["datasets"][0].update(path="../a"),
+            "metadata are damaged",
+        ),
+        (
+            lambda ome: ome["multiscales"][0]["datasets"][0].update(path="/a"),
+            "metadata are damaged",
+        ),
+        (
+            lambda ome: ome["multiscales"][0]["datasets"][0].update(path="9"),
+            "array 9 is missing or damaged",
+        ),
+        (
+            lambda ome: ome["multiscales"][0]["datasets"][0].update(coordinateTransformations=[]),
+            "damaged",
+        ),
         (lambda ome: ome["multiscales"][0]["axes"].pop(), "damaged"),
         (lambda ome: first_scale(ome).update(scale=[1, 1, 0]), "spacing"),
         (lambda ome: first_scale(ome).update(scale=[1, 1, 1e999]), "damaged"),
@@ -415,9 +531,15 @@ def test_an_image_larger_than_memory_is_refused_and_read_by_boxes(tmp_path):
 
 def test_without_the_package_the_message_says_what_to_install(tmp_path):
     path, _ = written(tmp_path)
-    code = f"import sys; sys.modules['zarr'] = None\nfrom accelsurf import io\nio.read({str(path)!r})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[3])
-    assert 'InputError: ' in done.stderr and 'pip install "accelsurf[zarr]"' in done.stderr, done.stderr
+    code = (
+        f"import sys; sys.modules['zarr'] = None\nfrom accelsurf import io\nio.read({str(path)!r})"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[3]
+    )
+    assert "InputError: " in done.stderr and 'pip install "accelsurf[zarr]"' in done.stderr, (
+        done.stderr
+    )
 
 
 @pytest.mark.parametrize("version", ["0.4", "0.5"])
@@ -426,7 +548,7 @@ def test_links_out_of_a_store_are_not_followed(tmp_path, what, version):
     """A store comes from elsewhere: a link in it could show any file of the computer as an image."""
     array = np.arange(64, dtype=np.uint8).reshape(4, 4, 4)
     path = make_store(tmp_path / "a store é.zarr", [array], "zyx", [((1, 1, 1),)], version)
-    mark = ("zarr.json" if version == "0.5" else ".zattrs")
+    mark = "zarr.json" if version == "0.5" else ".zattrs"
     chunk = path / ("0/c/1/0/0" if version == "0.5" else "0/1.0.0")
     target = {"metadata": path / mark, "level": path / "0", "chunk": chunk}[what]
     target.rename(tmp_path / "elsewhere")
@@ -440,7 +562,9 @@ def test_links_out_of_a_store_are_not_followed(tmp_path, what, version):
     target.unlink()
     target.symlink_to(path / "within")
     (tmp_path / "link.zarr").symlink_to(path)
-    assert np.array_equal(io.open_volume(tmp_path / "link.zarr").read(whole_box(array.shape)), array)
+    assert np.array_equal(
+        io.open_volume(tmp_path / "link.zarr").read(whole_box(array.shape)), array
+    )
 
 
 def test_a_link_in_a_shard_is_not_followed(tmp_path):

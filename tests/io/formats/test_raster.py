@@ -30,7 +30,11 @@ STACK = RNG.integers(0, 4000, (3, 6, 7)).astype(np.uint16)
 def refuse(path, words, **options):
     with pytest.raises(InputError, match=words) as caught:
         io.read(path, **options)
-    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value) and caught.value.hint
+    assert (
+        str(caught.value).startswith(f"{path}: ")
+        and "\n" not in str(caught.value)
+        and caught.value.hint
+    )
     return caught.value
 
 
@@ -42,7 +46,9 @@ def test_the_entry_of_tiff_names_the_types_that_are_encoded():
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int8", "int16", "uint32", "int32", "float32"])
+@pytest.mark.parametrize(
+    "dtype", ["uint8", "uint16", "int8", "int16", "uint32", "int32", "float32"]
+)
 @pytest.mark.parametrize("slices", [1, 3])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_round_trip(tmp_path, suffix, slices, dtype):
@@ -68,7 +74,9 @@ def test_round_trip(tmp_path, suffix, slices, dtype):
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
 def test_sizes_of_pixels_are_kept(tmp_path, suffix, spacing):
     io.write(Volume.from_array(SMALL, spacing), tmp_path / f"a{suffix}")
-    assert io.read(tmp_path / f"a{suffix}").geometry.spacing[1:] == pytest.approx((spacing, spacing), rel=1e-6)
+    assert io.read(tmp_path / f"a{suffix}").geometry.spacing[1:] == pytest.approx(
+        (spacing, spacing), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
@@ -86,7 +94,11 @@ def test_others_read_our_stacks(tmp_path):
     io.write(Volume.from_array(STACK, (2.5, 0.5, 0.25)), tmp_path / "a.tif")
     with tifffile.TiffFile(tmp_path / "a.tif") as file:
         np.testing.assert_array_equal(file.asarray(), STACK)
-        assert file.is_imagej and file.imagej_metadata["spacing"] == 0.25 and file.imagej_metadata["unit"] == "cm"
+        assert (
+            file.is_imagej
+            and file.imagej_metadata["spacing"] == 0.25
+            and file.imagej_metadata["unit"] == "cm"
+        )
 
 
 def test_the_same_volume_gives_the_same_bytes(tmp_path):
@@ -134,7 +146,11 @@ def test_labels_of_one_object_are_black_and_white(tmp_path, suffix):
 def test_grey_is_grey_however_it_was_saved(tmp_path, suffix, mode):
     values = np.where(SMALL > 50, 255, 0).astype(np.uint8) if mode == "1" else SMALL
     path = tmp_path / f"a{suffix}"
-    image = Image.fromarray(values.astype(np.uint16)) if mode == "I;16" else Image.fromarray(values).convert(mode)
+    image = (
+        Image.fromarray(values.astype(np.uint16))
+        if mode == "I;16"
+        else Image.fromarray(values).convert(mode)
+    )
     image.save(path, dpi=(72, 72))
     if (mode, suffix) == ("P", ".tif"):
         refuse(path, "colours from a palette")
@@ -148,7 +164,10 @@ def test_grey_is_grey_however_it_was_saved(tmp_path, suffix, mode):
 @pytest.mark.parametrize("name", ["a.png", "a.tif"])
 @pytest.mark.parametrize("scale", [1, 256])
 def test_colour_becomes_its_luminance_and_says_so(tmp_path, name, scale):
-    colours = np.stack([SMALL, SMALL[::-1], SMALL[:, ::-1]], axis=-1).astype("u2" if scale > 1 else "u1") * scale
+    colours = (
+        np.stack([SMALL, SMALL[::-1], SMALL[:, ::-1]], axis=-1).astype("u2" if scale > 1 else "u1")
+        * scale
+    )
     sitk.WriteImage(sitk.GetImageFromArray(colours, isVector=True), str(tmp_path / name))
     if name == "a.png" and scale > 1:
         refuse(tmp_path / name, "a colour PNG of 16 bits given")
@@ -168,7 +187,9 @@ def test_transparency_is_ignored_and_said(tmp_path):
     assert volume.metadata[io.WARNING_KEY] == "the image is transparent in places, which is ignored"
 
 
-@pytest.mark.parametrize("packing", [None, "tiff_lzw", "packbits", "tiff_deflate", "tiff_adobe_deflate"])
+@pytest.mark.parametrize(
+    "packing", [None, "tiff_lzw", "packbits", "tiff_deflate", "tiff_adobe_deflate"]
+)
 def test_compressed_tiffs(tmp_path, packing):
     Image.fromarray(LARGE).save(tmp_path / "a.tif", compression=packing)
     np.testing.assert_array_equal(io.read(tmp_path / "a.tif").array[0], LARGE)
@@ -193,7 +214,9 @@ def test_stacks(tmp_path, options):
 
 
 def test_a_stack_in_colour(tmp_path):
-    tifffile.imwrite(tmp_path / "a.tif", np.stack([STACK, STACK, 2 * STACK], axis=-1), photometric="rgb")
+    tifffile.imwrite(
+        tmp_path / "a.tif", np.stack([STACK, STACK, 2 * STACK], axis=-1), photometric="rgb"
+    )
     volume = io.read(tmp_path / "a.tif")
     np.testing.assert_allclose(volume.array, STACK * (1 + LUMINANCE[2]), rtol=1e-6)
 
@@ -227,7 +250,14 @@ def test_thumbnails_are_not_slices(tmp_path):
         ({"resolution": (300, 300), "resolutionunit": "INCH"}, (1.0, 1.0, 1.0)),
         ({"resolution": (4, 2), "resolutionunit": "NONE"}, (1.0, 1.0, 1.0)),
         *(
-            ({"imagej": True, "resolution": (4, 2), "metadata": {"axes": "ZYX", "unit": unit, "spacing": 3}}, spacing)
+            (
+                {
+                    "imagej": True,
+                    "resolution": (4, 2),
+                    "metadata": {"axes": "ZYX", "unit": unit, "spacing": 3},
+                },
+                spacing,
+            )
             for unit, spacing in [
                 ("um", (3e-3, 5e-4, 2.5e-4)),
                 ("\\u00B5m", (3e-3, 5e-4, 2.5e-4)),
@@ -237,7 +267,15 @@ def test_thumbnails_are_not_slices(tmp_path):
             ]
         ),
         (
-            {"ome": True, "metadata": {"axes": "ZYX", "PhysicalSizeX": 0.1, "PhysicalSizeY": 0.2, "PhysicalSizeZ": 1}},
+            {
+                "ome": True,
+                "metadata": {
+                    "axes": "ZYX",
+                    "PhysicalSizeX": 0.1,
+                    "PhysicalSizeY": 0.2,
+                    "PhysicalSizeZ": 1,
+                },
+            },
             (1e-3, 2e-4, 1e-4),
         ),
         ({"ome": True, "metadata": {"axes": "ZYX"}}, (1.0, 1.0, 1.0)),
@@ -257,12 +295,28 @@ def test_sizes_of_pixels_as_other_programs_give_them(tmp_path, options, spacing)
         (SMALL.astype("c8"), GREY, "64-bit complex values"),
         (SMALL, {"photometric": "miniswhite"}, "grow towards black"),
         (LARGE, {"tile": (8192, 16), **GREY}, "tiles of 16 x 8192"),
-        (STACK.astype("u1"), {"photometric": "rgb", "planarconfig": "separate"}, "one after the other"),
+        (
+            STACK.astype("u1"),
+            {"photometric": "rgb", "planarconfig": "separate"},
+            "one after the other",
+        ),
         (SMALL, {"extratags": [(274, "H", 1, 3, True)], **GREY}, "orientation"),
-        (np.stack([STACK] * 2, 1), {"imagej": True, "metadata": {"axes": "ZCYX"}}, "2 channels given, one expected"),
-        (np.stack([STACK] * 2), {"imagej": True, "metadata": {"axes": "TZYX"}}, "2 time points given"),
+        (
+            np.stack([STACK] * 2, 1),
+            {"imagej": True, "metadata": {"axes": "ZCYX"}},
+            "2 channels given, one expected",
+        ),
+        (
+            np.stack([STACK] * 2),
+            {"imagej": True, "metadata": {"axes": "TZYX"}},
+            "2 time points given",
+        ),
         (STACK, {"ome": True, "metadata": {"axes": "CYX"}, **GREY}, "3 channels given"),
-        (SMALL, {"description": "ImageJ=1.5\nimages=9\n", "metadata": None, **GREY}, "announces .* bytes of voxels"),
+        (
+            SMALL,
+            {"description": "ImageJ=1.5\nimages=9\n", "metadata": None, **GREY},
+            "announces .* bytes of voxels",
+        ),
     ],
 )
 def test_tiffs_that_would_be_read_wrongly_are_refused(tmp_path, values, options, words):
@@ -272,10 +326,16 @@ def test_tiffs_that_would_be_read_wrongly_are_refused(tmp_path, values, options,
 
 @pytest.mark.parametrize(
     ("name", "mode", "words"),
-    [("a.png", "LA", "transparency"), ("a.tif", "LA", "2 channels"), ("a.tif", "CMYK", "4 channels of colour kind 5")],
+    [
+        ("a.png", "LA", "transparency"),
+        ("a.tif", "LA", "2 channels"),
+        ("a.tif", "CMYK", "4 channels of colour kind 5"),
+    ],
 )
 def test_other_colours_are_refused(tmp_path, name, mode, words):
-    Image.fromarray(SMALL).convert("RGBA" if mode == "LA" else "RGB").convert(mode).save(tmp_path / name)
+    Image.fromarray(SMALL).convert("RGBA" if mode == "LA" else "RGB").convert(mode).save(
+        tmp_path / name
+    )
     refuse(tmp_path / name, words)
 
 
@@ -328,7 +388,8 @@ def png_of(rows, height, width):
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
     parts = ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body)) for name, body in parts
+        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+        for name, body in parts
     )
 
 
@@ -337,8 +398,15 @@ def test_parts_of_a_png_beside_its_pixels_change_no_value(tmp_path, capfd):
     io.write(Volume(SMALL[None], Geometry((1, *SMALL.shape), (1.0, 0.25, 0.5))), tmp_path / "a.png")
     plain = (tmp_path / "a.png").read_bytes()
     at = plain.index(b"IDAT") - 4
-    for name, body in ((b"sBIT", b"\x05"), (b"iCCP", b"a\0\0abc"), (b"gAMA", bytes(4)), (b"PLTE", b"abc")):
-        part = struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+    for name, body in (
+        (b"sBIT", b"\x05"),
+        (b"iCCP", b"a\0\0abc"),
+        (b"gAMA", bytes(4)),
+        (b"PLTE", b"abc"),
+    ):
+        part = (
+            struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+        )
         (tmp_path / "b.png").write_bytes(plain[:at] + part + plain[at:])
         found = io.read(tmp_path / "b.png")
         np.testing.assert_array_equal(found.array[0], SMALL)
@@ -349,12 +417,19 @@ def test_parts_of_a_png_beside_its_pixels_change_no_value(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("scale", [b"\x010\x001", b"\x01-1\x001", b"\x01a\x00b", b"\x01nan\x001", b"\x011", b""])
+@pytest.mark.parametrize(
+    "scale", [b"\x010\x001", b"\x01-1\x001", b"\x01a\x00b", b"\x01nan\x001", b"\x011", b""]
+)
 def test_a_scale_of_a_png_that_is_none_is_one_mm(tmp_path, scale):
     io.write(Volume.from_array(SMALL), tmp_path / "a.png")
     plain = (tmp_path / "a.png").read_bytes()
     begin, end = plain.index(b"sCAL") - 4, plain.index(b"IDAT") - 4
-    part = struct.pack(">I", len(scale)) + b"sCAL" + scale + struct.pack(">I", zlib.crc32(b"sCAL" + scale))
+    part = (
+        struct.pack(">I", len(scale))
+        + b"sCAL"
+        + scale
+        + struct.pack(">I", zlib.crc32(b"sCAL" + scale))
+    )
     (tmp_path / "a.png").write_bytes(plain[:begin] + part + plain[end:])
     assert io.read(tmp_path / "a.png").geometry.spacing == (1.0, 1.0, 1.0)
 

@@ -43,25 +43,42 @@ def test_slices_are_in_the_order_of_their_numbers(tmp_path, suffix):
         volume = io.read(path, options=SPACING)
         np.testing.assert_array_equal(volume.array, values("u1"), strict=True)
         assert volume.geometry.spacing == (0.5, 0.2, 0.1)
-        assert "gaps at 4;" in volume.metadata[io.WARNING_KEY] and "1 mm" not in volume.metadata[io.WARNING_KEY]
+        assert (
+            "gaps at 4;" in volume.metadata[io.WARNING_KEY]
+            and "1 mm" not in volume.metadata[io.WARNING_KEY]
+        )
     one = io.read(folder / "a1?.*", options=SPACING)
     np.testing.assert_array_equal(one.array, values("u1")[3:])
     assert headers.count_values(folder) == values("u1").size
     if suffix == ".tif":
         lazy = io.open_volume(folder, spacing=(0.1, 0.2, 0.5))
-        np.testing.assert_array_equal(lazy.read((slice(1, 5), slice(2, 6), slice(0, 3))), values("u1")[1:5, 2:6, :3])
+        np.testing.assert_array_equal(
+            lazy.read((slice(1, 5), slice(2, 6), slice(0, 3))), values("u1")[1:5, 2:6, :3]
+        )
         assert_same_boxes(folder)
 
 
 def test_a_size_that_is_not_said_is_said(tmp_path):
     folder = folder_of(tmp_path, ["1", "2", "3", "4", "5"])
     volume = io.read(folder)
-    assert volume.geometry.spacing == (1.0, 1.0, 1.0) and "1 x 1 x 1 mm are taken" in volume.metadata[io.WARNING_KEY]
+    assert (
+        volume.geometry.spacing == (1.0, 1.0, 1.0)
+        and "1 x 1 x 1 mm are taken" in volume.metadata[io.WARNING_KEY]
+    )
     for name in os.listdir(folder):
         page = tifffile.imread(folder / name)
-        tifffile.imwrite(folder / name, page, imagej=True, resolution=(4, 2), metadata={"unit": "um", "spacing": 2.0})
+        tifffile.imwrite(
+            folder / name,
+            page,
+            imagej=True,
+            resolution=(4, 2),
+            metadata={"unit": "um", "spacing": 2.0},
+        )
     volume = io.read(folder)
-    assert volume.geometry.spacing == pytest.approx((2e-3, 0.5e-3, 0.25e-3)) and io.WARNING_KEY not in volume.metadata
+    assert (
+        volume.geometry.spacing == pytest.approx((2e-3, 0.5e-3, 0.25e-3))
+        and io.WARNING_KEY not in volume.metadata
+    )
 
 
 def test_slices_that_do_not_fit_together_are_refused(tmp_path):
@@ -95,12 +112,27 @@ def test_a_folder_and_a_pattern_are_segmented_and_named_after_the_folder(tmp_pat
     z, y, x = np.indices((16, 16, 16)) - 7.5
     ball = (100 * (z**2 + y**2 + x**2 < 25)).astype(np.uint8)
     folder = folder_of(tmp_path, [f"s{n}" for n in range(16)], ball)
-    options = ["--spacing", "0.5um", "--start", "ball:8,8,8,3vox", "--max-steps", "3", "--quiet", "--threads", "1"]
+    options = [
+        "--spacing",
+        "0.5um",
+        "--start",
+        "ball:8,8,8,3vox",
+        "--max-steps",
+        "3",
+        "--quiet",
+        "--threads",
+        "1",
+    ]
     for source in (folder, folder / "s*.tif"):
         out = tmp_path / source.name.replace("*", "_")
-        assert cli.execute(["segment", str(source), "-o", str(out), "--format", "nii.gz", *options]) == 0
+        assert (
+            cli.execute(["segment", str(source), "-o", str(out), "--format", "nii.gz", *options])
+            == 0
+        )
         labels = io.read(out / "slices_seg.nii.gz")
-        assert labels.array.shape == ball.shape and labels.geometry.spacing == pytest.approx((0.5e-3,) * 3)
+        assert labels.array.shape == ball.shape and labels.geometry.spacing == pytest.approx(
+            (0.5e-3,) * 3
+        )
 
 
 # ------------------------------------------------------------------------------------------------------------- arrays
@@ -121,7 +153,9 @@ def test_an_array_is_read_as_it_is(tmp_path, dtype):
 
 
 def test_labels_are_written_as_an_array(tmp_path):
-    labels = Volume((values("u1") % 3).astype(np.uint8), Geometry((5, 7, 9), (2.0, 1.0, 1.0), (5.0, 6.0, 7.0)))
+    labels = Volume(
+        (values("u1") % 3).astype(np.uint8), Geometry((5, 7, 9), (2.0, 1.0, 1.0), (5.0, 6.0, 7.0))
+    )
     io.write_labels(labels, tmp_path / "a.npy")
     np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), labels.array, strict=True)
 

@@ -26,7 +26,12 @@ def write(path, kind, order="TZC", **more):
     array = FULL.transpose([*("TCZ".index(axis) for axis in order), 3, 4])
     metadata = {"axes": f"{order}YX"}
     if kind == "ome":
-        sizes = {"PhysicalSizeX": 0.25, "PhysicalSizeY": 0.5, "PhysicalSizeZ": 2.0, "TimeIncrement": 3.0}
+        sizes = {
+            "PhysicalSizeX": 0.25,
+            "PhysicalSizeY": 0.5,
+            "PhysicalSizeZ": 2.0,
+            "TimeIncrement": 3.0,
+        }
         metadata |= sizes | {"PhysicalSizeZUnit": "µm"}
     if kind == "imagej":
         metadata |= {"unit": "um", "spacing": 2.0, "finterval": 3.0}
@@ -37,7 +42,8 @@ def write(path, kind, order="TZC", **more):
 
 
 @pytest.mark.parametrize(
-    ("kind", "order"), [*(("ome", o) for o in ORDERS), *(("tifffile", o) for o in ORDERS), ("imagej", "TZC")]
+    ("kind", "order"),
+    [*(("ome", o) for o in ORDERS), *(("tifffile", o) for o in ORDERS), ("imagej", "TZC")],
 )
 def test_each_channel_and_time_point_is_where_the_axes_say(tmp_path, kind, order):
     path = write(tmp_path / "a.tif", kind, order)
@@ -46,7 +52,9 @@ def test_each_channel_and_time_point_is_where_the_axes_say(tmp_path, kind, order
         for c, one in enumerate(found):
             np.testing.assert_array_equal(one.array, FULL[t, c], strict=True)
             lazy = io.open_volume(path, time_index=t, channel_index=c)
-            np.testing.assert_array_equal(lazy.read((slice(1, 3), slice(0, 4), slice(2, 6))), FULL[t, c, 1:3, :4, 2:])
+            np.testing.assert_array_equal(
+                lazy.read((slice(1, 3), slice(0, 4), slice(2, 6))), FULL[t, c, 1:3, :4, 2:]
+            )
         assert len(found) == 3
         if kind != "tifffile":
             assert found[0].geometry.spacing == pytest.approx((2e-3, 0.5e-3, 0.25e-3))
@@ -60,7 +68,10 @@ def test_a_sequence_is_refused_until_a_time_point_is_named(tmp_path):
     for read in (io.read, io.open_volume, channels.read_channels):
         with pytest.raises(InputError, match="sequence of 2 time points given") as caught:
             read(path)
-        assert "--time-index 0 to 1" in caught.value.hint and "--channels-from-time" in caught.value.hint
+        assert (
+            "--time-index 0 to 1" in caught.value.hint
+            and "--channels-from-time" in caught.value.hint
+        )
     with pytest.raises(InputError, match="3 channels given, one expected"):
         io.read(path, options=ReadOptions(time_index=1))
     found = channels.read_channels(path, ReadOptions(channels_from_time=True, channel_index=2))
@@ -90,7 +101,12 @@ def test_a_sequence_is_refused_until_a_time_point_is_named(tmp_path):
     ],
 )
 def test_what_itk_would_change_is_unpacked_by_tifffile(tmp_path, dtype, options):
-    array = np.random.default_rng(1).normal(0, 1000, (5, 40, 50)).astype("i8" if "i" in dtype else dtype).astype(dtype)
+    array = (
+        np.random.default_rng(1)
+        .normal(0, 1000, (5, 40, 50))
+        .astype("i8" if "i" in dtype else dtype)
+        .astype(dtype)
+    )
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, array, **GREY, **options)
     lazy = assert_same_boxes(path)
@@ -108,7 +124,9 @@ def test_what_itk_would_change_is_unpacked_by_tifffile(tmp_path, dtype, options)
 def test_several_grey_values_of_a_pixel_are_channels(tmp_path, planar, tile):
     array = np.random.default_rng(1).integers(0, 60000, (4, 2, 20, 30)).astype(np.uint16)  # z c y x
     stored = array if planar == "separate" else array.transpose(0, 2, 3, 1)
-    tifffile.imwrite(tmp_path / "a.tif", stored, planarconfig=planar, tile=tile, metadata=None, **GREY)
+    tifffile.imwrite(
+        tmp_path / "a.tif", stored, planarconfig=planar, tile=tile, metadata=None, **GREY
+    )
     found = channels.read_channels(tmp_path / "a.tif")
     np.testing.assert_array_equal([one.array for one in found], array.transpose(1, 0, 2, 3))
 
@@ -140,11 +158,17 @@ def test_levels_cover_the_same_rectangle(tmp_path):
     for level, step in enumerate((1, 2, 4)):
         lazy = io.open_volume(path, level=level)
         np.testing.assert_array_equal(lazy.read(whole_box(lazy.shape)), array[:, ::step, ::step])
-        np.testing.assert_array_equal(io.read(path, options=ReadOptions(level=level)).array, array[:, ::step, ::step])
+        np.testing.assert_array_equal(
+            io.read(path, options=ReadOptions(level=level)).array, array[:, ::step, ::step]
+        )
         first = lazy.geometry.index_to_world(np.array([-0.5, -0.5, -0.5]))
-        np.testing.assert_allclose(first, finest.geometry.index_to_world(np.array([-0.5, -0.5, -0.5])))
+        np.testing.assert_allclose(
+            first, finest.geometry.index_to_world(np.array([-0.5, -0.5, -0.5]))
+        )
         last = lazy.geometry.index_to_world(np.array(lazy.shape) - 0.5)
-        np.testing.assert_allclose(last, finest.geometry.index_to_world(np.array(finest.array.shape) - 0.5))
+        np.testing.assert_allclose(
+            last, finest.geometry.index_to_world(np.array(finest.array.shape) - 0.5)
+        )
     assert len(lazy.layout.levels) == 3 and io.open_volume(path, level="auto").layout.level == 0
 
 
@@ -160,14 +184,24 @@ def ome_of_files(folder, name=lambda t, z: f"t{t}z{z}.ome.tif", head=""):
     data = "".join(
         f'<TiffData IFD="{c}" FirstT="{t}" FirstC="{c}" FirstZ="{z}">'
         f'<UUID FileName="{name(t, z)}">urn:uuid:{t}{z}</UUID></TiffData>'
-        for t in range(2) for c in range(3) for z in range(4)
-    )  # fmt: skip
+        for t in range(2)
+        for c in range(3)
+        for z in range(4)
+    )
     for t in range(2):
         for z in range(4):
             first = t == z == 0
-            text = XML.format(data=data, head=head) if first else "<OME><BinaryOnly MetadataFile='t0z0.ome.tif'/></OME>"
+            text = (
+                XML.format(data=data, head=head)
+                if first
+                else "<OME><BinaryOnly MetadataFile='t0z0.ome.tif'/></OME>"
+            )
             tifffile.imwrite(
-                folder / f"t{t}z{z}.ome.tif", FULL[t, :, z], description=text.encode(), metadata=None, **GREY
+                folder / f"t{t}z{z}.ome.tif",
+                FULL[t, :, z],
+                description=text.encode(),
+                metadata=None,
+                **GREY,
             )
     return folder / "t0z0.ome.tif"
 
@@ -177,7 +211,9 @@ def test_the_files_of_a_set_are_one_image(tmp_path):
     found = channels.read_channels(path, ReadOptions(time_index=1))
     np.testing.assert_array_equal([one.array for one in found], FULL[1])
     lazy = io.open_volume(path, time_index=0, channel_index=2)
-    np.testing.assert_array_equal(lazy.read((slice(1, 4), slice(0, 2), slice(3, 5))), FULL[0, 2, 1:4, :2, 3:5])
+    np.testing.assert_array_equal(
+        lazy.read((slice(1, 4), slice(0, 2), slice(3, 5))), FULL[0, 2, 1:4, :2, 3:5]
+    )
     with pytest.raises(InputError, match="t0z0.ome.tif says what they are"):
         io.read(tmp_path / "t1z0.ome.tif")
     (tmp_path / "t1z3.ome.tif").unlink()
@@ -188,7 +224,9 @@ def test_the_files_of_a_set_are_one_image(tmp_path):
 def test_files_of_a_set_lie_in_its_folder(tmp_path):
     (tmp_path / "here").mkdir()
     ome_of_files(tmp_path)
-    path = ome_of_files(tmp_path / "here", name=lambda t, z: f"../t{t}z{z}.ome.tif" if t else f"t{t}z{z}.ome.tif")
+    path = ome_of_files(
+        tmp_path / "here", name=lambda t, z: f"../t{t}z{z}.ome.tif" if t else f"t{t}z{z}.ome.tif"
+    )
     with pytest.raises(InputError, match="outside of its own folder"):
         channels.read_channels(path, ReadOptions(time_index=0))
 
@@ -201,8 +239,16 @@ BOMB = '<!DOCTYPE a [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a
     [
         ("", BOMB, "document type"),
         ('<TiffData IFD="0" PlaneCount="99999999999"/>', "", "go beyond its sizes, or overlap"),
-        ('<TiffData IFD="0" PlaneCount="24"/><TiffData IFD="0"/>', "", "go beyond its sizes, or overlap"),
-        ('<TiffData IFD="0" PlaneCount="3"/>', "", "no page for slice 3 of channel 0 at time point 0"),
+        (
+            '<TiffData IFD="0" PlaneCount="24"/><TiffData IFD="0"/>',
+            "",
+            "go beyond its sizes, or overlap",
+        ),
+        (
+            '<TiffData IFD="0" PlaneCount="3"/>',
+            "",
+            "no page for slice 3 of channel 0 at time point 0",
+        ),
         ('<TiffData IFD="3" PlaneCount="24"/>', "", "announces page 27, and has 24"),
         ('<TiffData IFD="x"/>', "", "damaged"),
         ("<TiffData>", "", "XML of the TIFF is damaged"),
@@ -211,15 +257,21 @@ BOMB = '<!DOCTYPE a [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a
 )
 def test_xml_that_says_what_cannot_be_is_refused(tmp_path, data, head, words):
     text = XML.format(data=data, head=head)
-    tifffile.imwrite(tmp_path / "a.ome.tif", FULL.reshape(24, 5, 6), description=text, metadata=None, **GREY)
+    tifffile.imwrite(
+        tmp_path / "a.ome.tif", FULL.reshape(24, 5, 6), description=text, metadata=None, **GREY
+    )
     with pytest.raises(InputError, match=words):
         channels.read_channels(tmp_path / "a.ome.tif", ReadOptions(time_index=0))
 
 
 def test_huge_sizes_of_xml_cost_nothing(tmp_path):
     text = XML.format(data="", head="").replace('SizeT="2"', 'SizeT="2000000000"')
-    tifffile.imwrite(tmp_path / "a.ome.tif", FULL.reshape(24, 5, 6), description=text, metadata=None, **GREY)
-    with pytest.raises(InputError, match="pages that an OME-TIFF or an ImageJ stack announces: 24000000000"):
+    tifffile.imwrite(
+        tmp_path / "a.ome.tif", FULL.reshape(24, 5, 6), description=text, metadata=None, **GREY
+    )
+    with pytest.raises(
+        InputError, match="pages that an OME-TIFF or an ImageJ stack announces: 24000000000"
+    ):
         io.read(tmp_path / "a.ome.tif")
 
 
@@ -229,7 +281,11 @@ def test_a_level_in_a_circle_ends(tmp_path):
         out.write(np.zeros((40, 40), np.uint8), subifds=1, metadata=None, **GREY)
         out.write(np.zeros((20, 20), np.uint8), subfiletype=1, metadata=None, **GREY)
     content = bytearray(path.read_bytes())
-    place = next(n for n in range(0, len(content) - 8, 2) if struct.unpack_from("<HHI", content, n)[0::2] == (330, 1))
+    place = next(
+        n
+        for n in range(0, len(content) - 8, 2)
+        if struct.unpack_from("<HHI", content, n)[0::2] == (330, 1)
+    )
     for at in (8, 0, 5, len(content) - 3):
         content[place + 8 : place + 12] = struct.pack("<I", at)
         path.write_bytes(content)

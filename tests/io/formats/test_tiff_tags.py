@@ -18,12 +18,48 @@ RNG = np.random.default_rng(0)
 STACK = (np.cumsum(RNG.integers(0, 9, (3, 45, 70)), axis=2) + 280).astype(np.uint16)
 FLOATS = (STACK / 7).astype(np.float32)
 BYTES = (STACK % 251).astype(np.uint8)
-WIDTH, HEIGHT, BITS, COMPRESSION, PREDICTOR, FORMAT, PLANAR, SUBFILE = 256, 257, 258, 259, 317, 339, 284, 254
-STRIPS, STRIP_BYTES, ROWS, TILE_WIDTH, TILE_HEIGHT, TILES, TILE_BYTES = 273, 279, 278, 322, 323, 324, 325
+WIDTH, HEIGHT, BITS, COMPRESSION, PREDICTOR, FORMAT, PLANAR, SUBFILE = (
+    256,
+    257,
+    258,
+    259,
+    317,
+    339,
+    284,
+    254,
+)
+STRIPS, STRIP_BYTES, ROWS, TILE_WIDTH, TILE_HEIGHT, TILES, TILE_BYTES = (
+    273,
+    279,
+    278,
+    322,
+    323,
+    324,
+    325,
+)
 DECODING = (
-    SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, 262, 266, STRIPS, 274, 277, ROWS, STRIP_BYTES, PLANAR, PREDICTOR,
-    TILE_WIDTH, TILE_HEIGHT, TILES, TILE_BYTES, 338, FORMAT, 530,
-)  # fmt: skip
+    SUBFILE,
+    WIDTH,
+    HEIGHT,
+    BITS,
+    COMPRESSION,
+    262,
+    266,
+    STRIPS,
+    274,
+    277,
+    ROWS,
+    STRIP_BYTES,
+    PLANAR,
+    PREDICTOR,
+    TILE_WIDTH,
+    TILE_HEIGHT,
+    TILES,
+    TILE_BYTES,
+    338,
+    FORMAT,
+    530,
+)
 NUMBERS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 16, 17, 32, 34, 255, 256, 32773, 65535)
 
 
@@ -31,7 +67,9 @@ def by_pillow(array, packing, rows=0):
     def write(path):
         pages = [Image.fromarray(page) for page in array]
         tags = {ROWS: rows} if rows else {}
-        pages[0].save(path, compression=packing, save_all=True, append_images=pages[1:], tiffinfo=tags)
+        pages[0].save(
+            path, compression=packing, save_all=True, append_images=pages[1:], tiffinfo=tags
+        )
         return array
 
     return write
@@ -40,7 +78,14 @@ def by_pillow(array, packing, rows=0):
 def colours(path):
     pages = np.repeat(BYTES[..., None], 4, axis=-1)
     pages[..., 3] = 255
-    tifffile.imwrite(path, pages, photometric="rgb", extrasamples=["unassalpha"], rowsperstrip=13, compression="zlib")
+    tifffile.imwrite(
+        path,
+        pages,
+        photometric="rgb",
+        extrasamples=["unassalpha"],
+        rowsperstrip=13,
+        compression="zlib",
+    )
     return BYTES
 
 
@@ -83,7 +128,9 @@ def entries(content):
         count = struct.unpack_from(order + counter, content, at)[0]
         begin = at + struct.calcsize(counter)
         places = range(begin, begin + size * count, size)
-        pages.append({struct.unpack_from(order + "H", content, place)[0]: place for place in places})
+        pages.append(
+            {struct.unpack_from(order + "H", content, place)[0]: place for place in places}
+        )
         at = struct.unpack_from(order + word, content, begin + size * count)[0]
     return pages, order, word
 
@@ -107,8 +154,14 @@ def assert_true(found, true, what):
 def test_differences_of_the_bytes_of_floats_are_refused(tmp_path):
     """Technical note 3 of Adobe: its own number of the predictor."""
     path = tmp_path / "a.tif"
-    tifffile.imwrite(path, FLOATS, compression="zlib", extratags=[(65000, "H", 1, 3, False)], **GREY)
-    path.write_bytes(path.read_bytes().replace(struct.pack("<HHI", 65000, 3, 1), struct.pack("<HHI", PREDICTOR, 3, 1)))
+    tifffile.imwrite(
+        path, FLOATS, compression="zlib", extratags=[(65000, "H", 1, 3, False)], **GREY
+    )
+    path.write_bytes(
+        path.read_bytes().replace(
+            struct.pack("<HHI", 65000, 3, 1), struct.pack("<HHI", PREDICTOR, 3, 1)
+        )
+    )
     with pytest.raises(InputError, match="predictor number 3"):
         io.read(path)
 
@@ -128,15 +181,27 @@ def test_damaged_tags_give_the_true_voxels_or_are_refused(tmp_path, kind, every,
             continue
         entry_type, count = struct.unpack_from(order + "H" + word, raw, place + 2)
         value_at = place + 4 + struct.calcsize(word)
-        damages = [(place + 2, order + "H", new) for new in (0, 1, 2, 3, 4, 5, 7, 9, 11, 12, 13, 16, 18, 255)]
-        damages += [(place + 4, order + word, new) for new in (0, count - 1, count + 1, 2 * count, 10**6, 10**9)]
+        damages = [
+            (place + 2, order + "H", new)
+            for new in (0, 1, 2, 3, 4, 5, 7, 9, 11, 12, 13, 16, 18, 255)
+        ]
+        damages += [
+            (place + 4, order + word, new)
+            for new in (0, count - 1, count + 1, 2 * count, 10**6, 10**9)
+        ]
         if count == 1 and tag not in (STRIPS, TILES):
             code = order + {1: "B", 3: "H", 4: "I", 16: "Q"}[entry_type]
             (now,) = struct.unpack_from(code, raw, value_at)
             values = {*NUMBERS, now - 2, now - 1, now + 1, now + 2, 2 * now, now // 2}
-            damages += [(value_at, code, new) for new in sorted(values) if not is_another_image(tag, new)]
+            damages += [
+                (value_at, code, new) for new in sorted(values) if not is_another_image(tag, new)
+            ]
         for at, code, new in damages[number % every :: every]:
-            if new < 0 or struct.unpack_from(code, raw, at)[0] == new or new >= 1 << 8 * struct.calcsize(code):
+            if (
+                new < 0
+                or struct.unpack_from(code, raw, at)[0] == new
+                or new >= 1 << 8 * struct.calcsize(code)
+            ):
                 continue
             content = bytearray(raw)
             struct.pack_into(code, content, at, new)

@@ -29,7 +29,9 @@ NOISE = np.random.default_rng(7)
 
 def image(dtype: str = "i2", level: int = 300) -> np.ndarray:
     """Values that pack a little, never 0."""
-    smooth = np.add.outer(np.arange(SHAPE[0]), np.add.outer(np.arange(SHAPE[1]), np.arange(SHAPE[2])))
+    smooth = np.add.outer(
+        np.arange(SHAPE[0]), np.add.outer(np.arange(SHAPE[1]), np.arange(SHAPE[2]))
+    )
     return (1 + smooth + NOISE.integers(0, level, SHAPE)).astype(dtype)
 
 
@@ -38,17 +40,28 @@ def packings() -> list:
     made = []
     for name in blosc.list_compressors():
         for number, shuffle in enumerate(SHUFFLES):
-            made.append((f"2 {name} {shuffle}", 2, {"compressors": numcodecs.Blosc(name, 5, number)}))
+            made.append(
+                (f"2 {name} {shuffle}", 2, {"compressors": numcodecs.Blosc(name, 5, number)})
+            )
             codec = BloscCodec(cname=name, shuffle=shuffle, typesize=2)
             made.append((f"3 {name} {shuffle}", 3, {"compressors": codec}))
     made.append(("2 blosc not packed", 2, {"compressors": numcodecs.Blosc("lz4", 0)}))
     for codec in (
-        numcodecs.Zstd(), numcodecs.Zstd(3, checksum=True), numcodecs.GZip(), numcodecs.Zlib(), None,
-    ):  # fmt: skip
+        numcodecs.Zstd(),
+        numcodecs.Zstd(3, checksum=True),
+        numcodecs.GZip(),
+        numcodecs.Zlib(),
+        None,
+    ):
         made.append((f"2 {codec}", 2, {"compressors": codec}))
     for codec in (
-        ZstdCodec(checksum=True), ZstdCodec(), GzipCodec(), Crc32cCodec(), codecs3.Zlib(), None,
-    ):  # fmt: skip
+        ZstdCodec(checksum=True),
+        ZstdCodec(),
+        GzipCodec(),
+        Crc32cCodec(),
+        codecs3.Zlib(),
+        None,
+    ):
         made.append((f"3 {codec}", 3, {"compressors": codec}))
     made.append(("3 zstd crc32c", 3, {"compressors": [ZstdCodec(), Crc32cCodec()]}))
     made.append(("3 big", 3, {"compressors": None, "serializer": BytesCodec(endian="big")}))
@@ -58,7 +71,9 @@ def packings() -> list:
     return [pytest.param(version, options, id=name) for name, version, options in made]
 
 
-with warnings.catch_warnings(action="ignore"):  # zarr says that codecs of numcodecs are not in Zarr 3
+with warnings.catch_warnings(
+    action="ignore"
+):  # zarr says that codecs of numcodecs are not in Zarr 3
     PACKINGS = packings()
 
 
@@ -73,20 +88,28 @@ SHARDS = [
     pytest.param(3, sharded(index, location, inner), id=f"{number} {location} {len(index)}")
     for location in ("start", "end")
     for index in ([BytesCodec()], [BytesCodec(), Crc32cCodec()])
-    for number, inner in enumerate([
-        [BytesCodec()], [BytesCodec(), ZstdCodec()], [BytesCodec(), BloscCodec(cname="lz4", typesize=2)],
-        [BytesCodec(), GzipCodec()],
-    ])
-]  # fmt: skip
+    for number, inner in enumerate(
+        [
+            [BytesCodec()],
+            [BytesCodec(), ZstdCodec()],
+            [BytesCodec(), BloscCodec(cname="lz4", typesize=2)],
+            [BytesCodec(), GzipCodec()],
+        ]
+    )
+]
 
 
 def store(path: Path, array: np.ndarray, version: int, options: dict) -> Path:
     """An OME-Zarr with an array packed in some way."""
-    make_store(path, [], "zyx", [((2.0, 1.0, 1.0),)], "0.5" if version == 3 else "0.4", unit="millimeter")
+    make_store(
+        path, [], "zyx", [((2.0, 1.0, 1.0),)], "0.5" if version == 3 else "0.4", unit="millimeter"
+    )
     group = zarr.open_group(path, mode="a")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        group.create_array("0", shape=array.shape, chunks=CHUNK, dtype=array.dtype, **options)[:] = array
+        group.create_array("0", shape=array.shape, chunks=CHUNK, dtype=array.dtype, **options)[
+            :
+        ] = array
     return path
 
 
@@ -97,7 +120,16 @@ def chunk_file(path: Path, at: int = 0) -> Path:
 
 def variations(raw: bytes) -> list[bytes]:
     """Cuts near both ends and some between, and tails of zeros, of noise, and of the bytes themselves."""
-    tails = [b"\0", b"\0" * 8, b"\0" * 4096, NOISE.bytes(1), NOISE.bytes(16), NOISE.bytes(300), raw, raw[:20]]
+    tails = [
+        b"\0",
+        b"\0" * 8,
+        b"\0" * 4096,
+        NOISE.bytes(1),
+        NOISE.bytes(16),
+        NOISE.bytes(300),
+        raw,
+        raw[:20],
+    ]
     n = len(raw)
     sizes = {*range(min(n, 18)), *range(max(0, n - 12), n), *NOISE.integers(0, n, 20).tolist()}
     return [raw[:size] for size in sorted(sizes)] + [raw + tail for tail in tails]
@@ -119,7 +151,10 @@ def test_no_cut_or_lengthened_chunk_gives_other_values(tmp_path, version, option
         try:
             found = lazy.read(box)
         except InputError as error:
-            assert re.search(r"chunk \(\d, 0, \d\) of the array 0 is damaged", error.message) and error.hint
+            assert (
+                re.search(r"chunk \(\d, 0, \d\) of the array 0 is damaged", error.message)
+                and error.hint
+            )
             assert str(error).startswith(f"{path}: ") and "\n" not in str(error)
         else:
             np.testing.assert_array_equal(found, array)
@@ -130,9 +165,16 @@ def test_no_cut_or_lengthened_chunk_gives_other_values(tmp_path, version, option
 
 @pytest.mark.parametrize("cut", [1, 2, 3, 4, 5, 700])
 def test_a_cut_chunk_is_refused_in_labels_and_in_the_whole(tmp_path, cut):
-    image_path = store(tmp_path / "a.zarr", image(), 3, {"compressors": BloscCodec(cname="lz4", typesize=2)})
+    image_path = store(
+        tmp_path / "a.zarr", image(), 3, {"compressors": BloscCodec(cname="lz4", typesize=2)}
+    )
     (image_path / "labels").mkdir()
-    labels = store(image_path / "labels/cells", image("u2", 3), 3, {"compressors": BloscCodec(clevel=0, typesize=2)})
+    labels = store(
+        image_path / "labels/cells",
+        image("u2", 3),
+        3,
+        {"compressors": BloscCodec(clevel=0, typesize=2)},
+    )
     for path, read in ((image_path, io.read), (labels, io.read_labels)):
         read(path)
         file = chunk_file(path, 1)
@@ -149,14 +191,26 @@ def test_chunks_are_those_that_zarr_reads(tmp_path, seed):
     names = "".join(rng.permutation(list("tczyx"[rng.integers(0, 3) :])))
     shape = tuple(int(n) for n in rng.integers(1, 9, len(names)))
     chunks = tuple(int(rng.integers(1, n + 3)) for n in shape)
-    version, dtype = int(rng.integers(2, 4)), str(rng.choice(["u1", "<i2", ">i2", "<f4", ">f8", "<u4", "bool"]))
-    array = (rng.integers(0, 99, shape) if dtype != "bool" else rng.integers(0, 2, shape)).astype(dtype)
+    version, dtype = (
+        int(rng.integers(2, 4)),
+        str(rng.choice(["u1", "<i2", ">i2", "<f4", ">f8", "<u4", "bool"])),
+    )
+    array = (rng.integers(0, 99, shape) if dtype != "bool" else rng.integers(0, 2, shape)).astype(
+        dtype
+    )
     more: dict = {"multiscale": {}, "unit": "millimeter"}
     path = make_store(
-        tmp_path / "a.zarr", [array], names, [((1.0,) * len(shape),)], "0.5" if version == 3 else "0.4",
-        chunks=chunks, **more,
+        tmp_path / "a.zarr",
+        [array],
+        names,
+        [((1.0,) * len(shape),)],
+        "0.5" if version == 3 else "0.4",
+        chunks=chunks,
+        **more,
     )
-    place = {name: int(rng.integers(0, n)) for name, n in zip(names, shape, strict=True) if name in "tc"}
+    place = {
+        name: int(rng.integers(0, n)) for name, n in zip(names, shape, strict=True) if name in "tc"
+    }
     lazy = io.open_volume(path, time_index=place.get("t"), channel_index=place.get("c"))
     rest = [name for name in names if name in "zyx"]
     expected = array[tuple(place.get(name, slice(None)) for name in names)]
@@ -175,17 +229,26 @@ def test_a_chunk_that_unpacks_to_more_costs_no_memory(tmp_path):
     ):
         path = store(tmp_path / f"{name}.zarr", array, 2, {"compressors": codec})
         chunk_file(path).write_bytes(packed)
-        with pytest.raises(InputError, match=r"damaged \((\d+ bytes .*, at most 4\d\d\d expected|\d+ bytes are there)"):
+        with pytest.raises(
+            InputError,
+            match=r"damaged \((\d+ bytes .*, at most 4\d\d\d expected|\d+ bytes are there)",
+        ):
             io.read(path)
 
 
 def test_codecs_that_are_not_known_are_refused_by_name(tmp_path):
-    for number, packing in enumerate((
-        {"compressors": None, "filters": numcodecs.Base64()}, {"compressors": numcodecs.LZ4()},
-        {"compressors": numcodecs.LZMA()}, {"filters": numcodecs.Shuffle(2), "compressors": numcodecs.Zstd()},
-    )):  # fmt: skip
+    for number, packing in enumerate(
+        (
+            {"compressors": None, "filters": numcodecs.Base64()},
+            {"compressors": numcodecs.LZ4()},
+            {"compressors": numcodecs.LZMA()},
+            {"filters": numcodecs.Shuffle(2), "compressors": numcodecs.Zstd()},
+        )
+    ):
         path = store(tmp_path / f"{number}.zarr", image("u1", 9), 2, packing)
-        with pytest.raises(InputError, match=r"chunks packed with the codec \w+ given, one of blosc, zstd") as caught:
+        with pytest.raises(
+            InputError, match=r"chunks packed with the codec \w+ given, one of blosc, zstd"
+        ) as caught:
             io.open_volume(path)
         assert caught.value.hint
 
@@ -202,7 +265,12 @@ def test_missing_chunks_are_counted_in_a_warning(tmp_path, version, separator, f
     group = zarr.open_group(path, mode="a")
     keys = {"name": "v2" if version == "0.4" else "default", "separator": separator}
     group.create_array(
-        "0", shape=array.shape, chunks=(1, 3, 3, 3), dtype="u1", fill_value=fill, chunk_key_encoding=keys
+        "0",
+        shape=array.shape,
+        chunks=(1, 3, 3, 3),
+        dtype="u1",
+        fill_value=fill,
+        chunk_key_encoding=keys,
     )[:] = array
     for channel in (0, 1):
         assert io.WARNING_KEY not in io.open_volume(path, channel_index=channel).metadata
@@ -215,7 +283,10 @@ def test_missing_chunks_are_counted_in_a_warning(tmp_path, version, separator, f
     for channel, absent in ((0, 1), (1, 2)):
         lazy = io.open_volume(path, channel_index=channel)
         words = f"{absent} of 27 chunks of the array 0 are not in the store, and {fill} stands there: programs leave"
-        assert words in lazy.metadata[io.WARNING_KEY] and "copy the store again" in lazy.metadata[io.WARNING_KEY]
+        assert (
+            words in lazy.metadata[io.WARNING_KEY]
+            and "copy the store again" in lazy.metadata[io.WARNING_KEY]
+        )
         np.testing.assert_array_equal(lazy.read(whole_box(lazy.shape)), array[channel])
     both = io.channels.read_channels(path)
     assert [words[0] for words in (one.metadata[io.WARNING_KEY] for one in both)] == ["1", "2"]
@@ -223,7 +294,14 @@ def test_missing_chunks_are_counted_in_a_warning(tmp_path, version, separator, f
 
 def test_missing_chunks_of_a_sequence_are_counted_over_all_frames(tmp_path):
     array = np.random.default_rng(1).integers(8, 99, (3, 4, 4, 4)).astype("u1")
-    path = make_store(tmp_path / "a.zarr", [array], "tzyx", [((1.0,) * 4,)], unit="millimeter", chunks=(1, 2, 4, 4))
+    path = make_store(
+        tmp_path / "a.zarr",
+        [array],
+        "tzyx",
+        [((1.0,) * 4,)],
+        unit="millimeter",
+        chunks=(1, 2, 4, 4),
+    )
     assert io.read_sequence(path).notes == ()
     for place in ("0/0", "2/1"):
         (path / f"0/c/{place}/0/0").unlink()
@@ -243,17 +321,25 @@ def test_a_sequence_that_accelsurf_wrote_misses_its_chunks(tmp_path):
     found = io.read_sequence(path)
     assert found.notes == () and [int(found.frame(n).array.max()) for n in range(3)] == [0, 7, 0]
     (path / "0/c/1/0/0/0").unlink()
-    with pytest.raises(InputError, match=r"chunk \(1, 0, 0, 0\) of the array 0 is missing: it was there"):
+    with pytest.raises(
+        InputError, match=r"chunk \(1, 0, 0, 0\) of the array 0 is missing: it was there"
+    ):
         io.read_sequence(path).frame(1)
 
 
 def test_files_are_listed_once_however_often_the_image_is_opened_again(tmp_path, monkeypatch):
     import pickle
 
-    path = make_store(tmp_path / "a.zarr", [image("u1"), image("u1")], "zyx", [((1.0,) * 3,), ((2.0,) * 3,)])
+    path = make_store(
+        tmp_path / "a.zarr", [image("u1"), image("u1")], "zyx", [((1.0,) * 3,), ((2.0,) * 3,)]
+    )
     calls = []
     listed = zarr_files.ChunkFiles.places
-    monkeypatch.setattr(zarr_files.ChunkFiles, "places", lambda self, wanted: calls.append(1) or listed(self, wanted))
+    monkeypatch.setattr(
+        zarr_files.ChunkFiles,
+        "places",
+        lambda self, wanted: calls.append(1) or listed(self, wanted),
+    )
     lazy = io.open_volume(path)
     assert not calls  # nobody has asked yet
     (path / "0/c/0/0/0").unlink()
@@ -279,7 +365,9 @@ def test_folders_that_cannot_be_looked_into_are_an_error_with_the_name_of_the_im
 def test_a_shard_says_by_itself_what_was_left_out(tmp_path):
     array = image("u1", 9)
     array[:3, :, :2] = 0
-    path = store(tmp_path / "a.zarr", array, 3, sharded([BytesCodec(), Crc32cCodec()], "end", [BytesCodec()]))
+    path = store(
+        tmp_path / "a.zarr", array, 3, sharded([BytesCodec(), Crc32cCodec()], "end", [BytesCodec()])
+    )
     whole = io.read(path)
     np.testing.assert_array_equal(whole.array, array)
     assert io.WARNING_KEY not in whole.metadata
@@ -309,6 +397,8 @@ def test_a_chunk_that_accelsurf_wrote_is_missed_and_one_that_it_left_out_is_not(
     file.unlink()
     where = ", ".join(file.relative_to(path / "0" / "c").parts)
     for read in (io.read, lambda path: io.open_volume(path).read(whole_box(array.shape))):
-        with pytest.raises(InputError, match=rf"chunk \({where}\) of the array 0 is missing") as caught:
+        with pytest.raises(
+            InputError, match=rf"chunk \({where}\) of the array 0 is missing"
+        ) as caught:
             read(path)
         assert '"stored" of "accelsurf"' in caught.value.hint

@@ -23,7 +23,9 @@ def cine(folder, change=lambda one, n, z: None, times=TIMES, leave_out=()):
                 continue
             one = series.dataset(z)
             one.SOPInstanceUID, one.InstanceNumber = f"1.2.3.4.5.{n}.{z}", 1 + z * times + n
-            one.PixelData = (values_at(series.points(series.positions[z])) + 100 * n).astype(np.int16).tobytes()
+            one.PixelData = (
+                (values_at(series.points(series.positions[z])) + 100 * n).astype(np.int16).tobytes()
+            )
             change(one, n, z)
             save(one, folder / f"{(7 * n + 5 * z) % 23:02d}_{n}{z}.dcm")
     return series
@@ -58,7 +60,12 @@ def test_a_heart_by_its_trigger_times(tmp_path):
         ("TemporalPositionIdentifier", lambda n: n + 1, [0, 1, 2, 3], "frame"),
         ("AcquisitionTime", lambda n: f"1011{12 + 5 * n:02d}.5", [0, 5, 10, 15], "s"),
         ("ContentTime", lambda n: f"10{11 + n}00", [0, 60, 120, 180], "s"),
-        ("SeriesDescription", lambda n: "phantom", [0, 1, 2, 3], "frame"),  # nothing but the numbers of the files
+        (
+            "SeriesDescription",
+            lambda n: "phantom",
+            [0, 1, 2, 3],
+            "frame",
+        ),  # nothing but the numbers of the files
     ],
 )
 def test_times_of_other_kinds(tmp_path, name, value, times, unit):
@@ -74,7 +81,9 @@ def test_an_enhanced_file(tmp_path):
     series.positions = series.positions * TIMES
     one = enhanced(series)
     first = values_at(np.stack([series.points(position) for position in series.positions[:COUNT]]))
-    one.PixelData = np.concatenate([first + 100 * n for n in range(TIMES)]).astype(np.int16).tobytes()
+    one.PixelData = (
+        np.concatenate([first + 100 * n for n in range(TIMES)]).astype(np.int16).tobytes()
+    )
     for number, frame in enumerate(one.PerFrameFunctionalGroupsSequence):
         frame.FrameContentSequence[0].TemporalPositionIndex = 1 + number // COUNT
         heart = Dataset()
@@ -88,8 +97,11 @@ def test_an_enhanced_file(tmp_path):
 
 @pytest.mark.parametrize(
     ("change", "times"),
-    [({"FrameTime": 30.0}, [0.0, 0.03, 0.06]), ({"FrameTimeVector": [0.0, 20.0, 40.0]}, [0.0, 0.02, 0.06]),
-     ({"CineRate": 25}, [0.0, 0.04, 0.08])],
+    [
+        ({"FrameTime": 30.0}, [0.0, 0.03, 0.06]),
+        ({"FrameTimeVector": [0.0, 20.0, 40.0]}, [0.0, 0.02, 0.06]),
+        ({"CineRate": 25}, [0.0, 0.04, 0.08]),
+    ],
 )
 def test_a_loop_of_pictures(tmp_path, change, times):
     one = Series(changes=change).stacked(1).dataset(0)
@@ -125,7 +137,11 @@ def test_what_is_incomplete_or_of_several_contrasts_is_refused(tmp_path):
 
 def test_one_of_several_series_is_chosen(tmp_path):
     series = cine(tmp_path / "a", trigger)
-    cine(tmp_path / "b", lambda one, n, z: (trigger(one, n, z), setattr(one, "SeriesInstanceUID", "1.9")), times=2)
+    cine(
+        tmp_path / "b",
+        lambda one, n, z: (trigger(one, n, z), setattr(one, "SeriesInstanceUID", "1.9")),
+        times=2,
+    )
     with pytest.raises(InputError, match="2 series at several times"):
         io.read_sequence(tmp_path)
     chosen = io.read_sequence(tmp_path, options=ReadOptions(series=series.uid))
@@ -150,7 +166,16 @@ def test_a_reader_of_one_image_names_tracking_and_tracking_reads_it(tmp_path, ca
     with pytest.raises(InputError, match="3 volumes are in it") as caught:
         io.read(folder)
     assert "accelsurf track takes all as frames" in caught.value.hint
-    command = ["track", str(folder), "-o", str(tmp_path / "out"), "--start", "otsu", "--threads", "1"]
+    command = [
+        "track",
+        str(folder),
+        "-o",
+        str(tmp_path / "out"),
+        "--start",
+        "otsu",
+        "--threads",
+        "1",
+    ]
     assert cli.execute(command) == 0
     table = (tmp_path / "out/heart_tracks.csv").read_text().splitlines()
     assert len(table) == 4

@@ -11,8 +11,12 @@ from accelsurf.grid.geometry import Geometry
 TURNED = Geometry((3, 4, 5), (3.0, 0.5, 0.7), (5.5, -6.0, 7.25), [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 FRAMES = np.random.default_rng(0).integers(0, 250, (4, 3, 4, 5))
 SUFFIXES = (".nii", ".nii.gz", ".ome.zarr", ".tif")
-TIMES = [((0.0, 1.0, 2.0, 3.0), "frame"), ((0.0, 0.04, 0.08, 0.12), "s"), ((0.5, 1.25, 4.0, 1e3 / 3), "s"),
-         ((0.0, 1.0, 3.0, 4.0), "frame")]  # fmt: skip
+TIMES = [
+    ((0.0, 1.0, 2.0, 3.0), "frame"),
+    ((0.0, 0.04, 0.08, 0.12), "s"),
+    ((0.5, 1.25, 4.0, 1e3 / 3), "s"),
+    ((0.0, 1.0, 3.0, 4.0), "frame"),
+]
 
 
 def write(path, order=(0, 1, 2, 3), times=TIMES[0], dtype=np.uint8, geometry=TURNED):

@@ -28,7 +28,9 @@ def nifti(path, array=FULL, units=("mm", None), step=1.0, intent=None):
 
 
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
-@pytest.mark.parametrize(("unit", "step", "seconds"), [("sec", 2.0, 2.0), ("msec", 40.0, 0.04), (None, 2.5, None)])
+@pytest.mark.parametrize(
+    ("unit", "step", "seconds"), [("sec", 2.0, 2.0), ("msec", 40.0, 0.04), (None, 2.5, None)]
+)
 def test_a_nifti_that_says_time_is_a_sequence(tmp_path, suffix, unit, step, seconds):
     path = nifti(tmp_path / f"a{suffix}", units=("mm", unit), step=step)
     for read in (io.read, channels.read_channels):
@@ -42,7 +44,9 @@ def test_a_nifti_that_says_time_is_a_sequence(tmp_path, suffix, unit, step, seco
             assert float(volume.metadata[FRAME_KEY]) == pytest.approx(seconds)
         if suffix == ".nii":
             lazy = io.open_volume(path, time_index=t)
-            np.testing.assert_array_equal(lazy.read((slice(1, 3), slice(2, 5), slice(0, 4))), FULL[t, 1:3, 2:, :4])
+            np.testing.assert_array_equal(
+                lazy.read((slice(1, 3), slice(2, 5), slice(0, 4))), FULL[t, 1:3, 2:, :4]
+            )
             assert lazy.geometry.difference(volume.geometry) == ""
     found = channels.read_channels(path, ReadOptions(channels_from_time=True))
     np.testing.assert_array_equal([one.array for one in found], FULL)
@@ -80,7 +84,10 @@ def test_vectors_are_channels_whatever_is_said_of_time(tmp_path):
     np.testing.assert_array_equal([one.array for one in found], five[1])
     with pytest.raises(InputError, match="2 channels at 3 time points"):
         channels.read_channels(path, ReadOptions(channels_from_time=True))
-    assert headers.counts(path) == (2, 3) and headers.count_values(path, ReadOptions(time_index=1)) == 2 * 120
+    assert (
+        headers.counts(path) == (2, 3)
+        and headers.count_values(path, ReadOptions(time_index=1)) == 2 * 120
+    )
 
 
 @pytest.mark.parametrize("suffix", [".nrrd", ".mha"])
@@ -98,10 +105,16 @@ def test_a_fourth_axis_of_nrrd_and_metaimage_is_time(tmp_path, suffix, packed):
     for t in range(3):
         volume = io.read(path, options=ReadOptions(time_index=t))
         np.testing.assert_array_equal(volume.array, FULL[t], strict=True)
-        assert volume.geometry.spacing == (3.0, 2.0, 1.0) and volume.geometry.origin == (5.0, 6.0, 7.0)
+        assert volume.geometry.spacing == (3.0, 2.0, 1.0) and volume.geometry.origin == (
+            5.0,
+            6.0,
+            7.0,
+        )
         if not packed:
             lazy = io.open_volume(path, time_index=t)
-            np.testing.assert_array_equal(lazy.read((slice(1, 3), slice(2, 5), slice(0, 4))), FULL[t, 1:3, 2:, :4])
+            np.testing.assert_array_equal(
+                lazy.read((slice(1, 3), slice(2, 5), slice(0, 4))), FULL[t, 1:3, 2:, :4]
+            )
     found = channels.read_channels(path, ReadOptions(channels_from_time=True))
     np.testing.assert_array_equal([one.array for one in found], FULL)
 
@@ -110,7 +123,11 @@ NRRD = (
     "NRRD0004\ntype: short\ndimension: 4\nsizes: {sizes}\nkinds: {kinds}\nendian: little\nencoding: raw\n"
     "space: left-posterior-superior\nspace origin: (5,6,7)\nspace directions: {directions}\n{more}\n"
 )
-LIST = {"sizes": "3 6 5 4", "kinds": "list domain domain domain", "directions": "none (1,0,0) (0,2,0) (0,0,3)"}
+LIST = {
+    "sizes": "3 6 5 4",
+    "kinds": "list domain domain domain",
+    "directions": "none (1,0,0) (0,2,0) (0,0,3)",
+}
 
 
 def test_a_list_axis_of_nrrd_is_channels_unless_it_says_time(tmp_path):
@@ -118,7 +135,9 @@ def test_a_list_axis_of_nrrd_is_channels_unless_it_says_time(tmp_path):
     path.write_bytes(NRRD.format(**LIST, more="").encode() + voxels)
     found = channels.read_channels(path)
     np.testing.assert_array_equal([one.array for one in found], FULL)
-    np.testing.assert_array_equal(io.read(path, options=ReadOptions(channel_index=2)).array, FULL[2])
+    np.testing.assert_array_equal(
+        io.read(path, options=ReadOptions(channel_index=2)).array, FULL[2]
+    )
     path.write_bytes(NRRD.format(**LIST, more="axis 0 index type:=time\n").encode() + voxels)
     with pytest.raises(InputError, match="sequence of 3 time points given"):
         channels.read_channels(path)
@@ -132,14 +151,19 @@ def test_a_list_axis_of_nrrd_is_channels_unless_it_says_time(tmp_path):
 
 
 def test_units_of_a_time_axis_of_nrrd_are_seconds(tmp_path):
-    text = NRRD.replace("space: left-posterior-superior\nspace origin: (5,6,7)\nspace directions: {directions}\n", "")
+    text = NRRD.replace(
+        "space: left-posterior-superior\nspace origin: (5,6,7)\nspace directions: {directions}\n",
+        "",
+    )
     more = 'spacings: 1 2 3 500\nunits: "mm" "mm" "mm" "ms"\n'
     path = tmp_path / "a.nrrd"
     head = text.format(sizes="6 5 4 3", kinds="domain domain domain time", more=more)
     path.write_bytes(head.encode() + FULL.tobytes())
     volume = io.read(path, options=ReadOptions(time_index=1))
     np.testing.assert_array_equal(volume.array, FULL[1])
-    assert volume.geometry.spacing == (3.0, 2.0, 1.0) and float(volume.metadata[FRAME_KEY]) == pytest.approx(0.5)
+    assert volume.geometry.spacing == (3.0, 2.0, 1.0) and float(
+        volume.metadata[FRAME_KEY]
+    ) == pytest.approx(0.5)
 
 
 def test_commands_refuse_a_sequence_and_take_a_time_point(tmp_path, capsys):
@@ -152,7 +176,9 @@ def test_commands_refuse_a_sequence_and_take_a_time_point(tmp_path, capsys):
     assert f"values   {FULL[1].min()} to {FULL[1].max()}" in capsys.readouterr().out
     assert cli.execute(["info", str(path), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    assert said["time_points"] == 3 and said["channels"] == 1 and said["seconds_per_time_point"] == 2.0
+    assert (
+        said["time_points"] == 3 and said["channels"] == 1 and said["seconds_per_time_point"] == 2.0
+    )
 
 
 def test_places_of_channels_and_time_points():
