@@ -28,7 +28,7 @@ from accelsurf.grid.boxes import slabs
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms.recipe_files import checked, read_recipe
-from accelsurf.phantoms.solids import SOLIDS, Solid
+from accelsurf.phantoms.solids import SOLIDS, Ellipsoid, Solid
 
 Floats = NDArray[np.float64]
 
@@ -44,6 +44,24 @@ MAX_VOXELS = 2**30
 _OBJECT_KEYS = {key for solid in SOLIDS.values() for key in inspect.signature(solid).parameters}
 
 
+class Neighbour(BaseModel):
+    """An ellipsoid beside the object, in the image and not in the truth.
+
+    Attributes
+    ----------
+    half_axes, center : triple
+        As of the object; mm, in the order x, y, z.
+    value : float
+        Value inside.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    half_axes: tuple[Positive, Positive, Positive]
+    center: tuple[Real, Real, Real] = (0.0, 0.0, 0.0)
+    value: Real
+
+
 class Recipe(BaseModel):
     """Recipe of a phantom. Lengths in mm; triples in the order x, y, z.
 
@@ -51,10 +69,10 @@ class Recipe(BaseModel):
 
     Attributes
     ----------
-    kind : {"ball", "cube", "box", "torus", "two-balls", "vessel"}
-        The object. Its own parameters: ball: radius. cube: side. box: sides. torus: ring_radius, tube_radius.
-        two-balls: radius, gap (0). vessel: radius and length of the root, levels (4), angle (35), taper (0.85),
-        tree_seed (none: a regular tree). A parameter of another kind is refused.
+    kind : {"ball", "ellipsoid", "cube", "box", "torus", "two-balls", "vessel"}
+        The object. Its own parameters: ball: radius. ellipsoid: half_axes. cube: side. box: sides. torus:
+        ring_radius, tube_radius. two-balls: radius, gap (0). vessel: radius and length of the root, levels (4),
+        angle (35), taper (0.85), tree_seed (none: a regular tree). A parameter of another kind is refused.
     name : str
         Stem of the files made from it; by default the recipe file's.
     shape, spacing : triple
@@ -65,6 +83,8 @@ class Recipe(BaseModel):
         Degrees by which the index axes are turned about the world's x, then y, then z axis.
     background, contrast : float
         Value outside, and what is added inside; 0 and 1.
+    around : sequence of Neighbour
+        Ellipsoids around the object, each over those before it; the object lies over all. None by default.
     antialias : bool
         Whether voxels that the surface passes have the value of their volume fraction inside; false.
     blur : float
@@ -87,13 +107,14 @@ class Recipe(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    kind: Literal["ball", "cube", "box", "torus", "two-balls", "vessel"]
+    kind: Literal["ball", "ellipsoid", "cube", "box", "torus", "two-balls", "vessel"]
     name: Annotated[str, Field(pattern=r"^[^./\\][^/\\]*$")] = "phantom"
     shape: tuple[Count, Count, Count]
     spacing: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
     center: tuple[Real, Real, Real] = (0.0, 0.0, 0.0)
     rotation: tuple[Real, Real, Real] = (0.0, 0.0, 0.0)
     radius: Positive | None = None
+    half_axes: tuple[Positive, Positive, Positive] | None = None
     side: Positive | None = None
     sides: tuple[Positive, Positive, Positive] | None = None
     ring_radius: Positive | None = None
@@ -106,6 +127,7 @@ class Recipe(BaseModel):
     tree_seed: Seed | None = None
     background: Real = 0.0
     contrast: Real = 1.0
+    around: tuple[Neighbour, ...] = ()
     antialias: Annotated[bool, Field(strict=True)] = False
     blur: NotNegative = 0.0
     bias: Annotated[float, Field(strict=True, ge=0.0, lt=1.0)] = 0.0
@@ -212,8 +234,7 @@ def make(recipe: Recipe) -> Phantom:
             f"{recipe.name}: no voxel centre lies inside the object",
             hint="move it by center, or make it larger",
         )
-    image *= recipe.contrast
-    image += recipe.background
+    image = _among_neighbours(image, recipe)
     image = _degraded(image, recipe)
     half_volume = np.array(recipe.shape) * np.array(recipe.spacing) / 2
     whole = bool(
@@ -226,6 +247,21 @@ def make(recipe: Recipe) -> Phantom:
         area_mm2=solid.area if whole else None,
         recipe=recipe,
     )
+
+
+def _among_neighbours(inside: NDArray[np.float32], recipe: Recipe) -> NDArray[np.float32]:
+    """The image of the object and its neighbours, from the share of each voxel that is inside the object."""
+    if not recipe.around:
+        return inside * np.float32(recipe.contrast) + np.float32(recipe.background)
+    image = np.full_like(inside, recipe.background)
+    middle = np.array(recipe.center)
+    for planes, points in _voxel_centres(recipe):
+        for neighbour in recipe.around:
+            away = neighbour.center - middle
+            places = (point - shift for point, shift in zip(points, away, strict=True))
+            solid = Ellipsoid(neighbour.half_axes)
+            image[planes][solid.contains(*places)] = neighbour.value
+    return image + inside * (np.float32(recipe.background + recipe.contrast) - image)
 
 
 def signed_distance(recipe: Recipe) -> NDArray[np.float32]:

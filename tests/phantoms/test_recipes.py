@@ -21,9 +21,11 @@ from accelsurf.phantoms.recipes import (
     make,
     signed_distance,
 )
-from accelsurf.phantoms.solids import Ball, Cuboid, Torus, TwoBalls, Vessel
+from accelsurf.phantoms.solids import Ball, Cuboid, Ellipsoid, Torus, TwoBalls, Vessel
 
-SHIPPED = "ball ball_anisotropic ball_small box cube cube_noisy cube_oblique disc torus two_balls vessel".split()
+SHIPPED = (
+    "abdomen ball ball_anisotropic ball_small box cube cube_noisy cube_oblique disc torus two_balls vessel"
+).split()
 
 
 def grid_of(*axes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -42,6 +44,8 @@ def surface_points(kind: str) -> np.ndarray:
     sphere = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=1)
     if kind == "ball":
         return 5.0 * sphere
+    if kind == "ellipsoid":
+        return sphere * [8.0, 3.0, 5.0]
     if kind == "two-balls":
         return np.concatenate([5.0 * sphere + [side * 6.0, 0, 0] for side in (-1, 1)])
     if kind == "torus":
@@ -61,6 +65,7 @@ def surface_points(kind: str) -> np.ndarray:
     ("kind", "solid"),
     [
         ("ball", Ball(5.0)),
+        ("ellipsoid", Ellipsoid((8.0, 3.0, 5.0))),
         ("box", Cuboid((8.0, 6.0, 10.0))),
         ("torus", Torus(7.0, 2.5)),
         ("two-balls", TwoBalls(5.0, gap=2.0)),
@@ -77,6 +82,23 @@ def test_signed_distance_is_the_distance_to_the_surface(kind: str, solid: Ball) 
     assert (brute >= np.abs(signed) - 1e-9).all()
     assert (brute**2 <= signed**2 + 0.15**2 * (1 + np.abs(signed) / 2.5)).all()
     assert (signed < 0).any() and signed[np.linalg.norm(where, axis=1) > 13].min() > 0
+
+
+def test_ellipsoid_distance_on_its_medial_axis_and_beside_it() -> None:
+    """In the middle it is the shortest half axis; on the long axis near the end the closest point is that end."""
+    solid = Ellipsoid((9.0, 4.0, 6.0))
+    tiny = np.array([0.0, 1e-9, 1e-4])
+    np.testing.assert_allclose(solid.distance(tiny, tiny[::-1], 0.0 * tiny), -4.0, atol=1e-3)
+    np.testing.assert_allclose(solid.distance(np.array([8.9]), np.zeros(1), np.zeros(1)), -0.1)
+    # Beyond the evolute, x = (a^2 - b^2) / a, the closest point is no longer the end of the axis.
+    x = np.array([2.0, 5.0])
+    closest = x * 81 / (81 - 16)
+    expected = -np.hypot(closest - x, 4.0 * np.sqrt(1 - (closest / 9) ** 2))
+    np.testing.assert_allclose(solid.distance(x, np.zeros(2), np.zeros(2)), expected, rtol=1e-9)
+    ball = Ellipsoid((5.0, 5.0, 5.0))
+    where = np.random.default_rng(0).uniform(-9, 9, (3, 500))
+    np.testing.assert_allclose(ball.distance(*where), Ball(5.0).distance(*where), atol=1e-9)
+    assert np.isclose(ball.area, Ball(5.0).area) and np.isclose(ball.volume, Ball(5.0).volume)
 
 
 def test_vessel_distance_is_that_to_balls_along_the_tubes() -> None:
@@ -127,11 +149,30 @@ def test_shipped_recipe_makes_an_object_that_is_the_distance_below_zero(name: st
     np.testing.assert_array_equal(phantom.truth.array, signed_distance(recipe) < 0)
     assert 0 < phantom.truth.array.mean() < 0.5
     inside, outside = (phantom.image.array[phantom.truth.array == v].mean() for v in (1, 0))
-    assert inside - outside > 0.8 * recipe.contrast
+    assert inside - outside > (0.3 if recipe.around else 0.8) * recipe.contrast
 
 
 def test_shipped_recipes_are_all_tested() -> None:
     assert recipe_names() == sorted(SHIPPED)
+
+
+def test_neighbours_lie_over_each_other_and_the_object_over_all() -> None:
+    around = [
+        {"half_axes": (9.0, 9.0, 9.0), "value": 3.0},
+        {"half_axes": (3.0, 3.0, 3.0), "center": (5.0, 0.0, 0.0), "value": -2.0},
+    ]
+    recipe = Recipe(
+        kind="ball", shape=(33, 33, 33), radius=4.0, center=(2.0, 0.0, 0.0), background=1.0
+    ).changed(around=around, contrast=6.0)
+    image, truth = make(recipe).image.array, make(recipe.changed(around=[])).truth.array
+    z, y, x = np.indices(image.shape) - 16
+    expected = np.where(x**2 + y**2 + z**2 < 81, 3.0, 1.0)
+    expected = np.where((x - 5) ** 2 + y**2 + z**2 < 9, -2.0, expected)
+    expected = np.where((x - 2) ** 2 + y**2 + z**2 < 16, 7.0, expected)
+    np.testing.assert_array_equal(image, expected)
+    np.testing.assert_array_equal(truth, make(recipe).truth.array)
+    with pytest.raises(UsageError, match="around"):
+        recipe.changed(around=[{"half_axes": (1.0, 1.0, -1.0), "value": 1.0}])
 
 
 @pytest.mark.sampled
@@ -140,6 +181,7 @@ def test_shipped_recipes_are_all_tested() -> None:
     "parameters",
     [
         {"kind": "ball", "radius": 15.2},
+        {"kind": "ellipsoid", "half_axes": (15.1, 9.2, 12.3)},
         {"kind": "cube", "side": 21.3},
         {"kind": "box", "sides": (20.1, 25.3, 17.7)},
         {"kind": "torus", "ring_radius": 13.1, "tube_radius": 6.2},
