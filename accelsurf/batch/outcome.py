@@ -15,8 +15,8 @@ from accelsurf.settings.track_config import TrackConfig
 #: How it stands with a case; waiting: it has not been run, or has not ended.
 Status = Literal["ok", "failed", "waiting"]
 #: Columns of the table of a batch of images, and of sequences.
-COLUMNS = ("id", "status", "reason", "ml", "quality", "dice", "steps", "seconds", "folder")
-TRACK_COLUMNS = ("id", "status", "reason", "objects", "frames", "quality", "seconds", "folder")
+COLUMNS = ("id", "status", "reason", "ml", "probability", "dice", "steps", "seconds", "folder")
+TRACK_COLUMNS = ("id", "status", "reason", "objects", "frames", "probability", "seconds", "folder")
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Outcome:
         Why its run ended, or what is wrong.
     ml : float or None
         Volume of the object, or of all objects.
-    quality : float or None
+    probability : float or None
         Probability that the result is good; of several objects the least.
     dice : float or None
         With the reference.
@@ -107,7 +107,7 @@ class Outcome:
     status: Status = "waiting"
     reason: str = ""
     ml: float | None = None
-    quality: float | None = None
+    probability: float | None = None
     dice: float | None = None
     steps: int | None = None
     objects: int | None = None
@@ -163,7 +163,7 @@ def _of_run(report: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "reason": report["stop"]["reason"],
         "ml": None if volume is None or is_2d else volume / 1000,
-        "quality": _quality(report),
+        "probability": _probability(report),
         "steps": report["stop"]["steps"],
         "seconds": report["seconds"]["total"],
         "flow_why": (report["resolved_settings"] or {}).get("flow_why", ""),
@@ -177,14 +177,14 @@ def _of_tracking(report: Mapping[str, Any]) -> dict[str, Any]:
     qualities = [track["quality_lowest"] for track in tracks if track["quality_lowest"] is not None]
     return {
         "reason": ", ".join(f"{count} {end}" for end, count in ends.items()),
-        "quality": min(qualities, default=None),
+        "probability": min(qualities, default=None),
         "objects": len(tracks),
         "frames": len(frames),
         "seconds": sum(frame["seconds"] for frame in frames),
     }
 
 
-def _quality(report: Mapping[str, Any]) -> float | None:
+def _probability(report: Mapping[str, Any]) -> float | None:
     several = [entry["quality"] for entry in report["objects"] or ()]
     found = [
         quality["probability"]

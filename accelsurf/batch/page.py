@@ -20,7 +20,7 @@ img { max-width: 100%; height: auto; }
 """
 #: What stands above the numbers of a case, in this order.
 _HEADS = {
-    "quality": "likely good",
+    "probability": "probability",
     "ml": "ml",
     "dice": "Dice",
     "objects": "objects",
@@ -67,16 +67,16 @@ def page_html(
 
 
 def doubt(outcome: Outcome) -> tuple[int, float, str]:
-    """Order of the cases: failed, without a quality, by falling doubt, those that wait.
+    """Order of the cases: failed, without a probability, by falling doubt, those that wait.
 
     Examples
     --------
-    >>> good, bad = Outcome("a", "ok", quality=0.9), Outcome("b", "ok", quality=0.2)
+    >>> good, bad = Outcome("a", "ok", probability=0.9), Outcome("b", "ok", probability=0.2)
     >>> [one.id for one in sorted([Outcome("d"), good, bad, Outcome("c", "failed")], key=doubt)]
     ['c', 'b', 'a', 'd']
     """
     first = {"failed": 0, "ok": 1, "waiting": 2}[outcome.status]
-    return first, -1.0 if outcome.quality is None else outcome.quality, outcome.id
+    return first, -1.0 if outcome.probability is None else outcome.probability, outcome.id
 
 
 def _table(outcomes: Sequence[Outcome], columns: Sequence[str]) -> list[str]:
@@ -88,7 +88,8 @@ def _table(outcomes: Sequence[Outcome], columns: Sequence[str]) -> list[str]:
         kind = ' class="failed"' if outcome.status == "failed" else ""
         values = {key: getattr(outcome, key) for key in numbers}
         cells = (
-            _percent(value) if key == "quality" else _number(value) for key, value in values.items()
+            _percent(value) if key == "probability" else _number(value)
+            for key, value in values.items()
         )
         line = "".join(f"<td>{cell}</td>" for cell in (name, *cells))
         lines.append(f"<tr{kind}>{line}<td class=text>{escape(outcome.reason)}</td></tr>")
@@ -114,7 +115,9 @@ def _summary(outcome: Outcome) -> str:
     """Return the figures of a result, in a line."""
     count = outcome.objects
     parts = [
-        f"{_percent(outcome.quality)} likely to be good" if outcome.quality is not None else "",
+        f"{_percent(outcome.probability)} likely to be good"
+        if outcome.probability is not None
+        else "",
         f"{_number(outcome.ml)} ml" if outcome.ml is not None else "",
         f"Dice {_number(outcome.dice)}" if outcome.dice is not None else "",
         f"{count} object{'' if count == 1 else 's'} in {outcome.frames} frames"

@@ -176,13 +176,20 @@ def table_csv(outcomes: Sequence[Outcome], columns: Sequence[str] = COLUMNS) -> 
 
     Examples
     --------
-    >>> one = Outcome("a", "ok", "converged", ml=1.5, quality=0.93, steps=12, seconds=0.8, folder="a")
+    >>> one = Outcome("a", "ok", "converged", ml=1.5, probability=0.934567891, steps=12, seconds=0.8, folder="a")
     >>> print(table_csv([one]), end="")
-    id,status,reason,ml,quality,dice,steps,seconds,folder
-    a,ok,converged,1.5,0.93,,12,0.8,a
+    id,status,reason,ml,probability,dice,steps,seconds,folder
+    a,ok,converged,1.5,0.9346,,12,0.8,a
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows([getattr(outcome, name) for name in columns] for outcome in outcomes)
+    writer.writerows(
+        [_with_known_digits(getattr(outcome, name)) for name in columns] for outcome in outcomes
+    )
     return stream.getvalue()
+
+
+def _with_known_digits(value: Any) -> Any:
+    """A number with four digits: the report of a case has all."""
+    return float(f"{value:.4g}") if isinstance(value, float) else value

@@ -285,6 +285,8 @@ def _run(
         batch_case.refuse_inputs_of(work.tasks, [folder / name for name in work.names.all], given)
         if not display.quiet:
             say(_at_once(work, limits.scheduler))
+        if limits.scheduler is None and work.tasks:
+            _compile_before_workers(display)
         pool = batch_case.make_pool(work, limits)
         tables = work.tables(files)
         with BatchProgress(display, len(work.tasks)) as progress:
@@ -306,6 +308,20 @@ def _run(
                 )
                 raise
     return tables
+
+
+def _compile_before_workers(display: Display) -> None:
+    """Compile all kernels where they are not stored, once, and not in each worker; say where they cannot be stored."""
+    from accelsurf.cli.progress import COMPILING_ANEW
+    from accelsurf.cli.warmup import compile_all, is_complete
+    from accelsurf.kernels import storage
+
+    if is_complete():
+        return
+    if storage.STORAGE is not None:
+        compile_all(display)
+    elif not display.quiet:
+        say(COMPILING_ANEW)
 
 
 def _conclude(tables: Tables, folder: Path, display: Display) -> int:

@@ -17,25 +17,45 @@ if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
     from accelsurf.settings.reading import ReadOptions
 
+#: Topics of `accelsurf info TOPIC`, and what each tells.
+_TOPICS = {
+    "versions": "accelsurf, Python and the libraries, as a report has them",
+    "presets": "settings for a kind of scan, with the reason of each value",
+    "settings": "every setting of a run",
+    "energies": "names of the image terms of --energy",
+    "energy-terms": "each term, its meaning and its settings",
+    "flows": "how the surface can move: names of --flow",
+    "starts": "ways to write a first surface: kinds of --start",
+    "volume-formats": "endings of image files",
+    "mesh-formats": "endings of mesh files",
+    "recipes": "phantoms that accelsurf synth makes",
+    "recipes-in-time": "the same, for sequences",
+    "trace-columns": "columns of the trace of a run",
+    "stop-reasons": "why a run can end",
+    "exit-codes": "what a command returns to the shell",
+}
+
 ReadSettings = settings_class("ReadSettings", groups=(SettingGroup.IMAGE,))
 
 
 def info(
-    image: Annotated[Path | None, Parameter(name="IMAGE", group=FILES)] = None,
+    image: Annotated[Path | None, Parameter(name="IMAGE|TOPIC", group=FILES)] = None,
     *,
     as_json: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
     reading: ReadSettings | None = None,  # type: ignore[valid-type]
 ) -> int:
-    """Show versions, names, exit codes and settings; or what an image is, or the results in a folder.
+    """Describe an image, or the results in a folder; without one list the topics that accelsurf tells about.
 
     Parameters
     ----------
     image
-        An image, whose voxels are not read where its format allows that; or a folder of results.
+        An image, whose voxels are not read where its format allows that; a folder of results; or a topic: versions,
+        presets, settings, recipes and others, which `accelsurf info` lists.
     as_json
-        Print JSON; without an image with the schema of the configuration.
+        Print JSON; without an image of all topics, with the schema of the configuration.
     """
-    if image is not None:
+    topic = "" if image is None or image.exists() else str(image)
+    if image is not None and topic not in _TOPICS:
         reports = sorted(image.glob("*_report.json")) if image.is_dir() else []
         if reports:
             _show_results(reports, as_json)
@@ -53,15 +73,33 @@ def info(
             del said["name"]
         print(to_json({**known, "presets": presets, "config_schema": RunConfig.json_schema()}))
         return 0
-    for title, value in known.items():
+    if topic:
+        _show_topic(topic, known)
+    else:
+        _show_topics(known)
+    return 0
+
+
+def _show_topics(known: Mapping[str, Any]) -> None:
+    """Print the version, and the topics with what each has."""
+    print(f"accelsurf {known['versions']['accelsurf']}")
+    print("\naccelsurf info IMAGE describes an image, accelsurf info FOLDER the results in it.")
+    print("accelsurf info TOPIC tells about:\n")
+    _print_table(_TOPICS)
+
+
+def _show_topic(topic: str, known: Mapping[str, Any]) -> None:
+    """Print all that is known of a topic."""
+    if topic == "presets":
+        _print_presets()
+    elif topic == "settings":
+        _print_settings()
+    else:
+        value = known[topic.replace("-", "_")]
         if isinstance(value, dict):
-            print(title.replace("_", " ") + ":")
             _print_table(value)
         else:
-            print(f"{title.replace('_', ' ')}: {', '.join(value)}")
-    _print_presets()
-    _print_settings()
-    return 0
+            print(*value, sep="\n")
 
 
 def _show_image(path: Path, as_json: bool, requested: ReadOptions) -> None:
@@ -285,7 +323,7 @@ def _print_presets() -> None:
     from accelsurf.settings.catalogue import as_typed
     from accelsurf.settings.presets import PRESETS
 
-    print("\nPresets (--preset NAME; other options override its values):")
+    print("Presets (--preset NAME; other options override its values):")
     for name, preset in PRESETS.items():
         print(f"\n  {name}: {preset.summary}")
         for key, value in preset.settings.items():
@@ -298,5 +336,5 @@ def _print_settings() -> None:
     from accelsurf.settings.catalogue import help_of
     from accelsurf.settings.fields import SettingFields
 
-    print("\nSettings (accelsurf segment --help has their defaults):")
+    print("Settings (accelsurf segment --help has their defaults):")
     _print_table({key: help_of(key) for key in SettingFields.model_fields})

@@ -14,7 +14,6 @@ from accelsurf.errors import (
     NotConvergedError,
 )
 from accelsurf.io.headers import UNIT_KEY
-from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.wording import place_text, size_text, volume_text
 
 if TYPE_CHECKING:
@@ -129,8 +128,6 @@ def summary_lines(
     shaped = [output for output in outputs if "largest_distance_mm" in output]
     if result.has_ids or {"surface", "contour"} & {output["kind"] for output in outputs}:
         lines.append(_measures(result))
-    if result.config.flow == AUTO:
-        lines.append(f"  flow: {result.resolved_settings['flow_why']}")
     lines += [f"  {line}" for line in _judgement(result)]
     if shaped:
         furthest = max(shaped, key=lambda output: float(output["largest_distance_mm"]))
@@ -157,10 +154,25 @@ def _ending(name: str, result: Result, seconds: float) -> list[str]:
     stop = result.stop
     if result.has_ids:
         return [f"{name}: {stop.message}; up to {stop.steps} steps, {seconds:.1f} s"]
+    if _stayed(result):
+        return [
+            f"{name}: the first surface stays, {seconds:.1f} s ({stop.steps} steps, none better)"
+        ]
     levels = f" on {len(result.levels)} levels" if len(result.levels) > 1 else ""
     return [
         f"{name}: {stop.reason} after {stop.steps} steps{levels}, {seconds:.1f} s ({stop.message})"
     ]
+
+
+def _stayed(result: Result) -> bool:
+    """True if the run ended at the surface that it began with, as no step had a lower energy."""
+    history = result.run_history
+    return (
+        result.stop.reason == "converged"
+        and len(history) > 1
+        and history[-1].returned
+        and history[-1].potential == history[0].potential
+    )
 
 
 def _judgement(result: Result) -> list[str]:
@@ -173,7 +185,7 @@ def _judgement(result: Result) -> list[str]:
         if quality.next_click is not None:
             place = place_text(quality.next_click, result.geometry.steps)
             lines.append(
-                f"{whose}{quality.probability:.0%} likely to be good; most doubtful near {place}"
+                f"{whose}{quality.probability:.0%} likely to be good (Dice 0.8 or more); most doubtful near {place}"
             )
         lines += [f"{whose}{line}" for line in _other_answers(quality)]
         lines += [f"{whose}note: {note}" for note in quality.notes]

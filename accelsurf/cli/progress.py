@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 
 #: What the bar shows until the first step, when nothing else moves.
 PREPARING = "preparing"
-#: What is said once, before the first kernel is compiled: where kernels can be stored, and where they cannot.
-COMPILING = "note: compiling kernels, once: about a minute (or: accelsurf warmup)"
+#: Said before the first kernel of a command is compiled: where kernels can be stored, and where they cannot.
+COMPILING = "note: compiling kernels that no command needed before (all: accelsurf warmup)"
+#: Said where all are compiled.
+COMPILING_ALL = "compiling kernels, once: about a minute"
 COMPILING_ANEW = "note: compiling kernels, in each run: NUMBA_CACHE_DIR names a folder for them"
 
 
@@ -179,6 +181,38 @@ class Watcher:
             print_json({"event": "frame", "run": self._label, **line})
         self._interrupts.check()
         return self.interrupted
+
+
+@contextmanager
+def counted(display: Display, text: str, count: int) -> Iterator[Callable[[str], None]]:
+    """Show a bar over ``count`` parts; off a terminal a line at its beginning.
+
+    Yields
+    ------
+    callable
+        To be called with the name of each part as it begins.
+    """
+    kind, begun = shown_kind(display), [0]
+    bar = None
+    if kind == "bar":
+        bar = _Bar(text, "{task.completed:.0f}/{task.total:.0f}", count, state="")
+    elif kind == "json":
+        print_json({"event": "compiling", "message": text})
+    elif not display.quiet:
+        say(text)
+
+    def advance(name: str) -> None:
+        if bar is not None:
+            bar.show(completed=begun[0], state=name)
+        begun[0] += 1
+
+    try:
+        yield advance
+        if bar is not None:
+            bar.show(completed=count, state="")
+    finally:
+        if bar is not None:
+            bar.stop()
 
 
 def shown_kind(display: Display) -> ProgressKind:

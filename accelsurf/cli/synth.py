@@ -58,7 +58,7 @@ def synth(
     Parameters
     ----------
     recipe
-        A TOML file, or the name of a recipe that comes with accelsurf; `accelsurf info` lists them.
+        A TOML file, or the name of a recipe that comes with accelsurf; `accelsurf info recipes` lists them.
     output
         Folder for the outputs; made when missing.
     seed

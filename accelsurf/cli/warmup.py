@@ -2,48 +2,74 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import Parameter
-
+from accelsurf.cli.options import Display
 from accelsurf.errors import OutputError
 
+#: A file beside the stored kernels: all are there, for the processor and the compiler that it names.
+_COMPLETE = "complete.txt"
 
-def warmup(*, quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False) -> int:
-    """Compile all kernels and store them, which the first runs would do otherwise: a minute or two, once.
+
+def warmup(*, display: Display | None = None) -> int:
+    """Compile all kernels and store them, which the first runs would do otherwise: about a minute, once.
 
     Run it after an installation or an update of accelsurf or numba, as the user who will segment, or with
     NUMBA_CACHE_DIR set as it will be then. What is stored already is only loaded.
-
-    Parameters
-    ----------
-    quiet
-        Print nothing but warnings and errors.
     """
-    import time
-
     from accelsurf.kernels import storage
 
-    began = time.perf_counter()
     if storage.STORAGE is None:
         raise OutputError(
             "compiled kernels: there is no folder that they can be stored in",
             "set NUMBA_CACHE_DIR to a folder that may be written to",
         )
+    display = display or Display()
     before = storage.stored()
-    for name, run in small_runs().items():
-        if not quiet:
-            print(f"  {time.perf_counter() - began:5.1f} s  {name}", flush=True)
-        run()
-    if not quiet:
+    compile_all(display)
+    if not display.quiet:
         new = len(storage.stored() - before)
-        print(
-            f"{new} kernels compiled and stored, {len(before)} were there, {time.perf_counter() - began:.1f} s"
-        )
+        print(f"{new} kernels compiled and stored, {len(before)} were there")
         print(f"folder {storage.STORAGE}")
     return 0
+
+
+def compile_all(display: Display) -> None:
+    """Compile and store all kernels with a bar, where they are not stored yet: before several processes want them."""
+    from accelsurf.cli.progress import COMPILING_ALL, counted
+    from accelsurf.kernels import storage
+
+    runs = small_runs()
+    with counted(display, COMPILING_ALL, len(runs)) as advance:
+        for name, run in runs.items():
+            advance(name)
+            run()
+    if storage.STORAGE is not None:
+        (storage.STORAGE / _COMPLETE).write_text(_made_for())
+
+
+def is_complete() -> bool:
+    """True where all kernels are stored, for this processor and compiler; also where nothing is compiled."""
+    from accelsurf.kernels import storage
+
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+        return True
+    if storage.STORAGE is None:
+        return False
+    try:
+        return (storage.STORAGE / _COMPLETE).read_text() == _made_for()
+    except (OSError, ValueError):
+        return False
+
+
+def _made_for() -> str:
+    """Processor and compiler, whose change makes stored kernels useless."""
+    from accelsurf.kernels import storage
+
+    return f"{storage.processor_name()}, numba {storage.compiler_version()}\n"
 
 
 def small_runs() -> dict[str, Callable[[], Any]]:

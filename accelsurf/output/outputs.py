@@ -247,7 +247,16 @@ def outcome_title(name: str, result: Result) -> str:
             if unit == "mm"
             else size_text(result.volume_mm3, unit, 3, digits=4)
         )
-    return f"{name}: {size}, {result.resolved_settings['flow']} flow, {result.stop.steps} steps, {result.stop.reason}"
+    reason = "" if result.stop.reason == "converged" else f", {result.stop.reason}"
+    return f"{name}: {size}{_likely(result)}{reason}"
+
+
+def _likely(result: Result) -> str:
+    """Say how likely the object is good, of a single one."""
+    found = result.objects[0]
+    if result.has_ids or not found.has_surface:
+        return ""
+    return f", {found.quality.probability:.0%} likely to be good"
 
 
 def preview_content(result: Result, title: str) -> PreviewContent:

@@ -375,7 +375,7 @@ def phantom(recipe: str | Path, *, seed: int | None = None) -> Phantom:
     Parameters
     ----------
     recipe : str or Path
-        A TOML file, or the name of a recipe that comes with accelsurf; ``accelsurf info`` lists them.
+        A TOML file, or the name of a recipe that comes with accelsurf; ``accelsurf info recipes`` lists them.
     seed : int, optional
         Of noise and bias; the recipe's by default.
 

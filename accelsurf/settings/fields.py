@@ -50,7 +50,7 @@ class SettingFields(BaseModel):
     preset: Annotated[str, OneOf(lambda: PRESETS)] | None = setting(
         None,
         "Settings for a kind of scan: {}. Settings given beside it override it. "
-        "accelsurf info lists the values of each, and why.",
+        "accelsurf info presets lists the values of each, and why.",
         entry=SettingEntry(
             RUN,
             viewer="first",

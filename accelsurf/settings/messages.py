@@ -36,7 +36,11 @@ def usage_error(
 def no_such_setting(key: str, fields: type[BaseModel] = SettingFields) -> tuple[str, str]:
     """Return message and hint for a setting that there is not."""
     guess = did_you_mean(key, fields.model_fields)
-    known = "accelsurf info lists them" if guess else f"valid are {', '.join(fields.model_fields)}"
+    known = (
+        "accelsurf info settings lists them"
+        if guess
+        else f"valid are {', '.join(fields.model_fields)}"
+    )
     return f"{shown(key)}: there is no such setting", guess + known
 
 

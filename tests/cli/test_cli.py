@@ -765,8 +765,23 @@ def test_info(capsys):
     assert "interrupted" in facts["stop_reasons"] and facts["exit_codes"]["130"]
     assert set(facts["config_schema"]["properties"]) == set(RunConfig.model_fields)
     assert facts["versions"]["numpy"] == np.__version__
-    assert run("info") == 0
+    assert run("info", "settings") == 0
     assert "max_steps" in capsys.readouterr().out
+
+
+def test_info_alone_lists_the_topics_and_each_tells_something(capsys, tmp_path, monkeypatch):
+    assert run("info") == 0
+    lines = capsys.readouterr().out.splitlines()
+    topics = [line.split()[0] for line in lines if line.startswith("  ")]
+    assert len(topics) > 10 and len(lines) < 24
+    for topic in topics:
+        assert run("info", topic) == 0
+        assert len(capsys.readouterr().out.splitlines()) > 3, topic
+    assert run("info", "preset") == 3
+    assert "preset" in capsys.readouterr().err
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "flows").mkdir()
+    assert run("info", "flows") == 3  # a folder of this name goes before the topic
 
 
 # ------------------------------------------------------------------------------------------- the program itself

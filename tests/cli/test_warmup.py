@@ -79,11 +79,8 @@ def test_it_says_how_many_were_compiled_and_where_they_are(monkeypatch, capsys, 
     )
     assert cli.execute(["warmup"]) == 0
     out = capsys.readouterr().out
-    assert (
-        "1 kernels compiled and stored, 1 were there" in out
-        and str(tmp_path) in out
-        and "two" in out
-    )
+    assert "1 kernels compiled and stored, 1 were there" in out and str(tmp_path) in out
+    assert warmup.is_complete()
     assert cli.execute(["warmup", "--quiet"]) == 0
     assert capsys.readouterr().out == ""
 

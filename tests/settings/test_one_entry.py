@@ -314,13 +314,13 @@ def test_help_of_the_command():
 
 
 def test_info(toys, capsys):
-    assert cli.execute(["info"]) == 0
-    shown = capsys.readouterr().out
-    assert (
-        "a toy that wants bright voxels (settings: strength)" in shown
-        and "momentum, toy-flow" in shown
-    )
-    assert "a toy that counts the band (cells)" in shown
+    for topic, said in (
+        ("energy-terms", "a toy that wants bright voxels (settings: strength)"),
+        ("flows", "\ntoy-flow\n"),
+        ("trace-columns", "a toy that counts the band (cells)"),
+    ):
+        assert cli.execute(["info", topic]) == 0
+        assert said in capsys.readouterr().out
     assert cli.execute(["info", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (

@@ -96,7 +96,7 @@ def test_a_preset_that_is_none_is_one_clear_line():
 
 
 def test_info_lists_them(capsys):
-    assert run("info") == 0
+    assert run("info", "presets") == 0
     shown = capsys.readouterr().out
     for name, preset in PRESETS.items():
         assert name in shown and all(why in shown for why in preset.reasons.values())
