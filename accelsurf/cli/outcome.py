@@ -178,6 +178,12 @@ def _stayed(result: Result) -> bool:
 def _judgement(result: Result) -> list[str]:
     """Lines about quality: how likely the result is good, where to click next, and notes."""
     lines = []
+    if _began_in_the_middle(result):
+        lines.append(
+            "note: it began as a ball in the middle of the image; --inside says where the object is"
+        )
+    if _may_be_several(result):
+        lines.append("note: all clicks inside are in one object; for a label each: --objects TABLE")
     for segmented in result.objects:
         if not segmented.has_surface:
             continue
@@ -190,6 +196,20 @@ def _judgement(result: Result) -> list[str]:
         lines += [f"{whose}{line}" for line in _other_answers(quality)]
         lines += [f"{whose}note: {note}" for note in quality.notes]
     return lines
+
+
+def _began_in_the_middle(result: Result) -> bool:
+    """True if nothing was said of where the object is."""
+    config = result.config
+    said = bool(config.inside or config.objects or config.labels or result.given)
+    return not said and "start" not in config.model_fields_set and config.start == ("center",)
+
+
+def _may_be_several(result: Result) -> bool:
+    """True if clicks inside may be in objects of their own: they gave parts, or a doubtful object."""
+    if result.has_ids or len(result.config.inside) < 2:
+        return False
+    return result.components > 1 or bool(result.objects[0].quality.warnings)
 
 
 def _other_answers(quality: Quality) -> list[str]:

@@ -217,7 +217,7 @@ class SettingFields(BaseModel):
     )
     edge_scale: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
         "auto",
-        "Scale at which the geodesic energy sees edges: sigma of the Gaussian gradient, in mm; "
+        "Scale at which the energy geodesic, which rests on edges, sees them: sigma of the Gaussian gradient, in mm; "
         "auto is one voxel (the largest spacing).",
         entry=SettingEntry(RUN, unit="mm", metavar="MM|auto", scope="term"),
     )
@@ -231,47 +231,47 @@ class SettingFields(BaseModel):
     )
     balloon: float = setting(
         0.0,
-        "Pressure of the geodesic energy away from edges, per mm: above 0 the surface shrinks, "
+        "Pressure away from edges, of the energy geodesic (which rests on edges), per mm: above 0 the surface shrinks, "
         "below 0 it grows.",
         entry=SettingEntry(RUN, unit="1/mm", metavar="C", scope="term"),
     )
     k: float = setting(
         2.0,
-        "Order of the accelerated flow (no unit); it sets the friction (k+1)/t.",
+        "Order of a flow with momentum (no unit): it sets how fast friction fades, (k+1)/t. Larger brakes more.",
         entry=SettingEntry(metavar="K", scope="flow"),
         ge=0.1,
         le=20,
     )
     t0: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
         "auto",
-        "Time t of the friction (k+1)/t at which the surface starts at rest; auto is 0, or with k <= 1, where 0 is "
-        "impossible, the length of the first step.",
+        "Age t, in the friction (k+1)/t, of a surface that starts at rest: larger brakes less at first. auto is 0, or "
+        "with k <= 1, where 0 is impossible, the length of the first step.",
         entry=SettingEntry(unit="flow time", metavar="T|auto", scope="flow"),
     )
     lam: float = setting(
         1.0,
-        "Strength of the energy against inertia (no unit), the paper's lambda.",
+        "How strongly the energy pulls on a surface with momentum (no unit), the paper's lambda: larger moves it faster.",
         entry=SettingEntry(scope="flow"),
         gt=0,
     )
     rho: float = setting(
         1.0,
-        "Mass per area of the surface, of region-mass per volume (relative units).",
+        "Mass of the moving surface per area, of region-mass per volume (relative units): larger is more inert.",
         entry=SettingEntry(scope="flow"),
         gt=0,
     )
     gravity: float = setting(
         0.0,
-        "Strength g of the mass potential, which makes the density of flowable-mass more uniform, and puts the mass of "
-        "region-mass inside the surface, under pressure.",
+        "How strongly mass pushes itself apart (g, no unit): it spreads the mass of flowable-mass evenly over the "
+        "surface, and puts the mass of region-mass inside the surface under pressure. 0 for not.",
         entry=SettingEntry(metavar="G", scope="flow"),
         ge=0,
     )
     diffusion: Annotated[float, Field(ge=0)] | Literal["auto", "free"] = setting(
         "auto",
-        "Diffusion of the surface's speed along the surface, in mm2 per unit of flow time; 0 for none; "
-        "free is the largest rate that does not shorten the time step, within a mixing length; auto is free with "
-        "momentum, else none.",
+        "How fast neighbouring points of the surface take on each other's speed, in mm2 per unit of flow time, which "
+        "smooths the motion; 0 for not. free is the largest rate that makes no step shorter, auto is free with "
+        "momentum, else 0.",
         entry=SettingEntry(
             unit="mm2 per unit of flow time",
             metavar="D|free|auto",
@@ -302,7 +302,7 @@ class SettingFields(BaseModel):
     )
     blend: float = setting(
         0.8,
-        "Fraction of the last step that the momentum flow adds to the next (no unit).",
+        "Fraction of the last step that the flow momentum adds to the next (no unit): larger has more momentum.",
         entry=SettingEntry(metavar="OMEGA", scope="flow"),
         ge=0,
         lt=1,
@@ -325,7 +325,7 @@ class SettingFields(BaseModel):
     )
     cfl: float = setting(
         0.5,
-        "Largest motion of the surface in one step, in voxels.",
+        "How far the surface may move in one step, in voxels: larger takes fewer steps and is less exact.",
         entry=SettingEntry(
             unit="voxels",
             metavar="VOXELS",
@@ -351,15 +351,16 @@ class SettingFields(BaseModel):
     )
     percentile: float = setting(
         95.0,
-        "Speed limiter: the time step follows this percentile of the speeds on the surface (percent), and higher "
-        "speeds are clipped to cfl voxels per step. 100 clips none.",
+        "Limit of the fastest points: the time step follows this percentile of the speeds on the surface, and points "
+        "that are faster move by cfl voxels in a step. 100 limits none, and a single fast point makes all steps short.",
         entry=SettingEntry(unit="%", metavar="PERCENT"),
         gt=0,
         le=100,
     )
     epsilon: float = setting(
         1.5,
-        "Half width of the smeared interface in the energy, in voxels along the normal; 0 is sharp.",
+        "Half width over which the energy goes from inside to outside at the surface, in voxels; 0 is sharp and sees "
+        "single voxels.",
         entry=SettingEntry(unit="voxels", metavar="VOXELS", scope="term"),
         ge=0,
         le=2.5,
@@ -393,7 +394,7 @@ class SettingFields(BaseModel):
     )
     stop_at_rest: bool = setting(
         False,
-        "End the run where the surface first comes to rest, before it breaks through to something else.",
+        "End the run where the surface first nearly stands still, before it breaks through a gap to something else.",
         entry=SettingEntry(RUN, fixed=True),
     )
     refine: Refinements = setting(
@@ -406,8 +407,8 @@ class SettingFields(BaseModel):
     )
     extension: Literal["closest-point", "fast-marching"] = setting(
         "closest-point",
-        "How distances and speeds get from the surface to the band: by the closest point of each voxel, or by fast "
-        "marching, from the voxels beside the surface outwards in order of distance.",
+        "How voxels near the surface get their distance and speed from it: from the closest point of the surface, or "
+        "by fast marching, from voxel to voxel outwards. Both find the same objects.",
         entry=SettingEntry(RUN, choice=True, metavar="NAME", fixed=True),
     )
     end: Literal["lowest", "present"] = setting(
