@@ -30,9 +30,9 @@ PAGES = ("first-scan", "by-clicks")
 #: Folder of a run, or file of `look` -> picture.
 PICTURES = {
     "look.png": "tutorial-look",
-    "ring": "tutorial-click",
-    "cut": "tutorial-refine",
-    "ring.png": "tutorial-scene",
+    "liver": "tutorial-click",
+    "mended": "tutorial-refine",
+    "scene.png": "tutorial-scene",
     "first": "tutorial-first",
     "both": "tutorial-objects",
     "spleen_look.png": "tutorial-spleen-look",
