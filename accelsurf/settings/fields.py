@@ -250,7 +250,7 @@ class SettingFields(BaseModel):
     )
     lam: float = setting(
         1.0,
-        "How strongly the energy pulls on a surface with momentum (the paper's lambda, no unit): larger moves it faster.",
+        "How strongly the energy pulls on a surface with momentum (the paper's lambda): larger moves it faster.",
         entry=SettingEntry(scope="flow"),
         gt=0,
     )

@@ -150,7 +150,7 @@ def readers_folder(tmp_path_factory):
 
 def folder_of_a_reader():
     """Make what the how-to pages take for granted: scans, labels, a picture, tables, a first result."""
-    for name in ("scan", "ct", "t1", "t2", "cells", "sub-01_T1w", "LIV_001_0000"):
+    for name in ("scan", "ct", "t1", "t2", "cells", "nuclei", "sub-01_T1w", "LIV_001_0000"):
         scan_in_place_of(Path(f"{name}.nii.gz"))
     labels = np.zeros(grid().shape, np.uint8)
     labels[20:28, 20:28, 8:14], labels[20:28, 20:28, 32:40] = 2, 6
@@ -182,6 +182,9 @@ def folder_of_a_reader():
     tracked_cells()
     moving_cell()
     Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
+    Path("clicks.csv").write_text(
+        "id,x,y,z,r,side\n1,-14,0,0,6,inside\n2,14,0,0,6,inside\n0,-40,-40,-40,4,inside\n"
+    )
     first = "segment scan.nii.gz -o out --max-steps 2 --keep-state yes --quiet"
     assert cli.execute(first.split()) == 0
     Path("out/run.toml").write_text("max_steps = 2\n")

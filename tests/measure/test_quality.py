@@ -162,7 +162,7 @@ def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
     told = capsys.readouterr()
     assert ("warning: doubt: " in told.err) == (case == "edge")
     assert ("try --inside at the object in place of --start" in told.err) == (case == "edge")
-    assert "likely to be good; most doubtful near " in told.out
+    assert "likely to be good (Dice 0.8 or more); most doubtful near " in told.out
     noted = case in ("border", "necks", "edge")
     assert (f"note: {case}: " in told.out) == noted and "note: " not in told.err.replace(
         "note: compiling", ""
