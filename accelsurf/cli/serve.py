@@ -68,9 +68,9 @@ def serve(
     if not 0 <= port <= 65535:
         raise UsageError(f"port: {port} was given, expected 0 to 65535")
     from accelsurf.cli.interrupts import Interrupts, default_handling
-    from accelsurf.serve.log import Log
     from accelsurf.serve.app import Limits
     from accelsurf.serve.listening import serve as listen
+    from accelsurf.serve.log import Log
 
     def show(address: str) -> None:
         print(f"{address}\nCtrl-C ends it", flush=True)
