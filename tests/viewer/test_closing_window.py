@@ -94,7 +94,7 @@ def test_nothing_is_asked_where_nothing_was_done_or_all_is_saved(leaver, images,
     person.until(lambda now: now["message"].startswith("saved in"))
     person.leave(way)
     person.ended()
-    assert person.kept() == [] and (images / "out" / "first_labels.nii.gz").exists()
+    assert person.kept() == [] and (images / "out" / "first_seg.nii.gz").exists()
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -118,7 +118,7 @@ def test_what_is_not_saved_is_asked_about(leaver, images, way):
     person.until(lambda now: now["dialog"])
     person.click("answer-save")
     person.ended()
-    assert (images / "out" / "first_labels.nii.gz").exists() and person.kept() == []
+    assert (images / "out" / "first_seg.nii.gz").exists() and person.kept() == []
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -150,7 +150,7 @@ def test_a_save_that_fails_leaves_the_window_open(leaver, images):
     assert person.until(lambda now: now["dialog"])["dialog"] == QUESTION
     person.click("answer-save")
     person.ended()
-    assert (images / "out" / "first_labels.nii.gz").exists()
+    assert (images / "out" / "first_seg.nii.gz").exists()
 
 
 @pytest.mark.parametrize("end", ["kill", "signal"])

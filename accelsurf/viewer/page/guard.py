@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import hmac
+import logging
 import struct
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,10 @@ def _peer(transport: Any) -> Any:
 LOCAL = "127.0.0.1"
 #: Bytes of the longest message that a page may send: its requests have a few numbers each.
 MAX_BYTES = 16384
+#: Letters of the longest address: that of a saved file has its name and the token.
+MAX_ADDRESS = 2048
+#: Where trame listens for the page's messages.
+SOCKET = "/ws"
 #: What a page's messages may ask of trame; the first has the token.
 METHODS = (
     "wslink.hello",
@@ -151,7 +156,16 @@ class PageGuard:
             if not self._is_addressed(request):
                 return web.Response(status=403, text="this page is not served under that name")
             self.connections.requested(request.transport)
-            return await handler(request)
+            if len(request.raw_path) > MAX_ADDRESS:
+                return web.Response(status=414, text="the address is too long")
+            if request.path == SOCKET:
+                if web.WebSocketResponse().can_prepare(request).ok:
+                    return await handler(request)
+                return web.Response(status=400, text="a WebSocket is expected under this address")
+            try:
+                return await handler(request)
+            except (OSError, ValueError):  # a name that no file can have
+                return web.Response(status=404, text="no such file")
 
         async def add_headers(_: Any, response: Any) -> None:
             response.headers.update(HEADERS)
@@ -167,6 +181,16 @@ class PageGuard:
     def watch(self) -> None:
         """Limit the connections of the installed server, once it listens."""
         self.connections.watch(self._server.runner.server)
+
+    @contextlib.contextmanager
+    def quiet(self) -> Iterator[None]:
+        """Print nothing of what is no request: it is answered with 400, and anybody can send it."""
+        logger = logging.getLogger("aiohttp.server")
+        logger.addFilter(_is_of_a_request)
+        try:
+            yield
+        finally:
+            logger.removeFilter(_is_of_a_request)
 
     def _is_addressed(self, request: Any) -> bool:
         """Test if a request came to the address that was opened, and from its page: no other site may ask."""
@@ -215,6 +239,13 @@ class PageGuard:
                     await connection.close(code=1008, message=b"not understood")
 
         return on_message
+
+
+def _is_of_a_request(record: logging.LogRecord) -> bool:
+    """Test if a line of the log is of anything but bytes that are no request."""
+    from aiohttp.http_exceptions import HttpProcessingError
+
+    return record.exc_info is None or not isinstance(record.exc_info[1], HttpProcessingError)
 
 
 class _PageThatMayLeave:
