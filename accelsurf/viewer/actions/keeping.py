@@ -83,8 +83,8 @@ class Keeper:
             return
         if not self._fingerprint().done() and not at_once:
             return
-        # A run that had gone on beyond its last step does so again.
-        steps = max(status.config.max_steps, status.step + 1)
+        # A run that had gone on beyond its last step does so again; one that has ended ends there.
+        steps = max(status.config.max_steps, status.step + (status.stop is None))
         config = status.config.replace(refine=status.refinements, max_steps=steps)
         self._kept, self._next_time = content, time.monotonic() + SECONDS
         self._write(config, content[2])

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import hmac
-import logging
 import struct
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,7 +44,10 @@ class ConnectionLimit:
         """Watch an aiohttp server that listens: it says when a connection is made and lost."""
         made, lost = http_server.connection_made, http_server.connection_lost
 
+        terse = _terse_handler()
+
         def connection_made(protocol: Any, transport: Any) -> None:
+            protocol.__class__ = terse
             made(protocol, transport)
             self._opened(transport)
 
@@ -89,6 +91,33 @@ class ConnectionLimit:
 
     def _close(self, peer: Any) -> None:
         self.connections.pop(peer).transport.abort()
+
+
+def _terse_handler() -> type[Any]:
+    """Return aiohttp's handler of a connection, with a line for bytes that are no request.
+
+    aiohttp would send them back, of whatever length, and print a traceback. A server that listens takes no other class.
+    """
+    from aiohttp import web
+    from aiohttp.http_exceptions import HttpProcessingError
+
+    class Terse(web.RequestHandler):
+        __slots__ = ()
+
+        def handle_error(
+            self,
+            request: Any,
+            status: int = 500,
+            exc: BaseException | None = None,
+            message: str | None = None,
+        ) -> Any:
+            if not isinstance(exc, HttpProcessingError):
+                return super().handle_error(request, status, exc, message)
+            answer = web.Response(status=status, text="this request is not understood")
+            answer.force_close()
+            return answer
+
+    return Terse
 
 
 def _peer(transport: Any) -> Any:
@@ -182,16 +211,6 @@ class PageGuard:
         """Limit the connections of the installed server, once it listens."""
         self.connections.watch(self._server.runner.server)
 
-    @contextlib.contextmanager
-    def quiet(self) -> Iterator[None]:
-        """Print nothing of what is no request: it is answered with 400, and anybody can send it."""
-        logger = logging.getLogger("aiohttp.server")
-        logger.addFilter(_is_of_a_request)
-        try:
-            yield
-        finally:
-            logger.removeFilter(_is_of_a_request)
-
     def _is_addressed(self, request: Any) -> bool:
         """Test if a request came to the address that was opened, and from its page: no other site may ask."""
         host = request.headers.get("Host", "")
@@ -239,13 +258,6 @@ class PageGuard:
                     await connection.close(code=1008, message=b"not understood")
 
         return on_message
-
-
-def _is_of_a_request(record: logging.LogRecord) -> bool:
-    """Test if a line of the log is of anything but bytes that are no request."""
-    from aiohttp.http_exceptions import HttpProcessingError
-
-    return record.exc_info is None or not isinstance(record.exc_info[1], HttpProcessingError)
 
 
 class _PageThatMayLeave:

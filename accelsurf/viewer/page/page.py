@@ -70,8 +70,6 @@ class Page:
         Of the image that is open; drawn in the thread that serves.
     token : str
         Whoever has it can change the run.
-    guard : PageGuard
-        Checks what is asked.
     address : str
         What to open, with the token; empty before the page is served.
 
@@ -95,7 +93,7 @@ class Page:
         #: The room that the page has said the picture has, and its pixels; nothing before.
         self._room: tuple[Any, ...] = ()
         self.token, self.address = secrets.token_hex(24), ""
-        self.guard = PageGuard(host, self.token, self._saved_files)
+        self._guard = PageGuard(host, self.token, self._saved_files)
         self._host, self._port = host, port
         #: Seconds of the last pictures; the shortest counts: the first of a size takes long.
         self._drawing: deque[float] = deque([0.0], maxlen=3)
@@ -115,7 +113,7 @@ class Page:
         server.state.update(first | self._state())
         server.trigger("ask")(self._ask)
         server.trigger("shown")(self._was_shown)
-        server.controller.on_server_bind.add(self.guard.install)
+        server.controller.on_server_bind.add(self._guard.install)
         self._layout, self._style = layout(server), style
         self._lay_out()
         return server
@@ -242,12 +240,12 @@ class Page:
                 await asyncio.sleep(POLL_SECONDS)
                 if self._server.running and not self.address:
                     name = socket.gethostname() if self._host in ("0.0.0.0", "::") else self._host
-                    self.guard.watch()
+                    self._guard.watch()
                     self.address = (
                         f"http://{name}:{self._server.port}/index.html?secret={self.token}"
                     )
                 self._update()
-                self.guard.connections.close_idle()
+                self._guard.connections.close_idle()
             await serving
         except OSError as error:
             raise OutputError(
@@ -379,7 +377,6 @@ def serve(
         temporary = stack.enter_context(tempfile.TemporaryDirectory(prefix="accelsurf-"))
         page = Page(opening, settings, Path(temporary), host, port)
         stack.callback(page.close)
-        stack.enter_context(page.guard.quiet())
         if first is not None:
             page.open(*first)
         with contextlib.suppress(KeyboardInterrupt):
