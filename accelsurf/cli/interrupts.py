@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import IO, Any
@@ -48,6 +48,8 @@ class Interrupts:
         self.number: int = signal.SIGINT
         self._outcome = "no result is written; what was there before is as it was"
         self._question: str | None = None
+        self._listener: Callable[[], None] | None = None
+        self._usual: tuple[int, ...] = ()
         self._was_patient = False  # a first signal may have been answered with a question
         self._ending = False
         self._reported = False
@@ -92,9 +94,15 @@ class Interrupts:
 
     def __call__(self, number: int, frame: FrameType | None = None) -> None:
         """Count a signal; raise KeyboardInterrupt unless it only asks."""
+        if self._listener is not None and number in self._usual:
+            self._listener()
+            return
         self.number = self.number if self.count else number
         self.count += 1
         if self._ending:
+            return
+        if self._listener is not None:
+            self._listener()
             return
         if self.count == 1 and self._question is not None:
             again = "press again" if number == signal.SIGINT else "a second signal"
@@ -120,6 +128,23 @@ class Interrupts:
             self.check()
         finally:
             self._question = before
+
+    @contextmanager
+    def told_to(self, listener: Callable[[], None], usual: Sequence[int] = ()) -> Iterator[None]:
+        """While this lasts, a signal calls a function and raises nothing: for a loop of events, which ends itself.
+
+        Parameters
+        ----------
+        listener : callable
+            Called within whatever the main thread does: it may note the signal, and no more.
+        usual : sequence of int
+            Signals that are the documented way to end: they are not counted, and no line tells of them.
+        """
+        self._listener, self._usual = listener, tuple(usual)
+        try:
+            yield
+        finally:
+            self._listener, self._usual = None, ()
 
     def check(self) -> None:
         """Raise KeyboardInterrupt again when a second signal came and its exception was swallowed."""

@@ -29,7 +29,7 @@ def serve(
 
     Start it, and give the viewer's plug-in the address that is printed, in place of an nnInteractive server's: point,
     box in a slice, scribble, lasso, a mask to begin with, undo. No GPU is needed, and nothing is written to disk.
-    Ctrl-C ends it.
+    Who comes and goes, what is asked and what came of it is a line each on standard error. Ctrl-C ends it.
 
     By default this machine alone is served. Nothing is encrypted: for other machines use a tunnel (ssh -L), or a
     network that you trust and a key.
@@ -70,14 +70,17 @@ def serve(
     from accelsurf.cli.interrupts import Interrupts, default_handling
     from accelsurf.serve.app import Limits
     from accelsurf.serve.listening import serve as listen
+    from accelsurf.serve.log import Log
 
     def show(address: str) -> None:
         print(f"{address}\nCtrl-C ends it", flush=True)
 
     Interrupts.current().note("the server has ended")
+    log = Log()
     with default_handling():
         try:
-            listen(host, port, Limits(max_sessions, idle_timeout), key, show)
+            listen(host, port, Limits(max_sessions, idle_timeout), key, show, log.write)
         except KeyboardInterrupt:  # the documented way to end it
             pass
+    log.close()
     return 0

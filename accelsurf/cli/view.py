@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -252,12 +252,8 @@ def view(
 
     with loading():
         page = front_end(page, start)
-    from accelsurf.cli.interrupts import default_handling
-
     first = waiting[0]() if waiting else None
-    # Ctrl-C is the documented way to end a page.
     with ExitStack() as stack:
-        stack.enter_context(default_handling())
         opening = _opening(made, viewer.recent, page)
         from accelsurf.viewer.actions.opening import ViewerSettings
         from accelsurf.viewer.core.opening import ImageWithSession
@@ -265,9 +261,9 @@ def view(
         settings = ViewerSettings(output, viewer.theme, overwrite, viewer.keep)
         session = None
         if first is not None:
-            session = stack.enter_context(first.session(viewer.keep, begin=page.browser))
-            if finished is not None and made.labels is None:
-                session.play()
+            first = replace(first, is_result=finished is not None)
+            session = first.session(viewer.keep, begin=page.browser)
+            stack.callback(session.close, 0.0)  # window and page wait for it, if it may take time
             if page.browser:
                 session.ready.result()
         opened = None if first is None or session is None else ImageWithSession(first, session)
@@ -438,22 +434,42 @@ def _open_window(
 
     app = application()
     window = MainWindow(opening, settings)
-    if first is None:
+    with ending(opening, window.end_soon):
+        if first is not None:
+            window.open(*first, close_if_it_fails=True)
         window.show()
         app.exec()
-        return
-    window.open(*first, close_if_it_fails=True)
-    window.show()
-    app.exec()
-    ready = first.session.ready
-    if ready.done():
-        ready.result()
+    if first is not None and first.session.ready.done():
+        first.session.ready.result()
+
+
+@contextmanager
+def ending(
+    opening: Opening, listener: Callable[[], None], usual: Sequence[int] = ()
+) -> Iterator[None]:
+    """Let window or page end itself when a signal comes, see `Interrupts.told_to`; then end its sessions, and say what
+    is kept.
+    """
+    from accelsurf.cli.interrupts import Interrupts
+
+    def hear() -> None:
+        opening.hurry()
+        listener()
+
+    interrupts = Interrupts.current()
+    with interrupts.told_to(hear, usual):
+        yield
+    interrupts.note(opening.last_words)
+    opening.close()
+    interrupts.note(opening.last_words)
 
 
 def _serve(
     opening: Opening, first: ImageWithSession | None, settings: ViewerSettings, page: PageOptions
 ) -> None:
-    """Serve the page until Ctrl-C."""
+    """Serve the page until Ctrl-C, which is the documented way to end it."""
+    import signal
+    import threading
     import webbrowser
 
     from accelsurf.viewer.page.guard import LOCAL
@@ -470,4 +486,10 @@ def _serve(
             "and download files; nothing is encrypted",
             file=sys.stderr,
         )
-    serve(opening, first, settings, page.host or LOCAL, page.port or 0, show_address)
+    ends = threading.Event()
+    with ending(opening, ends.set, [signal.SIGINT]):
+        serve(
+            opening, first, settings, page.host or LOCAL, page.port or 0, show_address, ends.is_set
+        )
+    if ends.is_set() and opening.is_kept:
+        print(f"note: {opening.last_words}", file=sys.stderr)

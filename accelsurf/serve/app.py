@@ -6,11 +6,13 @@ import asyncio
 import hmac
 import json
 import logging
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
+import numpy as np
 import psutil
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.applications import Starlette
@@ -22,6 +24,7 @@ import accelsurf
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.serve import arrays
 from accelsurf.serve.session import LIVENESS, FullError, ImageSession, Lease, LeaseLostError, Leases
+from accelsurf.settings.wording import escaped
 
 #: Headers of the protocol: metadata of a request or an answer as JSON, and the lease.
 META, LEASE = "X-Meta", "X-Lease-Token"
@@ -46,8 +49,12 @@ BODY_SECONDS, PROMPT_SECONDS, IMAGE_SECONDS = 120.0, 60.0, 600.0
 DISCARD_SECONDS = 30.0
 #: Requests that wait for the one that works.
 MAX_WAITING = 32
-#: Arrays that arrive at the same time.
-MAX_BODIES = 2
+#: Requests that a program asks again and again: where they are answered, they are not in the log.
+UNLOGGED = ("healthz", "capabilities", "lease_status", "heartbeat", "set_do_autozoom")
+#: Letters of a line of the log.
+MAX_LINE = 300
+#: Where a request has what it did, for the log.
+_DONE = "accelsurf.done"
 #: Seconds between two looks for clients that are gone.
 SWEEP = 5.0
 
@@ -164,19 +171,31 @@ class Server:
         Whoever asks must know it; None for nobody.
     hosts : tuple of str or None
         Names under which the server may be asked; None for any.
+    log : callable, optional
+        Called with a line for each viewer that comes or goes, and for each request of a person; returns at once.
     """
 
     def __init__(
-        self, limits: Limits, key: str | None = None, hosts: tuple[str, ...] | None = LOCAL
+        self,
+        limits: Limits,
+        key: str | None = None,
+        hosts: tuple[str, ...] | None = LOCAL,
+        log: Callable[[str], None] = lambda line: None,
     ) -> None:
         if key is not None and not key:
             raise UsageError(
                 "api_key: an empty key was given", "leave it out, or give a long random one"
             )
-        self.leases = Leases(limits.sessions, limits.idle)
+        self.leases = Leases(limits.sessions, limits.idle, on_end=self._tell_end)
+        self._write_log = log
         self._key, self._hosts = key, hosts
         self._worker = ThreadPoolExecutor(1, "accelsurf serve")
-        self._waiting, self._bodies = 0, asyncio.Semaphore(MAX_BODIES)
+        self._waiting = 0
+        #: Bytes of arrays in memory, as they were sent; and the time limit of each that arrives, by its lease.
+        self._held = 0
+        self._arriving: dict[str, asyncio.Timeout] = {}
+        self._asked = set[asyncio.Task[Any]]()
+        self._is_ending = False
 
     def app(self) -> Starlette:
         """Return the application."""
@@ -221,7 +240,7 @@ class Server:
             sweeping.cancel()
             self._worker.shutdown(wait=False, cancel_futures=True)
 
-    # -- who may ask ---------------------------------------------------------------------------------------
+    # -- answers -------------------------------------------------------------------------------------------
 
     def _answered(
         self, handler: Callable[[Request], Awaitable[Response]]
@@ -229,16 +248,26 @@ class Server:
         """Return a handler that is called for those who may ask, and answers errors with one line."""
 
         async def answer(request: Request) -> Response:
+            began, task = time.perf_counter(), asyncio.current_task()
+            assert task is not None
+            self._asked.add(task)
+            task.add_done_callback(self._asked.discard)
             try:
                 self._check_caller(request)
-                return await handler(request)
+                response = await handler(request)
+                self._log(request, "", began)
+                return response
+            except asyncio.CancelledError:
+                if not self._is_ending:
+                    raise
+                status, detail = 503, "the server is ending, and has not answered this"
             except Refusal as refusal:
                 status, detail = refusal.status, refusal.detail
             except LeaseLostError:
                 status, detail = 410, "the lease is unknown or has ended: claim a new one"
             except LateError as late:
                 # What the client shows may not be what the session has.
-                self.leases.release(request.headers.get(LEASE, ""))
+                self.leases.release(request.headers.get(LEASE, ""), "its work took too long")
                 status, detail = (
                     503,
                     f"the work took more than {late.seconds:g} seconds: the session has ended",
@@ -258,12 +287,41 @@ class Server:
                     500,
                     "internal error: the terminal of accelsurf serve has the traceback",
                 )
-            is_read = await _discarded(request)
+            self._log(request, f"{status}, {detail}", began)
+            is_read = not self._is_ending and await _discarded(request)
             return JSONResponse(
                 {"detail": detail}, status, headers={} if is_read else {"Connection": "close"}
             )
 
         return answer
+
+    def end(self) -> None:
+        """Answer what is asked now with a line that says so: nothing is worked on any more."""
+        self._is_ending = True
+        for task in list(self._asked):
+            task.cancel()
+
+    # -- the log -------------------------------------------------------------------------------------------
+
+    def _log(self, request: Request, error: str, began: float) -> None:
+        """Note a request: of whom, what, and what came of it. Nothing of the image but sizes is noted, and no path."""
+        what = request.url.path.removeprefix("/")
+        if what in UNLOGGED and not error:
+            return
+        lease = self.leases.peek(request.headers.get(LEASE, ""))
+        client = "" if request.client is None else request.client.host
+        who = f"viewer {lease.number}" if lease is not None else f"{client}, without a place"
+        came = error or request.scope.get(_DONE, "done")
+        what = what.removesuffix("_interaction").replace("_", " ")
+        self._tell(f"{who}: {what}: {came}, {time.perf_counter() - began:.2f} s")
+
+    def _tell_end(self, lease: Lease, why: str) -> None:
+        self._tell(f"viewer {lease.number}: gone ({why})")
+
+    def _tell(self, line: str) -> None:
+        self._write_log(f"{time.strftime('%H:%M:%S')} {escaped(line[:MAX_LINE])}")
+
+    # -- who may ask ---------------------------------------------------------------------------------------
 
     def _check_caller(self, request: Request) -> None:
         """Refuse other sites' pages, names under which this server is not served, and those without the key."""
@@ -291,24 +349,61 @@ class Server:
 
     # -- reading -------------------------------------------------------------------------------------------
 
-    async def _body(self, request: Request, most: int) -> bytearray:
-        """Return a body of at most so many bytes."""
+    async def _parts(self, request: Request, most: int) -> AsyncIterator[bytes]:
+        """Return a body of at most so many bytes, part by part."""
         said = request.headers.get("Content-Length", "0")
         if said.isdecimal() and int(said[:20]) > most:
             raise Refusal(413, f"a body of {said[:20]} bytes was sent, at most {most} expected")
-        out = bytearray()
-        try:
-            async with asyncio.timeout(BODY_SECONDS):
-                async for part in request.stream():
-                    out += part
-                    if len(out) > most:
-                        raise Refusal(413, f"a body of more than {most} bytes was sent")
-        except TimeoutError:
-            raise Refusal(408, f"the body did not arrive within {BODY_SECONDS:g} seconds") from None
-        return out
+        count = 0
+        async for part in request.stream():
+            count += len(part)
+            if count > most:
+                raise Refusal(413, f"a body of more than {most} bytes was sent")
+            yield part
 
     async def _json(self, request: Request, kind: type[Said]) -> Said:
-        return _parsed(bytes(await self._body(request, MAX_JSON)), kind)
+        try:
+            async with asyncio.timeout(BODY_SECONDS):
+                parts = [part async for part in self._parts(request, MAX_JSON)]
+        except TimeoutError:
+            raise Refusal(408, f"the body did not arrive within {BODY_SECONDS:g} seconds") from None
+        return _parsed(b"".join(parts), kind)
+
+    async def _fill(self, body: bytearray, request: Request, most: int, room: int) -> None:
+        """Read an array as it is sent, and count its bytes in memory.
+
+        However slowly they arrive, arrays hold nobody up: each viewer sends one, and one that it sends anew takes the
+        place of one that has not arrived.
+
+        Parameters
+        ----------
+        body : bytearray
+            Gets the bytes.
+        request : Request
+        most : int
+            Bytes that it may have.
+        room : int
+            Bytes that all arrays may have together.
+        """
+        token, loop = request.headers.get(LEASE, ""), asyncio.get_running_loop()
+        before, ends = self._arriving.get(token), loop.time() + BODY_SECONDS
+        if before is not None and not before.expired():
+            before.reschedule(loop.time())
+        try:
+            async with asyncio.timeout_at(ends) as limit:
+                self._arriving[token] = limit
+                async for part in self._parts(request, most):
+                    body += part
+                    self._held += len(part)
+                    if self._held > room:
+                        raise Refusal(503, "the arrays of other viewers fill the memory: try again")
+        except TimeoutError:
+            if loop.time() < ends:
+                raise Refusal(409, "another array of this viewer has come in its place") from None
+            raise Refusal(408, f"the body did not arrive within {BODY_SECONDS:g} seconds") from None
+        finally:
+            if self._arriving.get(token) is limit:
+                del self._arriving[token]
 
     def _meta(self, request: Request, kind: type[Said]) -> Said:
         text = request.headers.get(META, "{}")
@@ -325,24 +420,28 @@ class Server:
         free = int(SHARE * psutil.virtual_memory().available)
         # An array that cannot be packed is a little longer than its values.
         most = min(8 * max_voxels, free // 2)
-        async with self._bodies:
-            body = await self._body(request, most + most // 64 + 1024)
+        most += most // 64 + 1024
+        body = bytearray()
 
-            def unpack_and_work() -> Done:
-                header = arrays.header_of(body)
-                voxels = header.nbytes // header.dtype.itemsize
-                if voxels > max_voxels:
-                    raise arrays.TooLargeError(
-                        f"array: {voxels} voxels were sent, at most {max_voxels} expected"
-                    )
-                if max(COST * VOXEL * voxels, header.nbytes) > free:
-                    raise arrays.TooLargeError(
-                        f"array: {voxels} voxels were sent, too many for the memory here",
-                        "send a part of the image",
-                    )
-                return work(arrays.unpack(body, header.nbytes))
+        def unpack_and_work() -> Done:
+            header = arrays.header_of(body)
+            voxels = header.nbytes // header.dtype.itemsize
+            if voxels > max_voxels:
+                raise arrays.TooLargeError(
+                    f"array: {voxels} voxels were sent, at most {max_voxels} expected"
+                )
+            if max(COST * VOXEL * voxels, header.nbytes) > free:
+                raise arrays.TooLargeError(
+                    f"array: {voxels} voxels were sent, too many for the memory here",
+                    "send a part of the image",
+                )
+            return work(arrays.unpack(body, header.nbytes))
 
+        try:
+            await self._fill(body, request, most, max(most, free // 2 + self._held))
             return await self._worked(unpack_and_work, seconds)
+        finally:
+            self._held -= len(body)
 
     async def _worked(self, work: Callable[[], Done], seconds: float = PROMPT_SECONDS) -> Done:
         """Let the worker do something; it does one thing after the other."""
@@ -387,8 +486,9 @@ class Server:
             }
         )
 
-    async def _claim(self, _: Request) -> Response:
+    async def _claim(self, request: Request) -> Response:
         token = self.leases.claim()
+        request.scope[_DONE] = f"viewer {self.leases.find(token).number} has come"
         return JSONResponse(
             {
                 "lease_token": token,
@@ -399,7 +499,7 @@ class Server:
         )
 
     async def _release(self, request: Request) -> Response:
-        self.leases.release(request.headers.get(LEASE, ""))
+        self.leases.release(request.headers.get(LEASE, ""), "it has left")
         return JSONResponse({"released": True})
 
     async def _heartbeat(self, request: Request) -> Response:
@@ -413,12 +513,16 @@ class Server:
         )
 
     async def _set_image(self, request: Request) -> Response:
-        lease, meta = self._lease(request), self._meta(request, ImageMeta)
+        self._lease(request)
+        meta = self._meta(request, ImageMeta)
         spacing = meta.image_properties.spacing
         session = await self._with_array(
             request, lambda image: ImageSession(image, spacing), MAX_VOXELS, IMAGE_SECONDS
         )
-        lease.open(session)
+        # Its time may have come meanwhile: then nobody would ever free the image.
+        self._lease(request).open(session)
+        sizes = " x ".join(map(str, session.shape))
+        request.scope[_DONE] = f"{session.channels} x {sizes} voxels"
         return JSONResponse({"original_image_shape": [session.channels, *session.shape]})
 
     async def _set_target_buffer(self, request: Request) -> Response:
@@ -438,7 +542,7 @@ class Server:
 
     async def _predict(self, request: Request) -> Response:
         session = self._session(request)
-        return await self._worked(lambda: _response(session, session.is_waiting))
+        return await self._worked(lambda: _response(request, session, session.is_waiting))
 
     async def _reset(self, request: Request) -> Response:
         session = self._session(request)
@@ -447,14 +551,14 @@ class Server:
 
     async def _undo(self, request: Request) -> Response:
         session = self._session(request)
-        return await self._worked(lambda: _response(session, session.undo()))
+        return await self._worked(lambda: _response(request, session, session.undo()))
 
     async def _point(self, request: Request) -> Response:
         session, said = self._session(request), await self._json(request, PointPrompt)
 
         def work() -> Response:
             session.point(said.coordinates, said.side)
-            return _response(session, said.run_prediction)
+            return _response(request, session, said.run_prediction, said.side)
 
         return await self._worked(work)
 
@@ -463,7 +567,7 @@ class Server:
 
         def work() -> Response:
             session.rectangle(said.bbox_coords, said.side)
-            return _response(session, said.run_prediction)
+            return _response(request, session, said.run_prediction, said.side)
 
         return await self._worked(work)
 
@@ -478,7 +582,7 @@ class Server:
 
         def work(mask: Any) -> Response:
             add(session, mask, said.interaction_bbox, said.side)
-            return _response(session, said.run_prediction)
+            return _response(request, session, said.run_prediction, said.side)
 
         return await self._with_array(request, work, session.size, PROMPT_SECONDS)
 
@@ -487,7 +591,7 @@ class Server:
 
         def work(labels: Any) -> Response:
             session.start_from(labels)
-            return _response(session, said.run_prediction)
+            return _response(request, session, said.run_prediction)
 
         return await self._with_array(request, work, session.size, PROMPT_SECONDS)
 
@@ -523,9 +627,15 @@ def _parsed(text: bytes, kind: type[Said]) -> Said:
         raise Refusal(400, f"{where}: {first['msg'][:200]}".lstrip(": ")) from None
 
 
-def _response(session: ImageSession, is_asked: bool) -> Response:
-    """Return the answer to a prompt: what has changed, if the client asks for it."""
+def _response(request: Request, session: ImageSession, is_asked: bool, side: str = "") -> Response:
+    """Return the answer to a prompt: what has changed, if the client asks for it; and note it for the log."""
     answer = session.answer() if is_asked else None
+    if answer is None:
+        changed = "nothing has changed" if is_asked else "no answer is asked for"
+    else:
+        box = " x ".join(map(str, answer.labels.shape))
+        changed = f"{np.count_nonzero(answer.labels)} voxels in the {box} that have changed"
+    request.scope[_DONE] = f"{side}, {changed}".removeprefix(", ")
     meta: dict[str, Any] = {"ran_prediction": is_asked, "bbox": None}
     body = b""
     if answer is not None:

@@ -31,12 +31,25 @@ class _Protocol(H11Protocol):
             self.transport.close()
 
 
+class _Listener(uvicorn.Server):
+    """uvicorn's loop; when it ends, who waits for an answer gets a line, not a connection that breaks."""
+
+    def __init__(self, config: uvicorn.Config, server: Server) -> None:
+        super().__init__(config)
+        self._server = server
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._server.end()
+        await super().shutdown(sockets)
+
+
 def serve(
     host: str,
     port: int,
     limits: Limits,
     key: str | None = None,
     on_ready: Callable[[str], None] | None = None,
+    log: Callable[[str], None] = lambda line: None,
 ) -> None:
     """Serve until Ctrl-C.
 
@@ -51,6 +64,8 @@ def serve(
         Whoever asks must know it.
     on_ready : callable, optional
         Called with the address, once it is listened on and compiled code is in memory.
+    log : callable, optional
+        As of `Server`.
 
     Raises
     ------
@@ -65,7 +80,7 @@ def serve(
             f"host: {host} was given without a key, but other machines can reach it",
             "give a long random --api-key",
         )
-    server = Server(limits, key, LOCAL if is_local else None)
+    server = Server(limits, key, LOCAL if is_local else None, log)
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listening = socket.create_server((host, port), family=family)
@@ -93,7 +108,7 @@ def serve(
         if on_ready is not None:
             name = f"[{host}]" if ":" in host else host
             on_ready(f"http://{name}:{listening.getsockname()[1]}")
-        uvicorn.Server(config).run(sockets=[listening])
+        _Listener(config, server).run(sockets=[listening])
 
 
 def warm_up() -> None:

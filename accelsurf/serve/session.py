@@ -186,16 +186,20 @@ class Lease:
     ----------
     now : float
         Seconds.
+    number : int
+        Counts the places that were given; says nothing of the token.
 
     Attributes
     ----------
+    number : int
     seen, active : float
         Times of its last request, and of the last one that a person made.
     session : ImageSession or None
         Its image and object; None before it has sent an image.
     """
 
-    def __init__(self, now: float) -> None:
+    def __init__(self, now: float, number: int = 0) -> None:
+        self.number = number
         self.seen = self.active = now
         self.session: ImageSession | None = None
 
@@ -204,6 +208,10 @@ class Lease:
         self.seen = now
         if by_person:
             self.active = now
+
+    def close(self) -> None:
+        """Let go of the session."""
+        self.session = None
 
     def open(self, session: ImageSession) -> None:
         """Give the client a session, in place of the one that it has."""
@@ -221,11 +229,20 @@ class Leases:
         Seconds without a prompt after which a lease ends.
     clock : callable, optional
         Returns seconds.
+    on_end : callable, optional
+        Called with a lease that has ended, and why.
     """
 
-    def __init__(self, most: int, idle: float, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        most: int,
+        idle: float,
+        clock: Callable[[], float] = time.monotonic,
+        on_end: Callable[[Lease, str], None] = lambda lease, why: None,
+    ) -> None:
         self.most, self.idle = most, idle
-        self._clock, self._leases = clock, dict[str, Lease]()
+        self._clock, self._leases, self._on_end = clock, dict[str, Lease](), on_end
+        self._count = 0
 
     def claim(self) -> str:
         """Return the token of a new lease.
@@ -238,8 +255,13 @@ class Leases:
         if len(self._leases) >= self.most:
             raise FullError
         token = secrets.token_urlsafe(24)
-        self._leases[token] = Lease(self._clock())
+        self._count += 1
+        self._leases[token] = Lease(self._clock(), self._count)
         return token
+
+    def peek(self, token: str) -> Lease | None:
+        """Return a lease, if there is one; nothing is postponed, and none ends."""
+        return self._leases.get(token)
 
     def find(self, token: str, *, by_person: bool = False) -> Lease:
         """Return a lease, which a request has come with; one ``by_person`` postpones its end.
@@ -268,13 +290,21 @@ class Leases:
             raise LeaseLostError
         return lease
 
-    def release(self, token: str) -> None:
+    def release(self, token: str, why: str = "") -> None:
         """End a lease, if there is one."""
-        self._leases.pop(token, None)
+        lease = self._leases.pop(token, None)
+        if lease is not None:
+            self._ended(lease, why)
 
     def sweep(self) -> None:
         """End the leases of clients that are gone or idle."""
         now = self._clock()
         for token, lease in list(self._leases.items()):
-            if now - lease.seen > LIVENESS or now - lease.active > self.idle:
-                del self._leases[token]
+            if now - lease.seen > LIVENESS:
+                self.release(token, f"no sign of life for {LIVENESS:g} seconds")
+            elif now - lease.active > self.idle:
+                self.release(token, f"no prompt for {self.idle:g} seconds")
+
+    def _ended(self, lease: Lease, why: str) -> None:
+        lease.close()
+        self._on_end(lease, why)

@@ -264,7 +264,8 @@ class Shown:
     def __init__(self, unsaved=False, geometry=None):
         self.notes, self.message, self.compared = [], "", []
         self.is_unsaved = unsaved
-        self.scene = self
+        self.scene = self.session = self.status = self
+        self.ready = False
         self.geometry = geometry
 
     def feature(self, kind):

@@ -39,8 +39,13 @@ class FilesFeature(Feature):
     @property
     def is_unsaved(self) -> bool:
         """Test if something was done that is not in the files that were saved last."""
-        status = self.actions.session.status
-        return bool(status.step or status.undoable) and _content(status) != self._stored
+        session, status = self.actions.session, self.actions.session.status
+        changed = {
+            "new": bool(status.step or status.undoable),
+            "saved": bool(status.undoable),
+            "unsaved": True,
+        }[session.origin]
+        return status.ready and changed and _content(status) != self._stored
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
         return {"save": self._save, "mesh": self._choose_mesh}

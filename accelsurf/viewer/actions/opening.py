@@ -6,19 +6,21 @@ take what was read from `fetch()`: then they begin another session.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.files import FilesFeature
+from accelsurf.viewer.actions.keeping import Keeper
 from accelsurf.viewer.actions.tool import carry_out, text, whole, word
 from accelsurf.viewer.core.command_queue import in_background
 from accelsurf.viewer.core.opening import (
@@ -31,17 +33,27 @@ from accelsurf.viewer.core.opening import (
     phantom_texts,
     read_image,
     read_reference,
+    read_unsaved,
 )
 from accelsurf.viewer.core.recent_files import RecentFiles
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 from accelsurf.viewer.core.status import error_line
+from accelsurf.viewer.core.unsaved import Unsaved
 
-#: Seconds that a session has at the end of the program to end its step, and to finish a save.
-STEP_SECONDS, SAVING_SECONDS = 10.0, 600.0
+#: Seconds that a session has at the end of the program to end its step, the same after a signal, and to finish a save.
+STEP_SECONDS, HURRIED_SECONDS, SAVING_SECONDS = 10.0, 0.5, 600.0
 #: Letters of a path that a page sends, and of a message.
 MAX_PATH, MAX_MESSAGE = 1024, 300
 #: Answers to a question, and the words of their buttons.
-ANSWERS = {"open": "Open", "reference": "As a reference", "cancel": "Cancel"}
+ANSWERS = {
+    "open": "Open",
+    "reference": "As a reference",
+    "resume": "Go on",
+    "save": "Save",
+    "discard": "Discard",
+    "later": "Not now",
+    "cancel": "Cancel",
+}
 
 
 @dataclass(frozen=True)
@@ -86,6 +98,8 @@ class Opening:
         One line: what is being done, or what went wrong last.
     failed : bool
         Whether that is an error.
+    closing : str
+        What the window was told to do before it closes: "save" or "discard"; empty while it stays.
     """
 
     def __init__(
@@ -95,6 +109,11 @@ class Opening:
         self.message, self.failed = "", False
         self._config, self._recent, self._served = config, recent, served
         self._hints = recent.hints
+        self._sessions = recent.unsaved
+        self._keeper: Keeper | None = None
+        #: Whether the start page has offered what was not saved, whatever its image.
+        self._has_offered = False
+        self.closing: Literal["", "save", "discard"] = ""
         self._work: Future[Any] | None = None
         self._began, self._doing = 0.0, ""
         self._path: Path | None = None
@@ -107,6 +126,7 @@ class Opening:
         self._lists: dict[str, Any] = {}
         #: Sessions of images that were left, with the seconds that each has at the end; how many images were opened.
         self._former: list[tuple[Session, float]] = []
+        self._step_seconds = STEP_SECONDS
         self._opened = 0
         self._requests = dict(self.requests())
         self._renew_lists()
@@ -246,12 +266,10 @@ class Opening:
     def _ask_first(self, name: str, then: dict[str, Callable[[], None]]) -> None:
         """Do it at once, or when the question is answered: what was not saved would be lost."""
         self._choices = []
-        actions = self.actions
-        is_unsaved = actions is not None and actions.feature(FilesFeature).is_unsaved
-        if not is_unsaved and len(then) == 1:
+        if not self.is_unsaved and len(then) == 1:
             then["open"]()
             return
-        loss = "; what was done here and is not saved will be lost" if is_unsaved else ""
+        loss = "; what was done here and is not saved will be lost" if self.is_unsaved else ""
         self._asked, self._question = then, f"Open {name}{loss}?"
         self.say("")
 
@@ -273,7 +291,11 @@ class Opening:
         self._work = in_background(work, "accelsurf opening")
 
     def fetch(self) -> OpenedImage | None:
-        """Return the image that has been read, once; None while there is none. Errors become `message`."""
+        """Return the image that has been read, once; None while there is none. Errors become `message`.
+
+        Called again and again: what is new and not saved is kept then, and what was kept is offered.
+        """
+        self._keep()
         if self._work is None:
             return None
         if not self._work.done():
@@ -314,6 +336,9 @@ class Opening:
         """Note that an image that was read is shown; the session of the former one ends, without waiting for it."""
         if self.actions is not None:
             self._end(self.actions)
+        if self._keeper is not None:
+            self._keeper.forget()  # a person has said so
+        self._keeper = Keeper(self._sessions, actions, opened)
         self.actions, self._path = actions, None
         self._config = for_another_image(self._config)
         if opened.source is not None:
@@ -326,14 +351,116 @@ class Opening:
         is_saving = actions.feature(FilesFeature).is_saving
         actions.session.close(0.0)
         self._former = [former for former in self._former if former[0].is_alive]
-        self._former.append((actions.session, SAVING_SECONDS if is_saving else STEP_SECONDS))
+        self._former.append((actions.session, SAVING_SECONDS if is_saving else self._step_seconds))
+
+    def hurry(self) -> None:
+        """Let `close` wait for no step: what a signal ends has nothing more to compute."""
+        self._step_seconds = HURRIED_SECONDS
 
     def close(self) -> None:
-        """End all sessions, and wait until they have finished what was asked of them."""
+        """End all sessions, and wait until they have finished what was asked of them.
+
+        What is not saved is kept for the next start, unless it was discarded.
+        """
+        if self._keeper is not None and self.closing == "discard":
+            self._keeper.forget()
+        elif self._keeper is not None:
+            self._keeper.keep(at_once=True)
         if self.actions is not None:
             self._end(self.actions)
         for session, seconds in self._former:
             session.close(seconds)
+
+    # -- what is not saved --------------------------------------------------------------------------------
+
+    @property
+    def is_unsaved(self) -> bool:
+        """Test if something was done in the open image that no file has."""
+        return self.actions is not None and self.actions.feature(FilesFeature).is_unsaved
+
+    @property
+    def is_kept(self) -> bool:
+        """Test if what is not saved can be gone on with at the next start."""
+        return self.is_unsaved and self._keeper is not None and self._keeper.is_kept
+
+    @property
+    def last_words(self) -> str:
+        """What a person should know at the program's end, in one line."""
+        keeper = self._keeper
+        if keeper is None or not self.is_unsaved:
+            return "nothing was unsaved"
+        name = keeper.opened.name
+        if self.is_kept:
+            return f"what was not saved of {name} is kept: the next accelsurf view offers it"
+        return f"what was not saved of {name} is lost{keeper.trouble and ': '}{keeper.trouble}"
+
+    def may_close(self) -> bool:
+        """Test if the window may close at once; else the person is asked, and the answer is `closing`."""
+        if not self.is_unsaved or self.actions is None or self.closing == "discard":
+            return True
+        if self.actions.feature(FilesFeature).is_saving:
+            self.closing = "save"
+        elif not self._question and not self.closing:
+            self._choices = []
+            self._asked = {"save": partial(self._close, "save")}
+            self._asked["discard"] = partial(self._close, "discard")
+            self._question = f"Save what was done in {self.actions.session.name}?"
+        return False
+
+    def _close(self, closing: Literal["save", "discard"]) -> None:
+        self.closing = closing
+
+    def stay(self) -> None:
+        """Close no more: what was to be saved is not."""
+        self.closing = ""
+
+    def _keep(self) -> None:
+        """Keep what is new, and offer what was kept, of this image, or on the start page of any."""
+        if self._keeper is not None:
+            self._keeper.keep()
+        if self._question or self._choices or self.is_busy or self.closing:
+            return
+        if self._keeper is not None:
+            self._offer(self._keeper.found())
+        elif not self._has_offered:
+            self._has_offered = True
+            self._offer(next(filter(self._can_open, self._sessions.entries()), None))
+
+    def _can_open(self, unsaved: Unsaved) -> bool:
+        """Test if the image of a session that was not saved is there, and may be opened."""
+        path = unsaved.path
+        if path is None or not os.path.exists(path):
+            return False
+        return self._served is None or path.resolve().is_relative_to(self._served.root.resolve())
+
+    def _offer(self, unsaved: Unsaved | None) -> None:
+        if unsaved is None:
+            return
+        self._asked = {
+            "resume": partial(self._resume, unsaved),
+            "discard": partial(self._drop, unsaved),
+            "later": lambda: None,
+        }
+        loss = "; what was done here since then will be lost" if self.is_unsaved else ""
+        self._question = f"{unsaved.line}. Go on with it{loss}?"
+
+    def _resume(self, unsaved: Unsaved) -> None:
+        """Go on with a session that was not saved: in the open image, or after its image has been read."""
+        path = unsaved.path
+        if self._keeper is not None:
+            again = replace(
+                self._keeper.opened, config=unsaved.config, unsaved=unsaved, is_result=False
+            )
+            self._opened -= 1  # it is the same image, with the same folder
+            self._start("going on with what was not saved", lambda: again)
+        elif path is not None:
+            self._start(f"reading {path.name}", lambda: read_unsaved(unsaved, path))
+
+    def _drop(self, unsaved: Unsaved) -> None:
+        self._sessions.forget(unsaved.file)
+        self._has_offered = False
+        if self._keeper is not None:
+            self._keeper.look_again()
 
     # -- to show ------------------------------------------------------------------------------------------
 
@@ -350,13 +477,17 @@ class Opening:
             "opening_message": self.message,
             "opening_failed": self.failed,
             "question": self._question,
-            "answers": [[name, ANSWERS[name]] for name in (*self._asked, "cancel")]
-            if self._question
-            else [],
+            "answers": [[name, ANSWERS[name]] for name in self._answers()],
             "choices": [choice.text for choice in self._choices],
             "hints": self._hints.lines,
             **self._lists,
         }
+
+    def _answers(self) -> tuple[str, ...]:
+        """Names of the answers to the question; the last one changes nothing."""
+        if not self._question:
+            return ()
+        return (*self._asked, *(() if "later" in self._asked else ("cancel",)))
 
     def _renew_lists(self) -> None:
         """Look anew at what is listed."""

@@ -25,7 +25,8 @@ from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.track.output.surfaces import SavedTracks
 from accelsurf.viewer.core.sequence_view import SequenceView
-from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
+from accelsurf.viewer.core.session import CHECKPOINT_MB, Origin, Session
+from accelsurf.viewer.core.unsaved import Unsaved, fingerprint
 
 #: Settings that belong to one image: places in it, files on its grid, which part of its file it is.
 OF_ONE_IMAGE = (
@@ -85,6 +86,10 @@ class OpenedImage:
         What a person should know of it, in one line; may be empty.
     frames : SequenceView or None
         The sequence that the image is a frame of.
+    is_result : bool
+        The configuration is of a result that has its files: its run is made again, to its end.
+    unsaved : Unsaved or None
+        The session that was not saved, and goes on; its configuration is that of the image.
     """
 
     volume: Volume
@@ -95,10 +100,16 @@ class OpenedImage:
     reference: Volume | None = None
     note: str = ""
     frames: SequenceView | None = None
+    is_result: bool = False
+    unsaved: Unsaved | None = None
 
     def session(self, checkpoint_mb: float = CHECKPOINT_MB, begin: bool = True) -> Session:
-        """Return a session of it, which prepares itself in its own thread, at once or when it is told to begin."""
-        return Session(
+        """Return a session of it, which prepares itself in its own thread, at once or when it is told to begin.
+
+        The run of a result, or of a session that was not saved, is made again.
+        """
+        origin: Origin = "saved" if self.is_result else "new" if self.unsaved is None else "unsaved"
+        made = Session(
             self.volume,
             self.config,
             name=self.name,
@@ -106,7 +117,11 @@ class OpenedImage:
             checkpoint_mb=checkpoint_mb,
             channels=self.channels,
             begin=begin,
+            origin=origin,
         )
+        if origin != "new":
+            made.go_on(-1 if self.unsaved is None else self.unsaved.step)
+        return made
 
 
 class ImageWithSession(NamedTuple):
@@ -213,6 +228,29 @@ def read_image(path: Path, config: RunConfig) -> OpenedImage:
         note="; ".join(notes),
         frames=frames_of(path, config),
     )
+
+
+def read_unsaved(unsaved: Unsaved, path: Path) -> OpenedImage:
+    """Read the image of a session that was not saved, to go on with it.
+
+    Parameters
+    ----------
+    unsaved : Unsaved
+    path : Path
+        Its file.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, or is not the image of that session any more.
+    """
+    read = read_image(path, unsaved.config)
+    if fingerprint(read.volume, read.channels) != unsaved.image:
+        raise InputError(
+            f"{path}: the image has changed since it was clicked",
+            "the clicks are kept; they are offered when the image is as it was",
+        )
+    return replace(read, config=unsaved.config, unsaved=unsaved)
 
 
 def frames_of(path: Path, config: RunConfig) -> SequenceView | None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
 from platformdirs import user_state_path
+
+from accelsurf.viewer.core.notes import read_note, write_note
+from accelsurf.viewer.core.unsaved import UnsavedSessions
 
 #: So many are listed.
 MAX_RECENT = 12
@@ -43,9 +44,15 @@ class RecentFiles:
         """Return the hints that are noted beside the list."""
         return Hints(None if self._file is None else self._file.with_name("hints_unwanted"))
 
+    @property
+    def unsaved(self) -> UnsavedSessions:
+        """Return the sessions that were not saved, which are noted beside the list."""
+        return UnsavedSessions(None if self._file is None else self._file.with_name("unsaved"))
+
     def entries(self) -> list[Recent]:
         """Return what was opened last, the newest first."""
-        return [Recent(path, path.exists()) for path in map(Path, self._read())]
+        # os.path alone takes a name that is too long for a file as one that is not there.
+        return [Recent(Path(name), os.path.exists(name)) for name in self._read()]
 
     def add(self, path: Path) -> None:
         """Put an image at the top of the list; what another window has added meanwhile stays in it."""
@@ -54,26 +61,10 @@ class RecentFiles:
         name = str(path.absolute())
         names = [name, *(known for known in self._read() if known != name)]
         with contextlib.suppress(OSError, UnicodeError):
-            self._file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            handle, draft = tempfile.mkstemp(
-                dir=self._file.parent, prefix=self._file.name
-            )  # for this user alone
-            try:
-                with os.fdopen(handle, "w", encoding="utf-8") as file:
-                    json.dump(names[:MAX_RECENT], file)
-                os.replace(draft, self._file)
-            except BaseException:
-                os.unlink(draft)
-                raise
+            write_note(self._file, names[:MAX_RECENT])
 
     def _read(self) -> list[str]:
-        if self._file is None:
-            return []
-        try:
-            with self._file.open("rb") as file:
-                found = json.loads(file.read(_MAX_BYTES))
-        except (OSError, ValueError, RecursionError):
-            return []
+        found = None if self._file is None else read_note(self._file, _MAX_BYTES)
         names = found if isinstance(found, list) else []
         fit = (
             item

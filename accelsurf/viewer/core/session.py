@@ -47,6 +47,8 @@ IDLE = 0.4
 PLAYING_VOXELS = 3_000_000
 #: Memory for checkpoints unless another amount is given, MB.
 CHECKPOINT_MB = 512.0
+#: What a session begins with: nothing that could be saved, a result that is saved, or one that is not.
+Origin = Literal["new", "saved", "unsaved"]
 
 T = TypeVar("T")
 
@@ -70,6 +72,14 @@ class Session:
     begin : bool, optional
         Begin to prepare the image at once; else `start_preparing` does: who shows the image first has the processor
         until then.
+    origin : str, optional
+        "new"; "saved" where the run makes a result again that has its files, "unsaved" where it has none.
+
+    Attributes
+    ----------
+    origin : str
+    ready : Future
+        Set when the image is prepared; has the error if it could not be.
 
     See Also
     --------
@@ -98,7 +108,9 @@ class Session:
         checkpoint_mb: float = CHECKPOINT_MB,
         channels: Sequence[Volume] = (),
         begin: bool = True,
+        origin: Origin = "new",
     ) -> None:
+        self.origin = origin
         config = config or RunConfig()
         if config.levels == "auto":
             config = config.replace(levels=1)
@@ -109,7 +121,6 @@ class Session:
         #: Counts what changes the picture: steps and commands.
         self._version, self._uncertainty = 0, UncertaintyWatch()
         self._status = Status.preparing(config, "preparing", False)
-        #: Set when the image is prepared; has the error if it could not be.
         self.ready: Future[None] = Future()
         self._thread = threading.Thread(target=self._loop, name="accelsurf session", daemon=True)
         self._has_begun, self._never_begins = False, False
@@ -200,6 +211,12 @@ class Session:
         A converged run continues, with its stop rule reset.
         """
         return self._do(lambda timeline: timeline.play(last_step))
+
+    def go_on(self, last_step: int = -1) -> Future[None]:
+        """Make the steps of an earlier session again, up to ``last_step``, with -1 up to the end of the run, and the
+        corrections of the configuration after it. No step is made of a label map, which corrections alone change.
+        """
+        return self._do(lambda timeline: timeline.go_on(last_step))
 
     def single_step(self) -> Future[None]:
         """Make one step; asked for twice at once, two. A run that plays is paused after it."""

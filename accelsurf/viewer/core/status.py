@@ -82,6 +82,8 @@ class Status(NamedTuple):
         There is an object, or a start of one; before that nothing is drawn and nothing can run.
     probabilities : dict of int to float
         That each object is right, by id; found with ``uncertain``.
+    config : RunConfig or None
+        With which a run begins that makes these steps again; has all ``edits``, no ``refinements``.
     """
 
     ready: bool
@@ -107,6 +109,7 @@ class Status(NamedTuple):
     flow_why: str = ""
     has_begun: bool = False
     probabilities: Mapping[int, float] = MappingProxyType({})
+    config: RunConfig | None = None
 
     @classmethod
     def preparing(cls, config: RunConfig, message: str, failed: bool) -> Status:

@@ -222,7 +222,13 @@ class Timeline:
             answers=self.answers.offered(self.run, self.corrections.wanted),
             flow_why=self.run.flow_choice.why if self.run.settings.flow == AUTO else "",
             has_begun=self.has_begun,
+            config=self._config(),
         )
+
+    def _config(self) -> RunConfig:
+        """Return the configuration of the run, with the names and colours that objects have now."""
+        named = self.objects.named_settings(self.run.config)
+        return self.run.config.replace(**named) if named else self.run.config
 
     def _rests(self) -> tuple[int, ...]:
         """Return the steps in which an object rested before it broke through, also those ahead that were made."""
@@ -288,6 +294,13 @@ class Timeline:
             last_step = self.step_number + 1
         self._playing, self._last_step, self._message = True, last_step, ""
         self.corrections.leave()
+
+    def go_on(self, last_step: int) -> None:
+        """Make the steps and corrections again with which an earlier session ended, see `Session.go_on`."""
+        if self.run.stop is not None:
+            self._message = self.corrections.correct_again(self.run) or self._message
+        elif last_step:
+            self.play(last_step)
 
     def _reasons(self) -> list[str]:
         """Why the objects that have ended did."""

@@ -44,7 +44,10 @@ class ConnectionLimit:
         """Watch an aiohttp server that listens: it says when a connection is made and lost."""
         made, lost = http_server.connection_made, http_server.connection_lost
 
+        terse = _terse_handler()
+
         def connection_made(protocol: Any, transport: Any) -> None:
+            protocol.__class__ = terse
             made(protocol, transport)
             self._opened(transport)
 
@@ -90,6 +93,33 @@ class ConnectionLimit:
         self.connections.pop(peer).transport.abort()
 
 
+def _terse_handler() -> type[Any]:
+    """Return aiohttp's handler of a connection, with a line for bytes that are no request.
+
+    aiohttp would send them back, of whatever length, and print a traceback. A server that listens takes no other class.
+    """
+    from aiohttp import web
+    from aiohttp.http_exceptions import HttpProcessingError
+
+    class Terse(web.RequestHandler):
+        __slots__ = ()
+
+        def handle_error(
+            self,
+            request: Any,
+            status: int = 500,
+            exc: BaseException | None = None,
+            message: str | None = None,
+        ) -> Any:
+            if not isinstance(exc, HttpProcessingError):
+                return super().handle_error(request, status, exc, message)
+            answer = web.Response(status=status, text="this request is not understood")
+            answer.force_close()
+            return answer
+
+    return Terse
+
+
 def _peer(transport: Any) -> Any:
     """Address and port of the other end."""
     return transport.get_extra_info("peername")
@@ -99,6 +129,10 @@ def _peer(transport: Any) -> Any:
 LOCAL = "127.0.0.1"
 #: Bytes of the longest message that a page may send: its requests have a few numbers each.
 MAX_BYTES = 16384
+#: Letters of the longest address: that of a saved file has its name and the token.
+MAX_ADDRESS = 2048
+#: Where trame listens for the page's messages.
+SOCKET = "/ws"
 #: What a page's messages may ask of trame; the first has the token.
 METHODS = (
     "wslink.hello",
@@ -151,7 +185,16 @@ class PageGuard:
             if not self._is_addressed(request):
                 return web.Response(status=403, text="this page is not served under that name")
             self.connections.requested(request.transport)
-            return await handler(request)
+            if len(request.raw_path) > MAX_ADDRESS:
+                return web.Response(status=414, text="the address is too long")
+            if request.path == SOCKET:
+                if web.WebSocketResponse().can_prepare(request).ok:
+                    return await handler(request)
+                return web.Response(status=400, text="a WebSocket is expected under this address")
+            try:
+                return await handler(request)
+            except (OSError, ValueError):  # a name that no file can have
+                return web.Response(status=404, text="no such file")
 
         async def add_headers(_: Any, response: Any) -> None:
             response.headers.update(HEADERS)

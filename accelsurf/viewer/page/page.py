@@ -346,8 +346,9 @@ def serve(
     host: str = LOCAL,
     port: int = 0,
     on_ready: Callable[[str], None] | None = None,
+    ends: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Serve the page until Ctrl-C.
+    """Serve the page until it is to end, or until Ctrl-C.
 
     Parameters
     ----------
@@ -360,6 +361,8 @@ def serve(
         As of `Page`.
     on_ready : callable, optional
         Called with the address, once the page is served.
+    ends : callable, optional
+        Says whether it is to end; asked again and again.
 
     Raises
     ------
@@ -377,16 +380,25 @@ def serve(
         if first is not None:
             page.open(*first)
         with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(_serve(page, on_ready))
+            asyncio.run(_serve(page, on_ready, ends))
 
 
-async def _serve(page: Page, on_ready: Callable[[str], None] | None) -> None:
+async def _serve(
+    page: Page, on_ready: Callable[[str], None] | None, ends: Callable[[], bool]
+) -> None:
     serving = asyncio.ensure_future(page.serve())
-    while not page.address and not serving.done():
+    is_told = False
+    while not serving.done():
         await asyncio.sleep(POLL_SECONDS)
-    if page.address and on_ready is not None:
-        on_ready(page.address)
-    await serving
+        if page.address and not is_told:
+            is_told = True
+            if on_ready is not None:
+                on_ready(page.address)
+        if ends():
+            serving.cancel()
+            break
+    with contextlib.suppress(asyncio.CancelledError):
+        await serving
 
 
 #: A key by Qt's name of it; keys that are typed into a field, or turn a control, are left to it.

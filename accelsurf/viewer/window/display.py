@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import subprocess
 import sys
+import textwrap
 from collections.abc import Callable
 from subprocess import PIPE
 
@@ -89,8 +91,6 @@ def _missing(packages: tuple[str, ...]) -> list[str]:
 
 
 def _shortened(words: str) -> str:
-    """The first sentence of Qt's message, without the names of its parts."""
-    return (
-        words.removeprefix("qt.qpa.xcb: ").removeprefix("qt.qpa.plugin: ")[:160]
-        or "Qt gives no reason"
-    )
+    """The beginning of Qt's message in whole words, without the names of its parts."""
+    words = re.sub(r"qt\.[a-z.]+: ", "", words)
+    return textwrap.shorten(words, 160, placeholder=" ...") or "Qt gives no reason"

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence
-from PySide6.QtWidgets import QFileDialog, QMainWindow, QMenu
+from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QMenu
 
 from accelsurf.settings.file_formats import image_suffixes
+from accelsurf.viewer.actions.files import FilesFeature
 from accelsurf.viewer.actions.opening import Opening, ViewerSettings
 from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.session import Session
@@ -21,6 +22,8 @@ from accelsurf.viewer.window.start_page import StartPage, choice_dialog, questio
 
 #: How often it looks for what has been opened, milliseconds.
 POLL_MS = 30
+#: Share of the screen's width and height that the window takes, where that is more than its usual size.
+SHARE = 0.85
 
 
 class MainWindow(QMainWindow):
@@ -45,10 +48,14 @@ class MainWindow(QMainWindow):
         self.inner: Window | None = None
         #: The session without whose run the window closes, until that is prepared.
         self._awaited: Session | None = None
+        #: A signal has come: it closes whatever is open, and asks nothing.
+        self._is_ending = False
+        #: Where a close that saves first stands.
+        self._saving: Literal["", "choosing", "saving"] = ""
         self._shown: dict[str, Any] = {}
         self.dialog: Any = None
         self.setWindowTitle("accelsurf")
-        self.resize(*SIZE)
+        self._fit_screen()
         self.setAcceptDrops(True)
         self._add_menu()
         application().setPalette(palette(settings.theme))
@@ -60,6 +67,16 @@ class MainWindow(QMainWindow):
         self._timer = QTimer(self, interval=POLL_MS)
         self._timer.timeout.connect(self._poll)
         self._timer.start()
+
+    def _fit_screen(self) -> None:
+        """Take most of the screen: what is left and right of an image says nothing of it."""
+        room = self.screen().availableGeometry()
+        width, height = (
+            min(whole, max(least, round(SHARE * whole)))
+            for whole, least in zip((room.width(), room.height()), SIZE, strict=True)
+        )
+        self.resize(width, height)
+        self.move(room.x() + (room.width() - width) // 2, room.y() + (room.height() - height) // 2)
 
     def _add_menu(self) -> None:
         menu = self.menuBar().addMenu("&File")
@@ -120,6 +137,9 @@ class MainWindow(QMainWindow):
     # -- news ---------------------------------------------------------------------------------------------
 
     def _poll(self) -> None:
+        if self._is_ending:
+            self._end()
+            return
         if self._awaited is not None and self._awaited.ready.done():
             has_failed = self._awaited.ready.exception() is not None
             self._awaited = None
@@ -129,6 +149,8 @@ class MainWindow(QMainWindow):
         opened = self.opening.fetch()
         if opened is not None:
             self.open(opened)
+        if self.opening.closing and self._go_on_closing():
+            return
         state = self.opening.state()
         if state == self._shown:
             return
@@ -228,10 +250,55 @@ class MainWindow(QMainWindow):
         self.opening.show(self.inner.user_actions, opened)
         self._awaited = session if close_if_it_fails else None
 
+    # -- the end ------------------------------------------------------------------------------------------
+
+    def end_soon(self) -> None:
+        """Close at the next look, whatever is open and without a question: may be called by the handler of a signal."""
+        self._is_ending = True
+
+    def _end(self) -> None:
+        for other in QApplication.topLevelWidgets():
+            if other is not self and other.isVisible():
+                other.close()
+        self.close()
+
+    def _go_on_closing(self) -> bool:
+        """Close as the person has said: at once, or when all is saved. True when it is closed."""
+        if self.opening.closing == "discard":
+            return self.close()
+        if self.inner is None or self._saving == "choosing":
+            return False
+        actions = self.inner.user_actions
+        files = actions.feature(FilesFeature)
+        if not self._saving and not files.is_saving:
+            if actions.session.status.playing:
+                actions.session.pause()
+            if not actions.session.wait(0.0):
+                return False
+            self._saving = "choosing"
+            self.inner.save()  # may ask for a folder, in a loop of events of its own
+        self._saving = "saving"
+        if files.is_saving:
+            return False
+        actions.collect_results()
+        self._saving = ""
+        if files.is_unsaved:
+            self.opening.stay()  # the message says why
+            return False
+        return self.close()
+
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Close the image; sessions of former ones finish what was asked of them."""
+        """Ask what becomes of what is not saved; then close the image, and let all sessions finish what they were
+        asked for.
+        """
+        if not self._is_ending and not self.opening.may_close():
+            event.ignore()
+            return
         self._timer.stop()
-        if self.inner is not None:
+        if self.inner is not None and self._is_ending:
+            self.inner.leave()
+        elif self.inner is not None:
             self.inner.close()
-        self.opening.close()
+        if not self._is_ending:
+            self.opening.close()
         super().closeEvent(event)

@@ -154,12 +154,21 @@ def choice_dialog(parent: QWidget, texts: Sequence[str]) -> tuple[QInputDialog, 
     return dialog, view
 
 
+#: The roles of answers, by name: they say what Enter and Escape mean, and in which order buttons stand.
+_ROLES = {
+    "open": QMessageBox.ButtonRole.AcceptRole,
+    "resume": QMessageBox.ButtonRole.AcceptRole,
+    "save": QMessageBox.ButtonRole.AcceptRole,
+    "discard": QMessageBox.ButtonRole.DestructiveRole,
+    "later": QMessageBox.ButtonRole.RejectRole,
+    "cancel": QMessageBox.ButtonRole.RejectRole,
+}
+
+
 def question_box(parent: QWidget, text: str, answers: Sequence[tuple[str, str]]) -> QMessageBox:
     """Return a question with a button for each answer, (name, words); the name is in the button's property ``name``."""
     box = QMessageBox(QMessageBox.Icon.Question, "accelsurf", text, parent=parent)
-    roles = QMessageBox.ButtonRole
     for name, words in answers:
-        role = {"open": roles.AcceptRole, "cancel": roles.RejectRole}.get(name, roles.ActionRole)
-        button: Any = box.addButton(words, role)
+        button: Any = box.addButton(words, _ROLES.get(name, QMessageBox.ButtonRole.ActionRole))
         button.setProperty("name", name)
     return box
