@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -168,7 +168,9 @@ class Log:
     Attributes
     ----------
     checksum : str or None
-        SHA-256 of the image, once it was read.
+        SHA-256 of the image's file or files, once it was read.
+    voxels : str or None
+        SHA-256 of what was read; None of an image that is read in parts.
     geometry : Geometry or None
         Its grid.
     seconds : dict of str to float
@@ -181,6 +183,7 @@ class Log:
     """
 
     checksum: str | None = None
+    voxels: str | None = None
     geometry: Geometry | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     outputs: list[dict[str, Any]] = field(default_factory=list)
@@ -198,6 +201,12 @@ class Log:
     def note_grid(self, geometry: Geometry) -> None:
         """Keep the image's grid."""
         self.geometry = geometry
+
+    def note_voxels(self, channels: Sequence[Volume]) -> None:
+        """Keep what tells the image from another, whatever file it comes from."""
+        from accelsurf.image.volume import voxels_sha256
+
+        self.voxels = self.timed("load", lambda: voxels_sha256(channels))
 
     def take_checksum(self, image: Path) -> None:
         """Read the image's checksum, unless it is known."""
@@ -318,7 +327,7 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
     names, meshes = target.names(config, result.geometry.slice_axis is not None), MeshNotes()
     with output_folder.naming_final(files):
         written = outputs.write_result(
-            result, files.staging, names, content, log.seconds, log.checksum, meshes
+            result, files.staging, names, content, log.seconds, log.voxels, meshes
         )
         entries = describe_staged(files, {path.name: kind for kind, path in written})
         log.outputs.extend(
@@ -422,6 +431,7 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
     log.timed("load", lambda: import_nibabel_for(place.source))
     volume, *more = log.timed("load", lambda: channels.read_channels(place.source, config.reading))
     log.timed("load", lambda: log.take_checksum(place.source))
+    log.note_voxels([volume, *more])
     check_formats(place, config, volume, log)
     return [volume, *more]
 
@@ -547,7 +557,9 @@ def _write_report(
         exit_code=code,
         argv=sys.argv,
         config=config,
-        source=describe_input(place.source, geometry=log.geometry, checksum=log.checksum),
+        source=describe_input(
+            place.source, geometry=log.geometry, checksum=log.checksum, voxels=log.voxels
+        ),
         result=result,
         error=document.describe_error(error) if error is not None else None,
         seconds=log.seconds,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,10 +18,12 @@ if TYPE_CHECKING:
     from accelsurf.cli.case import Finished, Log, Place
     from accelsurf.cli.progress import Watcher
     from accelsurf.correct.state_file import StateFile
+    from accelsurf.output.given_image import GivenImage
     from accelsurf.run.result import Result
     from accelsurf.settings.run_config import RunConfig
 
 _STATE = "segment writes a state with clicks, and with --keep-state yes"
+_OTHER = "give that of the run with --image FILE, or run accelsurf segment again"
 Where = Annotated[tuple[str, ...], Parameter(group=RUN, negative_iterable=(), show_default=False)]
 
 
@@ -76,7 +79,7 @@ class _Source:
 
     report: Path
     name: str
-    image: Path
+    image: GivenImage
     state: StateFile
 
 
@@ -126,7 +129,7 @@ def refine(
     output
         Folder for the outputs, in place of the run's own; made when missing. Needed with --labels.
     image
-        The image, where it is not any more where the run found it.
+        The image (a file, a folder, a pattern), where it is not any more where the run found it.
     overwrite
         Replace outputs that exist, also those that somebody has changed since.
     strict
@@ -159,7 +162,9 @@ def refine(
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
     folder = source.report.parent if output is None else output
     in_place, config = folder.resolve() == source.report.parent.resolve(), source.state.config
-    place = Place(source.image, folder, source.name, overwrite or in_place, has_checkpoint=False)
+    place = Place(
+        source.image.path, folder, source.name, overwrite or in_place, has_checkpoint=False
+    )
     if in_place and not overwrite:
         _refuse_changed(place, source)
     compute = _CorrectedRun(source, corrections)
@@ -213,7 +218,7 @@ class _CorrectedRun:
         from accelsurf.correct.restored import restored
 
         volume, *more = read_image(place, config, log)
-        _check_image(self._source, log.checksum)
+        self._source.image.check([volume, *more], _OTHER)
         with watcher.watch(place.name, config.max_steps, "leaving all files as they are"):
             refiner = Refiner(log.timed("load", lambda: restored(self._source.state, volume, more)))
             for correction in self._corrections:
@@ -248,6 +253,7 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     from accelsurf.io import sha256
     from accelsurf.io.file_set import finish_killed_runs
     from accelsurf.output import result_sets
+    from accelsurf.output.given_image import GivenImage
 
     folder = path if path.is_dir() else path.parent
     if not path.exists():
@@ -260,7 +266,9 @@ def _source_of(path: Path, image: Path | None) -> _Source:
         known = {path: result_sets.state_of(path) for path in sorted(folder.glob("*_report.json"))}
         found = [path for path, state in known.items() if state is not None]
         if not found:
-            raise InputError(f"{path}: has no result that can be refined", _STATE)
+            raise InputError(
+                f"{path}: has no result that can be refined", _way_without_state(known)
+            )
         if len(found) > 1:
             names = ", ".join(path.name for path in found[:5])
             raise InputError(
@@ -270,9 +278,10 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     entry = result_sets.state_of(report)
     if entry is None:
         raise InputError(
-            f"{report}: is of a result that cannot be refined: it has no state", _STATE
+            f"{report}: is of a result that cannot be refined: it has no state",
+            _way_without_state([report]),
         )
-    name, checksum, source = entry
+    name, checksum = entry
     state_path = report.parent / name
     if not state_path.is_file() or sha256(state_path) != checksum:
         raise InputError(
@@ -281,20 +290,23 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     from accelsurf.correct.state_file import read_state  # loads what a run needs
 
     state = read_state(state_path)
-    where = image if image is not None else Path(source)
-    if not where.is_file():
-        raise InputError(
-            f"{where}: the image of the run is not there", "give where it is now with --image FILE"
-        )
-    return _Source(report, report.name.removesuffix("_report.json"), where, state)
+    given = GivenImage.of_report(result_sets.load_report(report) or {}, report)
+    given = given.found(image, "give where it is now with --image FILE, a folder or a pattern")
+    return _Source(report, report.name.removesuffix("_report.json"), given, state)
 
 
-def _check_image(source: _Source, checksum: str | None) -> None:
-    if checksum != source.state.image:
-        raise InputError(
-            f"{source.image}: is another image than that of the run, or was changed since",
-            "give that of the run with --image FILE, or run accelsurf segment again",
-        )
+def _way_without_state(reports: Iterable[Path]) -> str:
+    """Return what to do where none of some reports lists a state."""
+    from accelsurf.output import result_sets
+
+    documents = [found for path in reports if (found := result_sets.load_report(path)) is not None]
+    if any(document.get("kind") == "tracking" for document in documents):
+        return "a tracking is corrected by accelsurf track --correct 'frame=N inside=point:X,Y,Z'"
+    inputs = [document.get("input") for document in documents if document["status"] == "ok"]
+    known = ("sha256", "voxels_sha256")
+    if any(isinstance(entry, dict) and not any(map(entry.get, known)) for entry in inputs):
+        return f"{_STATE}, where the image is not read in parts (--max-memory, --jobs): give --roi"
+    return _STATE
 
 
 def _refuse_changed(place: Place, source: _Source) -> None:

@@ -73,22 +73,18 @@ def is_failure_report(path: Path) -> bool:
     return document is not None and (document["status"] == "failed" or not document["outputs"])
 
 
-def state_of(report: Path) -> tuple[str, str, str] | None:
-    """Return name and checksum of the state that a report lists, and the path of the image; None without one."""
+def state_of(report: Path) -> tuple[str, str] | None:
+    """Return name and checksum of the state that a report lists; None without one."""
     document = load_report(report)
-    if (
-        document is None
-        or document["status"] == "failed"
-        or not isinstance(document.get("input"), dict)
-    ):
+    if document is None or document["status"] == "failed":
         return None
     listed = [
         entry
         for entry in document["outputs"]
         if isinstance(entry, dict) and entry.get("kind") == "state"
     ]
-    found, image = _entries(listed), document["input"].get("path")
-    return (*found[0], image) if found and isinstance(image, str) else None
+    found = _entries(listed)
+    return found[0] if found else None
 
 
 def is_of(document: Mapping[str, Any], config: RunConfig | TrackConfig, image: Path) -> bool:
