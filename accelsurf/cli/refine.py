@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 from accelsurf.cli.interrupts import Interrupts, resuming_command
 from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.settings.corrections import Correction, corrections_in_order
+from accelsurf.settings.corrections import Correction, click_by_click, corrections_in_order
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Finished, Log, Place
     from accelsurf.cli.progress import Watcher
+    from accelsurf.correct.refiner import Change
     from accelsurf.correct.state_file import StateFile
     from accelsurf.output.given_image import GivenImage
     from accelsurf.run.result import Result
@@ -24,7 +25,27 @@ if TYPE_CHECKING:
 
 _STATE = "segment writes a state with clicks, and with --keep-state yes"
 _OTHER = "give that of the run with --image FILE, or run accelsurf segment again"
-Where = Annotated[tuple[str, ...], Parameter(group=RUN, negative_iterable=(), show_default=False)]
+
+
+def _clicks_in_order(_: Any, tokens: Sequence[Token]) -> tuple[tuple[str, str], ...]:
+    """Return side and place of each click, as they were typed."""
+    return tuple(((token.keyword or "").removeprefix("--"), token.value) for token in tokens)
+
+
+#: Both sides are one parameter, so that their order is known.
+ClicksInOrder = Annotated[
+    tuple[tuple[str, str], ...],
+    Parameter(
+        name=("--inside", "--outside"),
+        group=RUN,
+        metavar="WHERE",
+        n_tokens=1,
+        accepts_keys=False,
+        negative_iterable=(),
+        show_default=False,
+        converter=_clicks_in_order,
+    ),
+]
 
 
 @Parameter(name="*")
@@ -86,8 +107,7 @@ class _Source:
 def refine(
     result: File = None,
     *,
-    inside: Where = (),
-    outside: Where = (),
+    clicks: ClicksInOrder = (),
     near: Annotated[str, Parameter(group=RUN)] = "auto",
     object: Annotated[str | None, Parameter(group=RUN)] = None,
     objects: ObjectOptions | None = None,
@@ -115,11 +135,11 @@ def refine(
     ----------
     result
         Folder with the outputs of a run, or its report where several runs are in the folder; with --labels the image.
-    inside
-        Voxels that are in the object, and stay in it: point:X,Y,Z, path:X,Y,Z,R;..., stroke:FILE, or as --start; may
-        be repeated. All clicks of one command are one correction.
-    outside
-        Voxels that are not in the object, and stay out of it.
+    clicks
+        --inside: voxels that are in the object, and stay in it; --outside: voxels that are not in it, and stay out of
+        it. WHERE is point:X,Y,Z, path:X,Y,Z,R;..., stroke:FILE, or as of --start. Both may be repeated: each click is a
+        correction, made in the order given, as if each were a command of its own. A later one takes the voxels that it
+        contradicts from earlier ones.
     near
         How far from the clicks the surface may move, mm; auto is what the clicks are about.
     object
@@ -138,13 +158,13 @@ def refine(
     again = resuming_command().removesuffix(" --resume")
     Interrupts.current().note(f"no file is changed; to begin again: {again}")
     given = {
-        "inside": inside,
-        "outside": outside,
+        **{side: tuple(at for of, at in clicks if of == side) for side in ("inside", "outside")},
         "near": near,
         "object": object,
         **vars(objects or ObjectOptions()),
     }
-    corrections = corrections_in_order({**given, **vars(whole or WholeOptions())})
+    together = corrections_in_order({**given, **vars(whole or WholeOptions())})
+    corrections = click_by_click(together, clicks)
     if labels is not None:
         return _mend(
             required(result, "the image"),
@@ -210,7 +230,7 @@ class _CorrectedRun:
 
     def __init__(self, source: _Source, corrections: tuple[Correction, ...]) -> None:
         self._source, self._corrections = source, corrections
-        self._changes: tuple[Any, ...] = ()
+        self._lines: list[str] = []
 
     def __call__(self, place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
         from accelsurf.cli.case import read_image
@@ -222,19 +242,29 @@ class _CorrectedRun:
         with watcher.watch(place.name, config.max_steps, "leaving all files as they are"):
             refiner = Refiner(log.timed("load", lambda: restored(self._source.state, volume, more)))
             for correction in self._corrections:
-                self._changes += refiner.apply(correction, on_step=watcher.on_step)
+                changes = refiner.apply(correction, on_step=watcher.on_step)
+                what = f"{correction}: " if len(self._corrections) > 1 else ""
+                self._lines += [what + line for line in _lines_of(changes)]
         result = refiner.result()
         log.warnings.extend(result.warnings)
         return result
 
     def lines(self) -> list[str]:
         """Return the effect of the correction, for the summary."""
-        return [
-            f"  {'moved' if change.voxels else 'nothing changed'}"
-            + (f" {change.voxels} voxels in {change.seconds:.2f} s" if change.voxels else "")
-            + (f" (object {change.object_id})" if len(self._changes) > 1 else "")
-            for change in self._changes
-        ]
+        return [f"  {line}" for line in self._lines]
+
+
+def _lines_of(changes: Sequence[Change]) -> list[str]:
+    """Return what a correction has moved, for each object that was looked at."""
+    return [
+        (
+            f"moved {change.voxels} voxels in {change.seconds:.2f} s"
+            if change.voxels
+            else "nothing changed"
+        )
+        + (f" (object {change.object_id})" if len(changes) > 1 else "")
+        for change in changes
+    ]
 
 
 def _print_summary(done: Finished, compute: _CorrectedRun) -> None:
