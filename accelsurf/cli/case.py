@@ -19,7 +19,7 @@ from accelsurf.cli import INTERRUPTED
 from accelsurf.cli.interrupts import Interrupts, doubt_line, resuming_command, say
 from accelsurf.cli.outcome import shortcoming, summary_lines
 from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
-from accelsurf.io import is_stored, sha256
+from accelsurf.io import sha256
 from accelsurf.io.file_set import finish_killed_runs
 from accelsurf.io.files import write_bytes
 from accelsurf.output import document, label_files, layouts, result_sets
@@ -27,6 +27,7 @@ from accelsurf.output import folder as output_folder
 from accelsurf.output import names as output_names
 from accelsurf.output.document import describe_input, describe_staged
 from accelsurf.output.folder import inputs_of
+from accelsurf.output.given_image import is_there
 from accelsurf.output.mesh_files import MeshNotes, check_mesh_settings
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
@@ -571,8 +572,10 @@ def _write_report(
     )
 
 
-def exit_code_of_finished(place: Place, config: RunConfig, quiet: bool = False) -> int | None:
-    """The exit code of a run that has ended with these settings, of this image, which is said unless ``quiet``.
+def exit_code_of_finished(
+    place: Place, config: RunConfig | TrackConfig, quiet: bool = False
+) -> int | None:
+    """The exit code of a run or a tracking that has ended with these settings, of this image; said unless ``quiet``.
 
     None where there is something to do.
 
@@ -585,7 +588,7 @@ def exit_code_of_finished(place: Place, config: RunConfig, quiet: bool = False) 
         return None
     finish_killed_runs(place.folder)
     document = result_sets.load_report(place.report_path)
-    if document is None or document["status"] != "ok" or not is_stored(place.source):
+    if document is None or document["status"] != "ok" or not is_there(place.source):
         return None
     if not result_sets.is_of(document, config, place.source):
         return None

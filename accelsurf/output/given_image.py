@@ -68,14 +68,14 @@ class GivenImage:
             raise InputError(f"{where}: names no image and settings to go on with", _ANEW)
         config = settings_of(report, where)
         run = config.run if isinstance(config, TrackConfig) else config
-        known = {key: _text(entry.get(key)) for key in ("voxels_sha256", "sha256")}
-        return cls(
-            Path(entry["path"]),
-            run.reading,
-            known["voxels_sha256"],
-            known["sha256"],
-            _geometry(entry),
-        )
+        return cls.of_entry(entry, Path(entry["path"]), run.reading)
+
+    @classmethod
+    def of_entry(cls, entry: Any, path: Path, reading: ReadOptions) -> GivenImage:
+        """Return what the entry of a report knows of an image; nothing where it is none."""
+        known: dict[str, Any] = entry if isinstance(entry, dict) else {}
+        voxels, files = _text(known.get("voxels_sha256")), _text(known.get("sha256"))
+        return cls(path, reading, voxels, files, _geometry(known))
 
     def found(self, moved: Path | None, hint: str) -> GivenImage:
         """Return the image where it is now.
@@ -140,6 +140,23 @@ class GivenImage:
         """
         is_same = self.files is None or sha256(self.path) == self.files
         self._refuse("" if is_same else "the bytes of its files differ", hint)
+
+    @property
+    def is_same(self) -> bool:
+        """True if the files have the bytes that they had, or what is read of them is the same; unknown is False.
+
+        Raises
+        ------
+        InputError
+            When it cannot be read.
+        """
+        if self.files is not None and sha256(self.path) == self.files:
+            return True
+        if self.voxels is None:
+            return False
+        volumes = channels.read_channels(self.path, self.reading)
+        is_placed = self.geometry is None or self.geometry.matches(volumes[0].geometry)
+        return is_placed and voxels_sha256(volumes) == self.voxels
 
     def _refuse(self, differs: str, hint: str) -> None:
         if differs:

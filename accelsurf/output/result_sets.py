@@ -12,6 +12,7 @@ from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.io import is_stored, sha256, split_name
 from accelsurf.io.file_set import InputFiles
 from accelsurf.io.files import read_json
+from accelsurf.output.given_image import GivenImage
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -95,16 +96,13 @@ def is_of(document: Mapping[str, Any], config: RunConfig | TrackConfig, image: P
     InputError
         When it cannot be read.
     """
-    source = document.get("input")
-    known = (
-        source.get("sha256") if isinstance(source, dict) else None
-    )  # none of an image that was read in parts
     fits = (
         had_track_settings(document, config)
         if isinstance(config, TrackConfig)
         else had_settings(document, config)
     )
-    return known is not None and fits and known == sha256(image)
+    run = config.run if isinstance(config, TrackConfig) else config
+    return fits and GivenImage.of_entry(document.get("input"), image, run.reading).is_same
 
 
 def had_track_settings(document: Mapping[str, Any], config: TrackConfig) -> bool:
