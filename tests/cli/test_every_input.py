@@ -176,6 +176,7 @@ def given(request, tmp_path):
     return found
 
 
+@pytest.mark.sampled(7)
 def test_all_commands_take_an_image_as_segment_took_it(given, tmp_path, capsys):
     report = json.loads(next(given.out.glob("*_report.json")).read_text())
     asked = RunConfig(**report["config"]).reading
@@ -299,17 +300,9 @@ def test_results_in_the_folder_of_the_image_do_not_change_it(tmp_path):
 
 
 def test_a_result_of_an_image_read_in_parts_says_why_it_cannot_be_refined(tmp_path, capsys):
-    io.write(Volume.from_array(np.tile(ball(), (2, 3, 3)), SPACING), tmp_path / "a.nii")
-    words = (
-        "--start",
-        "ball:10,8,6,4vox",
-        "--max-steps",
-        "3",
-        "--max-memory",
-        "3MB",
-        "--energy",
-        "threshold:110,",
-    )
+    io.write(Volume.from_array(np.tile(ball(), (8, 7, 6)), SPACING), tmp_path / "a.nii")
+    words = ("--start", "ball:10,8,6,4vox", "--max-steps", "3", "--max-memory", "490MB")
+    words += ("--energy", "threshold:110,", "--threads", "1")
     assert run("segment", tmp_path / "a.nii", "-o", tmp_path / "out", *words, "--quiet") == 0
     capsys.readouterr()
     assert run("refine", tmp_path / "out", "--inside", MORE) == 3
