@@ -187,7 +187,7 @@ def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
 
 def _refuse_with_tracks(look: Look, preview: bool, reference: Path | None) -> None:
     """Refuse what a movie of tracks, in slices, does not have."""
-    changed = [one.name for one in fields(Look) if getattr(look, one.name) != one.default]
+    changed = [field.name for field in fields(Look) if getattr(look, field.name) != field.default]
     for name in [*changed, *["reference"] * (reference is not None)]:
         raise UsageError(
             f"--{name} was given for a folder of tracks, whose movie shows slices", "leave it out"
