@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from accelsurf.cli import INTERRUPTED
 from accelsurf.cli.interrupts import Interrupts, doubt_line, resuming_command, say
 from accelsurf.cli.outcome import shortcoming, summary_lines
 from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
-from accelsurf.io import is_stored, sha256
+from accelsurf.io import sha256
 from accelsurf.io.file_set import finish_killed_runs
 from accelsurf.io.files import write_bytes
 from accelsurf.output import document, label_files, layouts, result_sets
@@ -27,6 +27,7 @@ from accelsurf.output import folder as output_folder
 from accelsurf.output import names as output_names
 from accelsurf.output.document import describe_input, describe_staged
 from accelsurf.output.folder import inputs_of
+from accelsurf.output.given_image import is_there
 from accelsurf.output.mesh_files import MeshNotes, check_mesh_settings
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
@@ -168,7 +169,9 @@ class Log:
     Attributes
     ----------
     checksum : str or None
-        SHA-256 of the image, once it was read.
+        SHA-256 of the image's file or files, once it was read.
+    voxels : str or None
+        SHA-256 of what was read; None of an image that is read in parts.
     geometry : Geometry or None
         Its grid.
     seconds : dict of str to float
@@ -181,6 +184,7 @@ class Log:
     """
 
     checksum: str | None = None
+    voxels: str | None = None
     geometry: Geometry | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     outputs: list[dict[str, Any]] = field(default_factory=list)
@@ -198,6 +202,12 @@ class Log:
     def note_grid(self, geometry: Geometry) -> None:
         """Keep the image's grid."""
         self.geometry = geometry
+
+    def note_voxels(self, channels: Sequence[Volume]) -> None:
+        """Keep what tells the image from another, whatever file it comes from."""
+        from accelsurf.image.volume import voxels_sha256
+
+        self.voxels = self.timed("load", lambda: voxels_sha256(channels))
 
     def take_checksum(self, image: Path) -> None:
         """Read the image's checksum, unless it is known."""
@@ -318,7 +328,7 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
     names, meshes = target.names(config, result.geometry.slice_axis is not None), MeshNotes()
     with output_folder.naming_final(files):
         written = outputs.write_result(
-            result, files.staging, names, content, log.seconds, log.checksum, meshes
+            result, files.staging, names, content, log.seconds, log.voxels, meshes
         )
         entries = describe_staged(files, {path.name: kind for kind, path in written})
         log.outputs.extend(
@@ -422,6 +432,7 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
     log.timed("load", lambda: import_nibabel_for(place.source))
     volume, *more = log.timed("load", lambda: channels.read_channels(place.source, config.reading))
     log.timed("load", lambda: log.take_checksum(place.source))
+    log.note_voxels([volume, *more])
     check_formats(place, config, volume, log)
     return [volume, *more]
 
@@ -547,7 +558,9 @@ def _write_report(
         exit_code=code,
         argv=sys.argv,
         config=config,
-        source=describe_input(place.source, geometry=log.geometry, checksum=log.checksum),
+        source=describe_input(
+            place.source, geometry=log.geometry, checksum=log.checksum, voxels=log.voxels
+        ),
         result=result,
         error=document.describe_error(error) if error is not None else None,
         seconds=log.seconds,
@@ -559,8 +572,10 @@ def _write_report(
     )
 
 
-def exit_code_of_finished(place: Place, config: RunConfig, quiet: bool = False) -> int | None:
-    """The exit code of a run that has ended with these settings, of this image, which is said unless ``quiet``.
+def exit_code_of_finished(
+    place: Place, config: RunConfig | TrackConfig, quiet: bool = False
+) -> int | None:
+    """The exit code of a run or a tracking that has ended with these settings, of this image; said unless ``quiet``.
 
     None where there is something to do.
 
@@ -573,7 +588,7 @@ def exit_code_of_finished(place: Place, config: RunConfig, quiet: bool = False) 
         return None
     finish_killed_runs(place.folder)
     document = result_sets.load_report(place.report_path)
-    if document is None or document["status"] != "ok" or not is_stored(place.source):
+    if document is None or document["status"] != "ok" or not is_there(place.source):
         return None
     if not result_sets.is_of(document, config, place.source):
         return None

@@ -181,6 +181,7 @@ def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
         volume, *more = log.timed("load", lambda: [whole_volume(channel) for channel in read])
         if has_checksum:
             log.timed("load", lambda: log.take_checksum(place.source))
+        log.note_voxels([volume, *more])
         check_formats(place, config, volume, log)
         return evolve_at(place, volume, more, config, watcher, log)
 

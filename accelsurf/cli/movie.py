@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -22,11 +22,13 @@ from accelsurf.cli.options import (
 )
 from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.wording import shown
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.evolution.records import Stop
+    from accelsurf.output.given_image import GivenImage
     from accelsurf.run.result import Result
     from accelsurf.run.run import Run
     from accelsurf.viewer.drawing_process import DrawingProcess
@@ -92,12 +94,13 @@ def movie(
 
     Runs as accelsurf segment does, with the same options and the same result, and draws the steps; with --objects each
     object in a colour of its own. Given a folder with the results of a run, it repeats that run; with --preview it
-    draws the result that is there.
+    draws the result that is there. Given a folder of accelsurf track, it draws the tracks that are there, a slice of
+    each frame.
 
     Parameters
     ----------
     input
-        The image, or a folder with the results of a run.
+        The image, or a folder with the results of a run or of accelsurf track.
     output
         The movie: .mp4, .gif or .webp; with --preview .png. Or the folder for NAME_movie.mp4 or NAME_movie.png.
     config
@@ -110,7 +113,6 @@ def movie(
         Write one PNG of the last step, or of the result in a folder, instead of a movie.
     """
     from accelsurf.cli.progress import Watcher
-    from accelsurf.io import channels
     from accelsurf.io.headers import name_of
     from accelsurf.output.folder import inputs_of, refuse_existing
     from accelsurf.output.pictures import movies
@@ -120,7 +122,7 @@ def movie(
 
     look, display = look or Look(), display or Display()
     source, target = required(input, "INPUT"), required(output, "-o FILE, the movie,")
-    on_disk = preview and source.is_dir()
+    on_disk = preview and _has_results(source)
     if on_disk and look.color != "plain":
         raise UsageError(
             f"--color: {look.color} was given for a result, which has none", "give its image"
@@ -128,17 +130,23 @@ def movie(
     movie_settings = movie_file.MovieSettings(
         look.every, look.fps, look.orbit, look.hold, _size(look.size)
     )
+    given, run_settings = _source(source, settings, config)
+    image = given.path
     if target.is_dir():
-        target /= (
-            f"{name_of(_source(source, settings, config)[0])}_movie.{'png' if preview else 'mp4'}"
-        )
+        target /= f"{name_of(image)}_movie.{'png' if preview else 'mp4'}"
+    if isinstance(run_settings, TrackConfig):
+        _refuse_with_tracks(look, preview, reference)
     _check_target(target, preview, movie_settings.size)
-    image, run_settings = _source(source, settings, config)
     refuse_existing({"movie": target}, overwrite, inputs_of(image, run_settings, reference, config))
     watcher = Watcher(display)
+    if isinstance(run_settings, TrackConfig):
+        frames = _movie_of_tracks(source, given, run_settings, target)
+        if not display.quiet:
+            print(f"{image.name}: {frames} frames\n  movie  {target.absolute()}")
+        return 0
     drawing = DrawingProcess(watcher.on_warning, 0.0 if preview else movie_settings.turn)
     try:
-        volume, *more = channels.read_channels(image, run_settings.reading)
+        volume, *more = given.read("run accelsurf segment again")
         shown = look.theme, look.color, look.view, movie_settings.size, look.planes
         drawing.make_scene(SceneRecipe(volume, run_settings, reference, *shown))
         drawn: Run | Result
@@ -177,13 +185,60 @@ def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
         )
 
 
-def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, RunConfig]:
-    """Image and settings of the run; those in the report if the source is a folder of results."""
-    from accelsurf.io.file_set import finish_killed_runs
+def _refuse_with_tracks(look: Look, preview: bool, reference: Path | None) -> None:
+    """Refuse what a movie of tracks, in slices, does not have."""
+    changed = [field.name for field in fields(Look) if getattr(look, field.name) != field.default]
+    for name in [*changed, *["reference"] * (reference is not None)]:
+        raise UsageError(
+            f"--{name} was given for a folder of tracks, whose movie shows slices", "leave it out"
+        )
+    if preview:
+        raise UsageError(
+            "--preview was given for a folder of tracks",
+            "NAME_preview.png in it is the picture; for a movie leave --preview out",
+        )
+
+
+def _movie_of_tracks(folder: Path, given: GivenImage, config: TrackConfig, target: Path) -> int:
+    """Write the movie of the tracks in a folder; return how many frames it has."""
+    from accelsurf.output.result_sets import report_name
+    from accelsurf.track.output import slices
+    from accelsurf.track.output.surfaces import SavedTracks
+    from accelsurf.track.track import open_sequence
     from accelsurf.viewer import movie_file
 
+    given.check_files("run accelsurf track again")
+    name = movie_file.report_in(folder).name.removesuffix(report_name(""))
+    saved = SavedTracks(folder, name, open_sequence(given.path, config))
+    tracks = saved.track_set()
+    slices.write_movie(tracks, target, slices.PANELS if saved.has_predictions else ("corrected",))
+    return len(tracks.rows)
+
+
+def _has_results(source: Path) -> bool:
+    """Test if a path is meant as a folder with results: a folder that is no image, or one with a report."""
+    from accelsurf.errors import InputError
+    from accelsurf.io.headers import format_of
+
     if not source.is_dir():
-        return source, run_config(settings, config)
+        return False
+    try:
+        return any(source.glob("*_report.json")) or not format_of(source).name
+    except InputError:  # no image
+        return True
+
+
+def _source(
+    source: Path, settings: Any, config: Path | None
+) -> tuple[GivenImage, RunConfig | TrackConfig]:
+    """Image and settings of the run; those in the report if the source is a folder of results, else as given."""
+    from accelsurf.io.file_set import finish_killed_runs
+    from accelsurf.output.given_image import GivenImage
+    from accelsurf.viewer import movie_file
+
+    if not _has_results(source):
+        made = run_config(settings, config)
+        return GivenImage(source, made.reading), made
     finish_killed_runs(source)
     given = given_options(settings)
     if given or config is not None:

@@ -2,26 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 from accelsurf.cli.interrupts import Interrupts, resuming_command
 from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.settings.corrections import Correction, corrections_in_order
+from accelsurf.settings.corrections import Correction, click_by_click, corrections_in_order
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Finished, Log, Place
     from accelsurf.cli.progress import Watcher
+    from accelsurf.correct.refiner import Change
     from accelsurf.correct.state_file import StateFile
+    from accelsurf.output.given_image import GivenImage
     from accelsurf.run.result import Result
     from accelsurf.settings.run_config import RunConfig
 
 _STATE = "segment writes a state with clicks, and with --keep-state yes"
-Where = Annotated[tuple[str, ...], Parameter(group=RUN, negative_iterable=(), show_default=False)]
+_OTHER = "give that of the run with --image FILE, or run accelsurf segment again"
+
+
+def _clicks_in_order(_: Any, tokens: Sequence[Token]) -> tuple[tuple[str, str], ...]:
+    """Return side and place of each click, as they were typed."""
+    return tuple(((token.keyword or "").removeprefix("--"), token.value) for token in tokens)
+
+
+#: Both sides are one parameter, so that their order is known.
+ClicksInOrder = Annotated[
+    tuple[tuple[str, str], ...],
+    Parameter(
+        name=("--inside", "--outside"),
+        group=RUN,
+        metavar="WHERE",
+        n_tokens=1,
+        accepts_keys=False,
+        negative_iterable=(),
+        show_default=False,
+        converter=_clicks_in_order,
+    ),
+]
 
 
 @Parameter(name="*")
@@ -76,15 +100,14 @@ class _Source:
 
     report: Path
     name: str
-    image: Path
+    image: GivenImage
     state: StateFile
 
 
 def refine(
     result: File = None,
     *,
-    inside: Where = (),
-    outside: Where = (),
+    clicks: ClicksInOrder = (),
     near: Annotated[str, Parameter(group=RUN)] = "auto",
     object: Annotated[str | None, Parameter(group=RUN)] = None,
     objects: ObjectOptions | None = None,
@@ -112,11 +135,11 @@ def refine(
     ----------
     result
         Folder with the outputs of a run, or its report where several runs are in the folder; with --labels the image.
-    inside
-        Voxels that are in the object, and stay in it: point:X,Y,Z, path:X,Y,Z,R;..., stroke:FILE, or as --start; may
-        be repeated. All clicks of one command are one correction.
-    outside
-        Voxels that are not in the object, and stay out of it.
+    clicks
+        --inside: voxels that are in the object, and stay in it; --outside: voxels that are not in it, and stay out of
+        it. WHERE is point:X,Y,Z, path:X,Y,Z,R;..., stroke:FILE, or as of --start. Both may be repeated: each click is a
+        correction, made in the order given, as if each were a command of its own. A later one takes the voxels that it
+        contradicts from earlier ones.
     near
         How far from the clicks the surface may move, mm; auto is what the clicks are about.
     object
@@ -126,7 +149,7 @@ def refine(
     output
         Folder for the outputs, in place of the run's own; made when missing. Needed with --labels.
     image
-        The image, where it is not any more where the run found it.
+        The image (a file, a folder, a pattern), where it is not any more where the run found it.
     overwrite
         Replace outputs that exist, also those that somebody has changed since.
     strict
@@ -135,13 +158,13 @@ def refine(
     again = resuming_command().removesuffix(" --resume")
     Interrupts.current().note(f"no file is changed; to begin again: {again}")
     given = {
-        "inside": inside,
-        "outside": outside,
+        **{side: tuple(at for of, at in clicks if of == side) for side in ("inside", "outside")},
         "near": near,
         "object": object,
         **vars(objects or ObjectOptions()),
     }
-    corrections = corrections_in_order({**given, **vars(whole or WholeOptions())})
+    together = corrections_in_order({**given, **vars(whole or WholeOptions())})
+    corrections = click_by_click(together, clicks)
     if labels is not None:
         return _mend(
             required(result, "the image"),
@@ -159,7 +182,9 @@ def refine(
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
     folder = source.report.parent if output is None else output
     in_place, config = folder.resolve() == source.report.parent.resolve(), source.state.config
-    place = Place(source.image, folder, source.name, overwrite or in_place, has_checkpoint=False)
+    place = Place(
+        source.image.path, folder, source.name, overwrite or in_place, has_checkpoint=False
+    )
     if in_place and not overwrite:
         _refuse_changed(place, source)
     compute = _CorrectedRun(source, corrections)
@@ -205,7 +230,7 @@ class _CorrectedRun:
 
     def __init__(self, source: _Source, corrections: tuple[Correction, ...]) -> None:
         self._source, self._corrections = source, corrections
-        self._changes: tuple[Any, ...] = ()
+        self._lines: list[str] = []
 
     def __call__(self, place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
         from accelsurf.cli.case import read_image
@@ -213,23 +238,33 @@ class _CorrectedRun:
         from accelsurf.correct.restored import restored
 
         volume, *more = read_image(place, config, log)
-        _check_image(self._source, log.checksum)
+        self._source.image.check([volume, *more], _OTHER)
         with watcher.watch(place.name, config.max_steps, "leaving all files as they are"):
             refiner = Refiner(log.timed("load", lambda: restored(self._source.state, volume, more)))
             for correction in self._corrections:
-                self._changes += refiner.apply(correction, on_step=watcher.on_step)
+                changes = refiner.apply(correction, on_step=watcher.on_step)
+                what = f"{correction}: " if len(self._corrections) > 1 else ""
+                self._lines += [what + line for line in _lines_of(changes)]
         result = refiner.result()
         log.warnings.extend(result.warnings)
         return result
 
     def lines(self) -> list[str]:
         """Return the effect of the correction, for the summary."""
-        return [
-            f"  {'moved' if change.voxels else 'nothing changed'}"
-            + (f" {change.voxels} voxels in {change.seconds:.2f} s" if change.voxels else "")
-            + (f" (object {change.object_id})" if len(self._changes) > 1 else "")
-            for change in self._changes
-        ]
+        return [f"  {line}" for line in self._lines]
+
+
+def _lines_of(changes: Sequence[Change]) -> list[str]:
+    """Return what a correction has moved, for each object that was looked at."""
+    return [
+        (
+            f"moved {change.voxels} voxels in {change.seconds:.2f} s"
+            if change.voxels
+            else "nothing changed"
+        )
+        + (f" (object {change.object_id})" if len(changes) > 1 else "")
+        for change in changes
+    ]
 
 
 def _print_summary(done: Finished, compute: _CorrectedRun) -> None:
@@ -248,6 +283,7 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     from accelsurf.io import sha256
     from accelsurf.io.file_set import finish_killed_runs
     from accelsurf.output import result_sets
+    from accelsurf.output.given_image import GivenImage
 
     folder = path if path.is_dir() else path.parent
     if not path.exists():
@@ -260,7 +296,9 @@ def _source_of(path: Path, image: Path | None) -> _Source:
         known = {path: result_sets.state_of(path) for path in sorted(folder.glob("*_report.json"))}
         found = [path for path, state in known.items() if state is not None]
         if not found:
-            raise InputError(f"{path}: has no result that can be refined", _STATE)
+            raise InputError(
+                f"{path}: has no result that can be refined", _way_without_state(known)
+            )
         if len(found) > 1:
             names = ", ".join(path.name for path in found[:5])
             raise InputError(
@@ -270,9 +308,10 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     entry = result_sets.state_of(report)
     if entry is None:
         raise InputError(
-            f"{report}: is of a result that cannot be refined: it has no state", _STATE
+            f"{report}: is of a result that cannot be refined: it has no state",
+            _way_without_state([report]),
         )
-    name, checksum, source = entry
+    name, checksum = entry
     state_path = report.parent / name
     if not state_path.is_file() or sha256(state_path) != checksum:
         raise InputError(
@@ -281,20 +320,23 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     from accelsurf.correct.state_file import read_state  # loads what a run needs
 
     state = read_state(state_path)
-    where = image if image is not None else Path(source)
-    if not where.is_file():
-        raise InputError(
-            f"{where}: the image of the run is not there", "give where it is now with --image FILE"
-        )
-    return _Source(report, report.name.removesuffix("_report.json"), where, state)
+    given = GivenImage.of_report(result_sets.load_report(report) or {}, report)
+    given = given.found(image, "give where it is now with --image FILE, a folder or a pattern")
+    return _Source(report, report.name.removesuffix("_report.json"), given, state)
 
 
-def _check_image(source: _Source, checksum: str | None) -> None:
-    if checksum != source.state.image:
-        raise InputError(
-            f"{source.image}: is another image than that of the run, or was changed since",
-            "give that of the run with --image FILE, or run accelsurf segment again",
-        )
+def _way_without_state(reports: Iterable[Path]) -> str:
+    """Return what to do where none of some reports lists a state."""
+    from accelsurf.output import result_sets
+
+    documents = [found for path in reports if (found := result_sets.load_report(path)) is not None]
+    if any(document.get("kind") == "tracking" for document in documents):
+        return "a tracking is corrected by accelsurf track --correct 'frame=N inside=point:X,Y,Z'"
+    inputs = [document.get("input") for document in documents if document["status"] == "ok"]
+    known = ("sha256", "voxels_sha256")
+    if any(isinstance(entry, dict) and not any(map(entry.get, known)) for entry in inputs):
+        return f"{_STATE}, where the image is not read in parts (--max-memory, --jobs): give --roi"
+    return _STATE
 
 
 def _refuse_changed(place: Place, source: _Source) -> None:

@@ -75,6 +75,11 @@ def track(
     case = TrackCase(
         replace(Place.for_image(source, folder, overwrite, config), resume=resume), wanted
     )
+    if resume:
+        from accelsurf.cli.case import exit_code_of_finished
+
+        if (code := exit_code_of_finished(case.place, wanted, display.quiet)) is not None:
+            return code
     done = run_track_case(case, Watcher(display))
     if not display.quiet:
         print("\n".join(_summary(case, done)))

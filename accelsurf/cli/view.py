@@ -25,6 +25,7 @@ from accelsurf.cli.options import (
     Output,
     Overwrite,
     Switch,
+    given_options,
     run_config,
     settings_class,
 )
@@ -36,6 +37,7 @@ from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
+    from accelsurf.output.given_image import GivenImage
     from accelsurf.viewer.actions.opening import Opening, ViewerSettings
     from accelsurf.viewer.core.opening import ImageWithSession, OpenedImage
 
@@ -58,6 +60,8 @@ class FirstImage:
         Folder of what ``accelsurf track`` has found in it.
     times : TrackConfig
         How a sequence is read.
+    given : GivenImage or None
+        The image of a finished run: another one is refused.
     """
 
     source: Path
@@ -65,6 +69,7 @@ class FirstImage:
     reference: Path | None
     tracks: Path | None
     times: TrackConfig
+    given: GivenImage | None = None
 
     def start_reading(self) -> Callable[[], OpenedImage]:
         """Begin to read; return what waits for the image.
@@ -112,6 +117,8 @@ class FirstImage:
 
         truth = self._truth()
         volume, *more = volumes.result()
+        if self.given is not None:
+            self.given.check([volume, *more], "run accelsurf segment again")
         truth = None if truth is None else on_grid(truth, volume.geometry)
         return OpenedImage(
             volume, self.config, split_name(self.source)[0], self.source, tuple(more), truth
@@ -212,7 +219,7 @@ def view(
     mouse.
 
     In place of an image the folder of a result may be given, or its report: the run is made again to its end, and goes
-    on from there.
+    on from there. Of a folder of accelsurf track the sequence opens with its tracks.
 
     The window needs a screen and more packages: pip install "accelsurf[viewer]". Runs on one level unless --levels
     asks for more. With --objects each object has a colour of its own, and a ball that is added or removed changes the
@@ -238,17 +245,23 @@ def view(
         page or PageOptions(),
         viewer or ViewerOptions(),
     )
-    finished = None if input is None else finished_run(input)
-    if finished is not None:
-        input, before = finished
-        made = before.replace(**{key: getattr(made, key) for key in made.model_fields_set})
     times = track_config(frames, None, None)
+    finished = None if input is None else finished_run(input)
+    image = None if finished is None else finished[0]
+    if input is not None and finished is not None:
+        folder, (given, before) = input, finished
+        input = given.path
+        if isinstance(before, TrackConfig):
+            tracks = tracks or (folder if folder.is_dir() else folder.parent)
+            times, before = before.replace(**given_options(frames)), before.run
+        made = before.replace(**{key: getattr(made, key) for key in made.model_fields_set})
     _check_given(input, reference, tracks, times)
     waiting: list[Callable[[], OpenedImage]] = []
 
     def start() -> None:
         if input is not None:
-            waiting.append(FirstImage(input, made, reference, tracks, times).start_reading())
+            first = FirstImage(input, made, reference, tracks, times, image)
+            waiting.append(first.start_reading())
 
     with loading():
         page = front_end(page, start)
@@ -261,7 +274,7 @@ def view(
         settings = ViewerSettings(output, viewer.theme, overwrite, viewer.keep)
         session = None
         if first is not None:
-            first = replace(first, is_result=finished is not None)
+            first = replace(first, is_result=finished is not None and tracks is None)
             session = first.session(viewer.keep, begin=page.browser)
             stack.callback(session.close, 0.0)  # window and page wait for it, if it may take time
             if page.browser:
@@ -274,16 +287,16 @@ def view(
     return 0
 
 
-def finished_run(path: Path) -> tuple[Path, RunConfig] | None:
+def finished_run(path: Path) -> tuple[GivenImage, RunConfig | TrackConfig] | None:
     """Return image and settings of the result that a folder or a report has; None for an image.
 
     Raises
     ------
     InputError
-        When there are several results, or the image is not there or has changed.
+        When there are several results, or the image is not there.
     """
-    from accelsurf.io import sha256
     from accelsurf.output import result_sets
+    from accelsurf.output.given_image import GivenImage, settings_of
 
     known = (
         sorted(path.glob("*_report.json"))
@@ -305,22 +318,10 @@ def finished_run(path: Path) -> tuple[Path, RunConfig] | None:
             f"{path}: there are several results: {', '.join(map(str, reports))}", "give one of them"
         )
     ((report, document),) = reports.items()
-    source, settings = document.get("input"), document.get("config")
-    if (
-        not isinstance(source, dict)
-        or not isinstance(source.get("path"), str)
-        or not isinstance(settings, dict)
-    ):
-        raise InputError(f"{report}: names no image and settings to go on with", "give the image")
-    image = Path(source["path"])
-    if not image.exists() or (
-        source.get("sha256") and (not image.is_file() or sha256(image) != source["sha256"])
-    ):
-        raise InputError(
-            f"{image}: the image of the run is not there, or has changed",
-            f"give where it is now: accelsurf view IMAGE --config {report.parent / '*run.toml'}",
-        )
-    return image, RunConfig(**settings)
+    run = report.with_name(f"{report.name.removesuffix('_report.json')}_run.toml")
+    hint = f"give where it is now: accelsurf view IMAGE --config {run}"
+    given = GivenImage.of_report(document, report).found(None, hint)
+    return given, settings_of(document, report)
 
 
 def _check_given(

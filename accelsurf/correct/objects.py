@@ -229,7 +229,12 @@ class CorrectedObjects:
         )
 
     def grown(self, place: int, box: Box) -> CorrectedSurface:
-        """A surface on an array that has a box of the grid."""
+        """A surface on an array that has a box of the grid; it stays on it."""
+        self.surfaces[place] = self.seen_on(place, box)
+        return self.surfaces[place]
+
+    def seen_on(self, place: int, box: Box) -> CorrectedSurface:
+        """The same, and the object keeps its array: sums over an object go over its part of the grid."""
         surface = self.surfaces[place]
         low = np.minimum(surface.corner, corner_of(box))
         high = np.maximum(np.add(surface.corner, surface.psi.shape), [s.stop for s in box])
@@ -239,8 +244,7 @@ class CorrectedObjects:
         psi = np.full(shape, np.abs(surface.psi).max(), np.float32)
         corner = (int(low[0]), int(low[1]), int(low[2]))
         psi[counted_from(box_at(surface.corner, surface.psi.shape), corner)] = surface.psi
-        self.surfaces[place] = surface._replace(corner=corner, psi=psi)
-        return self.surfaces[place]
+        return surface._replace(corner=corner, psi=psi)
 
     # -- result --------------------------------------------------------------------------------------------
 

@@ -52,7 +52,7 @@ def refine(
         mm, of an image that is an array; 1 by default.
     inside, outside : str or sequence of str
         Voxels that are in the object, and that are not: ``point:X,Y,Z``, ``stroke:FILE``, or written as a start.
-        All together are one correction.
+        They are made one after the other, first those inside: the surface is the same as after a call for each.
     near : float or "auto"
         How far from the clicks the surface may move, mm.
     object : int, optional

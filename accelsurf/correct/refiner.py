@@ -154,7 +154,7 @@ class Refiner:
         Returns
         -------
         tuple of Change
-            One for each object whose surface was looked at.
+            One for each click and object whose surface was looked at, in their order.
 
         Raises
         ------
@@ -166,7 +166,8 @@ class Refiner:
 
         Notes
         -----
-        Clicks take the voxels that they contradict from earlier ones.
+        Clicks take the voxels that they contradict from earlier ones. Those of one correction are made one after the
+        other, inside ones first: the surface is the same as after a correction for each.
         All or nothing: of a correction that raises, whatever it raises, nothing stays, and it is none for `undo`.
         """
         objects, number = self._objects, len(self.config.refine)
@@ -197,8 +198,7 @@ class Refiner:
             with Workers(available_cores() if threads == "auto" else threads) as workers:
                 stepping = Stepping(workers, self.config.max_steps, on_step)
                 if correction.kind == "clicks":
-                    objects.models.add(new)
-                    changes = self._correct_all(new, correction.near, stepping)
+                    changes = self._correct_in_order(new, correction.near, stepping)
                 elif correction.kind == "new":
                     changes = self._begin_object(number, correction, new, stepping)
                 elif correction.kind == "mend":
@@ -236,14 +236,21 @@ class Refiner:
         check_left(before, before.with_later(new))
         return new
 
-    def _correct_all(
+    def _correct_in_order(
         self, new: Sequence[Click], near: float | str, stepping: Stepping
     ) -> tuple[Change, ...]:
-        """Correct each object that ``new`` clicks, on the grid of the region of interest, are about."""
-        changes = []
-        for place, id in enumerate(self._objects.ids):
-            if mine := clicks_on(new, id):
-                changes.append(self._correct(place, mine, near, stepping))
+        """Correct each object that a click, on the grid of the region of interest, is about: one click after the other.
+
+        Each finds the surface as the one before it has left it, as if each were a correction of its own.
+        """
+        changes: list[Change] = []
+        for click in new:
+            self._objects.models.add((click,))
+            for place, id in enumerate(self._objects.ids):
+                if mine := clicks_on((click,), id):
+                    changes.append(self._correct(place, mine, near, stepping))
+            if changes and changes[-1].stop.reason == "interrupted":
+                break
         return tuple(changes)
 
     def _begin_object(
@@ -299,7 +306,8 @@ class Refiner:
     ) -> Change:
         """Correct one object, of which ``new`` are clicks on the grid of the region of interest."""
         began = time.perf_counter()
-        surface = self._objects.grown(place, box_around(new))
+        # Where nothing is wrong its part of the grid stays too, as in the result.
+        surface = self._objects.seen_on(place, box_around(new))
         relabelled = self._relabelled(surface, new)
         if not relabelled:
             return Change(

@@ -121,16 +121,19 @@ def _replay(
             clicks_of(correction, base.volume, base.image, correction.target, has_ids),
             models.prepared,
         )
-        models.add(new)
+        if correction.new is not None:
+            models.add(new)
     if correction.new is not None and correction.split is None:
         models.begin_object(number, correction, mask)
         known[correction.new] = _begun(correction.new, base, models)
     elif correction.kind == "clicks":
-        for id in known:
-            model = models.model(id) if (mine := clicks_on(new, id)) else None
-            if model is not None:
-                for click in mine:
-                    model.add(click)
+        for click in new:  # in the order in which they were made
+            models.add((click,))
+            for id in known:
+                mine = clicks_on((click,), id)
+                model = models.model(id) if mine else None
+                for seen in mine if model is not None else ():
+                    model.add(seen)
     elif correction.kind == "mend":
         id = correction.object or next(iter(known))
         if mask is None or id not in known:

@@ -87,7 +87,7 @@ class StateFile(NamedTuple):
     config : RunConfig
         With all corrections so far; in the file its values.
     image : str
-        SHA-256 of the image's file.
+        SHA-256 of the image as it was read, from `accelsurf.image.volume.voxels_sha256`.
     shape : (nz, ny, nx)
         Of the image.
     objects : tuple of ObjectFile
@@ -137,7 +137,7 @@ def state_bytes(result: Result, image: str) -> bytes:
     result : Result
         With a state.
     image : str
-        SHA-256 of the image's file.
+        SHA-256 of the image as it was read.
     """
     assert result.state is not None
     objects = tuple(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -180,6 +181,28 @@ class Volume:
     def with_array(self, array: NDArray[Any]) -> Volume:
         """Another array on the same grid, with the same header metadata (but no source: it was not read)."""
         return Volume(array, self.geometry, dict(self.metadata))
+
+
+def voxels_sha256(channels: Sequence[Volume]) -> str:
+    """Return the SHA-256 of the values of an image and their type, whatever file they come from; not of its grid.
+
+    Parameters
+    ----------
+    channels : sequence of Volume
+
+    Examples
+    --------
+    >>> one, other = (Volume.from_array(np.full((2, 3, 4), value)) for value in (1, 2))
+    >>> voxels_sha256([one]) == voxels_sha256([one.with_array(one.array.copy())]) != voxels_sha256([other])
+    True
+    """
+    sha = hashlib.sha256()
+    for volume in channels:
+        stored = volume.array.dtype.newbyteorder("<")
+        sha.update(f"{stored.str} {volume.array.shape}\n".encode())
+        for plane in volume.array:
+            sha.update(np.ascontiguousarray(plane, stored).data)
+    return sha.hexdigest()
 
 
 def check_image(volume: Volume) -> None:

@@ -233,7 +233,8 @@ def is_pattern(path: Path) -> bool:
     >>> is_pattern(Path("slices/a*.tif")), is_pattern(Path("scan.nii"))
     (True, False)
     """
-    return any(sign in path.name for sign in "*?") and not path.exists()
+    # os.path's answer is False for a name that no file can have.
+    return any(sign in path.name for sign in "*?") and not os.path.exists(path)
 
 
 def name_of(path: Path) -> str:

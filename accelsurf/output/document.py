@@ -363,7 +363,11 @@ def peak_rss_mb() -> float | None:
 
 
 def describe_input(
-    path: str | Path, *, geometry: Geometry | None = None, checksum: str | None = None
+    path: str | Path,
+    *,
+    geometry: Geometry | None = None,
+    checksum: str | None = None,
+    voxels: str | None = None,
 ) -> dict[str, Any]:
     """Return the report's entry about the input.
 
@@ -375,6 +379,8 @@ def describe_input(
         Its grid; None when it could not be read, and then the entries are null.
     checksum : str, optional
         SHA-256 of the file, from `accelsurf.io.sha256`.
+    voxels : str, optional
+        SHA-256 of what was read, from `accelsurf.image.volume.voxels_sha256`.
 
     Examples
     --------
@@ -391,7 +397,8 @@ def describe_input(
             "origin": list(geometry.origin),
             "direction": geometry.direction.tolist(),
         }
-    return {"path": str(Path(path).absolute()), "sha256": checksum, **grid}
+    known = {"sha256": checksum, "voxels_sha256": voxels}
+    return {"path": str(Path(path).absolute()), **known, **grid}
 
 
 def describe_output(path: str | Path, kind: str, staged: Path | None = None) -> dict[str, str]:

@@ -68,7 +68,7 @@ def write_result(
     seconds : dict, optional
         The durations of ``mesh`` and ``write`` are added.
     image : str, optional
-        SHA-256 of the image's file; without it there is no state.
+        SHA-256 of the image as it was read; without it there is no state.
     meshes : MeshNotes, optional
         What is said of meshes that were made smoother or coarser is added.
 

@@ -12,6 +12,7 @@ from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.io import is_stored, sha256, split_name
 from accelsurf.io.file_set import InputFiles
 from accelsurf.io.files import read_json
+from accelsurf.output.given_image import GivenImage
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -73,22 +74,18 @@ def is_failure_report(path: Path) -> bool:
     return document is not None and (document["status"] == "failed" or not document["outputs"])
 
 
-def state_of(report: Path) -> tuple[str, str, str] | None:
-    """Return name and checksum of the state that a report lists, and the path of the image; None without one."""
+def state_of(report: Path) -> tuple[str, str] | None:
+    """Return name and checksum of the state that a report lists; None without one."""
     document = load_report(report)
-    if (
-        document is None
-        or document["status"] == "failed"
-        or not isinstance(document.get("input"), dict)
-    ):
+    if document is None or document["status"] == "failed":
         return None
     listed = [
         entry
         for entry in document["outputs"]
         if isinstance(entry, dict) and entry.get("kind") == "state"
     ]
-    found, image = _entries(listed), document["input"].get("path")
-    return (*found[0], image) if found and isinstance(image, str) else None
+    found = _entries(listed)
+    return found[0] if found else None
 
 
 def is_of(document: Mapping[str, Any], config: RunConfig | TrackConfig, image: Path) -> bool:
@@ -99,16 +96,13 @@ def is_of(document: Mapping[str, Any], config: RunConfig | TrackConfig, image: P
     InputError
         When it cannot be read.
     """
-    source = document.get("input")
-    known = (
-        source.get("sha256") if isinstance(source, dict) else None
-    )  # none of an image that was read in parts
     fits = (
         had_track_settings(document, config)
         if isinstance(config, TrackConfig)
         else had_settings(document, config)
     )
-    return known is not None and fits and known == sha256(image)
+    run = config.run if isinstance(config, TrackConfig) else config
+    return fits and GivenImage.of_entry(document.get("input"), image, run.reading).is_same
 
 
 def had_track_settings(document: Mapping[str, Any], config: TrackConfig) -> bool:

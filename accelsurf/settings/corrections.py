@@ -279,6 +279,34 @@ def corrections_in_order(table: Mapping[str, Any]) -> tuple[Correction, ...]:
     return corrections_of([{**whole, **named}, rest])
 
 
+def click_by_click(
+    corrections: Sequence[Correction], clicks: Sequence[tuple[str, str]]
+) -> tuple[Correction, ...]:
+    """Return corrections in which each click is one of its own, in the order in which they were given.
+
+    Parameters
+    ----------
+    corrections : sequence of Correction
+        From `corrections_in_order`; those of an object that begins keep their clicks together.
+    clicks : sequence of (str, str)
+        Side and place of each click, as given.
+
+    Examples
+    --------
+    >>> both = corrections_in_order({"inside": ("point:1,2,3",), "outside": ("point:4,5,6",), "near": 5})
+    >>> [str(one) for one in click_by_click(both, [("outside", "point:4,5,6"), ("inside", "point:1,2,3")])]
+    ['outside=point:4,5,6 near=5.0', 'inside=point:1,2,3 near=5.0']
+    """
+    found: list[Correction] = []
+    for correction in corrections:
+        if correction.kind == "clicks":
+            none = correction.model_copy(update=dict.fromkeys(_CLICKS, ()))
+            found += (none.model_copy(update={side: (place,)}) for side, place in clicks)
+        else:
+            found.append(correction)
+    return tuple(found)
+
+
 #: The types of the settings in which they are given.
 Edits = Annotated[
     tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "edit"))

@@ -88,7 +88,7 @@ def first_objects(
     if not found:
         raise EmptyResultError(
             "no surface is left in the first frame: nothing can be followed",
-            "try the settings with accelsurf segment on that frame (--time-index)",
+            "begin in a frame that shows the object (--frame N), or try the settings with accelsurf segment on it",
         )
     return FirstObjects(tuple(found), tuple(result.warnings), interrupted)
 

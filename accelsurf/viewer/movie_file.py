@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, repeat
 from pathlib import Path
 
-from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import StepRecord
 from accelsurf.image.volume import Volume
 from accelsurf.io.files import read_json
 from accelsurf.output import result_sets
+from accelsurf.output.given_image import GivenImage, settings_of
 from accelsurf.output.pictures.movies import MAX_SIDE, MIN_SIDE, Picture
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import TrackConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run
 from accelsurf.viewer.drawing_process import DrawingProcess, Histories, SceneRecipe
 
@@ -157,46 +157,27 @@ def _steps(run: Run, on_step: OnStep | None) -> Iterator[int]:
 # -- from a folder of results -----------------------------------------------------------------------------------
 
 
-def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
-    """Image and settings of the run whose results are in a folder: they repeat it, byte for byte.
+def run_of_folder(folder: Path) -> tuple[GivenImage, RunConfig | TrackConfig]:
+    """Image and settings of the run or tracking whose results are in a folder: they repeat it, byte for byte.
 
     Parameters
     ----------
     folder : Path
-        Where ``accelsurf segment`` wrote; it must hold one report.
+        Where ``accelsurf segment`` or ``track`` wrote; it must hold one report.
 
     Raises
     ------
     InputError
-        When there is no report or more than one, it is not of a run that can be repeated, or the image is missing or
-        has changed.
+        When there is no report or more than one, it is not of a run that can be repeated, or the image is not there.
     """
-    path = _report_in(folder)
+    path = report_in(folder)
     document = read_json(path)
-    try:
-        settings, source = document["config"], document["input"]
-        image, checksum = Path(source["path"]), source["sha256"]
-        if not isinstance(settings, dict):
-            raise TypeError
-    except (ValueError, KeyError, TypeError):
+    if not isinstance(document, dict):
         message = f"{path}: not the report of a run that can be repeated"
-        raise InputError(message, "run accelsurf segment again") from None
-    if str(settings.get("energy", "")).startswith("custom: "):
-        raise InputError(
-            f"{path}: the energy was one of your own ({settings['energy']})",
-            "make the movie in Python",
-        )
-    if not os.path.isfile(image):  # False for a name that no file can have, too
-        raise InputError(
-            f"{path}: the image {image} is not there any more",
-            "give the image and --config instead",
-        )
-    if checksum is not None and io.sha256(image) != checksum:
-        raise InputError(
-            f"{image}: has changed, it is not the image of {path.name} any more",
-            "run segment again",
-        )
-    return image, RunConfig(**settings)
+        raise InputError(message, "run accelsurf segment again")
+    config = settings_of(document, path)
+    image = GivenImage.of_report(document, path)
+    return image.found(None, "give the image and --config instead"), config
 
 
 def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -> Result:
@@ -220,7 +201,7 @@ def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -
     from accelsurf.correct.restored import restored
     from accelsurf.correct.state_file import read_state
 
-    report = _report_in(folder)
+    report = report_in(folder)
     names = result_sets.names_of_outputs(report)
     name = names.get("state", names.get("labels"))
     if name is None:
@@ -234,8 +215,14 @@ def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -
     return segment(volume, labels=str(folder / name))
 
 
-def _report_in(folder: Path) -> Path:
-    """The one report of a result in a folder."""
+def report_in(folder: Path) -> Path:
+    """The one report of a result in a folder.
+
+    Raises
+    ------
+    InputError
+        When there is none, or more than one.
+    """
     reports = [
         path for path in sorted(folder.glob("*_report.json")) if not _is_failure_beside(path)
     ]

@@ -7,10 +7,11 @@ import pytest
 
 from accelsurf import io
 from accelsurf.cli import execute
-from accelsurf.cli.view import finished_run
+from accelsurf.cli.view import FirstImage, finished_run
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import TrackConfig
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.core.recent_files import Hints, RecentFiles
 from accelsurf.viewer.core.session import Session
@@ -151,10 +152,11 @@ def result(tmp_path_factory):
 
 
 def test_a_finished_run_goes_on(result, tmp_path):
-    image, config = finished_run(result / "out")
+    given, config = finished_run(result / "out")
+    image = given.path
     assert image == result / "balls.nii.gz" and finished_run(
         result / "out" / "balls_report.json"
-    ) == (image, config)
+    ) == (given, config)
     with Session(io.read(image), config, name="balls", source=image) as session:
         session.play().result(60)
         assert session.wait(120)
@@ -174,14 +176,19 @@ def test_what_is_no_finished_run_is_an_image_or_one_line(result, tmp_path):
     for change, said in (
         (
             {"input": {"path": str(tmp_path / "gone.nii"), "sha256": "0"}},
-            "is not there, or has changed",
+            "is not there",
         ),
-        ({"input": {**report["input"], "sha256": "0" * 64}}, "is not there, or has changed"),
         ({"input": None}, "names no image"),
     ):
         (tmp_path / "a_report.json").write_text(json.dumps(report | change))
         with pytest.raises(InputError, match=said):
             finished_run(tmp_path)
+    (tmp_path / "a_report.json").write_text(
+        json.dumps(report | {"input": {**report["input"], "voxels_sha256": "0" * 64}})
+    )
+    given, config = finished_run(tmp_path)
+    with pytest.raises(InputError, match="another image than that of the run.*voxels differ"):
+        FirstImage(given.path, config, None, None, TrackConfig(), given).start_reading()()
     (tmp_path / "b_report.json").write_text(json.dumps(report))
     with pytest.raises(InputError, match="several results"):
         finished_run(tmp_path)

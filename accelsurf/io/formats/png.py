@@ -45,8 +45,8 @@ class PngHeader:
         The file.
     shape : tuple of int
         (1, rows, columns).
-    spacing : tuple of float or None
-        mm, (z, y, x); None where it was not given: the file says it further on.
+    spacing : tuple of float
+        mm, (z, y, x): as it was given, else as the file says it, else 1.
     pixel_bytes : int
         Bytes of a pixel in memory while it is read.
     row_bytes : int
@@ -55,7 +55,7 @@ class PngHeader:
 
     data: Path
     shape: tuple[int, int, int]
-    spacing: tuple[float, float, float] | None
+    spacing: tuple[float, float, float]
     pixel_bytes: int
     row_bytes: int
 
@@ -65,9 +65,9 @@ class PngHeader:
         return math.prod(self.shape)
 
     @property
-    def geometry(self) -> Geometry | None:
-        """The grid; None where the file says it further on."""
-        return None if self.spacing is None else Geometry(self.shape, self.spacing)
+    def geometry(self) -> Geometry:
+        """The grid."""
+        return Geometry(self.shape, self.spacing)
 
 
 def parse_png(path: Path, options: ReadOptions = AS_IT_IS) -> PngHeader:
@@ -102,7 +102,7 @@ def parse_png(path: Path, options: ReadOptions = AS_IT_IS) -> PngHeader:
                 "save it as grey, or as TIFF",
             )
         rows = height * (1 + (width * depth * _STORED[start[25]] + 7) // 8)
-    spacing = None if options.spacing is None else options.spacing[::-1]
+    spacing = (1.0, *_pixel(path)[::-1]) if options.spacing is None else options.spacing[::-1]
     return PngHeader(
         path, (1, height, width), spacing, depth // 8 or 1 if is_grey else 3 + (mode != "RGB"), rows
     )
@@ -120,7 +120,7 @@ def read_png(path: Path, header: PngHeader, available: int) -> Volume:
     with library_named(*_DAMAGED):
         with PngImageFile(path) as image:
             image.verify()  # reads all of it, which a second opening begins anew
-        scale = _checked(header)
+        _check_rows(header)
         with PngImageFile(path) as image:
             if image.mode in ("1", "P", "RGB", "RGBA"):
                 is_seen_through = "transparency" in image.info or image.mode == "RGBA"
@@ -130,13 +130,31 @@ def read_png(path: Path, header: PngHeader, available: int) -> Volume:
                 array, note = np.array(image), ""
     if array.ndim > 2:
         array, note = to_grey(array)
-    spacing = header.spacing or (1.0, *(scale or (1.0, 1.0))[::-1])
-    return Volume(array[None], Geometry(header.shape, spacing), with_warnings({}, note), path)
+    return Volume(array[None], header.geometry, with_warnings({}, note), path)
 
 
-def _checked(header: PngHeader) -> tuple[float, float] | None:
-    """Refuse a PNG of fewer rows than its header announces; return the size of a pixel (x, y) where ITK writes it."""
-    unpack, present, scale = zlib.decompressobj(), 0, b""
+def _pixel(path: Path) -> tuple[float, float]:
+    """The size of a pixel (x, y), mm, where ITK writes it, before the rows; else 1."""
+    scale = b""
+    with path.open("rb") as file:
+        file.seek(len(_START))
+        while len(start := file.read(8)) == 8:
+            length, name = struct.unpack(">I4s", start)
+            if name in (b"IDAT", b"IEND"):
+                break
+            after = file.tell() + length + 4
+            scale = file.read(min(length, 64)) if name == b"sCAL" else scale
+            file.seek(after)
+    try:
+        x, y = (float(word) for word in scale[1:].split(b"\0"))
+    except ValueError:
+        return 1.0, 1.0
+    return (x, y) if min(x, y) > 0 and math.isfinite(x) and math.isfinite(y) else (1.0, 1.0)
+
+
+def _check_rows(header: PngHeader) -> None:
+    """Refuse a PNG of fewer rows than its header announces."""
+    unpack, present = zlib.decompressobj(), 0
     with header.data.open("rb") as file:
         file.seek(len(_START))
         while len(start := file.read(8)) == 8 and present <= header.row_bytes:
@@ -144,7 +162,6 @@ def _checked(header: PngHeader) -> tuple[float, float] | None:
             if name == b"IEND":
                 break  # what follows is no part, whatever length it names
             body = file.read(length + 4)[:length]
-            scale = body if name == b"sCAL" else scale
             while name == b"IDAT" and body and present <= header.row_bytes:
                 present += len(unpack.decompress(body, 1 << 20))
                 body = unpack.unconsumed_tail
@@ -153,11 +170,6 @@ def _checked(header: PngHeader) -> tuple[float, float] | None:
             f"the header announces {header.row_bytes} bytes of rows, {present} or more are there",
             TRUNCATED_HINT,
         )
-    try:
-        x, y = (float(word) for word in scale[1:64].split(b"\0"))
-    except ValueError:
-        return None
-    return (x, y) if min(x, y) > 0 and math.isfinite(x) and math.isfinite(y) else None
 
 
 def write_png(volume: Volume, path: Path) -> None:

@@ -69,6 +69,8 @@ LOWEST, HIGHEST = 100.0, 480.0
 #: Width and height of a movie, of the margin around a panel and of the lines above it, pixels.
 MOVIE_SIZE = (960, 540)
 MOVIE_MARGIN, MOVIE_TOP = 12, 58
+#: Surfaces that a movie shows side by side.
+PANELS = ("predicted", "corrected")
 #: Length of a movie, s, and its frames per second at least and at most.
 SECONDS, SLOWEST, FASTEST = 8.0, 2.0, 15.0
 #: Width and height of the curves, pixels; how many are named, and drawn, at most.
@@ -290,8 +292,15 @@ def check_webp(geometry: Geometry) -> None:
     movies.check_target(Path("movie.webp"), MOVIE_SIZE)
 
 
-def write_movie(tracks: TrackSet, path: Path) -> None:
+def write_movie(tracks: TrackSet, path: Path, panels: Sequence[str] = PANELS) -> None:
     """Write the movie; the suffix decides the format.
+
+    Parameters
+    ----------
+    tracks : TrackSet
+    path : Path
+    panels : sequence of {"predicted", "corrected"}, optional
+        Which surfaces, each in a panel of its own.
 
     Raises
     ------
@@ -301,11 +310,11 @@ def write_movie(tracks: TrackSet, path: Path) -> None:
     if not tracks.rows:
         raise OutputError(f"{path.name}: no frame to show")
     speed = min(max(len(tracks.rows) / SECONDS, SLOWEST), FASTEST)
-    movies.write_movie(path, movie_frames(tracks), MOVIE_SIZE, speed)
+    movies.write_movie(path, movie_frames(tracks, panels), MOVIE_SIZE, speed)
 
 
-def movie_frames(tracks: TrackSet) -> Iterator[Picture]:
-    """Draw the pictures of a movie, one for each frame.
+def movie_frames(tracks: TrackSet, panels: Sequence[str] = PANELS) -> Iterator[Picture]:
+    """Draw the pictures of a movie, one for each frame; parameters as of `write_movie`.
 
     Yields
     ------
@@ -313,17 +322,18 @@ def movie_frames(tracks: TrackSet) -> Iterator[Picture]:
     """
     view = TrackView.of(tracks)
     wide, tall = MOVIE_SIZE
-    half = wide / 2
+    share = wide / len(panels)
     for row in tracks.rows:
         canvas = Canvas(wide, tall)
-        canvas.text((half, 18), f"{tracks.name}: {time_text(tracks, row)}", 16, anchor="mm")
+        canvas.text((wide / 2, 18), f"{tracks.name}: {time_text(tracks, row)}", 16, anchor="mm")
         frame = FrameContent.of(tracks, row)
-        for left, what in ((0.0, "predicted"), (half, "corrected")):
+        for number, what in enumerate(panels):
+            left = number * share
             panel = Box(
-                left + MOVIE_MARGIN, MOVIE_TOP, left + half - MOVIE_MARGIN, tall - MOVIE_MARGIN
+                left + MOVIE_MARGIN, MOVIE_TOP, left + share - MOVIE_MARGIN, tall - MOVIE_MARGIN
             )
             shown = draw_frame(canvas, panel, tracks.geometry, frame, view, (what,))
-            canvas.text((left + half / 2, 44), what, TITLE_SIZE, anchor="mm")
+            canvas.text((left + share / 2, 44), what, TITLE_SIZE, anchor="mm")
         draw_slice_scale(shown, frame.image.metadata.get(UNIT_KEY, "mm"))
         yield canvas.pixels()
 

@@ -11,6 +11,7 @@ import json
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,21 +19,28 @@ from numpy.typing import NDArray
 from accelsurf import io
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
+from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.io.files import read_json, write_bytes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.track.output.files import read_tracks_table
-from accelsurf.track.output.frames import DrawnObject, FrameStore, TrackSet
-from accelsurf.track.records import SurfacePiece
+from accelsurf.track.output.frames import (
+    DrawnObject,
+    FrameRow,
+    FrameStore,
+    ObjectRow,
+    TrackSet,
+)
+from accelsurf.track.records import Lineage, SurfacePiece
 
-#: World mm (x, y, z).
-Point = tuple[float, float, float]
 #: Name of the file that describes the folder, and its version.
 MARK, VERSION = "surfaces.json", 1
 #: Standard deviation, voxels, that smooths the stair steps of a label map, and voxels around it.
 _SOFT, _AROUND = 0.8, 4
 #: How far each voxel is from 0 at least, where 1 is a step from outside to inside.
 _LEAST = 0.05
+#: Velocity of a row that is only drawn.
+_STILL = (0.0, 0.0, 0.0)
 _TRACK = "give the folder that accelsurf track has written of this sequence"
 
 
@@ -82,10 +90,12 @@ class SavedTracks:
 
     def __init__(self, folder: Path, name: str, sequence: ImageSequence) -> None:
         self._sequence = sequence
-        self._centroids = _read_centroids(folder / f"{name}_tracks.csv")
-        self.ids = tuple(
-            sorted({object_id for frame in self._centroids.values() for object_id in frame})
-        )
+        self.name, self._rows = name, _read_rows(folder / f"{name}_tracks.csv")
+        self._centroids = {
+            frame: {found.id: found.centroid for found in objects}
+            for frame, objects in self._rows.items()
+        }
+        self.ids = tuple(sorted({id for frame in self._centroids.values() for id in frame}))
         self._store: FrameStore | None = None
         self._labels: ImageSequence | None = None
         surfaces = folder / f"{name}_surfaces"
@@ -116,6 +126,15 @@ class SavedTracks:
         labels = self._labels.frame(number).array
         return [_piece_of(labels, int(object_id)) for object_id in np.unique(labels) if object_id]
 
+    def track_set(self) -> TrackSet:
+        """Return all frames as pictures are drawn of them; the lineage is not in it."""
+        rows = tuple(
+            FrameRow(number, time, 0.0, tuple(self._rows.get(number, ())))
+            for number, time in enumerate(self._sequence.times)
+        )
+        store = _SavedFrames(self)
+        return TrackSet(self.name, self._sequence, rows, Lineage((), ()), store)
+
     def paths(self, number: int) -> dict[int, NDArray[np.float64]]:
         """Return the centroids (n, 3), world mm, of each object of a frame in the frames up to it, rising."""
         present = self._centroids.get(number, {})
@@ -129,21 +148,41 @@ class SavedTracks:
         return {object_id: np.array(places) for object_id, places in sorted(found.items())}
 
 
-def _read_centroids(path: Path) -> dict[int, dict[int, Point]]:
-    """Read the centroids of each frame, by id, from the table of tracks."""
+class _SavedFrames(FrameStore):
+    """Frames of a finished tracking, as pictures need them."""
+
+    def __init__(self, saved: SavedTracks) -> None:
+        self._saved = saved
+
+    def drawn(self, number: int) -> list[DrawnObject]:
+        """Return the objects of a frame as they are drawn."""
+        return self._saved.drawn(number)
+
+    def labels(self, number: int, geometry: Geometry, dtype: np.dtype[Any]) -> NDArray[Any]:
+        """Label map (nz, ny, nx) of a frame."""
+        labels = np.zeros(geometry.shape, dtype)
+        for found in self.drawn(number):
+            labels[found.surface.box][found.surface.psi < 0] = found.id
+        return labels
+
+
+def _read_rows(path: Path) -> dict[int, list[ObjectRow]]:
+    """Read the objects of each frame from the table of tracks; of their numbers those that are drawn."""
     if not path.exists():
         raise InputError(f"{path}: there is no such file", _TRACK)
 
-    def centroids(
-        _: Sequence[str], lines: Iterator[Mapping[str, str]]
-    ) -> dict[int, dict[int, Point]]:
-        found: dict[int, dict[int, Point]] = {}
+    def rows(_: Sequence[str], lines: Iterator[Mapping[str, str]]) -> dict[int, list[ObjectRow]]:
+        found: dict[int, list[ObjectRow]] = {}
         for line in lines:
             place = float(line["x_mm"]), float(line["y_mm"]), float(line["z_mm"])
-            found.setdefault(int(line["frame"]), {})[int(line["id"])] = place
+            volume = 1e3 * float(line.get("volume_ml") or 0.0)
+            row = ObjectRow(
+                int(line["id"]), line.get("seen") != "0", place, _STILL, volume, 0.0, 0.0
+            )
+            found.setdefault(int(line["frame"]), []).append(row)
         return found
 
-    return read_tracks_table(path, centroids)
+    return read_tracks_table(path, rows)
 
 
 def _label_maps(folder: Path, name: str) -> ImageSequence:

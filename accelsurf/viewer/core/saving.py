@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from accelsurf import io
 from accelsurf.correct.finished import result_of
 from accelsurf.errors import UsageError, check_known
+from accelsurf.image.volume import Volume, voxels_sha256
 from accelsurf.io.file_set import FileSet, InputFiles
 from accelsurf.io.files import write_bytes
 from accelsurf.output import document, label_files, outputs, result_sets
@@ -36,6 +37,7 @@ def save(
     replaceable: Collection[Path] | None,
     corrected: Result | None = None,
     others: Mapping[str, Any] | None = None,
+    channels: Sequence[Volume] = (),
 ) -> list[Path]:
     """Write the present result of a run into a folder, all files at once.
 
@@ -58,6 +60,8 @@ def save(
         Of the run and the corrections that were made after its end, with settings that repeat them.
     others : mapping of str to value, optional
         Settings of files in place of those of the run: names, colours, formats.
+    channels : sequence of Volume, optional
+        Further channels of the image.
 
     Returns
     -------
@@ -96,7 +100,7 @@ def save(
         InputFiles(inputs).refuse(paths.values())
         _check_paths(paths, replaceable)
         with output_folder.naming_final(files):
-            return _write(files, paths, names, name, source, result)
+            return _write(files, paths, names, name, source, result, channels)
 
 
 def _all_beside_report(report: Path, what: Collection[str]) -> set[str]:
@@ -118,6 +122,7 @@ def _write(
     name: str,
     source: Path | None,
     result: Result,
+    channels: Sequence[Volume],
 ) -> list[Path]:
     """Write all files at once; return them, the configuration first and the report last."""
     kinds = {}
@@ -127,13 +132,14 @@ def _write(
         )
         kinds[paths["run"].name] = "run"
     content = outputs.preview_content(result, outputs.outcome_title(name, result))
-    image = io.sha256(source) if source is not None and "state" in names else None
+    has_image = source is not None and ("state" in names or "report" in paths)
+    image = voxels_sha256([result.volume, *channels]) if has_image else None
     by_kind = outputs.write_result(result, files.staging, names, content, image=image)
     kinds |= {path.name: kind for kind, path in by_kind}
     last = None
     if "report" in paths:
         last = paths["report"].name
-        _write_report(files, last, kinds, source, result)
+        _write_report(files, last, kinds, source, result, image)
         kinds[last] = "report"
     written = [path.name for path in files.staging.iterdir()]
     files.commit(last=last, remove=result_sets.outdated(files.folder, name, written, failed=False))
@@ -164,7 +170,12 @@ def _check_paths(paths: dict[str, Path], replaceable: Collection[Path] | None) -
 
 
 def _write_report(
-    files: FileSet, report: str, kinds: Mapping[str, str], source: Path | None, result: Result
+    files: FileSet,
+    report: str,
+    kinds: Mapping[str, str],
+    source: Path | None,
+    result: Result,
+    image: str | None,
 ) -> None:
     """Write the report that names the staging files of these ``kinds``."""
     contents = document.build(
@@ -174,7 +185,7 @@ def _write_report(
         config=result.config,
         source=None
         if source is None
-        else document.describe_input(source, geometry=result.geometry),
+        else document.describe_input(source, geometry=result.geometry, voxels=image),
         result=result,
         outputs=document.describe_staged(files, kinds),
     )

@@ -596,7 +596,9 @@ class Timeline:
         self.run.apply_edits()
         known, corrected = None if overwrite else self._written, self.corrections.result()
         others = self.objects.named_settings(self.run.config) | ({"mesh": (mesh,)} if mesh else {})
-        written = saving.save(self.run, folder, name, source, what, known, corrected, others)
+        written = saving.save(
+            self.run, folder, name, source, what, known, corrected, others, self._channels
+        )
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"
         return written

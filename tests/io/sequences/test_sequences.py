@@ -6,12 +6,15 @@ import nibabel
 import numpy as np
 import pytest
 import SimpleITK as sitk
+from PIL import Image
 
 from accelsurf import cli, io
 from accelsurf.errors import InputError, UsageError
+from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers
 from accelsurf.io.channels import selected, single
 from accelsurf.io.headers import FRAME_KEY, UNIT_KEY
+from accelsurf.settings.file_formats import label_formats
 from accelsurf.settings.reading import ReadOptions
 
 FULL = np.random.default_rng(0).integers(0, 30000, (3, 4, 5, 6)).astype(np.int16)  # t z y x
@@ -184,3 +187,29 @@ def test_commands_refuse_a_sequence_and_take_a_time_point(tmp_path, capsys):
 def test_places_of_channels_and_time_points():
     assert selected(2, 1, ReadOptions()) == [(0, 0), (0, 1)]
     assert single(1, 4, ReadOptions(time_index=3)) == (3, 0)
+
+
+@pytest.mark.parametrize("name", [*label_formats(), "mgz", "colour.png"])
+@pytest.mark.parametrize("by_pattern", [False, True])
+def test_a_folder_of_frames_may_have_any_format(tmp_path, name, by_pattern):
+    """Each frame has the grid and values that the file has by itself."""
+    folder, form = tmp_path / "frames", name.rpartition(".")[2]
+    folder.mkdir()
+    is_2d = form == "png"
+    random = np.random.default_rng(5)
+    for number in (1, 2, 4):
+        values = random.integers(0, 200, (1 if is_2d else 3, 6, 7)).astype(np.uint8)
+        file = folder / f"s{number}.{name}"
+        if form == "mgz":
+            nibabel.save(nibabel.MGHImage(values.T, np.diag([1.0, 2.0, 3.0, 1.0])), file)
+        elif name == "colour.png":
+            Image.fromarray(np.stack([values[0]] * 3, -1)).save(file)
+        else:
+            io.write(Volume.from_array(values, (2.0, 0.5, 0.25)), file)
+    path = folder / f"s*.{name}" if by_pattern else folder
+    sequence = io.read_sequence(path)
+    assert list(sequence.times) == [0.0, 1.0, 3.0]
+    for place, number in enumerate((1, 2, 4)):
+        alone = io.read(folder / f"s{number}.{name}")
+        np.testing.assert_array_equal(sequence.frame(place).array, alone.array, strict=True)
+        assert sequence.geometry.difference(alone.geometry) == ""
