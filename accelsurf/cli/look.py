@@ -134,14 +134,11 @@ def _values(array: NDArray[Any]) -> str:
 
 def _said_of(volumes: list[Volume]) -> str:
     """Size of an image, and of its voxels in the unit of the file."""
-    from accelsurf.io.headers import UNIT_KEY
     from accelsurf.settings.wording import voxel_text
 
     grid = volumes[0].geometry
     size = " x ".join(str(n) for n in grid.size)
-    return (
-        f"{size} voxels of {voxel_text(grid.spacing_xyz, volumes[0].metadata.get(UNIT_KEY, 'mm'))}"
-    )
+    return f"{size} voxels of {voxel_text(grid.spacing_xyz, grid.unit)}"
 
 
 def _read(source: Path, level: int | None, requested: ReadOptions) -> tuple[list[Volume], Geometry]:
@@ -224,19 +221,21 @@ def _place(text: str, geometry: Geometry) -> tuple[float, float, float]:
     """
     import numpy as np
 
-    from accelsurf.settings.coordinates import coordinates_of
+    from accelsurf.settings.coordinates import SUFFIXES, coordinates_of
     from accelsurf.starts.starts import extent_hint
 
     found = coordinates_of(text)
     if found is None or len(found.numbers) != 3 or not np.isfinite(found.numbers).all():
         raise UsageError(
-            f"--at: {text[:40]!r} was given, expected X,Y,Z in mm, or indices as 12,40,7vox"
+            f"--at: {text[:40]!r} was given, expected X,Y,Z in mm (world, LPS)",
+            f"or with {SUFFIXES}, as 12,40,7vox",
         )
+    found = found.on(geometry)
     index = np.array(found.numbers[::-1]) if found.vox else geometry.world_to_index(found.numbers)
     if not ((index >= -0.5) & (index <= np.array(geometry.shape) - 0.5)).all():
         raise UsageError(
             f"--at: {text} lies outside of the image",
-            extent_hint(geometry, found.numbers, found.vox),
+            extent_hint(geometry),
         )
     x, y, z = (float(v) for v in geometry.index_to_world(index))
     return x, y, z

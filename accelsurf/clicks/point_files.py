@@ -25,15 +25,15 @@ _SYSTEMS = {
     "0": Suffix(ras=True),
     "lps": Suffix(),
     "1": Suffix(),
-    "ijk": Suffix(vox=True),
-    "2": Suffix(vox=True),
+    "ijk": Suffix("vox"),
+    "2": Suffix("vox"),
 }
 #: Columns of a table, and what their numbers are: Slicer's tables of control points, napari's points.
 _COLUMNS: dict[tuple[str, ...], Suffix] = {
     ("r", "a", "s"): Suffix(ras=True),
     ("l", "p", "s"): Suffix(),
-    ("axis-2", "axis-1", "axis-0"): Suffix(vox=True),
-    ("axis-1", "axis-0"): Suffix(vox=True),
+    ("axis-2", "axis-1", "axis-0"): Suffix("vox"),
+    ("axis-1", "axis-0"): Suffix("vox"),
 }
 #: Columns of an .fcsv file unless it says others.
 _FCSV_COLUMNS = ("id", "x", "y", "z")
@@ -96,7 +96,7 @@ def read_points(file: str) -> list[Coordinates]:
                 f"expected {_EXPECTED}",
             )
         flat = [row if len(row) == 3 else (*row, 0.0) for row in rows]  # napari's, of one slice
-        found += [Coordinates(suffix.in_lps(row), suffix.vox) for row in flat]
+        found += [suffix.coordinates(row) for row in flat]
     if not found:
         raise InputError(f"{file}: it has no point", f"expected {_EXPECTED}")
     return found

@@ -35,7 +35,13 @@ from accelsurf.grid.window import Window
 from accelsurf.image.volume import Volume
 from accelsurf.io.files import read_table
 from accelsurf.settings import budgets
-from accelsurf.settings.coordinates import Coordinates, coordinates_of, is_point_file, split_suffix
+from accelsurf.settings.coordinates import (
+    Coordinates,
+    coordinates_of,
+    is_point_file,
+    place_text,
+    split_suffix,
+)
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
 
@@ -55,7 +61,7 @@ _STROKE = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS) or {','.join(VOX
 _LABELS: dict[int, Side] = {1: "inside", 2: "outside"}
 
 
-def _parse_path(text: str) -> tuple[Floats, bool]:
+def _parse_path(text: str, geometry: Geometry) -> tuple[Floats, bool]:
     """Read the numbers of a path: rows x, y, z, r, and whether they are voxels.
 
     Raises
@@ -65,17 +71,19 @@ def _parse_path(text: str) -> tuple[Floats, bool]:
 
     Examples
     --------
-    >>> _parse_path("path:1,2,3,4;5,6,7,4")[0].tolist()
+    >>> _parse_path("path:1,2,3,4;5,6,7,4", Geometry((9, 9, 9), (1.0, 1.0, 1.0)))[0].tolist()
     [[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 4.0]]
     """
     budgets.PATH.check(len(text), "a path", kind=UsageError)
     rest, suffix = split_suffix(text.strip().removeprefix("path:"))
     try:
-        rows = [
-            suffix.in_lps([float(value) for value in row.split(",")]) for row in rest.split(";")
+        read = [
+            suffix.coordinates([float(value) for value in row.split(",")])
+            for row in rest.split(";")
         ]
     except ValueError:
-        rows = [()]
+        read = [Coordinates(())]
+    rows = [found.numbers for found in read]
     if any(
         len(row) != 4 or not 0 <= row[3] or not all(abs(v) <= starts.MAX_LENGTH for v in row)
         for row in rows
@@ -84,7 +92,8 @@ def _parse_path(text: str) -> tuple[Floats, bool]:
             f"click {shown(text)!r}: x, y, z and a radius for each place expected",
             f"as in {_PATH_FORM}",
         )
-    return np.array(rows), suffix.vox
+    placed = [found.on(geometry) for found in read]
+    return np.array([found.numbers for found in placed]), placed[0].vox
 
 
 def _click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Click:
@@ -112,7 +121,7 @@ def _click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Cl
     InputError
         When no voxel is in it.
     """
-    rows, is_vox = _parse_path(text)
+    rows, is_vox = _parse_path(text, geometry)
     finest = min(geometry.steps)
     places = rows[:, 2::-1] if is_vox else geometry.world_to_index(rows[:, :3])
     radii = rows[:, 3] * finest if is_vox else rows[:, 3]
@@ -226,7 +235,7 @@ def read_clicks(
                 voxels = point_voxels([point.numbers], name, side, window.geometry, point.vox)
                 out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "point" or (not colon and "," in kind):
-            point = _point(text, rest if colon else kind)
+            point = _point(text, rest if colon else kind).on(window.geometry)
             voxels = point_voxels([point.numbers], text, side, window.geometry, point.vox)
             out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "path":
@@ -346,11 +355,11 @@ def check_left(before: Clicks, after: Clicks) -> None:
 def voxel_named(
     index: NDArray[np.int64], geometry: Geometry, first: Sequence[int] = (0, 0, 0)
 ) -> str:
-    """Return the name of a voxel (z, y, x) in messages: its index x,y,z in the image, and its place in mm."""
+    """Return the name of a voxel (z, y, x) in messages: its index x,y,z in the image, and its place."""
     place = np.asarray(index) + np.asarray(first)
-    world = ",".join(f"{value:.4g}" for value in geometry.index_to_world(place.astype(float)))
+    world = place_text(geometry.index_to_world(place.astype(float)).tolist(), geometry)
     voxel = ",".join(str(int(i)) for i in place[::-1])
-    return f"voxel {voxel} (x,y,z; {world} mm)"
+    return f"voxel {voxel} (x,y,z; at {world})"
 
 
 def point_voxels(
@@ -373,9 +382,11 @@ def point_voxels(
     beyond = ((voxels < 0) | (voxels >= np.array(geometry.shape))).any(axis=1)
     if beyond.any():
         place = places[int(np.flatnonzero(beyond)[0])].tolist()
-        given = ",".join(f"{v:g}" for v in place)
-        hint = starts.extent_hint(geometry, place, vox)
-        raise InputError(f"{side} {shown(name)!r}: {given} lies outside of the volume", hint)
+        given = ",".join(f"{v:g}" for v in place) + ("vox" if vox else "")
+        raise InputError(
+            f"{side} {shown(name)!r}: {given} lies outside of the volume",
+            starts.extent_hint(geometry),
+        )
     return voxels
 
 

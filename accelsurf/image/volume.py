@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,9 @@ from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image import thumbnail
 from accelsurf.image.check import ImageCheck, Places
+
+#: The entry of metadata with the unit of length of a file where it is smaller than mm: um or nm.
+UNIT_KEY = "spatial_unit"
 
 
 def plain_array(value: Any, name: str) -> NDArray[Any]:
@@ -93,6 +96,7 @@ class Volume:
             raise InputError(
                 f"an array of shape {array.shape} given, the grid's {self.geometry.shape} expected"
             )
+        object.__setattr__(self, "geometry", in_unit_of(self.metadata, self.geometry))
 
     def __repr__(self) -> str:
         source = f", source={str(self.source)!r}" if self.source is not None else ""
@@ -180,6 +184,18 @@ class Volume:
     def with_array(self, array: NDArray[Any]) -> Volume:
         """Another array on the same grid, with the same header metadata (but no source: it was not read)."""
         return Volume(array, self.geometry, dict(self.metadata))
+
+
+def in_unit_of(metadata: Mapping[str, str], geometry: Geometry) -> Geometry:
+    """Return a grid whose lengths are shown in the unit of a file's metadata, where these name one.
+
+    Examples
+    --------
+    >>> in_unit_of({UNIT_KEY: "um"}, Geometry((1, 1, 1), (1.0, 1.0, 1.0))).unit
+    'um'
+    """
+    unit = metadata.get(UNIT_KEY, geometry.unit)
+    return geometry if unit == geometry.unit else replace(geometry, unit=unit)
 
 
 def check_image(volume: Volume) -> None:

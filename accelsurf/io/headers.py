@@ -18,10 +18,11 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from accelsurf.errors import InputError, UsageError
+from accelsurf.image import volume
 from accelsurf.image.sequence import check_times
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
-from accelsurf.settings.reading import AS_IT_IS, ReadOptions, check_readable
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions, Spacing, check_readable
 from accelsurf.settings.registry import load
 
 TimeUnit = Literal["s", "frame"]
@@ -42,7 +43,7 @@ VALUE_UNIT_KEY = "value_unit"
 """The unit of the values, as HU, where the file says it."""
 ORIENTED_KEY = "ome_oriented"
 """Present where the axes of an OME-Zarr were given an anatomical orientation."""
-UNIT_KEY = "spatial_unit"
+UNIT_KEY = volume.UNIT_KEY
 """The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
 FRAME_KEY = "frame_seconds"
 """Seconds from one time point of a sequence to the next; absent where the file does not say them."""
@@ -348,6 +349,20 @@ def with_warnings(metadata: Mapping[str, str], *notes: str) -> dict[str, str]:
     """
     said = "; ".join(note for note in (metadata.get(WARNING_KEY, ""), *notes) if note)
     return {**metadata, WARNING_KEY: said} if said else dict(metadata)
+
+
+def with_given_unit(metadata: Mapping[str, str], options: ReadOptions) -> dict[str, str]:
+    """The metadata with the unit in which a size of the voxels was given, in place of that of the file.
+
+    Examples
+    --------
+    >>> with_given_unit({}, ReadOptions(spacing=Spacing((2e-4, 2e-4, 1e-3), "um")))
+    {'spatial_unit': 'um'}
+    """
+    if not isinstance(options.spacing, Spacing) or not options.spacing.unit:
+        return dict(metadata)
+    kept = {key: value for key, value in metadata.items() if key != UNIT_KEY}
+    return kept if options.spacing.unit == "mm" else {**kept, UNIT_KEY: options.spacing.unit}
 
 
 @dataclass(frozen=True)

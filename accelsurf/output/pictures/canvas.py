@@ -271,7 +271,7 @@ def write_lengths(axes: Axes, across: str, up: str, unit: str) -> None:
         step = tick_step(low, high, pixels, room)
         axis.set_major_locator(MultipleLocator(step / in_unit(1.0, unit)))
         axis.set_major_formatter(
-            FuncFormatter(lambda value, _: f"{round(in_unit(value, unit), 9):g}")
+            FuncFormatter(lambda value, _: f"{round(in_unit(value, unit), 9):.12g}")
         )
 
 

@@ -12,7 +12,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.image.volume import Volume
-from accelsurf.io.headers import UNIT_KEY, is_anatomical
+from accelsurf.io.headers import is_anatomical
 from accelsurf.output.pictures.canvas import (
     SKY,
     SURFACE,
@@ -31,6 +31,7 @@ from accelsurf.output.pictures.slices import (
     draw_slice_scale,
     name_section,
     open_slice,
+    typed_note,
     write_letters,
 )
 
@@ -76,7 +77,7 @@ def look_png(
     several = len(planes) > 1
     tall = PANEL if several else 700
     canvas = Canvas(WIDTH if several else 940, TOP + len(channels) * (tall + BELOW), title)
-    anatomical, unit = is_anatomical(channels[0].metadata), channels[0].metadata.get(UNIT_KEY, "mm")
+    anatomical, unit = is_anatomical(channels[0].metadata), geometry.unit
     for row, volume in enumerate(channels):
         grey = window if window is not None else _window(volume, labels)
         top = TOP + row * (tall + BELOW)
@@ -93,6 +94,7 @@ def look_png(
             if anatomical:
                 write_letters(shown)
             draw_slice_scale(shown, unit)
+        canvas.text((10, top + tall + BELOW - 26), typed_note(geometry), TICK_SIZE, anchor="ld")
         canvas.text(
             (canvas.width - 10, top + tall + BELOW - 26),
             f"window {grey.text}",
