@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from accelsurf.errors import InputError
-from accelsurf.io.files import bytes_within
+from accelsurf.io.files import bytes_within, columns_in
 from accelsurf.settings import budgets
 from accelsurf.settings.coordinates import UNITS_MM, Coordinates, Suffix
 from accelsurf.settings.wording import shown
@@ -37,7 +37,7 @@ _COLUMNS: dict[tuple[str, ...], Suffix] = {
 }
 #: Columns of an .fcsv file unless it says others.
 _FCSV_COLUMNS = ("id", "x", "y", "z")
-_OWN = {"x", "y", "z"}, {"x_vox", "y_vox", "z_vox"}
+_OWN = tuple(set(columns_in(system, ("x", "y", "z"))) for system in ("", "vox", "shown"))
 #: Kinds of Slicer's markups whose control points lie where somebody has clicked.
 _CLICKED_MARKUPS = ("Fiducial", "PointList", "Line", "Angle", "Curve", "ClosedCurve")
 _EXPECTED = (

@@ -33,14 +33,16 @@ from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks, Side
 from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.grid.window import Window
 from accelsurf.image.volume import Volume
-from accelsurf.io.files import read_table
+from accelsurf.io.files import columns_in, read_table
 from accelsurf.settings import budgets
 from accelsurf.settings.coordinates import (
     Coordinates,
+    System,
     coordinates_of,
     is_point_file,
     place_text,
     split_suffix,
+    suffix_of,
 )
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
@@ -55,9 +57,12 @@ Floats = NDArray[np.float64]
 KINDS = {"point": "point:X,Y,Z", "path": _PATH_FORM, "stroke": "stroke:FILE"}
 #: A voxel whose centre lies on a ball or a stroke is clicked, up to this part of the radius: a ball of one voxel has 7.
 _ROUNDED = 1e-6
-#: Columns of a stroke: world mm (LPS), or voxel indices; a radius makes balls, a side overrides the option's.
-WORLD_COLUMNS, VOXEL_COLUMNS = ("x", "y", "z"), ("x_vox", "y_vox", "z_vox")
-_STROKE = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS) or {','.join(VOXEL_COLUMNS)}, with r and side if wanted"
+#: Columns of a stroke in world mm (LPS); a radius makes balls, a side overrides the option's.
+WORLD_COLUMNS = ("x", "y", "z")
+_STROKE = (
+    "columns x,y,z in world mm (LPS), or x_vox,y_vox,z_vox, or x_grid,y_grid,z_grid as on the scales of pictures, "
+    "with r (r_vox, r_grid) and side if wanted"
+)
 _LABELS: dict[int, Side] = {1: "inside", 2: "outside"}
 
 
@@ -358,8 +363,9 @@ def voxel_named(
     """Return the name of a voxel (z, y, x) in messages: its index x,y,z in the image, and its place."""
     place = np.asarray(index) + np.asarray(first)
     world = place_text(geometry.index_to_world(place.astype(float)).tolist(), geometry)
+    world += "" if suffix_of(geometry) else " mm"
     voxel = ",".join(str(int(i)) for i in place[::-1])
-    return f"voxel {voxel} (x,y,z; at {world})"
+    return f"voxel {voxel} (x,y,z; {world})"
 
 
 def point_voxels(
@@ -507,30 +513,29 @@ def _stroke_of_points(file: str, side: Side, geometry: Geometry, id: int) -> lis
     rows = read_table(
         file,
         WORLD_COLUMNS,
-        VOXEL_COLUMNS,
         _STROKE,
-        lambda line, number, vox: (vox, *stroke_row(line, number, vox, side)),
+        lambda line, number, system: stroke_row(line, number, system, side, geometry),
     )
     if not rows:
         raise InputError(f"{file}: it has no row", f"expected {_STROKE}")
-    vox, out = rows[0][0], list[Click]()
+    vox, out = rows[0][1][1], list[Click]()
     for way in SIDES:
         points = [
-            numbers[:3] for _, row_side, numbers in rows if row_side == way and numbers[3] == 0
+            numbers[:3] for row_side, (numbers, _) in rows if row_side == way and numbers[3] == 0
         ]
         if points:
             out.append(click_of_voxels(way, point_voxels(points, file, way, geometry, vox), id))
     return out + [
         click_of_numbers(way, numbers, vox, geometry, id)
-        for _, way, numbers in rows
+        for way, (numbers, _) in rows
         if numbers[3] > 0
     ]
 
 
 def stroke_row(
-    line: dict[str, str], number: int, vox: bool, side: Side
-) -> tuple[Side, tuple[float, ...]]:
-    """Side and (x, y, z, r) of a row of a stroke; r is 0 for a point.
+    line: dict[str, str], number: int, system: System, side: Side, geometry: Geometry
+) -> tuple[Side, tuple[tuple[float, ...], bool]]:
+    """Side of a row of a stroke, its (x, y, z, r), and whether these are voxels; r is 0 for a point.
 
     Raises
     ------
@@ -538,7 +543,7 @@ def stroke_row(
         When it has no three numbers, a radius below 0, or another side.
     """
     given = ",".join(str(value) for value in line.values() if isinstance(value, str))
-    names = (*(VOXEL_COLUMNS if vox else WORLD_COLUMNS), "r_vox" if vox else "r")
+    names = columns_in(system, (*WORLD_COLUMNS, "r"))
     try:
         numbers = tuple(
             float(line.get(name) or ("0" if name.startswith("r") else "")) for name in names
@@ -550,7 +555,8 @@ def stroke_row(
             f"line {number}: {given} was given, expected three numbers, and no radius below 0",
             _STROKE,
         )
-    return side_of(line, number, side), numbers
+    found = Coordinates(numbers, system).on(geometry)
+    return side_of(line, number, side), (found.numbers, found.vox)
 
 
 def side_of(line: dict[str, str], number: int, otherwise: Side) -> Side:

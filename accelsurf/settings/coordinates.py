@@ -176,8 +176,8 @@ def place_text(place: Sequence[float], geometry: Geometry, radius: float | None 
     if not DisplayOrientation.of(geometry).is_parallel:
         z, y, x = geometry.world_to_index(place).tolist()
         shown = scales_of(geometry, (z, y, x))
-    digits = digits_of([step / mm for step in geometry.steps])
-    numbers = [f"{value / mm + 0.0:.{digits}f}" for value in shown]
+    digits = digits_of([step / mm for step in geometry.spacing])
+    numbers = [f"{round(value / mm, digits) + 0.0:.{digits}f}" for value in shown]
     if radius is not None:
         numbers.append(f"{radius / mm:.2g}")
     return ",".join(numbers) + suffix_of(geometry)

@@ -160,7 +160,7 @@ def open_slice(
 def across_text(shown: Slice, unit: str) -> str:
     """Return the place of a slice on the scale across it, to a part of a voxel."""
     plane = shown.view.plane
-    digits = digits_of([in_unit(step, unit) for step in shown.geometry.steps])
+    digits = digits_of([in_unit(step, unit) for step in shown.geometry.spacing])
     at = in_unit(shown.up.coordinate(plane, shown.view.index), unit)
     return f"{shown.up.names[plane]} = {round(at, digits) + 0.0:.12g} {unit}"
 
