@@ -19,7 +19,7 @@ from accelsurf import io
 from accelsurf.correct.state_file import state_bytes
 from accelsurf.image.grey_window import parse_window
 from accelsurf.io.files import write_bytes
-from accelsurf.io.headers import LABELS_KEY, is_anatomical
+from accelsurf.io.headers import LABELS_KEY, shows_patient
 from accelsurf.measure.contours import Contours
 from accelsurf.output import layouts, tables
 from accelsurf.output import names as output_names
@@ -265,7 +265,7 @@ def preview_content(result: Result, title: str) -> PreviewContent:
         surface=result.surface if not is_2d and _has_surface(result) else None,
         start=result.start,
         title=title,
-        anatomical=is_anatomical(result.volume.metadata),
+        anatomical=shows_patient(result.volume),
         objects=_object_shapes(result) if result.has_ids else (),
         late_growth=result.late_leakage,
         next_clicks=_next_clicks(result),
