@@ -134,9 +134,8 @@ def summary_lines(
     lines += [f"  {line}" for line in _judgement(result)]
     if shaped:
         furthest = max(shaped, key=lambda output: float(output["largest_distance_mm"]))
-        lines.append(
-            f"  mesh: {furthest['faces']} triangles, at most {furthest['largest_distance_mm']:.3g} mm from the surface"
-        )
+        far = size_text(furthest["largest_distance_mm"], result.geometry.unit, digits=3)
+        lines.append(f"  mesh: {furthest['faces']} triangles, at most {far} from the surface")
     return [*lines, *file_lines(outputs, report, first_alone=result.has_ids)]
 
 

@@ -84,7 +84,7 @@ class Geometry:
         if any(h <= 0.0 for h in spacing):
             raise GeometryError(
                 f"spacing (hz, hy, hx) = {_short(spacing)} mm given, three positive numbers expected",
-                hint="correct the voxel size in the header, or give the array with spacing=",
+                hint="correct the voxel size in the header, or give the array with spacing=, in the order of its axes",
             )
         low, high = SPACING_RANGE
         if not low <= min(spacing) <= max(spacing) <= high:

@@ -148,6 +148,12 @@ class Volume:
                 f"an array of shape {values.shape} given, (z, y, x) with at least one voxel expected",
                 hint="take one channel or time point of it first",
             )
+        written: object = spacing
+        if isinstance(written, str):
+            raise InputError(
+                f"spacing: the text {written[:40]!r} was given, expected mm as numbers, one or (hz, hy, hx)",
+                "0.2 um are 0.0002 mm; accelsurf.segment(array, spacing='0.2um') takes texts",
+            )
         steps = (
             (float(spacing),) * 3
             if isinstance(spacing, (int, float, np.number))

@@ -76,7 +76,7 @@ def cropped(geometry: Geometry, box: Box) -> Geometry:
     if shape == geometry.shape:
         return geometry
     origin = geometry.index_to_world(np.array([float(s.start) for s in box]))
-    return part_of(geometry, (shape[0], shape[1], shape[2]), origin)
+    return part_of(geometry, (shape[0], shape[1], shape[2]), origin.tolist())
 
 
 def closed_on(psi: NDArray[np.float32], corner: Corner, box: Box) -> NDArray[np.float32]:

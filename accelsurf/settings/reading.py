@@ -40,7 +40,7 @@ class Spacing(tuple[float, float, float]):
 
     def __new__(cls, sizes: Iterable[float], unit: str = "") -> Spacing:
         """Make it of three sizes in mm."""
-        made = super().__new__(cls, sizes)  # type: ignore[arg-type]
+        made = super().__new__(cls, sizes)
         made.unit = unit
         return made
 

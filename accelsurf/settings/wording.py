@@ -190,6 +190,18 @@ def voxel_text(spacing_mm: Iterable[float], unit: str = "mm") -> str:
     return " x ".join(f"{size * _IN_MM[unit]:.4g}" for size in spacing_mm) + f" {unit}"
 
 
+def size_setting(mm3: float) -> str:
+    """Return a volume as the setting ``size`` takes it, without an exponent: in the unit that has four digits of it.
+
+    Examples
+    --------
+    >>> size_setting(1234.5), size_setting(4.2e-7), size_setting(4.2e-13)
+    ('1234.5000mm3', '420.0000um3', '420000.0000nm3')
+    """
+    unit = next((unit for unit in ("mm", "um") if in_unit(mm3, unit, 3) >= 1.0), "nm")
+    return f"{in_unit(mm3, unit, 3):.4f}{unit}3"
+
+
 def volume_text(mm3: float, unit: str = "mm") -> str:
     """Return a volume in the unit that people use for its size, or in that of an image of a microscope.
 

@@ -171,10 +171,10 @@ def typed_note(geometry: Geometry) -> str:
     Examples
     --------
     >>> typed_note(Geometry((9, 9, 9), (1e-3, 1e-3, 1e-3), unit="um"))
-    'places on these scales are typed as X,Y,Zum'
+    'places on these scales end in um: X,Y,Zum'
     """
     suffix = suffix_of(geometry)
-    return f"places on these scales are typed as X,Y,Z{suffix}" if suffix else ""
+    return f"places on these scales end in {suffix}: X,Y,Z{suffix}" if suffix else ""
 
 
 def lay_slice(
