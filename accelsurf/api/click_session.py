@@ -78,7 +78,7 @@ class ClickSession:
     ----------
     image : image
         As `accelsurf.segment` takes it; never modified. A 2D array is one slice.
-    spacing : float or (hz, hy, hx), optional
+    spacing : float, str or (hz, hy, hx), optional
         mm, for an array only; 1 by default.
     channels : sequence of image, optional
         Further ones, on the same grid.
@@ -111,7 +111,7 @@ class ClickSession:
         self,
         image: ImageLike,
         *,
-        spacing: float | tuple[float, float, float] | None = None,
+        spacing: float | str | tuple[float, float, float] | None = None,
         channels: Sequence[ImageLike] = (),
     ) -> None:
         volume = as_volume(image, spacing)

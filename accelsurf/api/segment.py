@@ -49,7 +49,7 @@ _IN_PARTS = "accelsurf.large.windowed:segment_lazily"
 def segment(
     image: ImageLike | LazyVolume,
     *,
-    spacing: float | tuple[float, float, float] | None = None,
+    spacing: float | str | tuple[float, float, float] | None = None,
     channels: Sequence[ImageLike] = (),
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
@@ -66,8 +66,9 @@ def segment(
         Never modified. An image of a library has its geometry; nibabel's, which is RAS, is turned to LPS. Tensors of
         torch and arrays of dask are arrays. Of `accelsurf.open_volume` parts near the object are read, with the same
         result.
-    spacing : float or (hz, hy, hx), optional
-        mm, for an array only; 1 by default.
+    spacing : float, str or (hz, hy, hx), optional
+        mm, for an array only, in the order of its axes; 1 by default. A text is as of ``--spacing``: x, y, z, with a
+        unit if wanted ("0.2,0.2,1um"), in which sizes are then shown. Clicks and starts are x, y, z.
     channels : sequence of such images, optional
         Further ones, on the same grid.
     config : RunConfig, optional
@@ -118,7 +119,7 @@ def segment_clicks(
     inside: ArrayLike,
     outside: ArrayLike = ...,
     *,
-    spacing: float | Sequence[float] = ...,
+    spacing: float | str | Sequence[float] = ...,
     return_result: Literal[False] = ...,
     **options: Unpack[Options],
 ) -> NDArray[np.uint8]: ...
@@ -130,7 +131,7 @@ def segment_clicks(
     inside: ArrayLike,
     outside: ArrayLike = ...,
     *,
-    spacing: float | Sequence[float] = ...,
+    spacing: float | str | Sequence[float] = ...,
     return_result: Literal[True],
     **options: Unpack[Options],
 ) -> tuple[NDArray[np.uint8], Result]: ...
@@ -141,7 +142,7 @@ def segment_clicks(
     inside: ArrayLike,
     outside: ArrayLike = (),
     *,
-    spacing: float | Sequence[float] = 1.0,
+    spacing: float | str | Sequence[float] = 1.0,
     return_result: bool = False,
     **options: Unpack[Options],
 ) -> NDArray[np.uint8] | tuple[NDArray[np.uint8], Result]:
@@ -153,8 +154,8 @@ def segment_clicks(
         An array of numpy, torch or dask; never modified.
     inside, outside : array_like
         Voxels in the object, and beside it: indices (n, ndim) or (ndim,), or a mask of booleans of the image's shape.
-    spacing : float or sequence of float, optional
-        Size of a voxel along each axis, mm.
+    spacing : float, str or sequence of float, optional
+        Size of a voxel along each axis, mm; a text as for `segment`.
     return_result : bool, optional
         Return the `Result` as well.
     **options
@@ -220,7 +221,7 @@ def _clicks_in_order(side: Side, given: ArrayLike, volume: Volume, flat: bool) -
 def evolve(
     image: ImageLike,
     *,
-    spacing: float | tuple[float, float, float] | None = None,
+    spacing: float | str | tuple[float, float, float] | None = None,
     channels: Sequence[ImageLike] = (),
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
@@ -260,7 +261,7 @@ def segment_objects(
     image: ImageLike,
     objects: ObjectsLike | ImageLike | None = None,
     *,
-    spacing: float | tuple[float, float, float] | None = None,
+    spacing: float | str | tuple[float, float, float] | None = None,
     channels: Sequence[ImageLike] = (),
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
@@ -324,7 +325,7 @@ def segment_objects(
 
 def _run_of(
     image: ImageLike,
-    spacing: float | tuple[float, float, float] | None,
+    spacing: float | str | tuple[float, float, float] | None,
     channels: Sequence[ImageLike],
     config: RunConfig | None,
     energy: EnergyLike | None,

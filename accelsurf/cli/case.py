@@ -447,10 +447,13 @@ def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> 
     """
     from accelsurf import io
     from accelsurf.io import images
+    from accelsurf.io.headers import size_question
 
     log.note_grid(volume.geometry)
     if note := volume.metadata.get(io.WARNING_KEY):
         log.warnings.append(note)
+    if volume.source is not None and (question := size_question(volume, volume.source)):
+        log.warnings.append(question)
     labels = place.label_format(config)
     output_names.check_outputs(config, labels, volume.geometry)
     label_files.check_label_settings(config, volume, place.overwrite)

@@ -114,7 +114,12 @@ def _show_image(path: Path, as_json: bool, requested: ReadOptions) -> None:
     if as_json:
         print(to_json(description))
         return
-    levels = description.pop("levels")
+    levels, unit = description.pop("levels"), description["unit_of_the_file"] or "mm"
+    for key in ("spacing", "origin"):
+        description[key] = _lengths(description[key], unit)
+    description["direction"] = [
+        [float(f"{v:.6g}") for v in row] for row in description["direction"]
+    ]
     _print_table(
         {
             key.replace("_", " "): str(value)
@@ -123,7 +128,14 @@ def _show_image(path: Path, as_json: bool, requested: ReadOptions) -> None:
         }
     )
     for number, level in enumerate(levels):
-        print(f"  level {number}: size {level['size']}, spacing {level['spacing']}")
+        print(f"  level {number}: size {level['size']}, spacing {_lengths(level['spacing'], unit)}")
+
+
+def _lengths(mm: Sequence[float], unit: str) -> str:
+    """Return lengths in the unit of the file, with the digits that headers have."""
+    from accelsurf.settings.wording import in_unit
+
+    return f"[{', '.join(f'{in_unit(value, unit):.6g}' for value in mm)}] {unit}"
 
 
 def _show_results(reports: Sequence[Path], as_json: bool) -> None:
@@ -144,14 +156,17 @@ def _show_results(reports: Sequence[Path], as_json: bool) -> None:
 
 def _summary(report: object) -> dict[str, str]:
     """Return what a report says of image, end, volume and quality."""
+    from accelsurf.settings.wording import size_text
+
     document = report if isinstance(report, dict) else {}
     source, stop, error, quality = (
         _fields_of(document, name) for name in ("input", "stop", "error", "quality")
     )
     out = {"image": source.get("path"), "ended": stop.get("message") or error.get("message")}
+    unit = source.get("unit")
     volume, probability = document.get("volume_mm3"), quality.get("probability")
     if isinstance(volume, int | float):
-        out["volume"] = f"{volume:.6g} mm3"
+        out["volume"] = size_text(volume, unit if unit in ("um", "nm") else "mm", 3)
     if isinstance(probability, int | float):
         out["likely good"] = f"{probability:.0%}"
     warnings = quality.get("warnings")

@@ -50,18 +50,20 @@ def look(
 ) -> int:
     """Look at an image: three slices with a grid in mm, without a run.
 
-    Where to click can be read off the picture: its scales are the coordinates of --inside and --start. Prints the size
-    of the image, its voxels and its values, and the name of the picture.
+    Where to click can be read off the picture: its scales are the coordinates of --inside and --start, with the ending
+    that is written below them (um, or grid for an oblique image). Prints the size of the image, its voxels and its
+    values, where the slices meet as options take it, and the name of the picture.
 
     Parameters
     ----------
     input
         The image.
     output
-        The picture, a PNG file, or the folder for it; NAME_look.png in the present folder by default.
+        The picture, a PNG file, or the folder for it; NAME_look.png in the present folder by default, where a picture
+        that look made and nobody has changed since is replaced.
     at
-        Where the three slices meet: X,Y,Z in world mm (LPS), or voxel indices with the suffix vox; the middle of the
-        labels, else of the image, by default.
+        Where the three slices meet: X,Y,Z in world mm (LPS), or with a unit (um), or vox (voxel indices), or grid (the
+        scales of the picture) at the end; the middle of the labels, else of the image, by default.
     window
         Values that are black to white: LEVEL,WIDTH, auto, or of a CT soft-tissue, bone, lung or brain.
     labels
@@ -75,15 +77,16 @@ def look(
     from accelsurf.io.file_set import InputFiles
     from accelsurf.io.files import write_bytes
     from accelsurf.output.folder import inputs_of, make_writable
+    from accelsurf.output.pictures.marks import is_own_picture
 
     source = required(input, "IMAGE")
     shown = parse_window(window)
     path = _picture(source, output)
     InputFiles(inputs_of(source, None, labels)).refuse([path])
-    if path.exists() and not overwrite:
+    if path.exists() and not overwrite and not (output is None and is_own_picture(path)):
         raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
     volumes, grid = _read(source, level, run_config(reading).reading)
-    _say_notes(volumes)
+    _say_notes(volumes, source)
     from accelsurf.output.pictures.look import look_png  # loads what draws
 
     geometry = volumes[0].geometry
@@ -98,18 +101,29 @@ def look(
     for number, volume in enumerate(volumes, 1):
         which = f" of channel {number}" if len(volumes) > 1 else ""
         print(f"values   {_values(volume.array)}{which}")
+    print(f"at       {_met(volumes[0], place, drawn)}")
     print(f"picture  {path.absolute()}")
     return 0
 
 
-def _say_notes(volumes: list[Volume]) -> None:
+def _say_notes(volumes: list[Volume], source: Path) -> None:
     """Print the warnings about the files of an image."""
     from accelsurf.cli.interrupts import say
-    from accelsurf.io.headers import WARNING_KEY
+    from accelsurf.io.headers import WARNING_KEY, size_question
 
-    for note in dict.fromkeys(volume.metadata.get(WARNING_KEY, "") for volume in volumes):
+    notes = [volume.metadata.get(WARNING_KEY, "") for volume in volumes]
+    for note in dict.fromkeys([*notes, size_question(volumes[0], source)]):
         if note:
             say(f"warning: {note}")
+
+
+def _met(volume: Volume, at: tuple[float, float, float] | None, labels: NDArray[Any] | None) -> str:
+    """The place where the slices meet, as options take it."""
+    from accelsurf.output.pictures.look import voxel_shown
+    from accelsurf.settings.coordinates import place_text
+
+    voxel = voxel_shown(volume.geometry, at, labels)
+    return place_text(volume.geometry.index_to_world(voxel).tolist(), volume.geometry)
 
 
 def _values(array: NDArray[Any]) -> str:
@@ -134,14 +148,11 @@ def _values(array: NDArray[Any]) -> str:
 
 def _said_of(volumes: list[Volume]) -> str:
     """Size of an image, and of its voxels in the unit of the file."""
-    from accelsurf.io.headers import UNIT_KEY
     from accelsurf.settings.wording import voxel_text
 
     grid = volumes[0].geometry
     size = " x ".join(str(n) for n in grid.size)
-    return (
-        f"{size} voxels of {voxel_text(grid.spacing_xyz, volumes[0].metadata.get(UNIT_KEY, 'mm'))}"
-    )
+    return f"{size} voxels of {voxel_text(grid.spacing_xyz, grid.unit)}"
 
 
 def _read(source: Path, level: int | None, requested: ReadOptions) -> tuple[list[Volume], Geometry]:
@@ -224,19 +235,21 @@ def _place(text: str, geometry: Geometry) -> tuple[float, float, float]:
     """
     import numpy as np
 
-    from accelsurf.settings.coordinates import coordinates_of
+    from accelsurf.settings.coordinates import SUFFIXES, coordinates_of
     from accelsurf.starts.starts import extent_hint
 
     found = coordinates_of(text)
     if found is None or len(found.numbers) != 3 or not np.isfinite(found.numbers).all():
         raise UsageError(
-            f"--at: {text[:40]!r} was given, expected X,Y,Z in mm, or indices as 12,40,7vox"
+            f"--at: {text[:40]!r} was given, expected X,Y,Z in mm (world, LPS)",
+            f"or with {SUFFIXES}, as 12,40,7vox",
         )
+    found = found.on(geometry)
     index = np.array(found.numbers[::-1]) if found.vox else geometry.world_to_index(found.numbers)
     if not ((index >= -0.5) & (index <= np.array(geometry.shape) - 0.5)).all():
         raise UsageError(
             f"--at: {text} lies outside of the image",
-            extent_hint(geometry, found.numbers, found.vox),
+            extent_hint(geometry),
         )
     x, y, z = (float(v) for v in geometry.index_to_world(index))
     return x, y, z

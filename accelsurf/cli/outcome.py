@@ -13,8 +13,8 @@ from accelsurf.errors import (
     EmptyResultError,
     NotConvergedError,
 )
-from accelsurf.io.headers import UNIT_KEY
-from accelsurf.settings.wording import place_text, size_text, volume_text
+from accelsurf.settings.coordinates import place_text
+from accelsurf.settings.wording import size_text, volume_text
 
 if TYPE_CHECKING:
     from accelsurf.measure.likely import Quality
@@ -131,9 +131,8 @@ def summary_lines(
     lines += [f"  {line}" for line in _judgement(result)]
     if shaped:
         furthest = max(shaped, key=lambda output: float(output["largest_distance_mm"]))
-        lines.append(
-            f"  mesh: {furthest['faces']} triangles, at most {furthest['largest_distance_mm']:.3g} mm from the surface"
-        )
+        far = size_text(furthest["largest_distance_mm"], result.geometry.unit, digits=3)
+        lines.append(f"  mesh: {furthest['faces']} triangles, at most {far} from the surface")
     return [*lines, *file_lines(outputs, report, first_alone=result.has_ids)]
 
 
@@ -189,11 +188,11 @@ def _judgement(result: Result) -> list[str]:
             continue
         quality, whose = segmented.quality, f"object {segmented.id}: " if result.has_ids else ""
         if quality.next_click is not None:
-            place = place_text(quality.next_click, result.geometry.steps)
+            place = place_text(quality.next_click, result.geometry)
             lines.append(
                 f"{whose}{quality.probability:.0%} likely to be good (Dice 0.8 or more); most doubtful near {place}"
             )
-        lines += [f"{whose}{line}" for line in _other_answers(quality)]
+        lines += [f"{whose}{line}" for line in _other_answers(quality, result.geometry.unit)]
         lines += [f"{whose}note: {note}" for note in quality.notes]
     return lines
 
@@ -212,7 +211,7 @@ def _may_be_several(result: Result) -> bool:
     return result.components > 1 or bool(result.objects[0].quality.warnings)
 
 
-def _other_answers(quality: Quality) -> list[str]:
+def _other_answers(quality: Quality, unit: str) -> list[str]:
     """A line about other answers to the first click, as long as no click has corrected the one that was taken.
 
     All that is alike is an answer to every click: it is named beside a part, and where there are warnings.
@@ -220,7 +219,7 @@ def _other_answers(quality: Quality) -> list[str]:
     if quality.correction is not None or len(quality.answers) < (2 if quality.warnings else 3):
         return []
     others = [
-        f"{volume_text(answer.volume_mm3) if answer.volume_mm3 else 'all that is alike and connected'} "
+        f"{volume_text(answer.volume_mm3, unit) if answer.volume_mm3 else 'all that is alike and connected'} "
         f"(--answer {answer.number})"
         for answer in quality.answers[1:]
     ]
@@ -235,7 +234,7 @@ def _in_words(result: Result, said: str) -> str:
 
 def _measures(result: Result) -> str:
     is_2d = result.geometry.slice_axis is not None
-    unit = result.volume.metadata.get(UNIT_KEY, "mm")
+    unit = result.geometry.unit
     volume, area = size_text(result.volume_mm3, unit, 3), size_text(result.area_mm2, unit, 2)
     sizes = f"volume {volume}{_in_words(result, volume)}, area {area}"
     if is_2d:

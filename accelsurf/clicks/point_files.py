@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from accelsurf.errors import InputError
-from accelsurf.io.files import bytes_within
+from accelsurf.io.files import bytes_within, columns_in
 from accelsurf.settings import budgets
 from accelsurf.settings.coordinates import UNITS_MM, Coordinates, Suffix
 from accelsurf.settings.wording import shown
@@ -25,19 +25,19 @@ _SYSTEMS = {
     "0": Suffix(ras=True),
     "lps": Suffix(),
     "1": Suffix(),
-    "ijk": Suffix(vox=True),
-    "2": Suffix(vox=True),
+    "ijk": Suffix("vox"),
+    "2": Suffix("vox"),
 }
 #: Columns of a table, and what their numbers are: Slicer's tables of control points, napari's points.
 _COLUMNS: dict[tuple[str, ...], Suffix] = {
     ("r", "a", "s"): Suffix(ras=True),
     ("l", "p", "s"): Suffix(),
-    ("axis-2", "axis-1", "axis-0"): Suffix(vox=True),
-    ("axis-1", "axis-0"): Suffix(vox=True),
+    ("axis-2", "axis-1", "axis-0"): Suffix("vox"),
+    ("axis-1", "axis-0"): Suffix("vox"),
 }
 #: Columns of an .fcsv file unless it says others.
 _FCSV_COLUMNS = ("id", "x", "y", "z")
-_OWN = {"x", "y", "z"}, {"x_vox", "y_vox", "z_vox"}
+_OWN = tuple(set(columns_in(system, ("x", "y", "z"))) for system in ("", "vox", "shown"))
 #: Kinds of Slicer's markups whose control points lie where somebody has clicked.
 _CLICKED_MARKUPS = ("Fiducial", "PointList", "Line", "Angle", "Curve", "ClosedCurve")
 _EXPECTED = (
@@ -96,7 +96,7 @@ def read_points(file: str) -> list[Coordinates]:
                 f"expected {_EXPECTED}",
             )
         flat = [row if len(row) == 3 else (*row, 0.0) for row in rows]  # napari's, of one slice
-        found += [Coordinates(suffix.in_lps(row), suffix.vox) for row in flat]
+        found += [suffix.coordinates(row) for row in flat]
     if not found:
         raise InputError(f"{file}: it has no point", f"expected {_EXPECTED}")
     return found

@@ -33,9 +33,17 @@ from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks, Side
 from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.grid.window import Window
 from accelsurf.image.volume import Volume
-from accelsurf.io.files import read_table
+from accelsurf.io.files import columns_in, read_table
 from accelsurf.settings import budgets
-from accelsurf.settings.coordinates import Coordinates, coordinates_of, is_point_file, split_suffix
+from accelsurf.settings.coordinates import (
+    Coordinates,
+    System,
+    coordinates_of,
+    is_point_file,
+    place_text,
+    split_suffix,
+    suffix_of,
+)
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
 
@@ -49,13 +57,16 @@ Floats = NDArray[np.float64]
 KINDS = {"point": "point:X,Y,Z", "path": _PATH_FORM, "stroke": "stroke:FILE"}
 #: A voxel whose centre lies on a ball or a stroke is clicked, up to this part of the radius: a ball of one voxel has 7.
 _ROUNDED = 1e-6
-#: Columns of a stroke: world mm (LPS), or voxel indices; a radius makes balls, a side overrides the option's.
-WORLD_COLUMNS, VOXEL_COLUMNS = ("x", "y", "z"), ("x_vox", "y_vox", "z_vox")
-_STROKE = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS) or {','.join(VOXEL_COLUMNS)}, with r and side if wanted"
+#: Columns of a stroke in world mm (LPS); a radius makes balls, a side overrides the option's.
+WORLD_COLUMNS = ("x", "y", "z")
+_STROKE = (
+    "columns x,y,z in world mm (LPS), or x_vox,y_vox,z_vox, or x_grid,y_grid,z_grid as on the scales of pictures, "
+    "with r (r_vox, r_grid) and side if wanted"
+)
 _LABELS: dict[int, Side] = {1: "inside", 2: "outside"}
 
 
-def _parse_path(text: str) -> tuple[Floats, bool]:
+def _parse_path(text: str, geometry: Geometry) -> tuple[Floats, bool]:
     """Read the numbers of a path: rows x, y, z, r, and whether they are voxels.
 
     Raises
@@ -65,17 +76,19 @@ def _parse_path(text: str) -> tuple[Floats, bool]:
 
     Examples
     --------
-    >>> _parse_path("path:1,2,3,4;5,6,7,4")[0].tolist()
+    >>> _parse_path("path:1,2,3,4;5,6,7,4", Geometry((9, 9, 9), (1.0, 1.0, 1.0)))[0].tolist()
     [[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 4.0]]
     """
     budgets.PATH.check(len(text), "a path", kind=UsageError)
     rest, suffix = split_suffix(text.strip().removeprefix("path:"))
     try:
-        rows = [
-            suffix.in_lps([float(value) for value in row.split(",")]) for row in rest.split(";")
+        read = [
+            suffix.coordinates([float(value) for value in row.split(",")])
+            for row in rest.split(";")
         ]
     except ValueError:
-        rows = [()]
+        read = [Coordinates(())]
+    rows = [found.numbers for found in read]
     if any(
         len(row) != 4 or not 0 <= row[3] or not all(abs(v) <= starts.MAX_LENGTH for v in row)
         for row in rows
@@ -84,7 +97,8 @@ def _parse_path(text: str) -> tuple[Floats, bool]:
             f"click {shown(text)!r}: x, y, z and a radius for each place expected",
             f"as in {_PATH_FORM}",
         )
-    return np.array(rows), suffix.vox
+    placed = [found.on(geometry) for found in read]
+    return np.array([found.numbers for found in placed]), placed[0].vox
 
 
 def _click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Click:
@@ -112,7 +126,7 @@ def _click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Cl
     InputError
         When no voxel is in it.
     """
-    rows, is_vox = _parse_path(text)
+    rows, is_vox = _parse_path(text, geometry)
     finest = min(geometry.steps)
     places = rows[:, 2::-1] if is_vox else geometry.world_to_index(rows[:, :3])
     radii = rows[:, 3] * finest if is_vox else rows[:, 3]
@@ -226,7 +240,7 @@ def read_clicks(
                 voxels = point_voxels([point.numbers], name, side, window.geometry, point.vox)
                 out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "point" or (not colon and "," in kind):
-            point = _point(text, rest if colon else kind)
+            point = _point(text, rest if colon else kind).on(window.geometry)
             voxels = point_voxels([point.numbers], text, side, window.geometry, point.vox)
             out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "path":
@@ -346,11 +360,12 @@ def check_left(before: Clicks, after: Clicks) -> None:
 def voxel_named(
     index: NDArray[np.int64], geometry: Geometry, first: Sequence[int] = (0, 0, 0)
 ) -> str:
-    """Return the name of a voxel (z, y, x) in messages: its index x,y,z in the image, and its place in mm."""
+    """Return the name of a voxel (z, y, x) in messages: its index x,y,z in the image, and its place."""
     place = np.asarray(index) + np.asarray(first)
-    world = ",".join(f"{value:.4g}" for value in geometry.index_to_world(place.astype(float)))
+    world = place_text(geometry.index_to_world(place.astype(float)).tolist(), geometry)
+    world += "" if suffix_of(geometry) else " mm"
     voxel = ",".join(str(int(i)) for i in place[::-1])
-    return f"voxel {voxel} (x,y,z; {world} mm)"
+    return f"voxel {voxel} (x,y,z; {world})"
 
 
 def point_voxels(
@@ -373,9 +388,11 @@ def point_voxels(
     beyond = ((voxels < 0) | (voxels >= np.array(geometry.shape))).any(axis=1)
     if beyond.any():
         place = places[int(np.flatnonzero(beyond)[0])].tolist()
-        given = ",".join(f"{v:g}" for v in place)
-        hint = starts.extent_hint(geometry, place, vox)
-        raise InputError(f"{side} {shown(name)!r}: {given} lies outside of the volume", hint)
+        given = ",".join(f"{v:g}" for v in place) + ("vox" if vox else "")
+        raise InputError(
+            f"{side} {shown(name)!r}: {given} lies outside of the volume",
+            starts.extent_hint(geometry),
+        )
     return voxels
 
 
@@ -496,30 +513,29 @@ def _stroke_of_points(file: str, side: Side, geometry: Geometry, id: int) -> lis
     rows = read_table(
         file,
         WORLD_COLUMNS,
-        VOXEL_COLUMNS,
         _STROKE,
-        lambda line, number, vox: (vox, *stroke_row(line, number, vox, side)),
+        lambda line, number, system: stroke_row(line, number, system, side, geometry),
     )
     if not rows:
         raise InputError(f"{file}: it has no row", f"expected {_STROKE}")
-    vox, out = rows[0][0], list[Click]()
+    vox, out = rows[0][1][1], list[Click]()
     for way in SIDES:
         points = [
-            numbers[:3] for _, row_side, numbers in rows if row_side == way and numbers[3] == 0
+            numbers[:3] for row_side, (numbers, _) in rows if row_side == way and numbers[3] == 0
         ]
         if points:
             out.append(click_of_voxels(way, point_voxels(points, file, way, geometry, vox), id))
     return out + [
         click_of_numbers(way, numbers, vox, geometry, id)
-        for _, way, numbers in rows
+        for way, (numbers, _) in rows
         if numbers[3] > 0
     ]
 
 
 def stroke_row(
-    line: dict[str, str], number: int, vox: bool, side: Side
-) -> tuple[Side, tuple[float, ...]]:
-    """Side and (x, y, z, r) of a row of a stroke; r is 0 for a point.
+    line: dict[str, str], number: int, system: System, side: Side, geometry: Geometry
+) -> tuple[Side, tuple[tuple[float, ...], bool]]:
+    """Side of a row of a stroke, its (x, y, z, r), and whether these are voxels; r is 0 for a point.
 
     Raises
     ------
@@ -527,7 +543,7 @@ def stroke_row(
         When it has no three numbers, a radius below 0, or another side.
     """
     given = ",".join(str(value) for value in line.values() if isinstance(value, str))
-    names = (*(VOXEL_COLUMNS if vox else WORLD_COLUMNS), "r_vox" if vox else "r")
+    names = columns_in(system, (*WORLD_COLUMNS, "r"))
     try:
         numbers = tuple(
             float(line.get(name) or ("0" if name.startswith("r") else "")) for name in names
@@ -539,7 +555,8 @@ def stroke_row(
             f"line {number}: {given} was given, expected three numbers, and no radius below 0",
             _STROKE,
         )
-    return side_of(line, number, side), numbers
+    found = Coordinates(numbers, system).on(geometry)
+    return side_of(line, number, side), (found.numbers, found.vox)
 
 
 def side_of(line: dict[str, str], number: int, otherwise: Side) -> Side:

@@ -13,10 +13,14 @@ from accelsurf.grid.boxes import corner_of, enclosing, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import open_table, read_table
+from accelsurf.settings.coordinates import System
 from accelsurf.starts import starts
 from accelsurf.starts.objects import MAX_ID, ObjectStart
 
-_FORM = "columns id,x,y,z,side in world mm (LPS), or id,x_vox,y_vox,z_vox,side, with r (or r_vox) if wanted"
+_FORM = (
+    "columns id,x,y,z,side in world mm (LPS), or id,x_vox,y_vox,z_vox,side, or id,x_grid,y_grid,z_grid,side as on the "
+    "scales of pictures, with r (r_vox, r_grid) if wanted"
+)
 
 
 def read(objects: Any, geometry: Geometry) -> Clicks | None:
@@ -38,13 +42,11 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
         return None
     if not has_sides(objects):
         return None
-    world, voxels = ("id", *reading.WORLD_COLUMNS), ("id", *reading.VOXEL_COLUMNS)
     rows = read_table(
         objects,
-        world,
-        voxels,
+        ("id", *reading.WORLD_COLUMNS),
         _FORM,
-        lambda line, number, vox: _click_of_row(line, number, vox, geometry),
+        lambda line, number, system: _click_of_row(line, number, system, geometry),
     )
     found = Clicks(tuple(rows), geometry.shape)
     if not any(found.ids()):
@@ -77,7 +79,7 @@ def has_sides(file: str) -> bool:
     return "side" in [name.strip() for name in first.split(",")]
 
 
-def _click_of_row(line: dict[str, str], number: int, vox: bool, geometry: Geometry) -> Click:
+def _click_of_row(line: dict[str, str], number: int, system: System, geometry: Geometry) -> Click:
     """The click of a row."""
     try:
         number_given = float(line.get("id") or "")
@@ -88,7 +90,7 @@ def _click_of_row(line: dict[str, str], number: int, vox: bool, geometry: Geomet
             f"line {number}: id {line.get('id')} was given, expected a whole number from 0 on",
             _FORM,
         )
-    side, numbers = reading.stroke_row(line, number, vox, "inside")
+    side, (numbers, vox) = reading.stroke_row(line, number, system, "inside", geometry)
     name, id = f"line {number}", int(number_given)
     if id == NO_OBJECT and side == "outside":
         raise InputError(

@@ -240,6 +240,7 @@ def voxel_of(point: str, base: Result) -> NDArray[np.int64]:
     found = coordinates_of(point.removeprefix("point:"))
     if found is None or len(found.numbers) != 3:
         raise UsageError(f"refine: split {point[:80]!r} was given, expected point:X,Y,Z")
+    found = found.on(base.geometry)
     return point_voxels([found.numbers], point, "split", base.geometry, found.vox)[0]
 
 

@@ -21,7 +21,7 @@ def refine(
     result: Result | ImageLike,
     *,
     labels: ImageLike | None = None,
-    spacing: float | tuple[float, float, float] | None = None,
+    spacing: float | str | tuple[float, float, float] | None = None,
     inside: str | Sequence[str] = (),
     outside: str | Sequence[str] = (),
     near: float | Literal["auto"] = "auto",
@@ -48,7 +48,7 @@ def refine(
         the image, as `accelsurf.segment` takes it.
     labels : image, optional
         Label map on the image's grid, or its file (``FILE@2,5-9``: objects with these ids).
-    spacing : float or (hz, hy, hx), optional
+    spacing : float, str or (hz, hy, hx), optional
         mm, of an image that is an array; 1 by default.
     inside, outside : str or sequence of str
         Voxels that are in the object, and that are not: ``point:X,Y,Z``, ``stroke:FILE``, or written as a start.
@@ -111,7 +111,7 @@ def refine(
 def _given(
     image: ImageLike,
     labels: ImageLike | None,
-    spacing: float | tuple[float, float, float] | None,
+    spacing: float | str | tuple[float, float, float] | None,
 ) -> Result:
     """Return the result that a label map is, before it is mended."""
     if labels is None:

@@ -44,6 +44,11 @@ class Geometry:
     direction : array_like, shape (3, 3), optional
         Columns are the world directions of the x, y, z index axes (ITK's ``GetDirection`` reshaped to 3x3).
         Orthonormal to 1e-4; left-handed is allowed.
+    unit : {"mm", "um", "nm"}, optional
+        In which people read its lengths: that of the file, or as given. All numbers here are mm.
+    zero : tuple of float, optional
+        World position (x, y, z), mm, from which scales along its axes count, where it is a part of an oblique grid;
+        see `accelsurf.grid.orientation`.
 
     Raises
     ------
@@ -65,6 +70,8 @@ class Geometry:
     spacing: tuple[float, float, float]
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     direction: Floats = field(default_factory=lambda: np.eye(3))
+    unit: str = "mm"
+    zero: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         shape = _three(self.shape, "shape (nz, ny, nx)")
@@ -77,7 +84,7 @@ class Geometry:
         if any(h <= 0.0 for h in spacing):
             raise GeometryError(
                 f"spacing (hz, hy, hx) = {_short(spacing)} mm given, three positive numbers expected",
-                hint="correct the voxel size in the header, or give the array with spacing=",
+                hint="correct the voxel size in the header, or give the array with spacing=, in the order of its axes",
             )
         low, high = SPACING_RANGE
         if not low <= min(spacing) <= max(spacing) <= high:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,9 @@ from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image import thumbnail
 from accelsurf.image.check import ImageCheck, Places
+
+#: The entry of metadata with the unit of length of a file where it is smaller than mm: um or nm.
+UNIT_KEY = "spatial_unit"
 
 
 def plain_array(value: Any, name: str) -> NDArray[Any]:
@@ -94,6 +97,7 @@ class Volume:
             raise InputError(
                 f"an array of shape {array.shape} given, the grid's {self.geometry.shape} expected"
             )
+        object.__setattr__(self, "geometry", in_unit_of(self.metadata, self.geometry))
 
     def __repr__(self) -> str:
         source = f", source={str(self.source)!r}" if self.source is not None else ""
@@ -144,6 +148,12 @@ class Volume:
             raise InputError(
                 f"an array of shape {values.shape} given, (z, y, x) with at least one voxel expected",
                 hint="take one channel or time point of it first",
+            )
+        written: object = spacing
+        if isinstance(written, str):
+            raise InputError(
+                f"spacing: the text {written[:40]!r} was given, expected mm as numbers, one or (hz, hy, hx)",
+                "0.2 um are 0.0002 mm; accelsurf.segment(array, spacing='0.2um') takes texts",
             )
         steps = (
             (float(spacing),) * 3
@@ -203,6 +213,18 @@ def voxels_sha256(channels: Sequence[Volume]) -> str:
         for plane in volume.array:
             sha.update(np.ascontiguousarray(plane, stored).data)
     return sha.hexdigest()
+
+
+def in_unit_of(metadata: Mapping[str, str], geometry: Geometry) -> Geometry:
+    """Return a grid whose lengths are shown in the unit of a file's metadata, where these name one.
+
+    Examples
+    --------
+    >>> in_unit_of({UNIT_KEY: "um"}, Geometry((1, 1, 1), (1.0, 1.0, 1.0))).unit
+    'um'
+    """
+    unit = metadata.get(UNIT_KEY, geometry.unit)
+    return geometry if unit == geometry.unit else replace(geometry, unit=unit)
 
 
 def check_image(volume: Volume) -> None:

@@ -17,6 +17,7 @@ from accelsurf.errors import AccelsurfError, InputError, OutputError
 from accelsurf.io.file_set import FileSet, open_set
 from accelsurf.settings import budgets
 from accelsurf.settings.budgets import Budget
+from accelsurf.settings.coordinates import System
 from accelsurf.settings.reading import check_readable
 
 SPACE_HINT = "is there space on the disk?"
@@ -279,24 +280,35 @@ def open_table(file: str) -> Iterator[TextIO]:
         yield stream
 
 
+def columns_in(system: System, world: Sequence[str]) -> tuple[str, ...]:
+    """Return the columns of a table of places in a system, by those of one in world mm.
+
+    Examples
+    --------
+    >>> columns_in("vox", ("id", "x", "r")), columns_in("shown", ("x", "y"))
+    (('id', 'x_vox', 'r_vox'), ('x_grid', 'y_grid'))
+    """
+    end = {"": "", "vox": "_vox"}.get(system, "_grid")
+    return tuple(f"{name}{end}" if name in ("x", "y", "z", "r") else name for name in world)
+
+
 def read_table(
     file: str,
     world: Sequence[str],
-    voxels: Sequence[str],
     form: str,
-    read_row: Callable[[dict[str, str], int, bool], Row],
+    read_row: Callable[[dict[str, str], int, System], Row],
 ) -> list[Row]:
-    """Read a CSV table of places in world mm or in voxels; lines that begin with # are left out.
+    """Read a CSV table of places in world mm, in voxels, or on the scales of pictures; lines with # first are left out.
 
     Parameters
     ----------
     file : str
-    world, voxels : sequence of str
-        Columns that a table of either kind has.
+    world : sequence of str
+        Columns that a table has; see `columns_in` for the other systems.
     form : str
         What is expected, for messages.
     read_row : callable
-        Called with the values of a row by column, its line number, and True if places are in voxels.
+        Called with the values of a row by column, its line number, and the system of places.
 
     Raises
     ------
@@ -309,15 +321,16 @@ def read_table(
                 (line for line in stream if not line.startswith("#")), skipinitialspace=True
             )
             columns = [name.strip() for name in next(table, [])]
-            vox = set(voxels) <= set(columns)
-            if not vox and not set(world) <= set(columns):
+            known: tuple[System, ...] = ("vox", "shown", "")
+            systems = [s for s in known if set(columns_in(s, world)) <= set(columns)]
+            if not systems:
                 given = ",".join(columns) or "no line"
                 raise InputError(
                     f"{given} was given as the first line, expected {form}",
                     f"as in {','.join(world)}",
                 )
             return [
-                read_row(dict(zip(columns, row, strict=False)), table.line_num, vox)
+                read_row(dict(zip(columns, row, strict=False)), table.line_num, systems[0])
                 for row in table
                 if row
             ]

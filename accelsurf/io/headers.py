@@ -18,10 +18,11 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from accelsurf.errors import InputError, UsageError
+from accelsurf.image import volume
 from accelsurf.image.sequence import check_times
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
-from accelsurf.settings.reading import AS_IT_IS, ReadOptions, check_readable
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions, Spacing, check_readable
 from accelsurf.settings.registry import load
 
 TimeUnit = Literal["s", "frame"]
@@ -42,8 +43,9 @@ VALUE_UNIT_KEY = "value_unit"
 """The unit of the values, as HU, where the file says it."""
 ORIENTED_KEY = "ome_oriented"
 """Present where the axes of an OME-Zarr were given an anatomical orientation."""
-UNIT_KEY = "spatial_unit"
-"""The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
+UNIT_KEY = volume.UNIT_KEY
+"""The unit in which the file gives lengths, nm or um, or in which they were given; absent where the file's is mm, or
+none. All lengths here are mm."""
 FRAME_KEY = "frame_seconds"
 """Seconds from one time point of a sequence to the next; absent where the file does not say them."""
 
@@ -339,6 +341,48 @@ def is_anatomical(metadata: Mapping[str, str]) -> bool:
     return any(load(asked)(metadata) for asked in said if asked is not None)
 
 
+def shows_patient(image: volume.Volume) -> bool:
+    """Test if an image is a patient's, whose planes and directions have names.
+
+    Writers of NIfTI and NRRD say of every image that its axes are a patient's, of a plant and of a cell, too. Nothing
+    is known of an image in um or nm, and of one that no scanner has placed: along the axes, with its first voxel or its
+    middle at the world's origin, as programs place arrays.
+    """
+    metadata, geometry = image.metadata, image.geometry
+    if not is_anatomical(metadata) or geometry.unit != "mm":
+        return False
+    if DICOM_KEY in metadata or ORIENTED_KEY in metadata:
+        return True
+    at = geometry.world_to_index((0.0, 0.0, 0.0))
+    middle = 0.5 * (np.array(geometry.shape) - 1)
+    is_default = np.abs(at).max() < 1e-3 or np.abs(at - middle).max() <= 1.0
+    return not (is_default and np.array_equal(np.abs(geometry.direction), np.eye(3)))
+
+
+def size_question(image: volume.Volume, path: Path) -> str:
+    """Ask about an image that is larger than what mm are used for: its lengths may be um. Empty where it is not.
+
+    A patient is up to 3 m long; any other image in mm is asked about from 1 m, or 300 l, on.
+    """
+    metadata, geometry = image.metadata, image.geometry
+    longest, litres = max(geometry.extent_mm), math.prod(geometry.extent_mm) / 1e6
+    is_patient = shows_patient(image)
+    if (
+        UNIT_KEY in metadata
+        or geometry.unit != "mm"
+        or longest <= (3000.0 if is_patient else 1000.0)
+        and (is_patient or litres < 300.0 or geometry.slice_axis is not None)
+    ):
+        return ""
+    sizes = ",".join(f"{size:.4g}" for size in geometry.spacing_xyz)
+    way = (
+        f"--spacing {sizes}um says otherwise"
+        if "spacing" in options_of(path)
+        else "correct the unit in the file if it is another"
+    )
+    return f"lengths are read as mm, and the image is {longest / 1e3:.3g} m wide: is that so? {way}"
+
+
 def with_warnings(metadata: Mapping[str, str], *notes: str) -> dict[str, str]:
     """The metadata with further warnings.
 
@@ -349,6 +393,19 @@ def with_warnings(metadata: Mapping[str, str], *notes: str) -> dict[str, str]:
     """
     said = "; ".join(note for note in (metadata.get(WARNING_KEY, ""), *notes) if note)
     return {**metadata, WARNING_KEY: said} if said else dict(metadata)
+
+
+def with_given_unit(metadata: Mapping[str, str], options: ReadOptions) -> dict[str, str]:
+    """The metadata with the unit in which a size of the voxels was given, in place of that of the file.
+
+    Examples
+    --------
+    >>> with_given_unit({}, ReadOptions(spacing=Spacing((2e-4, 2e-4, 1e-3), "um")))
+    {'spatial_unit': 'um'}
+    """
+    if not isinstance(options.spacing, Spacing) or not options.spacing.unit:
+        return dict(metadata)
+    return {**metadata, UNIT_KEY: options.spacing.unit}
 
 
 @dataclass(frozen=True)

@@ -121,7 +121,7 @@ def write(
     image: ImageLike,
     path: str | os.PathLike[str],
     *,
-    spacing: float | tuple[float, float, float] | None = None,
+    spacing: float | str | tuple[float, float, float] | None = None,
 ) -> None:
     """Write an image; the suffix decides the format, and all but plain .nii are compressed.
 
@@ -136,7 +136,7 @@ def write(
         As `accelsurf.segment` takes it. Booleans are written as uint8, half precision as float32.
     path : path-like
         A file name that ends in one of `accelsurf.io.image_suffixes`; for .mhd the voxels go to a .zraw file beside it.
-    spacing : float or (hz, hy, hx), optional
+    spacing : float, str or (hz, hy, hx), optional
         mm, of an array; 1 by default.
 
     Raises
@@ -155,7 +155,7 @@ def write_labels(
     image: ImageLike,
     path: str | os.PathLike[str],
     *,
-    spacing: float | tuple[float, float, float] | None = None,
+    spacing: float | str | tuple[float, float, float] | None = None,
 ) -> None:
     """Write a label map: as `write`, with values as uint8, uint16 or uint32, as small as they fit.
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.image.volume import Volume
+from accelsurf.image.volume import Volume, in_unit_of
 from accelsurf.io import headers
 from accelsurf.io.channels import selected
 from accelsurf.io.files import naming
@@ -127,9 +127,14 @@ class LazyVolume:
         layout: StoreLayout | None = None,
         note: Callable[[], str] | None = None,
     ) -> None:
-        self.voxels, self.geometry, self.source = voxels, geometry, source
-        self.layout = layout or StoreLayout((geometry,))
         self._metadata: dict[str, str] = metadata or {}
+        self.voxels, self.source = voxels, source
+        self.geometry = in_unit_of(self._metadata, geometry)
+        levels = layout.levels if layout is not None else (geometry,)
+        self.layout = replace(
+            layout or StoreLayout((geometry,)),
+            levels=tuple(in_unit_of(self._metadata, grid) for grid in levels),
+        )
         self._note = note
         self._opened: tuple[Path, Opening] | None = None
 

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence, check_times
-from accelsurf.image.volume import Volume, array_on_grid
+from accelsurf.image.volume import UNIT_KEY, Volume, array_on_grid
+from accelsurf.settings.reading import spacing_of
 from accelsurf.settings.registry import load
 from accelsurf.settings.wording import mm_of
 
@@ -40,7 +41,7 @@ ImageLike = Volume | os.PathLike[str] | ArrayLike | ItkImage
 
 def as_volume(
     image: ImageLike,
-    spacing: float | Sequence[float] | None = None,
+    spacing: float | str | Sequence[float] | None = None,
     name: str = "the image",
     grid: Geometry | None = None,
 ) -> Volume:
@@ -51,7 +52,7 @@ def as_volume(
     image : Volume, path-like, array_like, or image of SimpleITK, nibabel or xarray
         See `from_library`. An array is (z, y, x).
     spacing : float or (hz, hy, hx), optional
-        mm, of an array; 1 by default.
+        mm, of an array; 1 by default. A text is read as --spacing is: x, y, z, with a unit if wanted ("0.2,0.2,1um").
     name : str, optional
         What messages call it.
     grid : Geometry, optional
@@ -85,7 +86,11 @@ def as_volume(
         raise InputError(f"{name}: a {type(given).__name__} was given, expected {_EXPECTED}", hint)
     if grid is not None and spacing is None:
         return Volume(array_on_grid(given, grid, name), grid)
-    return Volume.from_array(given, 1.0 if spacing is None else spacing)
+    if not isinstance(spacing, str):
+        return Volume.from_array(given, 1.0 if spacing is None else spacing)
+    x, y, z = said = spacing_of(spacing)
+    volume = Volume.from_array(given, (z, y, x))
+    return Volume(volume.array, volume.geometry, {UNIT_KEY: said.unit} if said.unit else {})
 
 
 def array_of(image: ImageLike, geometry: Geometry, name: str) -> NDArray[Any]:
@@ -134,7 +139,7 @@ class VolumeSequence(ImageSequence):
         self,
         frames: Any,
         times: float | Sequence[float] | None = None,
-        spacing: float | Sequence[float] | None = None,
+        spacing: float | str | Sequence[float] | None = None,
     ) -> None:
         is_array = (
             hasattr(frames, "__array__")

@@ -107,7 +107,7 @@ def _extent_of(text: str, geometry: Geometry) -> Box:
     """
     if found := _clicks_of(text, "inside", geometry):
         return functools.reduce(enclosing, (click.box for click in found))
-    start = starts.parse(text)
+    start = starts.parse(text).on(geometry)
     starts.refuse_values(start, text)
     if start.kind == "label":
         return _of_label(start, geometry)

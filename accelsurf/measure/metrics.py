@@ -77,7 +77,10 @@ class Metrics:
 
 
 def evaluate(
-    pred: ImageLike, ref: ImageLike, *, spacing: float | tuple[float, float, float] | None = None
+    pred: ImageLike,
+    ref: ImageLike,
+    *,
+    spacing: float | str | tuple[float, float, float] | None = None,
 ) -> Metrics:
     """Compare two label maps on the same grid.
 
@@ -86,7 +89,7 @@ def evaluate(
     pred, ref : image
         Label maps, as `accelsurf.segment` takes images; labels > 0 are the object. An array beside an image with a
         geometry lies on its grid.
-    spacing : float or (hz, hy, hx), optional
+    spacing : float, str or (hz, hy, hx), optional
         mm, of two arrays; 1 by default.
 
     Returns

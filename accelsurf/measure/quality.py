@@ -23,7 +23,8 @@ from accelsurf.measure.likely import (
     warning_threshold,
     why,
 )
-from accelsurf.settings.wording import place_text, volume_text
+from accelsurf.settings.coordinates import place_text
+from accelsurf.settings.wording import volume_text
 
 if TYPE_CHECKING:
     from accelsurf.clicks.model.confidence import Confidence
@@ -246,7 +247,9 @@ def _warnings(
         warnings.append(f"doubt: probably not right ({why(found)}; {sure}); try --inside {tried}")
     if found.next_click is None and stop.reason not in ("vanished", "filled"):
         tried = f"; try --inside ball:{_larger_ball(inside, geometry)}" if inside.any() else ""
-        warnings.append(f"doubt: the object is too small to judge ({volume_text(last)}){tried}")
+        warnings.append(
+            f"doubt: the object is too small to judge ({volume_text(last, geometry.unit)}){tried}"
+        )
     if abs(found.late_growth) > MAX_GROWTH and stop.reason not in ("converged", "rested", "leaked"):
         change = f"the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps"
         warnings.append(f"growth: {change}{at_rest}")
@@ -254,21 +257,21 @@ def _warnings(
 
 
 def _larger_ball(inside: Mask, geometry: Geometry) -> str:
-    """X,Y,Z,R of a ball around a small object, larger than it."""
+    """Return a ball, as options take it, around a small object, larger than it."""
     voxels = np.argwhere(inside)
     middle = voxels[int(np.argmin(((voxels - voxels.mean(axis=0)) ** 2).sum(axis=1)))]
     radius = 2.0 * max(geometry.steps) + 0.5 * max(np.ptp(voxels, axis=0) * geometry.spacing)
-    return f"{place_text(_world(geometry, middle.tolist()), geometry.steps)},{radius:.2g}"
+    return place_text(_world(geometry, middle.tolist()), geometry, radius)
 
 
 def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
     notes = []
     for plateau in found.rests:
         if last > MIN_BURST * plateau.volume_mm3:
+            then, now = (volume_text(mm3, geometry.unit) for mm3 in (plateau.volume_mm3, last))
             notes.append(
-                f"rest: it rested at step {plateau.step} with {volume_text(plateau.volume_mm3)}, then broke through "
-                f"near {place_text(plateau.place, geometry.steps)} and ended with {volume_text(last)}; "
-                "try --stop-at-rest"
+                f"rest: it rested at step {plateau.step} with {then}, then broke through near "
+                f"{place_text(plateau.place, geometry)} and ended with {now}; try --stop-at-rest"
             )
     if found.unlike_learned is not None and found.unlike_learned > MAX_UNLIKE:
         notes.append(

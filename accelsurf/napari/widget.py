@@ -78,7 +78,8 @@ def answered(
     if before is None and press.side == "outside":
         raise accelsurf.UsageError("nothing is inside yet", "press in the object first")
     if before is None or press.is_first:
-        size = None if press.size_mm3 is None else f"{press.size_mm3:.6g}mm3"
+        # Of the cells of a microscope a volume in mm3 has few digits left, or an exponent.
+        size = None if press.size_mm3 is None else f"{press.size_mm3:.20f}mm3"
         return accelsurf.segment(volume, size=size, answer=press.answer, **clicks)
     return accelsurf.refine(before, object=target.id if before.has_ids else None, **clicks)
 
@@ -265,7 +266,7 @@ class ClickWidget(QWidget):
         press, *self._waiting = self._waiting
         target, before = self._begun(), self._steps[-1] if self._steps else None
         self._said.setText(
-            "..." if press.size_mm3 is None else f"about {press.size_mm3 / 1000.0:.4g} ml ..."
+            "..." if press.size_mm3 is None else f"about {_volume_text(press.size_mm3)} ..."
         )
         connect = {
             "returned": lambda result: self._show(target, press, result),
@@ -344,15 +345,22 @@ class ClickWidget(QWidget):
             button.setVisible(len(answers) > 1 and bool(match))
             volumes = [answer.volume_mm3 for answer in match]
             button.setText(
-                "".join(f"{mm3 / 1000.0:.4g} ml" if mm3 else "all that is alike" for mm3 in volumes)
+                "".join(_volume_text(mm3) if mm3 else "all that is alike" for mm3 in volumes)
             )
         text = ""
         if found is not None:
-            text = f"{found.volume_mm3 / 1000.0:.4g} ml, {found.quality.probability:.0%} likely to be good"
+            text = f"{_volume_text(found.volume_mm3)}, {found.quality.probability:.0%} likely to be good"
             text += "".join(
                 f"\n{warning.partition('; try')[0]}" for warning in found.quality.warnings
             )
         self._said.setText(text)
+
+
+def _volume_text(mm3: float) -> str:
+    """Return a volume in the unit that people use for its size."""
+    if mm3 >= 1000.0:
+        return f"{mm3 / 1000.0:.4g} ml"
+    return f"{mm3:.4g} mm3" if mm3 >= 0.01 else f"{mm3 * 1e9:.4g} um3"
 
 
 def _grid_of(layer: Image) -> dict[str, Any]:

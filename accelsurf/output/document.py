@@ -389,13 +389,14 @@ def describe_input(
     >>> entry["size"], entry["spacing"]
     ([3, 4, 5], [0.5, 1.0, 2.0])
     """
-    grid: dict[str, Any] = dict.fromkeys(("size", "spacing", "origin", "direction"))
+    grid: dict[str, Any] = dict.fromkeys(("size", "spacing", "origin", "direction", "unit"))
     if geometry is not None:
         grid = {
             "size": list(geometry.size),
             "spacing": list(geometry.spacing_xyz),
             "origin": list(geometry.origin),
             "direction": geometry.direction.tolist(),
+            "unit": geometry.unit,
         }
     known = {"sha256": checksum, "voxels_sha256": voxels}
     return {"path": str(Path(path).absolute()), **known, **grid}

@@ -19,7 +19,7 @@ from accelsurf import io
 from accelsurf.correct.state_file import state_bytes
 from accelsurf.image.grey_window import parse_window
 from accelsurf.io.files import write_bytes
-from accelsurf.io.headers import LABELS_KEY, UNIT_KEY, is_anatomical
+from accelsurf.io.headers import LABELS_KEY, shows_patient
 from accelsurf.measure.contours import Contours
 from accelsurf.output import layouts, tables
 from accelsurf.output import names as output_names
@@ -238,15 +238,11 @@ def _table_writers(
 
 def outcome_title(name: str, result: Result) -> str:
     """Return the heading of a picture: how the run ended, and how large the object is."""
-    unit = result.volume.metadata.get(UNIT_KEY, "mm")
+    unit = result.geometry.unit
     if result.enclosed_mm2 is not None:
         size = size_text(result.enclosed_mm2, unit, 2, digits=4)
     else:
-        size = (
-            volume_text(result.volume_mm3)
-            if unit == "mm"
-            else size_text(result.volume_mm3, unit, 3, digits=4)
-        )
+        size = volume_text(result.volume_mm3, unit)
     reason = "" if result.stop.reason == "converged" else f", {result.stop.reason}"
     return f"{name}: {size}{_likely(result)}{reason}"
 
@@ -278,12 +274,12 @@ def preview_content(result: Result, title: str) -> PreviewContent:
         surface=result.surface if not is_2d and _has_surface(result) else None,
         start=result.start,
         title=title,
-        anatomical=is_anatomical(result.volume.metadata),
+        anatomical=shows_patient(result.volume),
         objects=_object_shapes(result) if result.has_ids else (),
         late_growth=result.late_leakage,
         next_clicks=_next_clicks(result),
         window=parse_window(result.config.window),
-        unit=result.volume.metadata.get(UNIT_KEY, "mm"),
+        unit=result.geometry.unit,
         labels=given_labels(result.config),
         clicks=marks_of(
             result.clicks.clicks if result.clicks is not None else (), result.geometry.spacing

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, widened
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.orientation import part_of
 from accelsurf.grid.window import Window
+from accelsurf.settings.coordinates import SUFFIXES
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
@@ -40,11 +42,11 @@ def region_of_interest(text: str | None, geometry: Geometry, name: str = "roi") 
     if text is None:
         return slice(0, geometry.shape[0]), slice(0, geometry.shape[1]), slice(0, geometry.shape[2])
     try:
-        box = starts.parse(f"box:{text}")
+        box = starts.parse(f"box:{text}").on(geometry)
     except UsageError:
         raise UsageError(
             f"{name}: {shown(text)} was given, expected X0,Y0,Z0,X1,Y1,Z1 with the first corner below the second",
-            "world mm, or voxel indices with the suffix vox",
+            f"world mm (LPS), or with {SUFFIXES}",
         ) from None
     corners = np.array(
         [[box.numbers[3 * (i >> axis & 1) + axis] for axis in range(3)] for i in range(8)]
@@ -62,7 +64,7 @@ def region_of_interest(text: str | None, geometry: Geometry, name: str = "roi") 
             raise InputError(
                 f"{name}: {shown(text)} was given, which contains fewer than two of the image's voxels along "
                 f"{'zyx'[axis]}",
-                "accelsurf reads world mm (LPS); the suffix vox takes voxel indices",
+                starts.extent_hint(geometry),
             )
         slices.append(slice(low, high + 1))
     return slices[0], slices[1], slices[2]
@@ -74,8 +76,7 @@ def cropped(geometry: Geometry, box: Box) -> Geometry:
     if shape == geometry.shape:
         return geometry
     origin = geometry.index_to_world(np.array([float(s.start) for s in box]))
-    corner = (float(origin[0]), float(origin[1]), float(origin[2]))
-    return Geometry((shape[0], shape[1], shape[2]), geometry.spacing, corner, geometry.direction)
+    return part_of(geometry, (shape[0], shape[1], shape[2]), origin.tolist())
 
 
 def closed_on(psi: NDArray[np.float32], corner: Corner, box: Box) -> NDArray[np.float32]:

@@ -41,6 +41,7 @@ from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.run.setup import EnergyLike
 from accelsurf.run.start_pyramid import to_finest
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.wording import size_text
 
 if TYPE_CHECKING:
     from accelsurf.clicks.model.confidence import (
@@ -110,7 +111,8 @@ class SegmentedObject:
     confidence: Confidence | None = None
 
     def __repr__(self) -> str:
-        return f"SegmentedObject(id={self.id}, {self.volume_mm3:.6g} mm3, {self.stop.reason})"
+        volume = size_text(self.volume_mm3, self.geometry.unit, 3)
+        return f"SegmentedObject(id={self.id}, {volume}, {self.stop.reason})"
 
     def _repr_html_(self) -> str:
         """A slice with the outline of the object, and the repr, for notebooks."""
@@ -282,7 +284,8 @@ class Result:
     def __repr__(self) -> str:
         size = " x ".join(str(n) for n in self.geometry.size)
         what = f"{len(self.objects)} objects" if self.has_ids else "1 object"
-        return f"Result({what}, {self.volume_mm3:.6g} mm3, {self.stop.reason}, {size} voxels)"
+        volume = size_text(self.volume_mm3, self.geometry.unit, 3)
+        return f"Result({what}, {volume}, {self.stop.reason}, {size} voxels)"
 
     def _repr_html_(self) -> str:
         """A slice with the outlines of the objects, and the repr, for notebooks."""

@@ -30,6 +30,7 @@ from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.flow_specs import AUTO, DESCENT, FLOWS, MOMENTUM, spec_of
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.wording import size_text
 from accelsurf.starts.objects import ObjectStart
 from accelsurf.starts.starts import CLICKS
 
@@ -185,8 +186,8 @@ def thin_start_warnings(
         if int((start.psi < 0).any(axis=others).sum()) == 1:
             name = f"object {start.id}: start" if has_ids else "start"
             lines.append(
-                f"{name}: all of it lies in one slice of {steps[axis]:g} mm; give one that spans two slices, if the "
-                "object does"
+                f"{name}: all of it lies in one slice of {size_text(steps[axis], geometry.unit)}; give one that spans "
+                "two slices, if the object does"
             )
     return lines
 

@@ -20,7 +20,8 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet
 from accelsurf.run.evolving_object import EvolvingObject
 from accelsurf.run.preprocessing import PreprocessedInput
-from accelsurf.settings.wording import place_text, volume_text
+from accelsurf.settings.coordinates import place_text
+from accelsurf.settings.wording import volume_text
 from accelsurf.starts.objects import ObjectStart
 
 #: A start will shrink if less than this part of its values lies within the bounds; a window takes in the surroundings
@@ -135,7 +136,8 @@ def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]
     if size is None or size < whole:
         return []
     return [
-        f"size: {volume_text(size)} is more than the whole image ({volume_text(whole)}); try it without "
+        f"size: {volume_text(size, geometry.unit)} is more than the whole image "
+        f"({volume_text(whole, geometry.unit)}); try it without "
         "--size"
     ]
 
@@ -163,7 +165,7 @@ def _background_line(
         return []
     index = ndimage.center_of_mass(click.mask)
     middle = [float(place) + side.start for place, side in zip(index, click.box, strict=True)]
-    place = place_text(prepared.geometry.index_to_world(middle), prepared.geometry.steps)
+    place = place_text(prepared.geometry.index_to_world(middle).tolist(), prepared.geometry)
     return [
         f"click: the click inside near {place} lies in what looks like background ({share:.0%} of the image); try "
         "--inside at the object, unless the background is what you want"
@@ -243,14 +245,14 @@ def _two_kinds_line(values: NDArray[np.float64]) -> list[str]:
 
 
 def _deepest_ball(mask: NDArray[np.bool_], corner: Sequence[int], geometry: Geometry) -> str:
-    """The largest ball in some voxels, as X,Y,Z,R in mm."""
+    """The largest ball in some voxels, as options take it."""
     steps = geometry.steps
     around = [(0, 0) if n == 1 else (1, 1) for n in geometry.shape]
     depth = ndimage.distance_transform_edt(np.pad(mask, around), sampling=geometry.spacing)
     deepest = np.array(np.unravel_index(int(np.argmax(depth)), depth.shape))
     index = deepest - [before for before, _ in around] + np.array(corner)
     radius = float(depth.max()) - 0.5 * min(steps)
-    return f"{place_text(geometry.index_to_world(index.tolist()), steps)},{radius:.2g}"
+    return place_text(geometry.index_to_world(index.tolist()).tolist(), geometry, radius)
 
 
 def _bounds_line(values: NDArray[np.float64], window: Bounds) -> str:
@@ -337,7 +339,7 @@ def _outlier_line(
     unlike = np.abs(values - middle) > FAR * robust
     voxels = np.argwhere(inside)
     farthest = voxels[int(np.argmax(np.abs(values - middle)))] + np.array(corner)
-    place = place_text(geometry.index_to_world(farthest.tolist()), geometry.steps)
+    place = place_text(geometry.index_to_world(farthest.tolist()).tolist(), geometry)
     tight = bounding_box(inside)
     assert tight is not None
     rest = inside[tight].copy()

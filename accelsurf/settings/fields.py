@@ -76,7 +76,8 @@ class SettingFields(BaseModel):
         ("center",),
         "First surface: ball:X,Y,Z,R, box:X0,Y0,Z0,X1,Y1,Z1, seed:X,Y,Z,R, label:FILE, threshold:LO,HI, "
         "largest:LO,HI, otsu, mesh:FILE, center, or clicks (what --inside says; the default with it). "
-        "Coordinates in world mm (LPS), or voxel indices (x,y,z) with the suffix vox. Several are united.",
+        "Coordinates in world mm (LPS), or with an ending: um, ras, vox (voxel indices x,y,z), or grid (the scales of "
+        "look). Several are united.",
         entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
         min_length=1,
     )
@@ -151,8 +152,8 @@ class SettingFields(BaseModel):
     )
     roi: str | None = setting(
         None,
-        "Region of interest: box X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox. The run is "
-        "made in the box alone; the outputs are on the whole grid.",
+        "Region of interest: box X0,Y0,Z0,X1,Y1,Z1 in world mm, or with an ending as of --start. The run is made in "
+        "the box alone; the outputs are on the whole grid.",
         entry=SettingEntry(RUN, viewer="first", unit="mm", metavar="BOX", fixed=True),
     )
     mask: str | None = setting(
@@ -162,8 +163,8 @@ class SettingFields(BaseModel):
     )
     box: str | None = setting(
         None,
-        "Box around the object, X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox: nothing "
-        "outside of it is in the object, which is taken to fill between a quarter and a half of it unless --size says "
+        "Box around the object, X0,Y0,Z0,X1,Y1,Z1 in world mm, or with an ending as of --start: nothing outside of it "
+        "is in the object, which is taken to fill between a quarter and a half of it unless --size says "
         "more, and energies learn from what lies around it.",
         entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
     )
@@ -181,8 +182,8 @@ class SettingFields(BaseModel):
         None,
         "Several objects at once, in place of --start: a label map on the image's grid with the first voxels of each "
         "object (FILE@2,5-9: these ids only), or a table of balls, FILE.csv with columns id,x,y,z,r in world mm or "
-        "id,x_vox,y_vox,z_vox,r_vox. They never overlap. With a column side (inside or outside) its rows are clicks, "
-        "as --inside; then r may be left out, and id 0 is no object.",
+        "id,x_vox,y_vox,z_vox,r_vox or id,x_grid,y_grid,z_grid,r_grid. They never overlap. With a column side (inside "
+        "or outside) its rows are clicks, as --inside; then r may be left out, and id 0 is no object.",
         entry=SettingEntry(RUN, viewer="elsewhere", metavar="FILE", fixed=True),
     )
     labels: str | None = setting(

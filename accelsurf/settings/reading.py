@@ -8,13 +8,13 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from accelsurf.errors import AccelsurfError, InputError, UsageError
-from accelsurf.settings.wording import mm_of
+from accelsurf.settings.wording import mm_of, unit_name
 
 #: Units that a spacing may have.
 _UNITS = ("nm", "um", "µm", "μm", "mm", "cm", "m")
@@ -25,8 +25,24 @@ _SMALLEST, _LARGEST = 1e-9, 1e6
 
 #: A level of a pyramid, 0 the finest; "auto" is the finest whose run fits into the memory.
 Level = int | Literal["auto"]
-#: Size of a voxel (x, y, z), mm.
-Spacing = tuple[float, float, float]
+
+
+class Spacing(tuple[float, float, float]):
+    """Size of a voxel (x, y, z), mm, and the ``unit`` in which it was given; empty where none was.
+
+    Examples
+    --------
+    >>> Spacing((0.5, 0.5, 2.0)), Spacing((0.5, 0.5, 2.0), "um").unit
+    ((0.5, 0.5, 2.0), 'um')
+    """
+
+    unit: str
+
+    def __new__(cls, sizes: Iterable[float], unit: str = "") -> Spacing:
+        """Make it of three sizes in mm."""
+        made = super().__new__(cls, sizes)
+        made.unit = unit
+        return made
 
 
 @dataclass(frozen=True)
@@ -43,8 +59,8 @@ class ReadOptions:
         Whether time points are channels of one image.
     series : str, optional
         Which series of a DICOM folder: its UID or its number in the list.
-    spacing : tuple of float, optional
-        Size of a voxel (x, y, z), mm, where the file does not say it.
+    spacing : Spacing, optional
+        Size of a voxel (x, y, z), mm, where the file does not say it, and its unit.
     resample : bool
         Whether slices that lie on no regular grid are put on one.
     """
@@ -113,7 +129,7 @@ def spacing_of(text: str) -> Spacing:
             f"spacing: {text[:60]} was given, expected sizes of {_SMALLEST:g} to {_LARGEST:g} mm",
             "is the unit right?",
         )
-    return x, y, z
+    return Spacing((x, y, z), unit_name(mm_of(unit)) if found.group(4) else "")
 
 
 def check_readable(

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import difflib
 import json
-import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 #: Largest number of characters of a value that a message repeats.
@@ -191,32 +190,28 @@ def voxel_text(spacing_mm: Iterable[float], unit: str = "mm") -> str:
     return " x ".join(f"{size * _IN_MM[unit]:.4g}" for size in spacing_mm) + f" {unit}"
 
 
-def volume_text(mm3: float) -> str:
-    """Return a volume in the unit that people use for its size.
+def size_setting(mm3: float) -> str:
+    """Return a volume as the setting ``size`` takes it, without an exponent: in the unit that has four digits of it.
 
     Examples
     --------
-    >>> volume_text(1.5234e6), volume_text(12.3), volume_text(4.2e-7)
-    ('1523 ml', '12.3 mm3', '420 um3')
+    >>> size_setting(1234.5), size_setting(4.2e-7), size_setting(4.2e-13)
+    ('1234.5000mm3', '420.0000um3', '420000.0000nm3')
     """
+    unit = next((unit for unit in ("mm", "um") if in_unit(mm3, unit, 3) >= 1.0), "nm")
+    return f"{in_unit(mm3, unit, 3):.4f}{unit}3"
+
+
+def volume_text(mm3: float, unit: str = "mm") -> str:
+    """Return a volume in the unit that people use for its size, or in that of an image of a microscope.
+
+    Examples
+    --------
+    >>> volume_text(1.5234e6), volume_text(12.3), volume_text(4.2e-7), volume_text(0.25, "um")
+    ('1523 ml', '12.3 mm3', '420 um3', '2.5e+08 um3')
+    """
+    if unit != "mm":
+        return size_text(mm3, unit, 3, digits=4)
     if mm3 >= 1000:
         return f"{mm3 / 1000:.4g} ml" if mm3 < 1e7 else f"{mm3 / 1e6:.4g} l"
     return f"{mm3:.4g} mm3" if mm3 >= 0.01 or mm3 <= 0 else f"{mm3 * 1e9:.4g} um3"
-
-
-def place_text(place: Iterable[float], steps: Sequence[float]) -> str:
-    """Return a place (x, y, z), mm, as commands take it, to a part of a voxel.
-
-    Parameters
-    ----------
-    place : iterable of float
-    steps : sequence of float
-        Distances of neighbouring voxels, mm.
-
-    Examples
-    --------
-    >>> place_text((1.26, -3, 40.5), (1.0, 1.0)), place_text((0.01234, 0, 1), (0.0005, 0.0002))
-    ('1.3,-3.0,40.5', '0.0123,0.0000,1.0000')
-    """
-    digits = max(1, math.ceil(-math.log10(min(steps))))
-    return ",".join(f"{value:.{digits}f}" for value in place)

@@ -19,22 +19,23 @@ from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, meeting, shared
 from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.image.check import as_labels
 from accelsurf.image.volume import Volume, array_on_grid
-from accelsurf.io.files import read_table
+from accelsurf.io.files import columns_in, read_table
 from accelsurf.settings import budgets
+from accelsurf.settings.coordinates import Coordinates, System
 from accelsurf.settings.labels import IdRanges
 from accelsurf.starts import starts
 
 #: Largest id that a label map can hold.
 MAX_ID = 2**32 - 1
-#: Columns of a table: world mm (LPS), or voxel indices with the radius in voxels of the smallest spacing.
-WORLD_COLUMNS, VOXEL_COLUMNS = (
-    ("id", "x", "y", "z", "r"),
-    ("id", "x_vox", "y_vox", "z_vox", "r_vox"),
-)
+#: Columns of a table in world mm (LPS); in other systems they have an end.
+WORLD_COLUMNS = ("id", "x", "y", "z", "r")
 #: Voxels deeper in a given surface than this part of its greatest depth are surely of the object.
 _CORE_DEPTH = 0.5
 _BYTES_PER_VOXEL = 16  # image, psi twice, and an index of the band
-_FORM = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS), or {','.join(VOXEL_COLUMNS)}"
+_FORM = (
+    "columns id,x,y,z,r in world mm (LPS), or id,x_vox,y_vox,z_vox,r_vox, or id,x_grid,y_grid,z_grid,r_grid as on the "
+    "scales of pictures"
+)
 
 
 class ObjectStart(NamedTuple):
@@ -252,9 +253,8 @@ def read_balls(file: str, geometry: Geometry) -> dict[int, list[tuple[float, flo
     for id, *numbers in read_table(
         file,
         WORLD_COLUMNS,
-        VOXEL_COLUMNS,
         _FORM,
-        lambda line, number, vox: _read_line(line, number, vox, geometry),
+        lambda line, number, system: _read_line(line, number, system, geometry),
     ):
         rows.setdefault(int(id), []).append((numbers[0], numbers[1], numbers[2], numbers[3]))
     if not rows:
@@ -275,12 +275,10 @@ def _balls(file: str, geometry: Geometry, margin: int) -> list[ObjectStart]:
 
 
 def _read_line(
-    line: dict[str, Any], number: int, vox: bool, geometry: Geometry
+    line: dict[str, Any], number: int, system: System, geometry: Geometry
 ) -> tuple[float, ...]:
     try:
-        id, x, y, z, r = (
-            float(line.get(name, "")) for name in (VOXEL_COLUMNS if vox else WORLD_COLUMNS)
-        )
+        id, x, y, z, r = (float(line.get(name, "")) for name in columns_in(system, WORLD_COLUMNS))
     except (TypeError, ValueError):
         id = x = y = z = r = math.nan
     if (
@@ -295,6 +293,8 @@ def _read_line(
         )
     if r <= 0:
         raise InputError(f"line {number}: radius {r:g} was given, expected above 0", f"{_FORM}")
+    found = Coordinates((x, y, z, r), system).on(geometry)
+    (x, y, z, r), vox = found.numbers, found.vox
     index = (z, y, x) if vox else tuple(float(v) for v in geometry.world_to_index((x, y, z)))
     return id, *index, r * (min(geometry.steps) if vox else 1.0)
 

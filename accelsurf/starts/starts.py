@@ -1,8 +1,8 @@
 """First surfaces: balls, boxes, seeds, label maps, thresholds, meshes, written as ``--start`` takes them.
 
 A start is text, ``kind:values``. Coordinates are world mm (x, y, z; LPS), or in the unit at their end (``um``), and RAS
-with the suffix ``ras``. With the suffix ``vox`` they are voxel indices (x, y, z; 0 is the centre of the first voxel),
-and a radius is in voxels of the smallest spacing.
+with the suffix ``ras``. With the suffix ``grid`` they are those on the scales of pictures. With the suffix ``vox`` they
+are voxel indices (x, y, z; 0 is the centre of the first voxel), and a radius is in voxels of the smallest spacing.
 Each start becomes a function psi on the grid, negative inside; the minimum of several is their union. Tables of places
 in mm or in voxels, of balls and of clicks, are read here too.
 """
@@ -20,12 +20,20 @@ from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.boxes import corner_of, slabs, whole_box
 from accelsurf.grid.geometry import Geometry, ball_distance
+from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.window import Window
 from accelsurf.image.check import as_labels
 from accelsurf.image.volume import Volume
 from accelsurf.io import meshes, split_name
 from accelsurf.settings import budgets
-from accelsurf.settings.coordinates import Coordinates, box_of, coordinates_of
+from accelsurf.settings.coordinates import (
+    SUFFIXES,
+    UNITS_MM,
+    Coordinates,
+    System,
+    box_of,
+    coordinates_of,
+)
 from accelsurf.settings.labels import parse_ids
 from accelsurf.settings.wording import did_you_mean, shown
 
@@ -33,8 +41,6 @@ Row = TypeVar("Row")
 
 #: mm or voxels.
 MAX_LENGTH = 1e12
-#: A place is taken for one in micrometres where it is so many extents of the volume away.
-FAR_BEYOND = 50.0
 
 #: The start that is made of the inside clicks of the run.
 CLICKS = "clicks"
@@ -58,7 +64,7 @@ KINDS: dict[str, str] = {
 
 
 class Start(NamedTuple):
-    """A start, parsed: its ``kind``, its ``numbers`` and whether these are voxel indices, or its ``file``.
+    """A start, parsed: its ``kind``, its ``numbers`` and what these are, or its ``file``.
 
     ``word`` is what follows the kind or the file: ``dark``, ``otsu``, ``ras``; ``ids`` are the labels asked for, as
     ranges.
@@ -66,10 +72,22 @@ class Start(NamedTuple):
 
     kind: str
     numbers: tuple[float, ...] = ()
-    vox: bool = False
+    system: System = ""
     file: str = ""
     word: str = ""
     ids: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def vox(self) -> bool:
+        """Test if the numbers are voxels; of a start that is `on` a grid."""
+        return Coordinates(self.numbers, self.system).vox
+
+    def on(self, geometry: Geometry) -> Start:
+        """Return the same start with its numbers in mm (LPS) or in voxels."""
+        if self.system in ("", "vox"):
+            return self
+        found = Coordinates(self.numbers, self.system).on(geometry)
+        return self._replace(numbers=found.numbers, system=found.system)
 
     def mask_of(self, labels: NDArray[Any]) -> NDArray[np.bool_]:
         """Voxels of a label map that have one of the labels."""
@@ -100,7 +118,7 @@ def parse(text: str) -> Start:
     Examples
     --------
     >>> parse("ball:10,-20,5.5,12")
-    Start(kind='ball', numbers=(10.0, -20.0, 5.5, 12.0), vox=False, file='', word='', ids=())
+    Start(kind='ball', numbers=(10.0, -20.0, 5.5, 12.0), system='', file='', word='', ids=())
     >>> parse("box:0,0,0,9,9,9vox").vox
     True
     """
@@ -125,7 +143,7 @@ def parse(text: str) -> Start:
         return Start(kind, word=rest)
     if kind == "largest" and rest in ("otsu", "otsu:dark"):
         return Start(kind, word=rest)
-    numbers, vox = _numbers(text, kind, rest)
+    numbers, system = _numbers(text, kind, rest)
     if kind in ("ball", "seed") and numbers[3] <= 0:
         what = f"start {shown(text)!r}: radius {numbers[3]:g} given, expected above 0"
         raise UsageError(what, f"as in {KINDS[kind]}")
@@ -137,7 +155,7 @@ def parse(text: str) -> Start:
             f"start {shown(text)!r}: the low threshold is above the high one",
             f"as in {KINDS[kind]}",
         )
-    return Start(kind, numbers, vox)
+    return Start(kind, numbers, system)
 
 
 def _parse_file(text: str, kind: str, rest: str) -> Start:
@@ -178,7 +196,7 @@ def _numbers(text: str, kind: str, values: str) -> Coordinates:
             f"start {shown(text)!r}: finite numbers of at most {MAX_LENGTH:g} expected",
             f"as in {form}",
         )
-    return Coordinates(numbers, found is not None and found.vox)
+    return Coordinates(numbers, "" if found is None else found.system)
 
 
 def _thresholds(parts: Sequence[str]) -> Coordinates | None:
@@ -231,7 +249,7 @@ def build(
     psi: NDArray[np.float32] | None = None
     window = window or Window(volume.geometry, whole_box(volume.geometry.shape))
     for text in starts:
-        added = _build_one(parse(text), text, window, values)
+        added = _build_one(parse(text).on(window.geometry), text, window, values)
         if not (added < 0).any():
             raise InputError(*_nothing_inside(text, window.geometry))
         psi = added if psi is None else np.minimum(psi, added, out=psi)
@@ -260,7 +278,7 @@ def ball_of(text: str, geometry: Geometry) -> tuple[tuple[float, float, float], 
     >>> ball_of("ball:3,4,6,2", Geometry((9, 9, 9), (2.0, 1.0, 1.0)))
     ((3.0, 4.0, 3.0), 2.0)
     """
-    start = parse(text)
+    start = parse(text).on(geometry)
     if start.kind != "ball":
         raise UsageError(f"{shown(text)!r} was given, expected a ball", f"as in {KINDS['ball']}")
     if start.vox:
@@ -293,53 +311,31 @@ def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
             f"start {shown(text)!r}: no voxel lies between these values",
             "thresholds are in the image's own units",
         )
-    start = parse(text)
-    place = start.numbers[:3] if kind in ("ball", "seed", "point") else ()
-    return f"start {shown(text)!r}: no voxel centre is inside it", extent_hint(
-        geometry, place, start.vox
-    )
+    return f"start {shown(text)!r}: no voxel centre is inside it", extent_hint(geometry)
 
 
-def extent_hint(geometry: Geometry, place: Sequence[float] = (), vox: bool = False) -> str:
-    """Say what would make a place lie in the volume, if anything does, and where that lies; for messages.
+def extent_hint(geometry: Geometry) -> str:
+    """Say where a volume lies, in its unit, and how places are written; for messages.
 
-    Parameters
-    ----------
-    geometry : Geometry
-    place : sequence of float, optional
-        x, y, z in mm (LPS), or indices where ``vox``.
-    vox : bool, optional
+    Which system was meant is not said: that a place would be inside in another one is no sign that it was.
     """
+    up, mm = DisplayOrientation.of(geometry), UNITS_MM[geometry.unit]
     corner = geometry.index_to_world(np.array([[0, 0, 0], [n - 1 for n in geometry.shape]]))
     low, high = corner.min(axis=0), corner.max(axis=0)
-    ranges = "; ".join(
-        f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True)
-    )
-    extent = (
-        f"the volume's corners span {ranges} mm (world, LPS); the suffix vox takes voxel indices"
-    )
-    meant = _meant(geometry, place, vox) if len(place) == 3 else None
-    return extent if meant is None else f"{meant}; {extent}"
+    spans = [f"{_spans('xyz', low / mm, high / mm)} {geometry.unit} (world, LPS)"]
+    if not up.is_parallel:
+        first = [up.coordinate(axis, 0) / mm for axis in (2, 1, 0)]
+        last = [up.coordinate(axis, geometry.shape[up.order[axis]] - 1) / mm for axis in (2, 1, 0)]
+        scales = _spans(up.names[::-1], first, last)
+        spans.append(f"on the scales of pictures {scales} {geometry.unit}: these end in grid")
+    return f"the volume's corners span {'; '.join(spans)}; numbers are mm (world, LPS) unless they end in {SUFFIXES}"
 
 
-def _meant(geometry: Geometry, place: Sequence[float], vox: bool) -> str | None:
-    """Return how else a place outside of the volume may be meant so that it lies in it."""
-    x, y, z = place
-    if vox:
-        readings = [("in mm it is inside: leave vox out", geometry.world_to_index((x, y, z)))]
-    else:
-        readings = [
-            (
-                "with x and y negated it is inside: are these RAS? Then add ras",
-                geometry.world_to_index((-x, -y, z)),
-            ),
-            ("as voxel indices it is inside: add vox", np.array([z, y, x])),
-        ]
-        if max(map(abs, place)) > FAR_BEYOND * max(geometry.extent_mm):
-            um = geometry.world_to_index((x / 1e3, y / 1e3, z / 1e3))
-            readings.append(("in micrometres it is inside: add um", um))
-    last = np.array(geometry.shape) - 0.5
-    return next((said for said, at in readings if ((at >= -0.5) & (at <= last)).all()), None)
+def _spans(names: Sequence[str], low: Sequence[float], high: Sequence[float]) -> str:
+    """Say from where to where each axis goes."""
+    return ", ".join(
+        f"{name} {a:.4g} to {b:.4g}" for name, a, b in zip(names, low, high, strict=True)
+    )
 
 
 def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDArray[np.float32]:

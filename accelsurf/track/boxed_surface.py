@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.orientation import part_of
 from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.image.volume import Volume
 from accelsurf.kernels import point_sampling
@@ -94,7 +95,7 @@ def halving_of(frame: Geometry) -> Halving | None:
     nz, ny, nx = (-(-np.array(frame.shape) // factors)).tolist()
     hz, hy, hx = np.multiply(frame.spacing, factors).tolist()
     x, y, z = frame.index_to_world(0.5 * (factors - 1)).tolist()
-    return Halving(frame, Geometry((nz, ny, nx), (hz, hy, hx), (x, y, z), frame.direction), factors)
+    return Halving(frame, part_of(frame, (nz, ny, nx), (x, y, z), (hz, hy, hx)), factors)
 
 
 class BoxedSurface(NamedTuple):

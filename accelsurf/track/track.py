@@ -382,7 +382,7 @@ def track(
     sequence: ImageSequence | str | os.PathLike[str] | Sequence[ImageLike] | ArrayLike,
     config: TrackConfig | None = None,
     *,
-    spacing: float | tuple[float, float, float] | None = None,
+    spacing: float | str | tuple[float, float, float] | None = None,
     energy: EnergyLike | None = None,
     objects: ObjectsLike | ImageLike | None = None,
     meshes: bool = False,
@@ -398,7 +398,7 @@ def track(
         What `accelsurf.read_sequence` takes or returns, images as `accelsurf.segment` takes them, or an array whose
         first axis is time, also of dask, torch or xarray.
     config : TrackConfig, optional
-    spacing : float or (hz, hy, hx), optional
+    spacing : float, str or (hz, hy, hx), optional
         mm, of arrays; 1 by default.
     energy, objects, meshes, on_step, checkpoint_to : optional
         As of `Tracking`; the objects also as any image.

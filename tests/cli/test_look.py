@@ -1,8 +1,12 @@
 """``accelsurf look``: a picture without a run."""
 
+import shutil
+
 import numpy as np
 import pytest
 from matplotlib import image as mpl_image
+from PIL import Image, ImageDraw
+from PIL.PngImagePlugin import PngInfo
 
 from accelsurf import cli, io
 from accelsurf.grid.geometry import Geometry
@@ -34,14 +38,77 @@ def test_it_writes_one_picture_and_says_what_the_image_is(tmp_path, capsys, monk
     assert "50 x 40 x 6 voxels of 0.5 x 1 x 4 mm" in shown and "0 to 105" in shown
     assert str(tmp_path / "scan_look.png") in shown
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scan.nii.gz", "scan_look.png"]
-    assert run("look", scan) == 7  # it exists
-    assert run("look", scan, "--overwrite") == 0
+    assert run("look", scan) == 0  # its own picture
+    shutil.copy(tmp_path / "scan_look.png", tmp_path / "own.png")
+    assert run("look", scan, "-o", tmp_path / "own.png") == 7  # a name that was given is somebody's
+    (tmp_path / "own.png").unlink()
     assert (
         run("look", scan, "-o", tmp_path / "folder") == 0
         and (tmp_path / "folder" / "scan_look.png").is_file()
     )
     assert run("look", scan, "-o", tmp_path / "own.png") == 0 and (tmp_path / "own.png").is_file()
     assert run("look", scan, "-o", tmp_path / "own.jpg") == 2
+
+
+def drawn_on(path):
+    """The picture with its texts, and a line that somebody has drawn."""
+    with Image.open(path) as image:
+        texts = PngInfo()
+        for key, value in image.info.items():
+            if isinstance(value, str):
+                texts.add_text(key, value)
+        ImageDraw.Draw(image).line((10, 10, 60, 60), fill=(255, 0, 0))
+        image.save(path, pnginfo=texts)
+
+
+def cut(path):
+    with Image.open(path) as image:
+        image.crop((0, 0, 100, 90)).save(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        drawn_on,
+        cut,
+        lambda path: path.write_bytes(path.read_bytes()[:-40]),
+        lambda path: path.write_text("accelsurf look"),
+        lambda path: path.write_bytes(b""),
+        lambda path: (path.rename(f"{path}.png"), path.symlink_to(f"{path}.png")),
+    ],
+)
+def test_only_a_picture_that_nobody_changed_is_replaced(tmp_path, monkeypatch, change):
+    scan = saved(tmp_path / "scan.nii.gz")
+    monkeypatch.chdir(tmp_path)
+    picture = tmp_path / "scan_look.png"
+    assert run("look", scan) == 0
+    assert run("look", scan, "--at", "3,3,3vox") == 0
+    change(picture)
+    before = picture.read_bytes()
+    assert run("look", scan) == 7 and picture.read_bytes() == before
+    assert run("look", scan, "--overwrite") == 0
+
+
+@pytest.mark.parametrize(
+    ("shape", "spacing", "words", "asked"),
+    [
+        ((4, 1200, 20), (1, 1, 1), (), True),
+        ((4, 1200, 20), (1, 1, 1), ("--spacing", "1mm"), False),
+        ((4, 1200, 20), (1, 1, 1), ("--spacing", "1um"), False),
+        ((4, 1200, 20), (1, 1, 1), ("--spacing", "0.5"), False),
+        ((700, 70, 70), (1, 10, 10), ("--spacing", "10,10,1"), True),  # 343 l
+        ((4, 900, 20), (1, 1, 1), (), False),
+    ],
+)
+def test_an_image_as_wide_as_a_room_is_asked_about(
+    tmp_path, monkeypatch, capsys, shape, spacing, words, asked
+):
+    monkeypatch.chdir(tmp_path)
+    np.save("stack.npy", np.arange(np.prod(shape), dtype=np.float32).reshape(shape))
+    assert run("look", "stack.npy", *words) == 0
+    said = capsys.readouterr().err
+    assert ("m wide: is that so?" in said) == asked
+    assert not asked or "um says otherwise" in said
 
 
 def test_the_place_chooses_the_slices_and_the_window_the_greys(tmp_path):

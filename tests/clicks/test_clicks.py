@@ -178,7 +178,8 @@ def test_a_voxel_on_both_sides_is_named(volume):
         ["point:6,8,12"], "outside", volume
     )
     with pytest.raises(
-        InputError, match=r"voxel 12,8,4 \(x,y,z; 6,8,12 mm\) is clicked both inside and outside\n"
+        InputError,
+        match=r"voxel 12,8,4 \(x,y,z; 6\.0,8\.0,12\.0 mm\) is clicked both inside and outside\n",
     ):
         check_contradictions(Clicks(tuple(clicks), volume.array.shape), volume.geometry)
     two = read_clicks(["point:6,8,12"], "inside", volume, id=3) + read_clicks(

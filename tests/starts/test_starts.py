@@ -278,18 +278,15 @@ def test_a_seed_between_two_voxels_is_the_same_from_either_side(axis):
     np.testing.assert_array_equal(one, np.flip(other, axis))
 
 
-@pytest.mark.parametrize(
-    ("place", "vox", "said"),
-    [
-        ((70, 60, -850), False, "with x and y negated it is inside"),
-        ((20, 20, 30), False, "as voxel indices it is inside: add vox"),
-        ((-70_000, -60_000, -850_000), False, "in micrometres it is inside: add um"),
-        ((-70, -60, -850), True, "in mm it is inside: leave vox out"),
-        ((500, 1, 1), False, "the volume's corners span"),
-        ((), False, "the volume's corners span"),
-    ],
-)
-def test_a_hint_says_what_would_make_a_place_lie_inside(place, vox, said):
-    geometry = Geometry((60, 50, 40), (2.0, 1.0, 1.0), (-100.0, -80.0, -900.0))
-    hint = starts.extent_hint(geometry, place, vox)
-    assert hint.startswith(said) and "x -100 to -61; y -80 to -31; z -900 to -782 mm" in hint
+@pytest.mark.parametrize("unit", ["mm", "um"])
+@pytest.mark.parametrize("degrees", [0.0, 10.0])
+def test_a_hint_says_where_the_volume_lies_and_proposes_no_system(degrees, unit):
+    """A place that happens to be inside in another system is no sign that it was meant so."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    turn = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
+    geometry = Geometry((60, 50, 40), (2.0, 1.0, 1.0), (-100.0, -80.0, -900.0), turn, unit)
+    hint = starts.extent_hint(geometry)
+    assert f" {unit} (world, LPS)" in hint and all(end in hint for end in ("ras", "vox", "grid"))
+    assert ("z -900 to -782" if unit == "mm" else "z -9e+05 to -7.82e+05") in hint
+    assert ("x' 0 to" in hint) == (degrees > 0)
+    assert "inside" not in hint and "?" not in hint

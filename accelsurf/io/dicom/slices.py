@@ -161,7 +161,7 @@ def _pictures(frames: Sequence[Frame], spacing: Spacing | None) -> Slices:
     if spacing is None:
         note += "" if first.spacing else "; nor the size of a pixel: 1 mm is assumed"
         rows, columns = first.spacing or (1.0, 1.0)
-        spacing = (columns, rows, abs(first.thickness or 1.0))
+        spacing = Spacing((columns, rows, abs(first.thickness or 1.0)))
     odd = [frame for frame in frames if (frame.rows, frame.columns) != (first.rows, first.columns)]
     if odd:
         raise GeometryError(

@@ -41,6 +41,7 @@ from accelsurf.io.headers import (
     LABELS_KEY,
     VALUE_UNIT_KEY,
     ZERO_BEYOND_KEY,
+    with_given_unit,
     with_warnings,
 )
 from accelsurf.io.memory import check_memory
@@ -74,11 +75,14 @@ class DicomHeader:
         What they are put on where they lie on no grid.
     notes : tuple of str
         What a person should know.
+    options : ReadOptions
+        As given.
     """
 
     slices: Slices
     grid: RegularGrid | None
     notes: tuple[str, ...]
+    options: ReadOptions = AS_IT_IS
 
     @property
     def geometry(self) -> Geometry:
@@ -193,7 +197,7 @@ def on_grid(slices: Slices, options: ReadOptions, notes: list[str]) -> DicomHead
     if slices.faults and options.resample:
         grid = regular_grid(slices)
         notes.append(grid.text)
-    header = DicomHeader(slices, grid, tuple(notes))
+    header = DicomHeader(slices, grid, tuple(notes), options)
     assert header.geometry is not None  # raises where there is none
     return header
 
@@ -313,6 +317,7 @@ def read_dicom(path: Path, header: DicomHeader | Segments, available: int) -> Vo
     if header.grid is not None:
         values = resampled(values, header.grid)
     metadata = with_warnings({DICOM_KEY: frames[0].uids[1]}, *header.notes, note)
+    metadata = with_given_unit(metadata, header.options)
     if frames[0].labels["unit"]:
         metadata[VALUE_UNIT_KEY] = frames[0].labels["unit"]
     return Volume(values, header.geometry, metadata, path)

@@ -22,7 +22,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.io.channels import single
 from accelsurf.io.formats.deflate import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
-from accelsurf.io.headers import with_warnings
+from accelsurf.io.headers import with_given_unit, with_warnings
 from accelsurf.io.lazy_volume import LazyVolume, Opening
 from accelsurf.io.memory import check_memory
 from accelsurf.settings import budgets
@@ -122,7 +122,7 @@ def _header(path: Path, file: BinaryIO, options: ReadOptions) -> ArrayHeader:
     x, y, z = options.spacing or (1.0, 1.0, 1.0)
     nz, ny, nx = (*[1] * (3 - len(shape)), *shape[-3:])
     geometry = Geometry((nz, ny, nx), (z, y, x))
-    metadata = with_warnings({}, "" if options.spacing else _NOTE)
+    metadata = with_given_unit(with_warnings({}, "" if options.spacing else _NOTE), options)
     return ArrayHeader(path, offset, dtype, shape, is_fortran, geometry, metadata, options)
 
 

@@ -419,7 +419,7 @@ def _words(geometry: Geometry, metadata: Mapping[str, str]) -> list[str] | None:
     meaning, is it not said: the cells of a dish have no left side.
     """
     is_dish = (
-        UNIT_KEY in metadata
+        metadata.get(UNIT_KEY, "mm") != "mm"
         and not is_anatomical(metadata)
         and np.array_equal(geometry.direction, np.eye(3))
     )

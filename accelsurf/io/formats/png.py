@@ -24,7 +24,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.channels import to_grey
 from accelsurf.io.files import library_named
-from accelsurf.io.headers import with_warnings
+from accelsurf.io.headers import with_given_unit, with_warnings
 from accelsurf.io.memory import check_memory
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -51,6 +51,8 @@ class PngHeader:
         Bytes of a pixel in memory while it is read.
     row_bytes : int
         Bytes of all rows, each with the one that names its filter.
+    options : ReadOptions
+        As given.
     """
 
     data: Path
@@ -58,6 +60,7 @@ class PngHeader:
     spacing: tuple[float, float, float]
     pixel_bytes: int
     row_bytes: int
+    options: ReadOptions = AS_IT_IS
 
     @property
     def values(self) -> int:
@@ -104,7 +107,12 @@ def parse_png(path: Path, options: ReadOptions = AS_IT_IS) -> PngHeader:
         rows = height * (1 + (width * depth * _STORED[start[25]] + 7) // 8)
     spacing = (1.0, *_pixel(path)[::-1]) if options.spacing is None else options.spacing[::-1]
     return PngHeader(
-        path, (1, height, width), spacing, depth // 8 or 1 if is_grey else 3 + (mode != "RGB"), rows
+        path,
+        (1, height, width),
+        spacing,
+        depth // 8 or 1 if is_grey else 3 + (mode != "RGB"),
+        rows,
+        options,
     )
 
 
@@ -130,7 +138,8 @@ def read_png(path: Path, header: PngHeader, available: int) -> Volume:
                 array, note = np.array(image), ""
     if array.ndim > 2:
         array, note = to_grey(array)
-    return Volume(array[None], header.geometry, with_warnings({}, note), path)
+    metadata = with_given_unit(with_warnings({}, note), header.options)
+    return Volume(array[None], header.geometry, metadata, path)
 
 
 def _pixel(path: Path) -> tuple[float, float]:

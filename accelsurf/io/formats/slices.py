@@ -21,7 +21,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming
 from accelsurf.io.formats.tiff_image import TiffImage
-from accelsurf.io.headers import UNIT_KEY, WARNING_KEY, with_warnings
+from accelsurf.io.headers import UNIT_KEY, WARNING_KEY, with_given_unit, with_warnings
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StackedVoxels, StoreLayout
 from accelsurf.io.memory import check_memory
 from accelsurf.settings import budgets
@@ -161,6 +161,7 @@ def parse_slices(path: Path, options: ReadOptions = AS_IT_IS) -> SliceFolder:
         )
     if isinstance(first, TiffImage) and UNIT_KEY in first.metadata:
         metadata[UNIT_KEY] = first.metadata[UNIT_KEY]
+    metadata = with_given_unit(metadata, options)
     geometry = Geometry((len(files), *shapes[0][1:]), spacing)
     return SliceFolder(
         path,

@@ -37,7 +37,7 @@ from accelsurf.io.formats.tiff import (
 )
 from accelsurf.io.formats.tiff_pages import TiffPages
 from accelsurf.io.formats.tiff_stack import TiffStack, stack_of
-from accelsurf.io.headers import FRAME_KEY, UNIT_KEY, FrameTimes, with_warnings
+from accelsurf.io.headers import FRAME_KEY, UNIT_KEY, FrameTimes, with_given_unit, with_warnings
 from accelsurf.io.lazy_volume import (
     LazyVolume,
     Opening,
@@ -195,6 +195,7 @@ def _spacing(stack: TiffStack, options: ReadOptions) -> tuple[Spacing, dict[str,
     metadata = with_warnings({}, *notes)
     if stack.unit in ("nm", "um"):
         metadata[UNIT_KEY] = stack.unit
+    metadata = with_given_unit(metadata, options)
     if stack.seconds is not None:
         metadata[FRAME_KEY] = repr(stack.seconds)
     return spacing, metadata

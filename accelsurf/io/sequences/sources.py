@@ -124,7 +124,7 @@ class SliceFrames(FileSequence):
         self._volume = self._opened(form, header)
         nz, ny, nx = self._volume.shape
         whole = self._volume.geometry
-        geometry = Geometry((1, ny, nx), whole.spacing, whole.origin, whole.direction)
+        geometry = replace(whole, shape=(1, ny, nx))
         self.place(
             geometry, FrameTimes.regular(nz, None), [self._volume.metadata.get(WARNING_KEY, "")]
         )

@@ -45,6 +45,9 @@ DASHED: Dashes = (0, (4.5, 2))
 #: Height of the numbers at ticks and in legends, of labels, of titles, and of the heading of a picture, pixels.
 TICK_SIZE, LABEL_SIZE, TITLE_SIZE, HEADING_SIZE = 11, 12, 14, 17
 
+#: Width that a title has at least, pixels, above narrow axes in the middle of a panel.
+MIN_TITLE = 240
+
 #: The font of all texts, which comes with matplotlib, and those with further scripts, taken where they are installed.
 _FONT = "DejaVu Sans"
 _FURTHER_FONTS = (
@@ -271,7 +274,7 @@ def write_lengths(axes: Axes, across: str, up: str, unit: str) -> None:
         step = tick_step(low, high, pixels, room)
         axis.set_major_locator(MultipleLocator(step / in_unit(1.0, unit)))
         axis.set_major_formatter(
-            FuncFormatter(lambda value, _: f"{round(in_unit(value, unit), 9):g}")
+            FuncFormatter(lambda value, _: f"{round(in_unit(value, unit), 9):.12g}")
         )
 
 
@@ -293,8 +296,9 @@ def tick_step(low: float, high: float, pixels: float, room: float) -> float:
 
 
 def write_title(axes: Axes, text: str) -> None:
-    """Write above axes, each line shortened if it is wider than they are and half as much again."""
-    lines = (fitting(line, TITLE_SIZE, 1.3 * axes.bbox.width) for line in text.split("\n"))
+    """Write above axes, each line shortened if it is wider than they are and a third more; a place always fits."""
+    width = max(1.3 * axes.bbox.width, MIN_TITLE)
+    lines = (fitting(line, TITLE_SIZE, width) for line in text.split("\n"))
     # With a height of its own matplotlib does not lay out all ticks once more, to see whether any is in the way.
     axes.set_title("\n".join(lines), y=1, pad=7, color=INK, **font(TITLE_SIZE))
 

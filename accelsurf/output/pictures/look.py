@@ -12,7 +12,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.image.volume import Volume
-from accelsurf.io.headers import UNIT_KEY, is_anatomical
+from accelsurf.io.headers import shows_patient
 from accelsurf.output.pictures.canvas import (
     SKY,
     SURFACE,
@@ -22,6 +22,7 @@ from accelsurf.output.pictures.canvas import (
     Canvas,
     object_color,
 )
+from accelsurf.output.pictures.marks import marked_png
 from accelsurf.output.pictures.preview import BELOW, LEFT, PANEL, TOP, WIDTH, panel_at
 from accelsurf.output.pictures.slice_views import SliceView, displayed, whole_ranges
 from accelsurf.output.pictures.slices import (
@@ -31,6 +32,7 @@ from accelsurf.output.pictures.slices import (
     draw_slice_scale,
     name_section,
     open_slice,
+    typed_note,
     write_letters,
 )
 
@@ -69,14 +71,14 @@ def look_png(
         A PNG file.
     """
     geometry = channels[0].geometry
-    place = _place(geometry, at, labels)
+    place = voxel_shown(geometry, at, labels)
     planes = [0, 1, 2]
     if geometry.slice_axis is not None:
         planes = [DisplayOrientation.of(geometry).order.index(geometry.slice_axis)]
     several = len(planes) > 1
     tall = PANEL if several else 700
     canvas = Canvas(WIDTH if several else 940, TOP + len(channels) * (tall + BELOW), title)
-    anatomical, unit = is_anatomical(channels[0].metadata), channels[0].metadata.get(UNIT_KEY, "mm")
+    anatomical, unit = shows_patient(channels[0]), geometry.unit
     for row, volume in enumerate(channels):
         grey = window if window is not None else _window(volume, labels)
         top = TOP + row * (tall + BELOW)
@@ -93,16 +95,17 @@ def look_png(
             if anatomical:
                 write_letters(shown)
             draw_slice_scale(shown, unit)
+        canvas.text((10, top + tall + BELOW - 26), typed_note(geometry), TICK_SIZE, anchor="ld")
         canvas.text(
             (canvas.width - 10, top + tall + BELOW - 26),
             f"window {grey.text}",
             TICK_SIZE,
             anchor="rd",
         )
-    return canvas.png()
+    return marked_png(canvas.pixels())
 
 
-def _place(geometry: Geometry, at: Sequence[float] | None, labels: NDArray[Any] | None) -> Any:
+def voxel_shown(geometry: Geometry, at: Sequence[float] | None, labels: NDArray[Any] | None) -> Any:
     """The voxel (z, y, x) through which the slices go."""
     if at is not None:
         return tuple(int(v) for v in np.rint(geometry.world_to_index(at)))

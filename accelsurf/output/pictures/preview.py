@@ -45,7 +45,7 @@ from accelsurf.output.pictures.slice_views import (
     shown_ranges,
     uncertain_views,
 )
-from accelsurf.output.pictures.slices import draw_slice
+from accelsurf.output.pictures.slices import draw_slice, typed_note
 
 if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
@@ -115,7 +115,7 @@ def preview_png(content: PreviewContent) -> bytes:
     energies = below[1]._replace(right=below[1].right - 24, bottom=below[1].top + LOW)
     draw_energies(canvas, energies, content.history, content.steps_left_out)
     draw_surface(canvas, below[2], content)
-    write_window(canvas, window)
+    write_window(canvas, window, content.geometry)
     return canvas.png()
 
 
@@ -144,8 +144,9 @@ def content_window(content: PreviewContent, ranges: Ranges) -> GreyWindow:
     return window_of(content.image[part], inside) if inside.any() else window_of(content.image)
 
 
-def write_window(canvas: Canvas, window: GreyWindow) -> None:
-    """Write the grey window in the lower right corner."""
+def write_window(canvas: Canvas, window: GreyWindow, geometry: Geometry) -> None:
+    """Write the grey window in the lower right corner, and in the left one how places on the scales are typed."""
+    canvas.text((10, canvas.height - 8), typed_note(geometry), 11, anchor="ld")
     canvas.text((canvas.width - 10, canvas.height - 8), f"window {window.text}", 11, PALE, "rd")
 
 
@@ -167,7 +168,7 @@ def _png_2d(content: PreviewContent, axis: int) -> bytes:
     half = 0.5 * LOW
     panel = Box(first, middle - half, first + right, middle + half)
     draw_energies(canvas, panel, content.history, content.steps_left_out)
-    write_window(canvas, window)
+    write_window(canvas, window, content.geometry)
     return canvas.png()
 
 

@@ -2,7 +2,7 @@
 
 Slices are reoriented to the nearest anatomical axes: the patient's left at the right, front at the top (axial) or head
 at the top (coronal, sagittal). Their axes are mm: world coordinates where the grid is parallel to the world, so that a
-click can be read off the picture, otherwise mm along the grid from its first voxel.
+click can be read off the picture, otherwise mm along the grid from its first voxel, which are typed with ``grid``.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ from accelsurf.output.pictures.canvas import (
 )
 from accelsurf.output.pictures.preview_content import ClickMark, PreviewContent
 from accelsurf.output.pictures.slice_views import Ranges, SliceView, displayed, fitted, plane_name
+from accelsurf.settings.coordinates import digits_of, suffix_of
 from accelsurf.settings.wording import in_unit
 
 if TYPE_CHECKING:
@@ -149,12 +150,31 @@ def open_slice(
     """Draw the image of one slice with its frame into a panel, as large as fits; the panel's margins stay free."""
     shown = lay_slice(canvas, panel, image, view, ranges)
     up, (vertical, horizontal) = shown.up, IN_PLANE[view.plane]
-    where = f"{up.names[view.plane]} = {in_unit(up.coordinate(view.plane, view.index), image.unit):.4g} {image.unit}"
-    words = view.why, plane_name(view.plane, image.anatomical), where
+    words = view.why, plane_name(view.plane, image.anatomical), across_text(shown, image.unit)
     write_title(shown.axes, ", ".join(word for word in words if word))
     tall = shown.axes.bbox.height > MIN_FOR_LABEL
     write_lengths(shown.axes, up.names[horizontal], up.names[vertical] if tall else "", image.unit)
     return shown
+
+
+def across_text(shown: Slice, unit: str) -> str:
+    """Return the place of a slice on the scale across it, to a part of a voxel."""
+    plane = shown.view.plane
+    digits = digits_of([in_unit(step, unit) for step in shown.geometry.spacing])
+    at = in_unit(shown.up.coordinate(plane, shown.view.index), unit)
+    return f"{shown.up.names[plane]} = {round(at, digits) + 0.0:.12g} {unit}"
+
+
+def typed_note(geometry: Geometry) -> str:
+    """Say how a place that is read off the scales is typed, where these are not mm in the world; else nothing.
+
+    Examples
+    --------
+    >>> typed_note(Geometry((9, 9, 9), (1e-3, 1e-3, 1e-3), unit="um"))
+    'places on these scales end in um: X,Y,Zum'
+    """
+    suffix = suffix_of(geometry)
+    return f"places on these scales end in {suffix}: X,Y,Z{suffix}" if suffix else ""
 
 
 def lay_slice(

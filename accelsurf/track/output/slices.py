@@ -19,7 +19,6 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow
 from accelsurf.image.volume import Volume
-from accelsurf.io.headers import UNIT_KEY
 from accelsurf.output.pictures import movies
 from accelsurf.output.pictures.canvas import (
     DARK,
@@ -50,6 +49,7 @@ from accelsurf.output.pictures.slices import (
     NamedLine,
     ShownImage,
     Slice,
+    across_text,
     draw_contour,
     draw_slice_scale,
     lay_slice,
@@ -242,7 +242,7 @@ def film_strip_png(tracks: TrackSet) -> bytes:
             color = next(iter(view.colors.values()), DARK)
             predicted = NamedLine("predicted", REFERENCE, REFERENCE_DASHES)
             write_line_names(shown, [predicted, NamedLine("corrected", color)])
-            draw_slice_scale(shown, frame.image.metadata.get(UNIT_KEY, "mm"))
+            draw_slice_scale(shown, frame.image.geometry.unit)
     canvas.text(
         (canvas.width - 10, canvas.height - 8), f"window {view.window.text}", TICK_SIZE, PALE, "rd"
     )
@@ -263,9 +263,7 @@ def _caption(tracks: TrackSet, row: FrameRow, shown: Slice) -> str:
     """Return the time of a frame, and of a volume the place of the slice."""
     if tracks.geometry.slice_axis is not None:
         return time_text(tracks, row)
-    plane = shown.view.plane
-    place = f"{shown.up.names[plane]} = {shown.up.coordinate(plane, shown.view.index):.4g} mm"
-    return f"{time_text(tracks, row)}, {place}"
+    return f"{time_text(tracks, row)}, {across_text(shown, tracks.geometry.unit)}"
 
 
 def picked(rows: tuple[FrameRow, ...]) -> list[FrameRow]:
@@ -334,7 +332,7 @@ def movie_frames(tracks: TrackSet, panels: Sequence[str] = PANELS) -> Iterator[P
             )
             shown = draw_frame(canvas, panel, tracks.geometry, frame, view, (what,))
             canvas.text((left + share / 2, 44), what, TITLE_SIZE, anchor="mm")
-        draw_slice_scale(shown, frame.image.metadata.get(UNIT_KEY, "mm"))
+        draw_slice_scale(shown, frame.image.geometry.unit)
         yield canvas.pixels()
 
 

@@ -52,7 +52,7 @@ class AnswersFeature(Feature):
                     "key": KEYS[answer.number],
                     "volume": "all alike"
                     if answer.volume_mm3 is None
-                    else volume_text(answer.volume_mm3),
+                    else volume_text(answer.volume_mm3, self.actions.scene.unit),
                     "taken": answer.is_taken,
                 }
                 for answer in answers

@@ -99,7 +99,10 @@ class ObjectsFeature(Feature):
 
     def update(self, view: View) -> None:
         self._sizes = {
-            surface.id: {"volume": volume_text(surface.record.volume_mm3), "voxels": surface.voxels}
+            surface.id: {
+                "volume": volume_text(surface.record.volume_mm3, self.actions.scene.unit),
+                "voxels": surface.voxels,
+            }
             for surface in view.frame.surfaces
         }
         self._show(view.status)

@@ -351,12 +351,13 @@ def _as_ball(where: str, geometry: Geometry) -> str:
         body, suffix = split_suffix(rest)
         first = body.partition(";")[0].split(",")[:3]
         try:
-            numbers = [repr(number) for number in suffix.in_lps([float(word) for word in first])]
+            found = suffix.coordinates([float(word) for word in first]).on(geometry)
         except ValueError:
-            numbers = first  # the reader of the ball says what is wrong
+            return f"ball:{rest}"  # the reader of the ball says what is wrong
         # Its voxel has its centre within a ball of this radius.
         radius = float(np.linalg.norm(geometry.spacing)) + 1.0
-        where = f"ball:{','.join(numbers)},{radius:g}{'vox' if suffix.vox else ''}"
+        numbers = ",".join(map(repr, found.numbers))
+        where = f"ball:{numbers},{radius:g}{found.system}"
     return where
 
 

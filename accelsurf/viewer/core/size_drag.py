@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.image.slice_stack import linear
+from accelsurf.settings.wording import size_setting
 
 #: By which factor more is looked at when a drag comes near its end, and at which part of that.
 FARTHER, NEAR_END = 4.0, 0.8
@@ -111,7 +112,7 @@ class SizeDrag:
 
     def size_text(self, drag_mm: float) -> str:
         """The volume of a drag as ``size`` of a run's settings."""
-        return f"{self.volume_of(drag_mm):.4f}mm3"
+        return size_setting(self.volume_of(drag_mm))
 
 
 class Dragging:

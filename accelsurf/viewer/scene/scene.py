@@ -21,7 +21,7 @@ from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.image.slice_stack import SliceStack
 from accelsurf.image.volume import Volume
-from accelsurf.io.headers import UNIT_KEY, is_anatomical
+from accelsurf.io.headers import shows_patient
 from accelsurf.output.pictures.movies import write_png
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
@@ -113,8 +113,8 @@ class Scene:
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
         self.anatomical, self.unit = (
-            is_anatomical(volume.metadata),
-            volume.metadata.get(UNIT_KEY, "mm"),
+            shows_patient(volume),
+            volume.geometry.unit,
         )
         self.is_straight = self.anatomical and self.is_oblique
         if plotter is None:
