@@ -335,8 +335,8 @@ def _cells(case: str, entry: dict[str, Any], named: bool, many: bool) -> tuple[s
 
 def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: str | None) -> int:
     """Compare tracks with a reference; the table has a row for each frame."""
+    from accelsurf.io.cells import table_text
     from accelsurf.io.file_set import finish_killed_runs
-    from accelsurf.output.tables import csv_text
     from accelsurf.track.scored_files import compare, open_tracks
 
     sides = [Path(name) for name in _both(pred, ref)]
@@ -348,7 +348,7 @@ def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: st
     _put(
         table,
         as_json,
-        lambda: csv_text(found.frames[0]._fields if found.frames else (), found.frames),
+        lambda: table_text(found.frames[0]._fields if found.frames else (), found.frames),
         lambda: _document(given, wanted, found),
         lambda: _print_values(found.values(), _notes(given, wanted)),
     )

@@ -49,7 +49,9 @@ def is_sealed(name: str, checksum: str, given: object) -> bool:
     return (
         key is not None
         and isinstance(given, str)
-        and hmac.compare_digest(_sealed(key, name, checksum).encode(), given.encode(errors="replace"))
+        and hmac.compare_digest(
+            _sealed(key, name, checksum).encode(), given.encode(errors="replace")
+        )
     )
 
 

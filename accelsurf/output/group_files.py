@@ -198,8 +198,7 @@ def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str,
     if folder.is_symlink() or any(path.is_symlink() for path in folder.iterdir()):
         return False
     return all(
-        re.fullmatch(_MESH.format(id=int(row["id"])), name)
-        and (folder / name).is_file()
+        re.fullmatch(_MESH.format(id=int(row["id"])), name) and (folder / name).is_file()
         for row, names in zip(rows, meshes, strict=True)
         for name in names.values()
     )

@@ -8,6 +8,7 @@ import re
 import warnings
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
@@ -28,6 +29,16 @@ _KINDS = re.compile(
     r"statistics|report|case|tracks|curves|surfaces|geff|res|movie|film)([._].*)?",
     re.IGNORECASE,
 )
+#: Kinds of the values of a report; what need not be there may be None.
+_REPORT = {
+    "status": str,
+    "outputs": list,
+    "exit_code": int,
+    "input": (dict, NoneType),
+    "config": (dict, NoneType),
+    "objects": (list, NoneType),
+    "quality": (dict, NoneType),
+}
 #: Settings that change nothing of what a run leaves, and those that it may set itself.
 _WITHOUT_EFFECT, _OPEN = ("threads", "checkpoint"), ("seed", "energy")
 
@@ -56,20 +67,36 @@ def is_output(path: Path) -> bool:
     )
 
 
-def load_report(path: Path) -> dict[str, Any] | None:
-    """Return the report in a file; None where there is none, or where it is none of accelsurf."""
+def load_report(path: str | os.PathLike[str]) -> dict[str, Any] | None:
+    """Return the report in a file; None where there is none, or where it is none of accelsurf.
+
+    A report may have come with somebody's data. Its file is read only when it is a file, and no larger than a report
+    can be; ``status``, ``outputs``, ``exit_code``, ``input``, ``config``, ``objects`` and ``quality`` are of the kinds
+    that a run writes.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    """
     try:
         document = read_json(path)
     except InputError:
         return None
-    kinds = {"status": str, "outputs": list, "exit_code": int}
     if not isinstance(document, dict) or not all(
-        isinstance(document.get(key), kind) for key, kind in kinds.items()
+        isinstance(document.get(key), kind) for key, kind in _REPORT.items()
     ):
         return None
-    source = document.get("input")
-    named = source.get("path") if isinstance(source, dict) else None
+    if not all(_is_output_entry(entry) for entry in document["outputs"]):
+        return None
+    named = document["input"].get("path") if document.get("input") else None
     return document if not isinstance(named, str) or _is_path(named) else None
+
+
+def _is_output_entry(entry: object) -> bool:
+    return isinstance(entry, dict) and all(
+        isinstance(entry.get(key), str) for key in ("path", "kind")
+    )
 
 
 def _is_path(text: str) -> bool:
@@ -241,9 +268,7 @@ def outdated_inputs(report: Path, inputs: InputFiles) -> list[Path]:
     listed = [name for name, _ in _entries(document["outputs"] if document is not None else ())]
     others = {name for name in listed if inputs.at(report.parent / name) is None}
     return (
-        [report.parent / name for name in own_outputs(report, others)]
-        if others < {*listed}
-        else []
+        [report.parent / name for name in own_outputs(report, others)] if others < {*listed} else []
     )
 
 
@@ -328,9 +353,10 @@ def outdated(
             [file for file in files if file.startswith(failures)] for files in (gone, listed)
         )
     if stays := [file for file in listed if file not in gone]:
+        named = ", ".join(str(folder / file) for file in stays[:3])
         warnings.warn(
-            f"{', '.join(str(folder / file) for file in stays[:3])}{' and more' if len(stays) > 3 else ''}: the earlier "
-            f"report lists it, but no run of yours on this machine wrote it, so it stays; remove it if it is not needed",
+            f"{named}{' and more' if len(stays) > 3 else ''}: the earlier report lists it, but no run of yours on this "
+            "machine wrote it, so it stays; remove it if it is not needed",
             AccelsurfWarning,
             stacklevel=2,
         )

@@ -582,7 +582,9 @@ def test_files_of_another_users_run_are_named_and_stay(received, monkeypatch, ca
     assert (data / "out" / "scan_seg.nii").exists()
 
 
-@pytest.mark.parametrize("where", ["notes.txt", "group-1-0123456789abcdef/notes.txt", ".draft-mine/a"])
+@pytest.mark.parametrize(
+    "where", ["notes.txt", "group-1-0123456789abcdef/notes.txt", ".draft-mine/a"]
+)
 def test_files_among_groups_that_no_run_wrote_stay(where, tmp_path):
     from accelsurf.output import group_files
 

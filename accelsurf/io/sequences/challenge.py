@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.files import naming
+from accelsurf.io.files import bytes_within, naming
 from accelsurf.io.images import read_labels
 from accelsurf.settings import budgets
 
@@ -78,8 +78,9 @@ def open_challenge(path: Path) -> ChallengeFolder:
         raise InputError(
             f"{path}: neither {' nor '.join(_TABLES)} in it", "is it a folder of tracks?"
         )
+    content = bytes_within(table, budgets.CASES)
     with naming(table):
-        tracks = _read_tracks(table)
+        tracks = _read_tracks(content)
     frames = _numbered(folder, _FRAME)
     lacking = next((n for n in range(len(frames)) if n not in frames), None)
     if not frames or lacking is not None:
@@ -111,10 +112,9 @@ def _numbered(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
     }
 
 
-def _read_tracks(table: Path) -> tuple[ChallengeTrack, ...]:
-    budgets.CASES.check(table.stat().st_size, "the table of tracks")
+def _read_tracks(content: bytes) -> tuple[ChallengeTrack, ...]:
     tracks: dict[int, ChallengeTrack] = {}
-    for number, line in enumerate(table.read_bytes().decode("ascii", "replace").splitlines(), 1):
+    for number, line in enumerate(content.decode("ascii", "replace").splitlines(), 1):
         if not line.strip():
             continue
         try:
