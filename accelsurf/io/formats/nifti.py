@@ -27,6 +27,7 @@ from accelsurf.io.formats.deflate import GZIP_START, first_bytes
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
 from accelsurf.io.headers import TIMES_KEY, single_precision, split_name
+from accelsurf.io.scaling import scaled, scaled_type
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -155,18 +156,17 @@ class NiftiHeader:
 
     @property
     def value_type(self) -> np.dtype[Any]:
-        """Type of the values: that of the voxels, float32 when whole numbers are scaled."""
-        plain = (self.slope, self.intercept) == (1.0, 0.0) or self.voxel_type.kind == "f"
-        return self.voxel_type.newbyteorder("=") if plain else np.dtype(np.float32)
+        """Type of the values: that of the voxels, a float that holds them when whole numbers are scaled."""
+        stored = self.voxel_type.newbyteorder("=")
+        if (self.slope, self.intercept) == (1.0, 0.0):
+            return stored
+        needed = scaled_type(self.slope, self.intercept)
+        return np.promote_types(stored, needed) if stored.kind == "f" else needed
 
     def values(self, stored: NDArray[Any]) -> NDArray[Any]:
         """Return the values that stored numbers stand for, of ``value_type``."""
         if (self.slope, self.intercept) != (1.0, 0.0):
-            with np.errstate(
-                over="ignore", invalid="ignore"
-            ):  # what float32 cannot hold becomes infinite, as in ITK
-                stored = stored.astype(np.float64) * self.slope + self.intercept
-                return stored.astype(self.value_type)
+            return scaled(stored, self.slope, self.intercept, self.value_type)
         return stored.astype(self.value_type, copy=False)
 
     @property
@@ -396,13 +396,20 @@ def parse_header(raw: bytes) -> NiftiHeader:
 
 
 def _scaling(header: Any) -> tuple[float, float]:
-    """Slope and intercept; as in ITK what is not finite is not there, and a slope of 0 is none."""
+    """Slope and intercept. A slope of 0 is none, as the standard has it, and so is NaN, which nibabel writes: then the
+    intercept does not count either.
+    """
     slope, intercept = (float(header[key]) for key in ("scl_slope", "scl_inter"))
-    slope, intercept = (v if math.isfinite(v) else 0.0 for v in (slope, intercept))
+    if slope == 0 or not math.isfinite(slope):
+        return 1.0, 0.0
+    if not math.isfinite(intercept):
+        raise InputError(
+            f"the header scales by slope {slope:g} and intercept {intercept:g}, a finite intercept expected",
+            "correct scl_inter in the header",
+        )
     # Whole numbers stay what they are.
-    return 1.0 if slope == 0 or (
-        intercept == 0 and abs(slope - 1) < _SLOPE_ROUNDING
-    ) else slope, intercept
+    is_rounded = intercept == 0 and abs(slope - 1) < _SLOPE_ROUNDING
+    return (1.0 if is_rounded else slope), intercept
 
 
 def _time_step(header: Any) -> tuple[float | None, bool]:
