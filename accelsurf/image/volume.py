@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -180,6 +181,25 @@ class Volume:
     def with_array(self, array: NDArray[Any]) -> Volume:
         """Another array on the same grid, with the same header metadata (but no source: it was not read)."""
         return Volume(array, self.geometry, dict(self.metadata))
+
+
+def check_images(volumes: Sequence[Volume]) -> None:
+    """Refuse an image of one or several channels as `check_image`; an error names the channel."""
+    for number, volume in enumerate(volumes):
+        with naming_channel(number, len(volumes)):
+            check_image(volume)
+
+
+@contextmanager
+def naming_channel(number: int, count: int) -> Iterator[None]:
+    """Name the channel in an error about one of several."""
+    try:
+        yield
+    except InputError as error:
+        if count < 2:
+            raise
+        said = f"channel {number} of 0 to {count - 1}: {error.message}"
+        raise type(error)(said, error.hint) from None
 
 
 def check_image(volume: Volume) -> None:

@@ -46,8 +46,9 @@ def scaled(
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         values = (stored.astype(np.float64) * slope + intercept).astype(dtype)
     if np.isinf(values).any() and (np.isinf(values) & np.isfinite(stored)).any():
+        largest = float(np.abs(stored[np.isfinite(stored)]).max())
         raise InputError(
-            f"stored numbers up to {float(np.abs(stored[np.isfinite(stored)]).max()):g} are scaled by slope {slope:g} and "
+            f"stored numbers up to {largest:g} are scaled by slope {slope:g} and "
             f"intercept {intercept:g}: the values are beyond {np.finfo(dtype).max:.3g}, the largest number",
             "correct the slope in the header, or export the image again",
         )

@@ -36,7 +36,7 @@ _MESH = r"[^/\\]+_(surface|contour)_{id}\.[a-z0-9.]+"
 _FILE = re.compile(rf"{re.escape(_RECORD)}|{re.escape(_LABELS)}|{_MESH.format(id='[0-9]+')}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GroupRecord:
     """Results of a group, as they were read from its folder.
 

@@ -377,7 +377,7 @@ def strips_of(page: Page) -> NDArray[np.int64]:
     return strips
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TiffHeader:
     """Claims of the directories of a TIFF, and the check that all of it is there.
 

@@ -27,7 +27,7 @@ def tables(draw, bits):
 def write(path, array, text, draw, table):
     options = {
         "byteorder": draw.choice("<>"),
-        "compression": draw.choice([None, "deflate", "lzw"]),
+        "compression": draw.choice([None, "deflate"]),
         "metadata": None,
         "description": text,
         "resolution": (2.0, 2.0),
