@@ -384,7 +384,10 @@ def _notes(given: TrackedFile, wanted: TrackedFile) -> list[str]:
         if side.table is None
     ]
     if wanted.outlines:
+        slices = sum(outline.plane is not None for outline in wanted.outlines)
+        whole = len(wanted.outlines) - slices
+        parts = (f"{whole} frames" * bool(whole), f"{slices} slices" * bool(slices))
         said.append(
-            f"SEG is measured on the {len(wanted.outlines)} frames with outlines of their own"
+            f"SEG is measured on the {' and '.join(filter(None, parts))} with outlines of their own"
         )
     return said
