@@ -177,8 +177,8 @@ def from_library(value: Any, name: str = "the image") -> Any:
     ----------
     value : object
         SimpleITK and ITK: 2D is one slice. nibabel: by ``affine``, from RAS to LPS. xarray: the dimensions z, y, x in
-        any order, others in theirs; evenly spaced coordinates in mm, or in the unit of their attribute ``units``, LPS; the
-        attribute ``direction`` as ITK writes it. An xarray without coordinates is an array.
+        any order, others in theirs; evenly spaced coordinates in mm, or in the unit of their attribute ``units``, LPS;
+        the attribute ``direction`` as ITK writes it. An xarray without coordinates is an array.
     name : str, optional
         What messages call it.
 
