@@ -21,7 +21,7 @@ from accelsurf.grid.boxes import (
     whole_box,
 )
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.image.volume import Volume, check_image
+from accelsurf.image.volume import Volume, check_images
 from accelsurf.io.library_images import ImageLike, array_of, as_volume
 from accelsurf.run.preprocessing import apply, filtered_volume, filters_of, scale_of
 from accelsurf.settings import budgets
@@ -266,8 +266,8 @@ class ClickSession:
 def _scaled(channels: Sequence[Volume]) -> tuple[NDArray[np.float32], ...]:
     """The channels as a run sees them: checked, filtered, 0 and 1 at their percentiles."""
     out, config = [], RunConfig()
+    check_images(channels)
     for channel in channels:
-        check_image(channel)
         values = filtered_volume(channel, filters_of(config, channel.geometry))
         out.append(apply(values, scale_of(values)))
     return tuple(out)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,6 +12,7 @@ from typing import Any, Literal
 from accelsurf.batch import page
 from accelsurf.batch.cases import Shard
 from accelsurf.batch.outcome import COLUMNS, Outcome
+from accelsurf.io.cells import table_text
 from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
 from accelsurf.output.document import to_json, versions
@@ -181,13 +180,10 @@ def table_csv(outcomes: Sequence[Outcome], columns: Sequence[str] = COLUMNS) -> 
     id,status,reason,ml,probability,dice,steps,seconds,folder
     a,ok,converged,1.5,0.9346,,12,0.8,a
     """
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(
+    rows = (
         [_with_known_digits(getattr(outcome, name)) for name in columns] for outcome in outcomes
     )
-    return stream.getvalue()
+    return table_text(columns, rows)
 
 
 def _with_known_digits(value: Any) -> Any:

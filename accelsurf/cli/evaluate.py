@@ -17,11 +17,14 @@ from accelsurf.settings.labels import IdRanges, LabelTable, parse_ids
 if TYPE_CHECKING:
     from accelsurf.batch.pairs import LabelFile, Pair
     from accelsurf.image.volume import Volume
+    from accelsurf.measure.label_metrics import LabelMap
     from accelsurf.output.evaluation import CaseResult
     from accelsurf.track.scored_files import TrackedFile
     from accelsurf.track.scores import TrackingScores
 
 SOME_FAILED = 9
+#: Labels that a message names.
+_NAMED = 20
 #: A leading hyphen is allowed for `-`, which prints the table.
 Table = Annotated[
     str | None, Parameter(name="--csv", metavar="FILE", group=FILES, allow_leading_hyphen=True)
@@ -219,11 +222,46 @@ def _result(pair: Pair, requested: Request) -> CaseResult:
         LabelMap(volume, side.ids)
         for volume, side in zip(volumes, (pair.pred, pair.ref), strict=True)
     )
+    if not pair.case:  # of many, some may lack an object
+        _check_asked(pair.pred, pred, pair.ref, ref)
     if requested.labels is None:
         agreements = [evaluate_object(pred, ref, requested.tolerances)]
     else:
         agreements = evaluate_labels(pred, ref, requested.labels, requested.tolerances)
     return CaseResult(pair.case, _written(pair.pred), _written(pair.ref), tuple(agreements))
+
+
+def _check_asked(pred_file: LabelFile, pred: LabelMap, ref_file: LabelFile, ref: LabelMap) -> None:
+    """Refuse labels that the reference has not; a prediction without them has found nothing, which a warning says.
+
+    Raises
+    ------
+    InputError
+        With the labels that are there.
+    """
+    from accelsurf.cli.interrupts import say
+
+    if ref.absent:
+        raise InputError(
+            f"{ref_file.path}: has no label {', '.join(ref.absent)}",
+            f"there are {_labels_in(ref_file)}",
+        )
+    if pred.absent:
+        say(
+            f"warning: {pred_file.path}: has no label {', '.join(pred.absent)}, which counts as nothing found; "
+            f"there are {_labels_in(pred_file)}"
+        )
+
+
+def _labels_in(side: LabelFile) -> str:
+    """The labels of a map, in words; it is read again, as of a DICOM segmentation only those asked for were read."""
+    import numpy as np
+
+    from accelsurf import io
+
+    there = [int(label) for label in np.unique(io.read_labels(side.path).array) if label > 0]
+    more = f" and {len(there) - _NAMED} more" if len(there) > _NAMED else ""
+    return f"{', '.join(map(str, there[:_NAMED]))}{more}" if there else "none above 0"
 
 
 def _read(side: LabelFile) -> Volume:
@@ -335,8 +373,8 @@ def _cells(case: str, entry: dict[str, Any], named: bool, many: bool) -> tuple[s
 
 def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: str | None) -> int:
     """Compare tracks with a reference; the table has a row for each frame."""
+    from accelsurf.io.cells import table_text
     from accelsurf.io.file_set import finish_killed_runs
-    from accelsurf.output.tables import csv_text
     from accelsurf.track.scored_files import compare, open_tracks
 
     sides = [Path(name) for name in _both(pred, ref)]
@@ -348,7 +386,7 @@ def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: st
     _put(
         table,
         as_json,
-        lambda: csv_text(found.frames[0]._fields if found.frames else (), found.frames),
+        lambda: table_text(found.frames[0]._fields if found.frames else (), found.frames),
         lambda: _document(given, wanted, found),
         lambda: _print_values(found.values(), _notes(given, wanted)),
     )
@@ -384,7 +422,10 @@ def _notes(given: TrackedFile, wanted: TrackedFile) -> list[str]:
         if side.table is None
     ]
     if wanted.outlines:
+        slices = sum(outline.plane is not None for outline in wanted.outlines)
+        whole = len(wanted.outlines) - slices
+        parts = (f"{whole} frames" * bool(whole), f"{slices} slices" * bool(slices))
         said.append(
-            f"SEG is measured on the {len(wanted.outlines)} frames with outlines of their own"
+            f"SEG is measured on the {' and '.join(filter(None, parts))} with outlines of their own"
         )
     return said

@@ -18,7 +18,7 @@ from accelsurf.cli.interrupts import Interrupts
 from accelsurf.cli.outcome import file_lines
 from accelsurf.errors import OutputError
 from accelsurf.io.files import write_bytes
-from accelsurf.output import document, folder, result_sets, tables
+from accelsurf.output import document, folder, group_files, result_sets, tables
 from accelsurf.output.document import describe_input, describe_staged
 from accelsurf.run.ensemble import overall_stop
 
@@ -109,7 +109,7 @@ def write_outputs(
         files.commit(
             last=report, remove=result_sets.outdated(files.folder, place.name, written, False)
         )
-    if not done.failures:
+    if not (done.failures or group_files.not_of_groups(done.folder)):
         shutil.rmtree(done.folder, ignore_errors=True)
     if not display.quiet:
         _print_summary(place, done, rows, outputs)

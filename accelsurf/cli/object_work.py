@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import importlib
 import json
-import os
 import pickle
 import shutil
 from collections.abc import Mapping
@@ -169,12 +168,9 @@ def _work_folder(place: Place, resume: bool) -> Path:
     work = (place.folder / f".{place.name}_objects").absolute()
     refuse_links(work, "remove the link, or choose another folder with -o")
     replace(place, resume=resume).refuse_left(work)
+    if others := group_files.not_of_groups(work):
+        raise OutputError(f"{others[0]}: no run has left it there", "move it away")
     if work.is_dir() and not resume:
-        others = [name for name in os.listdir(work) if not name.startswith(("group-", ".draft-"))]
-        if others:
-            raise OutputError(
-                f"{work}: has {others[0]}, which no run has left there", "move it away"
-            )
         shutil.rmtree(work)
     work.mkdir(exist_ok=True)
     for draft in work.glob(".draft-*"):

@@ -343,7 +343,7 @@ def _refuse_changed(place: Place, source: _Source) -> None:
     """Refuse to replace files that are not the run's any more."""
     from accelsurf.output import result_sets
 
-    of_run = {*result_sets.unchanged_outputs(source.report, ()), source.report.name}
+    of_run = {*result_sets.own_outputs(source.report), source.report.name}
     others = [
         path
         for path in place.paths(source.state.config).values()
@@ -351,6 +351,6 @@ def _refuse_changed(place: Place, source: _Source) -> None:
     ]
     if others:
         raise OutputError(
-            f"{others[0]}: was changed since the run wrote it, or is not of this run",
+            f"{others[0]}: was changed since the run wrote it, or was not written by a run of yours on this machine",
             "choose another folder with -o, or add --overwrite",
         )

@@ -11,12 +11,12 @@ from cyclopts import Parameter
 
 from accelsurf import io
 from accelsurf.cli.options import Output, Overwrite, required
+from accelsurf.io.cells import table_text
 from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
 from accelsurf.io.sequences.writing import SequenceWriter
 from accelsurf.output.document import describe_staged, to_json, versions
 from accelsurf.output.folder import naming_final, opened_set, refuse_existing
-from accelsurf.output.tables import csv_text
 from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.phantoms.motions import MovingPhantom
 from accelsurf.phantoms.recipes import Recipe
@@ -132,7 +132,7 @@ def write_sequence(
                 )
                 for row in phantom.rows()
             )
-            write_bytes(files.staging / paths["tracks"].name, csv_text(COLUMNS, lines).encode())
+            write_bytes(files.staging / paths["tracks"].name, table_text(COLUMNS, lines).encode())
         return {"recipe": phantom.recipe.model_dump(mode="json")}
 
     return _written(phantom.recipe.name, SEQUENCE, folder, overwrite, write)

@@ -104,6 +104,19 @@ class Geometry:
         object.__setattr__(self, "origin", origin)
         object.__setattr__(self, "direction", _checked_direction(self.direction))
 
+    def __eq__(self, other: object) -> bool:
+        """Test if all numbers are the same; `matches` allows the rounding of file formats."""
+        if not isinstance(other, Geometry):
+            return NotImplemented
+        return self._numbers == other._numbers
+
+    def __hash__(self) -> int:
+        return hash(self._numbers)
+
+    @property
+    def _numbers(self) -> tuple[tuple[float, ...], ...]:
+        return self.shape, self.spacing, self.origin, tuple(self.direction.ravel().tolist())
+
     def __repr__(self) -> str:
         direction = ""
         if not np.array_equal(self.direction, np.eye(3)):

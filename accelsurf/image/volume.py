@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -225,6 +226,25 @@ def in_unit_of(metadata: Mapping[str, str], geometry: Geometry) -> Geometry:
     """
     unit = metadata.get(UNIT_KEY, geometry.unit)
     return geometry if unit == geometry.unit else replace(geometry, unit=unit)
+
+
+def check_images(volumes: Sequence[Volume]) -> None:
+    """Refuse an image of one or several channels as `check_image`; an error names the channel."""
+    for number, volume in enumerate(volumes):
+        with naming_channel(number, len(volumes)):
+            check_image(volume)
+
+
+@contextmanager
+def naming_channel(number: int, count: int) -> Iterator[None]:
+    """Name the channel in an error about one of several."""
+    try:
+        yield
+    except InputError as error:
+        if count < 2:
+            raise
+        said = f"channel {number} of 0 to {count - 1}: {error.message}"
+        raise type(error)(said, error.hint) from None
 
 
 def check_image(volume: Volume) -> None:

@@ -13,6 +13,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.image.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming
+from accelsurf.io.headers import with_warnings
 from accelsurf.io.memory import available_memory
 from accelsurf.settings.file_formats import ImageFormat
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
@@ -168,7 +169,7 @@ def read_channels(path: str | os.PathLike[str], options: ReadOptions = AS_IT_IS)
     Returns
     -------
     list of Volume
-        The channels in their order; one for an ordinary image.
+        The channels in their order, without those of one value; one for an ordinary image.
 
     Raises
     ------
@@ -178,7 +179,34 @@ def read_channels(path: str | os.PathLike[str], options: ReadOptions = AS_IT_IS)
     path = Path(path)
     with naming(path):
         form, header = headers.parse(path, options)
-        return read_volumes(path, form, header, available_memory())
+        return _with_content(read_volumes(path, form, header, available_memory()))
+
+
+def _with_content(channels: list[Volume]) -> list[Volume]:
+    """The channels in which something is seen, with a warning that names the others; all where nothing is in any.
+
+    A channel of one value tells nothing of an object, and has no scale.
+    """
+    blank = [number for number, channel in enumerate(channels) if is_blank(channel.array)]
+    if not blank or len(blank) == len(channels):
+        return channels
+    names = ", ".join(f"{number} ({channels[number].array.flat[0]:g})" for number in blank)
+    note = (
+        f"{'channels' if len(blank) > 1 else 'channel'} {names} of 0 to {len(channels) - 1} "
+        f"{'have' if len(blank) > 1 else 'has'} one value everywhere and {'are' if len(blank) > 1 else 'is'} left out"
+    )
+    first, *more = (channel for number, channel in enumerate(channels) if number not in blank)
+    said = with_warnings(first.metadata, note)
+    return [Volume(first.array, first.geometry, said, first.source), *more]
+
+
+def is_blank(array: NDArray[Any]) -> bool:
+    """Test if all voxels have the same value."""
+    first = array.flat[0]
+    # A look at a few voxels tells nearly all images apart from blank ones.
+    return bool(
+        (array.ravel()[:: max(array.size >> 10, 1)] == first).all() and (array == first).all()
+    )
 
 
 def read_volumes(path: Path, form: ImageFormat, header: Any, available: int) -> list[Volume]:

@@ -15,6 +15,7 @@ from typing import Any
 from xml.sax.saxutils import unescape
 
 from accelsurf.errors import InputError, UsageError
+from accelsurf.io.cells import table_text, text_of_cell
 from accelsurf.io.files import library_named, naming
 from accelsurf.io.headers import split_name
 from accelsurf.settings.file_formats import image_format
@@ -185,7 +186,9 @@ def _of_columns(text: str, delimiter: str) -> Iterable[LabelEntry]:
         cells = dict(zip(head, row, strict=True))
         if cells[label].strip() == "0":
             continue
-        yield _entry(number, cells[label], cells[name], _color_of(number, cells, cells[label]))
+        yield _entry(
+            number, cells[label], text_of_cell(cells[name]), _color_of(number, cells, cells[label])
+        )
 
 
 def _color_of(number: int, cells: dict[str, str], label: str) -> Color:
@@ -312,5 +315,5 @@ def bids_text(entries: Iterable[LabelEntry]) -> str:
     >>> print(bids_text([LabelEntry(1, "liver", (200, 60, 60))]).splitlines()[-1].expandtabs(1))
     1 liver #c83c3c
     """
-    rows = ["\t".join((str(entry.id), entry.name, entry.hex)) for entry in entries]
-    return "\n".join(["index\tname\tcolor", *rows]) + "\n"
+    rows = [(entry.id, entry.name, entry.hex) for entry in entries]
+    return table_text(("index", "name", "color"), rows, "\t")

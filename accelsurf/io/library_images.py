@@ -1,4 +1,4 @@
-"""Images of other libraries as volumes: SimpleITK, nibabel, xarray; arrays of torch and dask.
+"""Images of other libraries as volumes: SimpleITK, ITK, nibabel, xarray; arrays of torch and dask.
 
 They are known by the module of their type: none of these libraries is imported for it.
 """
@@ -23,7 +23,8 @@ from accelsurf.settings.wording import mm_of
 #: The reader of files, whose module takes these images to be written.
 _READ = "accelsurf.io.images:read"
 _RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0])
-_EXPECTED = "a path, an array, or an image of accelsurf, SimpleITK, nibabel or xarray"
+_EXPECTED = "a path, an array, or an image of accelsurf, SimpleITK, ITK, nibabel or xarray"
+_LIBRARIES = ("SimpleITK", "itk", "nibabel", "xarray", "torch", "dask")
 #: Distance of a coordinate from the even ones, in steps, that counts as rounding.
 _ROUNDING = 1e-3
 
@@ -49,7 +50,7 @@ def as_volume(
 
     Parameters
     ----------
-    image : Volume, path-like, array_like, or image of SimpleITK, nibabel or xarray
+    image : Volume, path-like, array_like, or image of SimpleITK, ITK, nibabel or xarray
         See `from_library`. An array is (z, y, x).
     spacing : float or (hz, hy, hx), optional
         mm, of an array; 1 by default. A text is read as --spacing is: x, y, z, with a unit if wanted ("0.2,0.2,1um").
@@ -180,9 +181,9 @@ def from_library(value: Any, name: str = "the image") -> Any:
     Parameters
     ----------
     value : object
-        SimpleITK: 2D is one slice. nibabel: by ``affine``, from RAS to LPS. xarray: the dimensions z, y, x in any
-        order, others in theirs; evenly spaced coordinates in mm, or in the unit of their attribute ``units``, LPS; the
-        attribute ``direction`` as ITK writes it. An xarray without coordinates is an array.
+        SimpleITK and ITK: 2D is one slice. nibabel: by ``affine``, from RAS to LPS. xarray: the dimensions z, y, x in
+        any order, others in theirs; evenly spaced coordinates in mm, or in the unit of their attribute ``units``, LPS;
+        the attribute ``direction`` as ITK writes it. An xarray without coordinates is an array.
     name : str, optional
         What messages call it.
 
@@ -201,11 +202,13 @@ def from_library(value: Any, name: str = "the image") -> Any:
     """
     kinds = [kind.__module__.partition(".")[0] for kind in type(value).__mro__]
     library = next(
-        (kind for kind in kinds if kind in ("SimpleITK", "nibabel", "xarray", "torch", "dask")),
+        (kind for kind in kinds if kind in _LIBRARIES),
         None,
     )
     if library == "SimpleITK" and hasattr(value, "GetSpacing"):
         return load("accelsurf.io.itk:volume_of")(value)
+    if library == "itk" and hasattr(value, "GetBufferedRegion"):
+        return _of_itk(value, name)
     if library == "nibabel" and hasattr(value, "affine"):
         return _of_nibabel(value)
     if library == "xarray" and hasattr(value, "dims") and not hasattr(value, "data_vars"):
@@ -216,6 +219,30 @@ def from_library(value: Any, name: str = "the image") -> Any:
     if library == "dask" and hasattr(value, "__array__"):
         return np.asarray(value)
     return value
+
+
+def _of_itk(image: Any, name: str) -> Volume:
+    """Return an image of ITK, whose arrays are (z, y, x) and whose world is LPS, as a volume; a 2D one is one slice."""
+    axes, values = int(image.GetImageDimension()), int(image.GetNumberOfComponentsPerPixel())
+    array = np.asarray(image)
+    if axes not in (2, 3) or values > 1 or array.ndim != axes:
+        raise InputError(
+            f"{name}: an image of ITK with {axes} axes and {values} values per voxel given, 3 and 1 expected",
+            "take one time point, or one channel",
+        )
+    region, matrix = image.GetBufferedRegion(), image.GetDirection().GetVnlMatrix()
+    direction = np.eye(3)
+    direction[:axes, :axes] = [[matrix.get(i, j) for j in range(axes)] for i in range(axes)]
+    # The first voxel in memory is not that of index 0 where a part was taken.
+    origin = [float(part) for part in image.TransformIndexToPhysicalPoint(region.GetIndex())]
+    spacing = [float(part) for part in image.GetSpacing()]
+    more = 3 - axes
+    return Volume.from_array(
+        array.reshape((1,) * more + array.shape),
+        [1.0] * more + spacing[::-1],
+        origin + [0.0] * more,
+        direction,
+    )
 
 
 def _of_nibabel(image: Any) -> Volume:

@@ -157,7 +157,7 @@ def state_folder() -> Path:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     for part in (folder.parent, folder):
         found = part.lstat()
-        if not _is_private(found) or not stat.S_ISDIR(found.st_mode):
+        if not is_private(found) or not stat.S_ISDIR(found.st_mode):
             raise PermissionError(errno.EACCES, "others than the user may write there", str(part))
     if not os.access(folder, os.W_OK):
         raise PermissionError(errno.EACCES, "Permission denied", str(folder))
@@ -321,7 +321,7 @@ def _content(path: Path) -> dict[str, Any] | None:
     """Read a journal; None where it is gone, is not this user's alone, or is none."""
     try:
         with open(os.open(path, os.O_RDONLY | _NO_LINK), encoding="utf-8") as file:
-            if not _is_private(os.fstat(file.fileno())):
+            if not is_private(os.fstat(file.fileno())):
                 return None
             content = json.load(file)
         staging, moves = content["staging"], content["moves"]
@@ -336,7 +336,7 @@ def _content(path: Path) -> dict[str, Any] | None:
     return dict(content)
 
 
-def _is_private(found: os.stat_result) -> bool:
+def is_private(found: os.stat_result) -> bool:
     """Test if a file is this user's, and nobody else may write it."""
     if os.name != "posix":
         return True

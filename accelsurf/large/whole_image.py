@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -21,6 +21,7 @@ from accelsurf.image.check import ImageCheck, Places
 from accelsurf.image.filters import NO_FILTERS, ImageFilters
 from accelsurf.image.noise import noise_of, noise_of_samples, sample_places
 from accelsurf.image.percentiles import FloatCounts, IntegerCounts, OrderStatistics
+from accelsurf.image.volume import naming_channel
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.run.image_context import Scale
 from accelsurf.run.preprocessing import SCALE_PERCENTILES, apply, check_filters, scale_between
@@ -162,6 +163,8 @@ class WholeImage:
         Bytes of a slab as float32.
     numbers : mapping, optional
         What another one of the same image has found already.
+    channel, channels : int, optional
+        Which of several channels it is, for errors.
 
     Attributes
     ----------
@@ -176,8 +179,11 @@ class WholeImage:
         statistics_from: LazyVolume | None = None,
         slab_bytes: int = _SLAB_BYTES,
         numbers: Numbers | None = None,
+        channel: int = 0,
+        channels: int = 1,
     ) -> None:
         self.geometry = source.geometry
+        self._naming = partial(naming_channel, channel, channels)
         self._whole = ImageSlabs(source, filters, slab_bytes)
         self._coarse = statistics_from
         self._slabs = (
@@ -313,7 +319,8 @@ class WholeImage:
             check.add(raw)
             if raw_is_counted:
                 counts.add(raw)
-        check.refuse()
+        with self._naming():
+            check.refuse()
         if not raw_is_counted:
             for _, values in self._slabs.filtered():
                 counts.add(values)

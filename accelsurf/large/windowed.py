@@ -103,8 +103,12 @@ class LargeImage:
             numbers or [{}] * len(self.channels),
         )
         return tuple(
-            WholeImage(channel, filters, coarse, numbers=numbers_of)
-            for channel, coarse, numbers_of in zip(self.channels, levels, known, strict=True)
+            WholeImage(
+                channel, filters, coarse, numbers=of_it, channel=place, channels=len(self.channels)
+            )
+            for place, (channel, coarse, of_it) in enumerate(
+                zip(self.channels, levels, known, strict=True)
+            )
         )
 
 

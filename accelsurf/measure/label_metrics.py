@@ -89,6 +89,15 @@ class LabelMap:
         }
         object.__setattr__(self, "boxes", counted)
 
+    @property
+    def absent(self) -> list[str]:
+        """The ids and ranges that count and of which no voxel is there, as a person writes them."""
+        return [
+            str(low) if low == high else f"{low}-{high}"
+            for low, high in self.ids
+            if not any(low <= label <= high for label in self.boxes)
+        ]
+
     def mask(self, label: int | None, box: Box) -> Mask:
         """Return the voxels of a box that have a label, or any that counts."""
         values = self.volume.array[box]

@@ -6,7 +6,6 @@ array, z, y, x, and the size of a voxel in mm as their scale; the direction of a
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -16,8 +15,6 @@ import accelsurf
 
 #: As napari takes a layer: its data, its settings, its type.
 LayerData = tuple[Any, dict[str, Any], str]
-#: A report is smaller, in bytes.
-MAX_REPORT = 1 << 24
 
 
 def reader(path: str | Sequence[str]) -> Callable[[str], list[LayerData]] | None:
@@ -37,6 +34,11 @@ def open_image(path: str) -> list[LayerData]:
 def open_results(path: str) -> list[LayerData]:
     """Open the results in a folder: for each the image, where it is still there, the labels, the doubtful places.
 
+    Raises
+    ------
+    InputError
+        When the labels of a result cannot be read.
+
     Warns
     -----
     UserWarning
@@ -46,22 +48,28 @@ def open_results(path: str) -> list[LayerData]:
     for file, report in _reports(Path(path)):
         name = file.name.removesuffix("_report.json")
         written = [
-            Path(str(output["path"])).name
-            for output in report["outputs"]
-            if output["kind"] == "labels"
+            Path(output["path"]).name for output in report["outputs"] if output["kind"] == "labels"
         ]
         for labels in written[:1]:
             volume = accelsurf.read_labels(Path(path) / labels)
-            try:
-                image = accelsurf.read(str(report["input"]["path"]))
-            except (accelsurf.AccelsurfError, KeyError, TypeError) as error:
-                warnings.warn(f"{name}: its image cannot be opened ({error})", stacklevel=2)
-            else:
-                if image.geometry.matches(volume.geometry):
-                    layers.append(_layer(image, name, "image"))
+            image = _image_of(report, name)
+            if image is not None and image.geometry.matches(volume.geometry):
+                layers.append(_layer(image, name, "image"))
             layers.append(_layer(volume, f"{name} labels", "labels"))
             layers += _doubtful(report, volume, name)
     return layers
+
+
+def _image_of(report: dict[str, Any], name: str) -> accelsurf.Volume | None:
+    """Return the image of a result; None, with a warning, where it cannot be read."""
+    source = (report.get("input") or {}).get("path")
+    try:
+        if not isinstance(source, str):
+            raise accelsurf.InputError("the report names none")
+        return accelsurf.read(source)
+    except accelsurf.AccelsurfError as error:
+        warnings.warn(f"{name}: its image cannot be opened ({error})", stacklevel=3)
+        return None
 
 
 def torus() -> list[LayerData]:
@@ -96,21 +104,16 @@ def _layer(volume: accelsurf.Volume, name: str, kind: str) -> LayerData:
 def _reports(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
     """Yield the reports of complete runs in a folder."""
     for file in sorted(folder.glob("*_report.json")):
-        try:
-            report = json.loads(file.read_bytes()) if file.stat().st_size < MAX_REPORT else None
-        except (OSError, ValueError):
-            continue
-        if isinstance(report, dict) and "schema_version" in report and report.get("status") == "ok":
+        report = accelsurf.load_report(file)
+        if report is not None and "schema_version" in report and report["status"] == "ok":
             yield file, report
 
 
 def _doubtful(report: dict[str, Any], labels: accelsurf.Volume, name: str) -> list[LayerData]:
     """Return a layer with the most doubtful place of each object."""
-    found = [
-        report.get("quality"),
-        *(of_object.get("quality") for of_object in report.get("objects") or ()),
-    ]
-    seen = [quality for quality in found if isinstance(quality, dict) and quality.get("next_click")]
+    objects = [each for each in report.get("objects") or () if isinstance(each, dict)]
+    found = [report.get("quality"), *(each.get("quality") for each in objects)]
+    seen = [quality for quality in found if isinstance(quality, dict) and _has_place(quality)]
     if not seen:
         return []
     places = labels.geometry.world_to_index([quality["next_click"] for quality in seen])
@@ -123,3 +126,14 @@ def _doubtful(report: dict[str, Any], labels: accelsurf.Volume, name: str) -> li
             "points",
         )
     ]
+
+
+def _has_place(quality: dict[str, Any]) -> bool:
+    """Test if a report names a place and a probability; it may have come with somebody's data."""
+    place = quality.get("next_click")
+    if not isinstance(place, list) or len(place) != 3:
+        return False
+    return all(
+        isinstance(number, (int, float)) and abs(number) < 1e9
+        for number in (*place, quality.get("probability"))
+    )

@@ -20,6 +20,7 @@ import numpy as np
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.io import sha256
+from accelsurf.io.seals import seal
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
@@ -414,7 +415,10 @@ def describe_output(path: str | Path, kind: str, staged: Path | None = None) -> 
     staged : Path, optional
         Where its content is until all files of the run are complete.
     """
-    return {"path": str(Path(path).absolute()), "kind": kind, "sha256": sha256(staged or path)}
+    path, checksum = Path(path), sha256(staged or path)
+    sealed = seal(path.name, checksum)
+    entry = {"path": str(path.absolute()), "kind": kind, "sha256": checksum}
+    return entry | ({"seal": sealed} if sealed else {})
 
 
 def describe_staged(files: FileSet, kinds: Mapping[str, str]) -> list[dict[str, str]]:

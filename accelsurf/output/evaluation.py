@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from accelsurf.io.cells import table_text
 from accelsurf.measure.label_metrics import LabelAgreement, over_cases
 from accelsurf.settings.labels import LabelTable
 
@@ -117,27 +116,21 @@ def table_csv(results: Sequence[CaseResult], names: LabelTable) -> str:
     numbers = dict.fromkeys(
         name for result in results for found in result.agreements for name in found.values()
     )
-    stream = io.StringIO()
-    writer = csv.DictWriter(
-        stream,
-        ["row", "case", "pred", "ref", "status", "failure", "label", "name", *numbers],
-        restval="",
-        lineterminator="\n",
-    )
-    writer.writeheader()
+    columns = ["row", "case", "pred", "ref", "status", "failure", "label", "name", *numbers]
+    rows: list[dict[str, Any]] = []
     for result in results:
         of_case = {"row": "case", "case": result.case, "pred": result.pred, "ref": result.ref}
         if result.failure:
-            writer.writerow({**of_case, "status": "failed", "failure": result.failure})
+            rows.append({**of_case, "status": "failed", "failure": result.failure})
         for agreement in result.agreements:
-            writer.writerow({**of_case, "status": "ok", **label_entry(agreement, names)})
+            rows.append({**of_case, "status": "ok", **label_entry(agreement, names)})
     if len(results) > 1:
         for summary in summaries(results, names):
             for row in ("mean", "median", "count"):
-                writer.writerow(
+                rows.append(
                     {"row": row, "label": summary["label"], "name": summary["name"], **summary[row]}
                 )
-    return stream.getvalue()
+    return table_text(columns, ([row.get(column) for column in columns] for row in rows))
 
 
 def printed_rows(

@@ -36,7 +36,7 @@ PLACES, FILE_KINDS = (
 #: Settings that name a file.
 _FILES = ("mask", "objects", "labels", "label_table")
 #: Endings of headers whose voxels may lie in another file.
-_DETACHED = (".mhd", ".nhdr", ".hdr", ".img")
+_DETACHED = (".mhd", ".mha", ".nhdr", ".hdr", ".img", ".hdr.gz", ".img.gz")
 
 
 def refuse_existing(paths: dict[str, Path], overwrite: bool, inputs: Sequence[Path] = ()) -> None:
@@ -258,9 +258,10 @@ def _data_of(path: Path) -> Iterator[Path]:
         yield from path.parent.glob(path.name)
     elif path.is_dir():
         yield from path.iterdir()
-    elif path.suffix.lower() in _DETACHED:
+    elif path.name.lower().endswith(_DETACHED):
         try:
             _, header = headers.parse(path)
         except AccelsurfError:  # it is refused when it is read
             return
         yield header.data
+        yield from getattr(header, "parts", ())  # of an image in several files

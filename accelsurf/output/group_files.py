@@ -17,21 +17,26 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import InputError
+from accelsurf.errors import InputError, OutputError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.window import Window
 from accelsurf.io.file_set import sync
 from accelsurf.io.files import read_json
-from accelsurf.io.set_journals import sync_folder
+from accelsurf.io.set_journals import is_staging, sync_folder
 from accelsurf.output import names as output_names
 from accelsurf.output.document import describe_object, describe_window
 from accelsurf.run.result import SegmentedObject
 
 _RECORD, _LABELS = "record.json", "labels.npz"
+_DRAFT = ".draft-"
+#: Names of a group's folder, of one that was not complete when its process was killed, and of a mesh.
+_FOLDER = re.compile(r"group-[0-9]+-[0-9a-f]{16}|\.draft-[a-z0-9_]{8}")
+_MESH = r"[^/\\]+_(surface|contour)_{id}\.[a-z0-9.]+"
+_FILE = re.compile(rf"{re.escape(_RECORD)}|{re.escape(_LABELS)}|{_MESH.format(id='[0-9]+')}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GroupRecord:
     """Results of a group, as they were read from its folder.
 
@@ -193,11 +198,29 @@ def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str,
     if folder.is_symlink() or any(path.is_symlink() for path in folder.iterdir()):
         return False
     return all(
-        re.fullmatch(rf"[^/\\]+_(surface|contour)_{int(row['id'])}\.[a-z0-9.]+", name)
-        and (folder / name).is_file()
+        re.fullmatch(_MESH.format(id=int(row["id"])), name) and (folder / name).is_file()
         for row, names in zip(rows, meshes, strict=True)
         for name in names.values()
     )
+
+
+def not_of_groups(work: Path) -> list[Path]:
+    """Return what lies in the folder of the groups and was not written there by them, sorted."""
+    if not work.is_dir():
+        return [work] if os.path.lexists(work) else []
+    others = []
+    for path in work.iterdir():
+        if path.is_symlink() or not path.is_dir() or _FOLDER.fullmatch(path.name) is None:
+            others.append(path)
+            continue
+        others += [inner for inner in path.iterdir() if not _is_of_a_group(inner)]
+    return sorted(others)
+
+
+def _is_of_a_group(path: Path) -> bool:
+    if path.parent.name.startswith(_DRAFT) and is_staging(Path(path.name)):
+        return True  # of a mesh that was being written
+    return _FILE.fullmatch(path.name) is not None and path.is_file() and not path.is_symlink()
 
 
 @contextmanager
@@ -206,7 +229,7 @@ def _staged(folder: Path) -> Iterator[Path]:
 
     What cannot be read there goes.
     """
-    staged = Path(tempfile.mkdtemp(prefix=".draft-", dir=folder.parent))
+    staged = Path(tempfile.mkdtemp(prefix=_DRAFT, dir=folder.parent))
     try:
         yield staged
         sync(staged)
@@ -214,6 +237,10 @@ def _staged(folder: Path) -> Iterator[Path]:
             os.rename(staged, folder)
         except OSError:
             if read_group(folder) is None:
+                if others := [path for path in folder.iterdir() if not _is_of_a_group(path)]:
+                    raise OutputError(
+                        f"{others[0]}: no run has left it there", "move it away"
+                    ) from None
                 shutil.rmtree(folder, ignore_errors=True)
                 os.rename(staged, folder)
         sync_folder(folder.parent)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
+import warnings
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
-from accelsurf.errors import AccelsurfError, InputError
+from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import is_stored, sha256, split_name
 from accelsurf.io.file_set import InputFiles
 from accelsurf.io.files import read_json
 from accelsurf.output.given_image import GivenImage
+from accelsurf.io.seals import is_sealed
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -26,6 +30,16 @@ _KINDS = re.compile(
     r"statistics|report|case|tracks|curves|surfaces|geff|res|movie|film)([._].*)?",
     re.IGNORECASE,
 )
+#: Kinds of the values of a report; what need not be there may be None.
+_REPORT = {
+    "status": str,
+    "outputs": list,
+    "exit_code": int,
+    "input": (dict, NoneType),
+    "config": (dict, NoneType),
+    "objects": (list, NoneType),
+    "quality": (dict, NoneType),
+}
 #: Settings that change nothing of what a run leaves, and those that it may set itself.
 _WITHOUT_EFFECT, _OPEN = ("threads", "checkpoint"), ("seed", "energy")
 
@@ -54,18 +68,47 @@ def is_output(path: Path) -> bool:
     )
 
 
-def load_report(path: Path) -> dict[str, Any] | None:
-    """Return the report in a file; None where there is none, or where it is none of accelsurf."""
+def load_report(path: str | os.PathLike[str]) -> dict[str, Any] | None:
+    """Return the report in a file; None where there is none, or where it is none of accelsurf.
+
+    A report may have come with somebody's data. Its file is read only when it is a file, and no larger than a report
+    can be; ``status``, ``outputs``, ``exit_code``, ``input``, ``config``, ``objects`` and ``quality`` are of the kinds
+    that a run writes.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    """
     try:
         document = read_json(path)
     except InputError:
         return None
-    kinds = {"status": str, "outputs": list, "exit_code": int}
     if not isinstance(document, dict) or not all(
-        isinstance(document.get(key), kind) for key, kind in kinds.items()
+        isinstance(document.get(key), kind) for key, kind in _REPORT.items()
     ):
         return None
-    return document
+    if not all(_is_output_entry(entry) for entry in document["outputs"]):
+        return None
+    named = document["input"].get("path") if document.get("input") else None
+    return document if not isinstance(named, str) or _is_path(named) else None
+
+
+def _is_output_entry(entry: object) -> bool:
+    return isinstance(entry, dict) and all(
+        isinstance(entry.get(key), str) for key in ("path", "kind")
+    )
+
+
+def _is_path(text: str) -> bool:
+    """Test if a text can be the path of a file: of what is none, systems do not say that it is not there."""
+    try:
+        os.lstat(text)
+    except ValueError:  # no text of this system
+        return False
+    except OSError as error:
+        return error.errno not in (errno.ENAMETOOLONG, errno.EINVAL)
+    return True
 
 
 def is_failure_report(path: Path) -> bool:
@@ -173,23 +216,44 @@ def unchanged_outputs(report: Path, besides: Collection[str]) -> list[str]:
         Names to leave out: those are replaced anyway.
     """
     document = load_report(report)
-    case = report.name.removesuffix(report_name(""))
-    found = []
-    for name, checksum in _entries(document["outputs"] if document is not None else ()):
-        path = report.parent / name
-        try:
-            if (
-                name in besides
-                or not is_named_as_output(name, case)
-                or not is_output(path)
-                or has_guests(path)
-            ):
-                continue
-            if sha256(path) == checksum:
-                found.append(name)
-        except AccelsurfError:
-            continue
-    return found
+    listed = _entries(document["outputs"] if document is not None else ())
+    return [name for name, checksum in listed if _is_unchanged(report, name, checksum, besides)]
+
+
+def own_outputs(report: Path, besides: Collection[str] = ()) -> list[str]:
+    """Return the names of the files beside a report that this user's run has written, and that are still so.
+
+    Only these are removed, or replaced without being asked for: the seal of each says who wrote it.
+
+    Parameters
+    ----------
+    report : Path
+    besides : collection of str
+        Names to leave out: those are replaced anyway.
+    """
+    document = load_report(report)
+    listed = document["outputs"] if document is not None else ()
+    return [
+        name
+        for entry in listed
+        for name, checksum in _entries([entry])
+        if is_sealed(name, checksum, entry.get("seal"))
+        and _is_unchanged(report, name, checksum, besides)
+    ]
+
+
+def _is_unchanged(report: Path, name: str, checksum: str, besides: Collection[str]) -> bool:
+    path, case = report.parent / name, report.name.removesuffix(report_name(""))
+    try:
+        return (
+            name not in besides
+            and is_named_as_output(name, case)
+            and is_output(path)
+            and not has_guests(path)
+            and sha256(path) == checksum
+        )
+    except AccelsurfError:
+        return False
 
 
 def outdated_inputs(report: Path, inputs: InputFiles) -> list[Path]:
@@ -198,9 +262,7 @@ def outdated_inputs(report: Path, inputs: InputFiles) -> list[Path]:
     listed = [name for name, _ in _entries(document["outputs"] if document is not None else ())]
     others = {name for name in listed if inputs.at(report.parent / name) is None}
     return (
-        [report.parent / name for name in unchanged_outputs(report, others)]
-        if others < {*listed}
-        else []
+        [report.parent / name for name in own_outputs(report, others)] if others < {*listed} else []
     )
 
 
@@ -209,7 +271,7 @@ def unfinished_alone(report: Path, planned: Iterable[Path]) -> bool:
     document = load_report(report)
     known: set[str] = set()
     if document is not None and document["status"] != "ok":
-        known = {report.name, *unchanged_outputs(report, ())}
+        known = {report.name, *own_outputs(report)}
     return all(path.name in known for path in planned if os.path.lexists(path))
 
 
@@ -250,12 +312,7 @@ def result_stands(folder: Path, name: str, planned: Iterable[Path]) -> bool:
         All files that a run of the case may write.
     """
     report = folder / report_name(name)
-    document = load_report(report) if is_failure_report(report) else None
-    replaced = (
-        {report.name, *(name for name, _ in _entries(document["outputs"]))}
-        if document is not None
-        else set()
-    )
+    replaced = {report.name, *own_outputs(report)} if is_failure_report(report) else set()
     there = [path for path in {*planned, report} if os.path.lexists(path)]
     return any(path.name not in replaced for path in there)
 
@@ -282,12 +339,21 @@ def outdated(
     )
     if not failed and is_failure_report(folder / report_name(name + FAILED)):
         reports.append(folder / report_name(name + FAILED))
-    gone = [
-        file for report in reports for file in (*unchanged_outputs(report, written), report.name)
-    ]
+    gone = [file for report in reports for file in (*own_outputs(report, written), report.name)]
+    listed = [file for report in reports for file in unchanged_outputs(report, written)]
     if not overwrite:
         failures = f"{name.removesuffix(FAILED)}{FAILED}_", report_name(name)
-        gone = [file for file in gone if file.startswith(failures)]
+        gone, listed = (
+            [file for file in files if file.startswith(failures)] for files in (gone, listed)
+        )
+    if stays := [file for file in listed if file not in gone]:
+        named = ", ".join(str(folder / file) for file in stays[:3])
+        warnings.warn(
+            f"{named}{' and more' if len(stays) > 3 else ''}: the earlier report lists it, but no run of yours on this "
+            "machine wrote it, so it stays; remove it if it is not needed",
+            AccelsurfWarning,
+            stacklevel=2,
+        )
     return [file for file in gone if file not in written]
 
 
@@ -301,6 +367,6 @@ def _entries(outputs: Any) -> list[tuple[str, str]]:
             and isinstance(entry.get("sha256"), str)
         ):
             name = entry["path"].replace("\\", "/").rpartition("/")[2]
-            if name not in ("", ".", ".."):
+            if name not in ("", ".", "..") and _is_path(name):
                 found.append((name, entry["sha256"]))
     return found

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from accelsurf.io.cells import table_text
 from accelsurf.io.headers import VALUE_UNIT_KEY
 from accelsurf.measure.statistics import statistics
 from accelsurf.output.document import to_json
@@ -31,7 +28,7 @@ def trace_csv(history: Iterable[StepRecord]) -> str:
     history : iterable of StepRecord
         One record per step. True is 1.
     """
-    return csv_text(
+    return table_text(
         tuple(TRACE_COLUMNS), (tuple(row_values(record).values()) for record in history)
     )
 
@@ -43,7 +40,7 @@ def objects_trace_csv(histories: Mapping[int, Iterable[StepRecord]]) -> str:
         for object_id, history in histories.items()
         for record in history
     )
-    return csv_text(("object", *TRACE_COLUMNS), rows)
+    return table_text(("object", *TRACE_COLUMNS), rows)
 
 
 def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
@@ -67,27 +64,7 @@ def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
                 warnings,
             ]
         )
-    return csv_text((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
-
-
-def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a table as CSV; True is 1."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([_cell(value) for value in row] for row in rows)
-    return stream.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    value = value.item() if isinstance(value, np.generic) else value
-    return (
-        int(value)
-        if isinstance(value, bool)
-        else repr(value)
-        if isinstance(value, float)
-        else value
-    )
+    return table_text((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
 
 
 def rows_of(result: Result, table: LabelTable, with_quality: bool = True) -> list[dict[str, Any]]:
@@ -134,7 +111,7 @@ def statistics_csv(rows: Sequence[Mapping[str, Any]], result: Result) -> str:
         flat = _flat(row, unit)
         columns = columns or list(flat)
         cells.append(list(flat.values()))
-    return csv_text(columns or ["id", "name"], cells)
+    return table_text(columns or ["id", "name"], cells)
 
 
 def _flat(row: Mapping[str, Any], unit: str | None) -> dict[str, Any]:

@@ -444,7 +444,7 @@ class ImageContext:
         return (value - scale.low) / scale.width
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TermInputs:
     """The input of a maker of a term; see `accelsurf.settings.energy_terms.TermSpec`.
 

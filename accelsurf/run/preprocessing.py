@@ -19,7 +19,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.image.check import MIN_RANGE
 from accelsurf.image.filters import ImageFilters
-from accelsurf.image.volume import Volume, check_image
+from accelsurf.image.volume import Volume, check_images
 from accelsurf.io import LazyVolume
 from accelsurf.run.clicks import placed
 from accelsurf.run.image_context import ImageContext, Mask, ModelInputs, Scale
@@ -322,9 +322,8 @@ def _check_channels(volumes: Sequence[Volume]) -> None:
     InputError
         When one has voxels that are not finite, or is no image; GeometryError when its grid differs from the first's.
     """
-    for channel in volumes:
-        check_image(channel)
-        check_grids([volumes[0], channel])
+    check_images(volumes)
+    check_grids(volumes)
 
 
 def check_grids(channels: Sequence[Volume | LazyVolume]) -> None:

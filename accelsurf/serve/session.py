@@ -36,7 +36,7 @@ class ImageSession:
     ----------
     image : ndarray (channels, n, m, k)
     spacing : sequence of float or None
-        mm, of the last three axes; 1 where the client does not say.
+        mm, of the last three axes; 1 where the client does not say. Negative where its viewer shows the axis flipped.
 
     Attributes
     ----------
@@ -69,12 +69,20 @@ class ImageSession:
                 f"set_image: {len(given)} spacings were sent, 3 expected",
                 "one for each axis, in mm",
             )
-        self._grid = Grid(self.shape, (given[0], given[1], given[2]))
+        # A viewer that shows a layer flipped has a negative scale along the axis; its arrays are not turned.
+        sizes = tuple(abs(step) for step in given)
+        self._grid = Grid(self.shape, (sizes[0], sizes[1], sizes[2]))
         # Along z, our first axis, an image may have one place.
         flat = self.shape.index(1) if 1 in self.shape else 0
         self._axes = (flat, *(axis for axis in range(3) if axis != flat))
         first, *others = (np.ascontiguousarray(channel.transpose(self._axes)) for channel in image)
-        volume = accelsurf.Volume.from_array(first, [given[axis] for axis in self._axes])
+        volume = accelsurf.Volume.from_array(first, [sizes[axis] for axis in self._axes])
+        flips = [math.copysign(1.0, given[axis]) for axis in reversed(self._axes)]
+        grid = volume.geometry
+        volume = accelsurf.Volume(
+            volume.array,
+            accelsurf.Geometry(grid.shape, grid.spacing, grid.origin, np.diag(flips)),
+        )
         self._object = accelsurf.ClickSession(volume, channels=others)
         self._changed: Box | None = None
         self._waiting = 0

@@ -166,6 +166,14 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         **_NIFTI,
     ),
     ImageFormat(
+        "hdr",
+        "NIfTI in two files, .hdr and .img, each also packed; read only",
+        (".hdr", ".hdr.gz"),
+        parse=f"{_FORMATS}.nifti:read_pair_header",
+        is_file=f"{_FORMATS}.nifti:is_of_pair",
+        **{key: value for key, value in _NIFTI.items() if key != "write_frames"},
+    ),
+    ImageFormat(
         "nrrd",
         "NRRD; written compressed",
         (".nrrd",),
@@ -279,7 +287,7 @@ def image_suffixes() -> tuple[str, ...]:
     Examples
     --------
     >>> image_suffixes()[:3]
-    ('.nii.gz', '.nii', '.nrrd')
+    ('.nii.gz', '.nii', '.hdr')
     """
     return tuple(suffix for form in IMAGE_FORMATS.values() for suffix in form.suffixes)
 
@@ -317,7 +325,7 @@ def input_help() -> str:
     Examples
     --------
     >>> input_help()
-    '.nii.gz, .nii, .nrrd, .nhdr, .mha, .mhd, .ome.zarr, .png, .tif, .dcm, .mgz or .npy'
+    '.nii.gz, .nii, .hdr, .nrrd, .nhdr, .mha, .mhd, .ome.zarr, .png, .tif, .dcm, .mgz or .npy'
     """
     # .tiff is known where .tif is.
     *others, last = (form.suffixes[0] for form in IMAGE_FORMATS.values() if form.suffixes)

@@ -110,10 +110,7 @@ def read_label_map(
     wanted = whole if not ids else np.where(starts.has_label(whole, ids), whole, 0)
     found = np.unique(wanted[wanted > 0])
     if ids and found.size == 0:
-        there = ", ".join(str(label) for label in np.unique(whole[whole > 0])[:20].tolist())
-        raise InputError(
-            f"labels {name}: no voxel has a label that is asked for", f"there are {there or 'none'}"
-        )
+        raise _no_label(f"labels {name}", whole)
     check_found(name, found, "labels")
     return _of_labels(name, wanted, found, geometry, margin), np.where(wanted > 0, 0, whole).astype(
         whole.dtype
@@ -163,6 +160,10 @@ def _labels(
 ) -> tuple[str, NDArray[np.integer]]:
     """Name of the label map, and its values: 0 where an id was not asked for."""
     name, whole, ids = _read_labels(objects, geometry, "objects")
+    if ids and not starts.has_label(whole, ids).any():
+        # Only the labels that are asked for may have been read.
+        file = starts.parse(f"label:{objects}").file
+        raise _no_label(f"objects {name}", io.read_labels(file, grid=geometry).array)
     return name, whole if not ids else np.where(starts.has_label(whole, ids), whole, 0)
 
 
@@ -183,6 +184,14 @@ def _read_labels(
         name,
         whole_numbers(name, array_on_grid(given, geometry, f"{what} {name}"), (), what=what),
         ids,
+    )
+
+
+def _no_label(what: str, whole: NDArray[Any]) -> InputError:
+    """The error about a map without the labels that are asked for."""
+    there = ", ".join(str(label) for label in np.unique(whole[whole > 0])[:20].tolist())
+    return InputError(
+        f"{what}: no voxel has a label that is asked for", f"there are {there or 'none'}"
     )
 
 

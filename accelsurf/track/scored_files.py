@@ -14,9 +14,16 @@ from accelsurf.errors import InputError
 from accelsurf.image.check import as_labels
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.io.headers import split_name
-from accelsurf.io.sequences.challenge import ChallengeFolder, is_challenge, open_challenge
+from accelsurf.io.sequences.challenge import ChallengeFolder, Outline, is_challenge, open_challenge
 from accelsurf.track.output.files import read_tracks_table
-from accelsurf.track.scores import Stretch, TrackedLabels, TrackingScores, score, stretches
+from accelsurf.track.scores import (
+    ExactLabels,
+    Stretch,
+    TrackedLabels,
+    TrackingScores,
+    score,
+    stretches,
+)
 
 #: Ends of the names of label maps, and of the table that belongs to them.
 _TRUTH, _TABLE = "_truth", "_tracks.csv"
@@ -31,15 +38,15 @@ class TrackedFile:
     ----------
     path : Path
     labels : TrackedLabels
-    outlines : tuple of (int, Path)
-        Frames with outlines that SEG is measured on; empty: the label maps.
+    outlines : tuple of Outline
+        Frames and slices with outlines that SEG is measured on; empty: the label maps.
     table : Path or None
         Where the parents are from; None: nothing says who came from whom.
     """
 
     path: Path
     labels: TrackedLabels
-    outlines: tuple[tuple[int, Path], ...] = ()
+    outlines: tuple[Outline, ...] = ()
     table: Path | None = None
 
 
@@ -132,12 +139,30 @@ def _of_challenge(path: Path, found: ChallengeFolder) -> TrackedFile:
     )
 
 
-def _outlines(reference: TrackedFile) -> Iterator[tuple[int, NDArray[Any]]]:
+def _outlines(reference: TrackedFile) -> Iterator[ExactLabels]:
     from accelsurf.io import read_labels
 
-    for number, path in reference.outlines:
-        if number < reference.labels.frames:
-            yield number, read_labels(path).array
+    shape = reference.labels.labels(0).shape
+    for outline in reference.outlines:
+        if outline.frame < reference.labels.frames:
+            labels = read_labels(outline.path).array
+            _check_plane(outline, labels.shape, shape)
+            yield ExactLabels(outline.frame, labels, outline.plane)
+
+
+def _check_plane(outline: Outline, found: tuple[int, ...], frame: tuple[int, ...]) -> None:
+    """Refuse outlines on another grid than the frame, or of a slice that it has not."""
+    wanted = frame if outline.plane is None else (1, *frame[1:])
+    if outline.plane is not None and outline.plane >= frame[0]:
+        raise InputError(
+            f"{outline.path}: of slice {outline.plane}, the frames have 0 to {frame[0] - 1}",
+            "its name has the frame, then the slice: man_seg_TTT_ZZZ.tif",
+        )
+    if found != wanted:
+        raise InputError(
+            f"{outline.path}: of {found} voxels (z, y, x), {wanted} expected",
+            "give the outlines of the same sequence",
+        )
 
 
 def _as_labels(sequence: ImageSequence, number: int) -> NDArray[Any]:

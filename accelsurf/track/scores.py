@@ -147,10 +147,18 @@ class _Frame(NamedTuple):
         }
 
 
+class ExactLabels(NamedTuple):
+    """Labels of a ``frame``, or of its slice ``plane`` along z (1, ny, nx), that SEG is measured on."""
+
+    frame: int
+    labels: NDArray[Any]
+    plane: int | None = None
+
+
 def score(
     result: TrackedLabels,
     reference: TrackedLabels,
-    exact: Iterable[tuple[int, NDArray[Any]]] | None = None,
+    exact: Iterable[ExactLabels] | None = None,
 ) -> TrackingScores:
     """Compare tracks with a reference, frame by frame.
 
@@ -158,8 +166,8 @@ def score(
     ----------
     result, reference : TrackedLabels
         Of as many frames, on one grid.
-    exact : iterable of (int, ndarray), optional
-        Frames and label maps that SEG is measured on, where the reference has outlines of its own for it (the ``SEG``
+    exact : iterable of ExactLabels, optional
+        Label maps that SEG is measured on, where the reference has outlines of its own for it (the ``SEG``
         folder of the challenge); by default the reference's label maps.
     """
     frames = [
@@ -173,7 +181,7 @@ def score(
     outlines = (
         frames
         if exact is None
-        else [_counted(result.labels(number), labels) for number, labels in exact]
+        else [_counted(_part(result.labels(one.frame), one.plane), one.labels) for one in exact]
     )
     identities = _identities(frames)
     dice = [_dice_by_identity(frame, identities) for frame in frames]
@@ -197,6 +205,11 @@ def score(
             for number, frame in enumerate(frames)
         ),
     )
+
+
+def _part(labels: NDArray[Any], plane: int | None) -> NDArray[Any]:
+    """The labels of a frame, or of one of its slices."""
+    return labels if plane is None else labels[plane : plane + 1]
 
 
 def _counted(result: NDArray[Any], reference: NDArray[Any]) -> _Frame:

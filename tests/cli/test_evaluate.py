@@ -222,3 +222,24 @@ def test_two_files_of_one_name_in_a_folder_are_refused(tmp_path, said):
     put(tmp_path / "ref" / "a.nii.gz", 1)
     code, _, err = said(tmp_path / "pred", tmp_path / "ref")
     assert code == 3 and "two files of one name" in err
+
+
+@pytest.mark.parametrize("asked", ["250", "250,3", "1,250", "8-99", "250-260,1-2"])
+def test_labels_that_a_reference_has_not_are_named(asked, pair, said):
+    code, _, err = said(pair[0], f"{pair[1]}@{asked}")
+    lacking = [part for part in asked.split(",") if part not in ("1", "1-2")]
+    assert code == 3 and f"has no label {', '.join(lacking)}" in err and "there are 1, 2, 4" in err
+
+
+def test_a_prediction_without_the_label_has_found_nothing(pair, said):
+    code, out, err = said(f"{pair[0]}@250", f"{pair[1]}@2", "--json")
+    assert code == 0 and json.loads(out)["dice"] == 0.0
+    assert "has no label 250, which counts as nothing found; there are 1, 2, 7" in err
+
+
+def test_objects_that_are_not_in_the_map_are_named(pair, tmp_path, capsys):
+    io.write(io.read(pair[0]), tmp_path / "image.nii")
+    words = ["segment", str(tmp_path / "image.nii"), "-o", str(tmp_path / "out")]
+    for option in ("--objects", "--labels"):
+        assert cli.execute([*words, option, f"{pair[0]}@250"]) == 3
+        assert "there are 1, 2, 7" in capsys.readouterr().err

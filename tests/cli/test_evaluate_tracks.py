@@ -186,3 +186,72 @@ def test_the_table_is_found_by_its_name(tmp_path, labels, table):
     assert table_beside(tmp_path / labels) is None
     (tmp_path / table).touch()
     assert table_beside(tmp_path / labels) == tmp_path / table
+
+
+def overlap_by_hand(pairs):
+    """SEG: the mean, over all outlines, of the Jaccard index with the label that covers more than half of it."""
+    values = []
+    for result, exact in pairs:
+        for label in np.unique(exact[exact > 0]):
+            of_it = exact == label
+            names, counts = np.unique(result[of_it], return_counts=True)
+            best = names[np.argmax(counts)]
+            same = np.count_nonzero(of_it & (result == best))
+            covers = best != 0 and 2 * counts.max() > np.count_nonzero(of_it)
+            either = np.count_nonzero(of_it | (result == best))
+            values.append(same / either if covers else 0.0)
+    return np.mean(values)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_outlines_of_single_slices(seed, tmp_path, reference, said):
+    """The challenge has man_seg_TTT_ZZZ.tif for large volumes: the frame, then the slice."""
+    draw = np.random.default_rng(seed)
+    (reference / "SEG").mkdir()
+    frames, pairs = [], []
+    for _ in range(3):
+        moved = np.roll(TWO, int(draw.integers(0, 2)), axis=int(draw.integers(1, 3)))
+        frames.append(moved.astype(np.uint16))
+    for frame, plane in {
+        (int(draw.integers(3)), int(draw.integers(TWO.shape[0]))) for _ in range(4)
+    }:
+        exact = np.roll(TWO[plane : plane + 1], int(draw.integers(0, 2)), axis=2).astype(np.uint16)
+        if not exact.any():
+            continue
+        name = (
+            f"man_seg_{frame:03d}_{plane:03d}.tif"
+            if draw.random() < 0.5
+            else f"man_seg{frame}_{plane}.tif"
+        )
+        io.write(Volume.from_array(exact, (1.0, 1.0, 1.0)), reference / "SEG" / name)
+        pairs.append((frames[frame][plane : plane + 1], exact))
+    code, out, err = said(put(tmp_path / "01_RES", frames, ALONE), reference)
+    assert code == 0, err
+    assert float(out.split()[1]) == pytest.approx(overlap_by_hand(pairs), rel=1e-4)
+    assert f"SEG is measured on the {len(pairs)} slices with outlines of their own" in out
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "message"),
+    [
+        ("man_seg_001_099.tif", None, "of slice 99, the frames have 0 to"),
+        ("man_seg_001_000.tif", (1, 3, 4), "of (1, 3, 4) voxels (z, y, x)"),
+        ("man_seg001.tif", (2, 3, 4), "of (2, 3, 4) voxels (z, y, x)"),
+    ],
+)
+def test_outlines_of_another_grid_are_refused(name, shape, message, tmp_path, reference, said):
+    (reference / "SEG").mkdir()
+    array = np.ones(shape or (1, *TWO.shape[1:]), np.uint16)
+    io.write(Volume.from_array(array, (1.0, 1.0, 1.0)), reference / "SEG" / name)
+    code, _, err = said(put(tmp_path / "01_RES", [TWO] * 3, ALONE), reference)
+    assert code == 3 and message in err and name in err
+
+
+def test_outlines_of_a_frame_and_of_its_slices_are_refused(tmp_path, reference, said):
+    (reference / "SEG").mkdir()
+    for name, array in (("man_seg001.tif", TWO), ("man_seg_001_000.tif", TWO[:1])):
+        io.write(
+            Volume.from_array(array.astype(np.uint16), (1.0, 1.0, 1.0)), reference / "SEG" / name
+        )
+    code, _, err = said(put(tmp_path / "01_RES", [TWO] * 3, ALONE), reference)
+    assert code == 3 and "of the whole frame and of single slices" in err

@@ -488,3 +488,108 @@ def test_a_record_of_a_group_that_was_planted_brings_no_file(plant, tmp_path):
     if plant == "a link":
         folder.symlink_to(real)
     assert group_files.read_group(folder) is None
+
+
+#: How the path of a file is written in a planted report.
+PATHS = {
+    "absolute": lambda path: str(path.absolute()),
+    "its name": lambda path: path.name,
+    "from above": lambda path: f"../{path.parent.name}/{path.name}",
+    "of Windows": lambda path: f"C:\\elsewhere\\{path.name}",
+    "through a link": lambda path: str(path.parent / "linked" / path.name),
+}
+#: What a planted report says in the place of the seal.
+SEALS = (None, "", "0" * 64, 7, [], "\udcff", "\ud800", {"seal": ""})
+#: Files of the user that have the names of outputs, of one kind or another; no command below writes them.
+MINE = (
+    "scan.nii scan_surface.stl scan_labels.tif scan_seg.nrrd scan_rest1_seg.nii scan_failed_seg.nii scan_state.npz "
+    "scan_objects.csv scan_movie.mp4 scan_tracks.csv thesis.docx notes.txt id_rsa"
+).split()
+#: Commands that replace or go on, of an image that lies elsewhere.
+REPLACING = {
+    "segment": ("segment", "../scan.nii", "-o", ".", "--overwrite", *BALL),
+    "segment, in another layout": (
+        *("segment", "../scan.nii", "-o", ".", "--overwrite", "--layout", "nnunet"),
+        *("--format", "nrrd", *BALL),
+    ),
+    "segment, on and on": ("segment", "../scan.nii", "-o", ".", "--resume", *BALL),
+    "segment, failed": ("segment", "../scan.nii", "-o", ".", "--overwrite", "--flow", "none"),
+    "segment, vanished": (
+        *("segment", "../scan.nii", "-o", ".", "--overwrite"),
+        *("--start", "ball:-90,5,5,3", "--progress", "none"),
+    ),
+    "refine": ("refine", ".", "--outside", "ball:9,5,5,1", "--progress", "none"),
+    "look": ("look", "../scan.nii", "-o", "scan_preview.png", "--overwrite"),
+    "track": ("track", "../frames", "-o", ".", "--overwrite", *BALL),
+    "track, on and on": ("track", "../frames", "-o", ".", "--resume", *BALL),
+    "batch": ("batch", "../scan.nii", "-o", "..", "--jobs", "1", "--overwrite", *BALL),
+}
+
+
+@pytest.mark.sampled(10)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("command", REPLACING)
+def test_no_planted_report_takes_a_file_of_the_user(command, seed, received, monkeypatch, capfd):
+    """Reports are drawn: how paths are written, what stands for seals, status, which of the files are listed."""
+    top, home, data, scan = received
+    draw = random.Random(f"{command} {seed}")
+    there = data / "scan"  # where the batch puts the case of this name
+    there.mkdir()
+    for number in range(2):
+        image(data / "frames" / f"t{number}.nii", number)
+    for name in MINE:
+        (there / name).write_bytes(f"mine: {name}".encode())
+    (there / "linked").symlink_to(home)
+    mine = [there / name for name in MINE]
+    for case in ("scan", "frames", "scan_failed"):
+        listed = [
+            {
+                "path": PATHS[draw.choice(list(PATHS))](path),
+                "kind": draw.choice(["labels", "surface", "state", "data"]),
+                "sha256": io.sha256(path),
+                "seal": draw.choice(SEALS),
+            }
+            for path in draw.sample(mine, draw.randint(4, len(mine)))
+        ]
+        said = {"status": draw.choice(["ok", "failed", "interrupted"]), "exit_code": 0}
+        said |= {"outputs": listed, "objects": [1], "config": {}, "schema_version": "1.0"}
+        said |= {"input": {"path": str(scan), "sha256": io.sha256(scan)}}
+        (there / f"{case}_report.json").write_text(json.dumps(said))
+    before = contents(home), {path.name: path.read_bytes() for path in mine}
+    monkeypatch.chdir(there)
+    code = run(*REPLACING[command])
+    told = capfd.readouterr().err
+    assert code in (0, 2, 3, 5, 7, 9), told
+    assert "Traceback" not in told and "bug in accelsurf" not in told
+    assert (contents(home), {p.name: p.exists() and p.read_bytes() for p in mine}) == before
+
+
+def test_the_files_of_a_run_of_ones_own_go_with_it_also_from_another_folder(received, capfd):
+    top, home, data, scan = received
+    assert run("segment", scan, "-o", "out", "--mesh", "ply", *BALL) == 0
+    shutil.move(data / "out", data / "moved")
+    assert run("segment", scan, "-o", "moved", "--overwrite", "--format", "nrrd", *BALL) == 0
+    names = {path.name for path in (data / "moved").iterdir()}
+    assert "scan_surface.ply" in names and "scan_seg.nrrd" in names and "scan_seg.nii" not in names
+
+
+def test_files_of_another_users_run_are_named_and_stay(received, monkeypatch, capfd):
+    top, home, data, scan = received
+    assert run("segment", scan, "-o", "out", *BALL) == 0
+    monkeypatch.setenv("XDG_STATE_HOME", str(top / "other"))
+    assert run("segment", scan, "-o", "out", "--overwrite", "--format", "nrrd", *BALL) == 0
+    assert "scan_seg.nii: the earlier report lists it" in capfd.readouterr().err
+    assert (data / "out" / "scan_seg.nii").exists()
+
+
+@pytest.mark.parametrize(
+    "where", ["notes.txt", "group-1-0123456789abcdef/notes.txt", ".draft-mine/a"]
+)
+def test_files_among_groups_that_no_run_wrote_stay(where, tmp_path):
+    from accelsurf.output import group_files
+
+    path = tmp_path / ".scan_objects" / where
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"mine")
+    assert group_files.not_of_groups(tmp_path / ".scan_objects") != []
+    assert group_files.not_of_groups(tmp_path / ".nothing") == []

@@ -100,11 +100,10 @@ def _nifti(content: bytes, data: bytes):
     if len(size) != 3:
         return None
     values = np.frombuffer(content, order + _NIFTI[kind], math.prod(size), max(int(offset), least))
-    slope, intercept = (v if math.isfinite(v) else 0.0 for v in (slope, intercept))
     values = values.reshape(size[::-1])
-    if (slope or 1.0, intercept) != (1.0, 0.0):
+    if slope != 0 and math.isfinite(slope) and (slope, intercept) != (1.0, 0.0):
         with np.errstate(all="ignore"):
-            values = values.astype(np.float64) * (slope or 1.0) + intercept
+            values = values.astype(np.float64) * slope + intercept
     unit = {1: 1000.0, 3: 0.001}.get(units & 7, 1.0)
     return values, tuple(h * unit for h in pixdim[1:4])
 

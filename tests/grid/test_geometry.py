@@ -1,3 +1,4 @@
+import re
 import subprocess
 import sys
 
@@ -179,3 +180,80 @@ def test_a_geometry_error_is_an_input_error():
 )
 def test_steps_are_the_spacings_along_which_something_happens(shape, expected):
     assert axis_steps(shape, (3, 2, 1)) == expected == Geometry(shape, (3, 2, 1)).steps
+
+
+def drawn_geometry(draw):
+    turn = np.linalg.qr(draw.normal(size=(3, 3)))[0]
+    return {
+        "shape": tuple(int(n) for n in draw.integers(1, 9, 3)),
+        "spacing": tuple(draw.uniform(0.2, 3.0, 3).tolist()),
+        "origin": tuple(draw.normal(size=3).tolist()),
+        "direction": turn if draw.random() < 0.5 else np.eye(3)[draw.permutation(3)] * -1.0,
+    }
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_geometries_of_the_same_numbers_are_equal(seed):
+    import copy
+    import pickle
+
+    numbers = drawn_geometry(np.random.default_rng(seed))
+    one, two = (
+        Geometry(**numbers),
+        Geometry(**{**numbers, "direction": numbers["direction"].tolist()}),
+    )
+    for other in (two, copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
+        assert one == other and hash(one) == hash(other) and len({one, other}) == 1
+    changed = {
+        "shape": (*numbers["shape"][:2], numbers["shape"][2] + 1),
+        "spacing": (numbers["spacing"][0] + 1e-6, *numbers["spacing"][1:]),
+        "origin": (*numbers["origin"][:2], numbers["origin"][2] - 1e-6),
+        "direction": -numbers["direction"],
+    }
+    for key, value in changed.items():
+        assert one != Geometry(**{**numbers, key: value})
+    assert one != "a grid" and one != numbers["shape"]
+
+
+def test_signs_of_zeros_make_no_other_grid():
+    one, two = (
+        Geometry((2, 3, 4), (1.0, 1.0, 1.0), (zero, 0.0, 0.0), np.eye(3) * (1.0 + zero))
+        for zero in (0.0, -0.0)
+    )
+    three = Geometry(
+        (2, 3, 4), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), np.where(np.eye(3) == 0, -0.0, np.eye(3))
+    )
+    assert one == two == three and len({one, two, three}) == 1
+
+
+def test_no_comparison_of_values_meets_an_array():
+    """Values with arrays are compared by who they are, or have an equality of their own."""
+    import importlib
+    import pkgutil
+    import typing
+    from dataclasses import fields, is_dataclass
+
+    import accelsurf
+
+    bad = []
+    for found in pkgutil.walk_packages(accelsurf.__path__, "accelsurf."):
+        if found.name.startswith(("accelsurf.viewer", "accelsurf.napari", "accelsurf.kernels")):
+            continue
+        module = importlib.import_module(found.name)
+        for name, kind in vars(module).items():
+            if not (
+                isinstance(kind, type) and is_dataclass(kind) and kind.__module__ == found.name
+            ):
+                continue
+            if not kind.__dataclass_params__.eq or not kind.__dataclass_params__.frozen:
+                continue
+            names = vars(module) | {"Any": typing.Any}
+            for field in fields(kind):
+                text = field.type if isinstance(field.type, str) else str(field.type)
+                meant = [
+                    names.get(word, word)
+                    for word in re.findall(r"\w+", text.partition("Callable")[0])
+                ]
+                if any("NDArray" in str(word) or "numpy.ndarray" in str(word) for word in meant):
+                    bad.append(f"{found.name}.{name}.{field.name}: {text}")
+    assert bad == []

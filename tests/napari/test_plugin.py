@@ -2,8 +2,12 @@
 
 import ast
 import json
+import os
+import random
 import re
+import shutil
 import tomllib
+import warnings
 from importlib import import_module, util
 from pathlib import Path
 from types import SimpleNamespace
@@ -111,6 +115,67 @@ def test_other_folders_are_left_to_others(results, tmp_path):
     (tmp_path / "a_report.json").write_text("[1, 2")
     (tmp_path / "b_report.json").write_text('{"status": "ok"}')
     (tmp_path / "c_report.json").write_text('{"schema_version": 3, "status": "failed"}')
+    assert plugin.reader(str(tmp_path)) is None
+
+
+def plants(report, draw, home):
+    """A report of a result that somebody has changed: a value of it is of another kind, or leads elsewhere."""
+    odd = draw.choice(
+        [None, 7, -1.5, "x", [], {}, [[]], {"a": 1}, "/dev/zero", "n" * 300, "\0", "\ud800", True]
+    )
+    where = draw.choice(
+        [
+            *(("outputs", 0, key) for key in ("path", "kind")),
+            *((key,) for key in ("outputs", "input", "objects", "quality", "config", "exit_code")),
+            ("outputs", 0),
+            ("input", "path"),
+            *(("quality", key) for key in ("next_click", "probability")),
+        ]
+    )
+    report = json.loads(json.dumps(report))
+    at = report
+    for key in where[:-1]:
+        at = at[key]
+    at[where[-1]] = odd
+    return json.dumps(report)
+
+
+def test_reports_that_somebody_has_changed_are_left_out_or_named(results, tmp_path):
+    report = json.loads((results / "ball_report.json").read_text())
+    report["outputs"].sort(key=lambda entry: entry["kind"] != "labels")
+    shutil.copy(results / "ball_seg.nii.gz", tmp_path)
+    draw = random.Random(62)
+    for _ in range(60):
+        text = plants(report, draw, tmp_path)
+        (tmp_path / "ball_report.json").write_text(text)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            read = plugin.reader(str(tmp_path))
+            try:
+                layers = [] if read is None else read(str(tmp_path))
+            except accelsurf.InputError as error:  # what the report names as labels is none
+                assert str(tmp_path) in str(error)
+                layers = []
+        assert all(kind in ("image", "labels", "points") for _, _, kind in layers), text
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes")
+@pytest.mark.parametrize("kind", ["device", "pipe", "folder", "loop", "deep", "large"])
+def test_a_report_that_is_no_file_of_text_is_left_out(kind, tmp_path):
+    report = tmp_path / "a_report.json"
+    if kind == "device":
+        report.symlink_to("/dev/zero")
+    elif kind == "pipe":
+        os.mkfifo(report)
+    elif kind == "folder":
+        report.mkdir()
+    elif kind == "loop":
+        report.symlink_to(report)
+    elif kind == "deep":
+        report.write_text("[" * 100_000)
+    else:
+        with report.open("wb") as file:
+            file.truncate(1 << 27)
     assert plugin.reader(str(tmp_path)) is None
 
 

@@ -324,9 +324,16 @@ def _frame(
     turn = _group(dataset, number, "PlaneOrientationSequence")
     size = _group(dataset, number, "PixelMeasuresSequence")
     scale = _group(dataset, number, "PixelValueTransformationSequence")
-    slope, intercept = number_of(scale, "RescaleSlope"), number_of(scale, "RescaleIntercept")
     table = scale.get("ModalityLUTSequence")
-    if slope == 0 and not table:
+    slope, intercept = (
+        (1.0, 0.0)
+        if table
+        else (
+            _rescaling(common.path, scale, "RescaleSlope", 1.0),
+            _rescaling(common.path, scale, "RescaleIntercept", 0.0),
+        )
+    )
+    if slope == 0:
         raise InputError(f"{common.path.name}: its values are scaled by 0", HEADER_HINT)
     spacing = numbers_of(size, "PixelSpacing", 2) or numbers_of(dataset, "ImagerPixelSpacing", 2)
     position, orientation = place_of(dataset, number) or (
@@ -344,8 +351,8 @@ def _frame(
         thickness=number_of(size, "SpacingBetweenSlices")
         or number_of(size, "SliceThickness")
         or None,
-        slope=1.0 if slope is None or table else slope,
-        intercept=0.0 if intercept is None or table else intercept,
+        slope=slope,
+        intercept=intercept,
         labels={**common.labels, "unit": _unit(dataset, scale, table), "kind": kind},
         phase={name: value for name, value in phase.items() if value},
         times={
@@ -355,6 +362,17 @@ def _frame(
         },
         has_table=bool(table),
     )
+
+
+def _rescaling(path: Path, dataset: Any, name: str, default: float) -> float:
+    """Slope or intercept; the default where the element is absent or empty, and no value that is none."""
+    given = text(dataset, name)
+    number = number_of(dataset, name) if given else default
+    if number is None:
+        raise InputError(
+            f"{path.name}: {name} is {given[:40]}, a finite number expected", HEADER_HINT
+        )
+    return number
 
 
 def _padding(

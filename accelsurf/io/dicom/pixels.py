@@ -18,6 +18,7 @@ from accelsurf.io.channels import to_grey
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.sources import HEADER_HINT, damage_of, library, read_dataset
 from accelsurf.io.dicom.writing_tools import data_set, file_bytes, filled
+from accelsurf.io.scaling import scaled, scaled_type
 
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
 _COLOURS = 3
@@ -40,26 +41,27 @@ _DESCRIBING = (
 
 
 def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
-    """The type of a volume's values: whole numbers where slices are scaled by 1 and whole offsets, else float32.
+    """The type of a volume's values: whole numbers where slices are scaled by 1 and whole offsets, else floats.
 
     Parameters
     ----------
     frames : sequence of Frame
     """
+    fractions = np.result_type(*(scaled_type(frame.slope, frame.intercept) for frame in frames))
     if any(_is_fraction(frame) for frame in frames):
-        return np.dtype(np.float32)
+        return fractions
     lows, highs = [], []
     for frame in frames:
         bits, allocated, signed = frame.pixel[:3]
         if allocated > 32 or not 1 <= bits <= 32:
-            return np.dtype(np.float32)
+            return fractions
         low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
         lows.append(low + frame.intercept)
         highs.append(high + frame.intercept)
     for name in ("uint8", "int8", "uint16", "int16", "uint32", "int32"):
         if np.iinfo(name).min <= min(lows) and max(highs) <= np.iinfo(name).max:
             return np.dtype(name)
-    return np.dtype(np.float32)
+    return fractions
 
 
 def _is_fraction(frame: Frame) -> bool:
@@ -112,7 +114,7 @@ def read_values(frames: Sequence[Frame]) -> tuple[NDArray[Any], str]:
                 )
             if frame.padding is not None and padding is not None and array.ndim == 2:
                 padding[place] = (stored >= frame.padding[0]) & (stored <= frame.padding[1])
-            values = _scaled(stored, dataset, frame)
+            values = _scaled(stored, dataset, frame, dtype)
             _check_fits(values, dtype, frame)
             out[place] = values
     if padding is not None and padding.any():
@@ -132,7 +134,7 @@ def _check_fits(values: NDArray[Any], dtype: np.dtype[Any], frame: Frame) -> Non
         )
 
 
-def _scaled(stored: NDArray[Any], dataset: Any, frame: Frame) -> NDArray[Any]:
+def _scaled(stored: NDArray[Any], dataset: Any, frame: Frame, dtype: np.dtype[Any]) -> NDArray[Any]:
     """The values of what is stored: by a table, or by slope and intercept."""
     if frame.has_table:
         with damage_of(frame.path, "its table of values cannot be read"):
@@ -148,6 +150,11 @@ def _scaled(stored: NDArray[Any], dataset: Any, frame: Frame) -> NDArray[Any]:
             )
     if frame.slope == 1.0 and frame.intercept == 0.0:
         return stored
+    if dtype.kind == "f":
+        try:
+            return scaled(stored, frame.slope, frame.intercept, dtype)
+        except InputError as error:
+            raise InputError(f"{frame.path.name}: {error.message}", error.hint) from None
     return stored * frame.slope + frame.intercept
 
 

@@ -19,7 +19,7 @@ from accelsurf.io.formats.nrrd_metaimage import (
     NRRD_KEY,
     put_nrrd_space,
 )
-from accelsurf.io.formats.raw_header import RawHeader
+from accelsurf.io.formats.raw_header import ListedHeader, RawHeader
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels, native
 from accelsurf.io.headers import FRAME_KEY
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
@@ -119,9 +119,9 @@ def open_raw(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
         When the voxels are packed, or as `read_by_itk`.
     """
     number = header.single()
-    if header.encoding != "raw" or header.is_interleaved:
+    if header.encoding != "raw" or header.is_interleaved or isinstance(header, ListedHeader):
         raise InputError(
-            "the voxels are packed or have several values: a box of them cannot be read by itself",
+            "the voxels are packed, in several files, or have several values: a box of them cannot be read by itself",
             "convert the image to OME-Zarr, or save it uncompressed",
         )
     geometry, stored = _grid(path, header)

@@ -15,12 +15,21 @@ from accelsurf.grid.geometry import MAX_ORIGIN, Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.files import library_named
 from accelsurf.io.formats.deflate import TRUNCATED_HINT
+from accelsurf.io.headers import with_warnings
 from accelsurf.io.memory import check_memory
 from accelsurf.settings import budgets
 
 _MGH_HEADER, _MGH_VERSION = 284, b"\0\0\0\1"
 #: From RAS, as FreeSurfer has it, to LPS.
 _TO_LPS = np.diag([-1.0, -1.0, 1.0])
+#: Where the header says if its size of a voxel and its directions count: a whole number of 2 bytes.
+_FLAG_AT = 28
+#: Directions (x, y, z) in RAS of a volume without: coronal slices, FreeSurfer's `mghRead`. nibabel has them transposed.
+_CORONAL = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+_NO_PLACE = (
+    "the header does not say where the volume lies (goodRASFlag is 0): as in FreeSurfer it is taken for coronal slices "
+    "of 1 mm around 0,0,0"
+)
 #: Type codes; others are of FreeSurfer's own kinds, or none.
 _MGH_TYPES = {0: "uint8", 4: "int16", 1: "int32", 3: "float32", 10: "uint16"}
 _AGAIN = "copy or export it again"
@@ -37,10 +46,13 @@ class VolumeHeader:
     geometry : Geometry
     dtype : numpy.dtype
         Of the values as they are given.
+    has_place : bool
+        Whether it says where the volume lies.
     """
 
     geometry: Geometry
     dtype: np.dtype[Any]
+    has_place: bool
 
     @property
     def values(self) -> int:
@@ -56,7 +68,7 @@ def parse_mgh(path: Path) -> VolumeHeader:
     InputError
         When it is none, or has several frames.
     """
-    head = _mgh_header(path)
+    head, has_place = _mgh_header(path)
     shape, code = tuple(int(n) for n in head["dims"]), int(head["type"])
     if min(shape) < 1:
         raise InputError(f"a header of shape {shape} given, a volume expected", _AGAIN)
@@ -69,7 +81,7 @@ def parse_mgh(path: Path) -> VolumeHeader:
         known = ", ".join(f"{number} ({name})" for number, name in _MGH_TYPES.items())
         hint = "convert it first: mri_convert -odt float IN OUT"
         raise InputError(f"an MGH of type {code} given, {known} expected", hint)
-    header = VolumeHeader(_mgh_geometry(head, shape), np.dtype(_MGH_TYPES[code]))
+    header = VolumeHeader(_mgh_geometry(head, shape), np.dtype(_MGH_TYPES[code]), has_place)
     needed = header.values * header.dtype.itemsize
     present = max(path.stat().st_size - (0 if _is_packed(path) else _MGH_HEADER), 0)
     if _is_packed(path):
@@ -123,7 +135,8 @@ def read_mgh(path: Path, header: VolumeHeader, available: int) -> Volume:
         stored = np.frombuffer(content, header.dtype.newbyteorder(">")).reshape(
             header.geometry.shape
         )
-    return Volume(stored.astype(header.dtype), header.geometry, {"mgh": "scanner"}, path)
+    metadata = with_warnings({"mgh": "scanner"}, "" if header.has_place else _NO_PLACE)
+    return Volume(stored.astype(header.dtype), header.geometry, metadata, path)
 
 
 def is_mgh_anatomical(metadata: dict[str, str]) -> bool:
@@ -140,8 +153,8 @@ def _is_packed(path: Path) -> bool:
     return path.suffix.lower() == ".mgz"
 
 
-def _mgh_header(path: Path) -> Any:
-    """The header by nibabel, which would repair it and print about that."""
+def _mgh_header(path: Path) -> tuple[Any, bool]:
+    """The header by nibabel, which would repair it and print about that; and whether it says where the volume lies."""
     from nibabel.freesurfer.mghformat import MGHHeader
 
     with (
@@ -152,4 +165,9 @@ def _mgh_header(path: Path) -> Any:
     if begin[: len(_MGH_VERSION)] != _MGH_VERSION:
         raise InputError("this is not an MGH file", "is it the right one?")
     with library_named("the header is damaged", _AGAIN):
-        return MGHHeader(begin.ljust(_MGH_HEADER, b"\0"), check=False)
+        begin = begin.ljust(_MGH_HEADER, b"\0")
+        header = MGHHeader(begin, check=False)
+    has_place = int.from_bytes(begin[_FLAG_AT : _FLAG_AT + 2], "big", signed=True) > 0
+    if not has_place:
+        header["delta"], header["Mdc"], header["Pxyz_c"] = 1.0, _CORONAL, 0.0
+    return header, has_place

@@ -26,9 +26,10 @@ from accelsurf.io.channels import MAX_CHANNELS
 from accelsurf.io.formats.deflate import GZIP_START, first_bytes
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
-from accelsurf.io.headers import TIMES_KEY, single_precision, split_name
+from accelsurf.io.headers import TIMES_KEY, check_data_file, single_precision, split_name
+from accelsurf.io.scaling import scaled, scaled_type
 from accelsurf.settings import budgets
-from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions, check_readable
 
 HEADER_BYTES = {1: 348, 2: 540}
 """Length of the header by the version of the format; a file begins with it."""
@@ -40,6 +41,9 @@ _BEGINNINGS = {
     for order in "<>"
 }
 _MAGIC = {1: (344, b"n+1\0"), 2: (4, b"n+2\0\r\n\x1a\n")}
+_PAIR_MAGIC = {1: (344, b"ni1\0"), 2: (4, b"ni2\0\r\n\x1a\n")}
+#: Endings of the two files of a pair, each also packed.
+_HEADER, _VOXELS, _PACKED = ".hdr", ".img", ".gz"
 _QFORM = ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z")
 #: Bytes before the voxels that are searched for times.
 _MAX_EXTENSION = 1 << 24
@@ -155,18 +159,17 @@ class NiftiHeader:
 
     @property
     def value_type(self) -> np.dtype[Any]:
-        """Type of the values: that of the voxels, float32 when whole numbers are scaled."""
-        plain = (self.slope, self.intercept) == (1.0, 0.0) or self.voxel_type.kind == "f"
-        return self.voxel_type.newbyteorder("=") if plain else np.dtype(np.float32)
+        """Type of the values: that of the voxels, a float that holds them when whole numbers are scaled."""
+        stored = self.voxel_type.newbyteorder("=")
+        if (self.slope, self.intercept) == (1.0, 0.0):
+            return stored
+        needed = scaled_type(self.slope, self.intercept)
+        return np.promote_types(stored, needed) if stored.kind == "f" else needed
 
     def values(self, stored: NDArray[Any]) -> NDArray[Any]:
         """Return the values that stored numbers stand for, of ``value_type``."""
         if (self.slope, self.intercept) != (1.0, 0.0):
-            with np.errstate(
-                over="ignore", invalid="ignore"
-            ):  # what float32 cannot hold becomes infinite, as in ITK
-                stored = stored.astype(np.float64) * self.slope + self.intercept
-                return stored.astype(self.value_type)
+            return scaled(stored, self.slope, self.intercept, self.value_type)
         return stored.astype(self.value_type, copy=False)
 
     @property
@@ -183,9 +186,12 @@ class NiftiFile(RawHeader):
     ----------
     nifti : NiftiHeader
         The header.
+    parts : tuple of Path
+        Both files of a pair; none of a single file.
     """
 
     nifti: NiftiHeader
+    parts: tuple[Path, ...] = ()
 
     @property
     def are_channels_guessed(self) -> bool:
@@ -265,6 +271,83 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
     )
 
 
+def read_pair_header(path: Path, options: ReadOptions = AS_IT_IS) -> NiftiFile:
+    """Read the header of a NIfTI in two files.
+
+    Parameters
+    ----------
+    path : Path
+        Either of the files; each may be packed.
+    options : ReadOptions
+        Which channel and time point is read.
+
+    Raises
+    ------
+    InputError
+        As `read_header`, when one of the files is missing, and for Analyze 7.5.
+    """
+    about, voxels = _files_of_pair(path)
+    for one in (about, voxels):
+        if one != path:
+            check_data_file(path, one)
+            check_readable(one, f"{one.name}: ")
+    with about.open("rb") as file:
+        is_packed = file.read(2) == GZIP_START
+        file.seek(0)
+        raw = first_bytes(file, _MAX_EXTENSION) if is_packed else file.read(_MAX_EXTENSION)
+    with voxels.open("rb") as file:
+        encoding: Encoding = "deflate" if file.read(2) == GZIP_START else "raw"
+    if (encoding == "deflate") != (voxels.suffix.lower() == _PACKED):
+        is_named = "compressed" if encoding == "deflate" else "not compressed"
+        raise InputError(f"{voxels.name} is {is_named}, against its suffix", "rename both files")
+    header = parse_header(raw, is_pair=True)
+    extensions = list(
+        _extensions_in(raw[HEADER_BYTES[header.version] + 4 :], _BEGINNINGS[raw[:4]][1])
+    )
+    times_text = _times_text_in(extensions) if len(header.size) > 3 else ""
+    if times_text:
+        header = replace(header, says_time=True)
+    header.grid.check_forms()
+    return NiftiFile(
+        voxels,
+        0,
+        encoding,
+        header.claimed_bytes,
+        skip=header.data_offset,
+        metadata={METADATA_KEY: header.grid.fields},
+        numbers=math.prod(header.size),
+        channels=header.channels,
+        time_points=header.time_points,
+        seconds=header.seconds,
+        asked=options,
+        nifti=header,
+        times_text=times_text,
+        parts=(about, voxels),
+    )
+
+
+def is_of_pair(path: Path) -> bool:
+    """Test if a file has the voxels of a pair, by its name and the header beside it."""
+    name = path.name.lower().removesuffix(_PACKED)
+    return name.endswith(_VOXELS) and _files_of_pair(path)[0].is_file()
+
+
+def _files_of_pair(path: Path) -> tuple[Path, Path]:
+    """Header and voxels of a pair; of each the file that is there, packed or not."""
+    name = path.name.removesuffix(path.suffix) if path.suffix.lower() == _PACKED else path.name
+    given = name[-len(_HEADER) :]
+    stem, is_upper = name[: -len(_HEADER)], given.isupper()
+
+    def found(suffix: str) -> Path:
+        if given.lower() == suffix:
+            return path
+        plain = path.with_name(f"{stem}{suffix.upper() if is_upper else suffix}")
+        packed = plain.with_name(plain.name + _PACKED)
+        return packed if packed.is_file() and not plain.is_file() else plain
+
+    return found(_HEADER), found(_VOXELS)
+
+
 def extensions_of(path: Path) -> list[tuple[int, str]]:
     """Code and text of each extension of a file's header.
 
@@ -322,10 +405,16 @@ read_plain_header = partial(read_header, compressed=False)
 read_compressed_header = partial(read_header, compressed=True)
 
 
-def parse_header(raw: bytes) -> NiftiHeader:
+def parse_header(raw: bytes, is_pair: bool = False) -> NiftiHeader:
     """Read a header, in either byte order, and refuse one that no 3D image of real numbers can have.
 
     Several volumes one after the other are accepted; see `NiftiFile.single`.
+
+    Parameters
+    ----------
+    raw : bytes
+    is_pair : bool, optional
+        Whether the voxels are in another file.
 
     Raises
     ------
@@ -343,7 +432,9 @@ def parse_header(raw: bytes) -> NiftiHeader:
             f"the file has only {len(raw)} bytes, a NIfTI header alone has {HEADER_BYTES[version]}",
             hint="the file is truncated or is not an image: copy or export it again",
         )
-    at, magic = _MAGIC[version]
+    (at, magic), (_, other) = (magics[version] for magics in _by_pair(is_pair))
+    if order and raw[at : at + len(magic)] != magic:
+        _refuse_other(raw[at : at + len(magic)] == other, is_pair, version)
     if not order or raw[at : at + len(magic)] != magic:
         raise InputError(
             "this is not a NIfTI image: its header lacks the NIfTI marks",
@@ -378,7 +469,7 @@ def parse_header(raw: bytes) -> NiftiHeader:
             hint="correct pixdim[1..3] in the header",
         )
     # Zero is what some writers leave in vox_offset; the voxels of a single file cannot start before its header ends.
-    offset = max(int(vox_offset), HEADER_BYTES[version] + 4)
+    offset = int(vox_offset) if is_pair else max(int(vox_offset), HEADER_BYTES[version] + 4)
     grid = NiftiGrid(
         shape=(size[2], size[1], size[0]),
         pixdim=(p0, p1, p2, p3),
@@ -395,14 +486,44 @@ def parse_header(raw: bytes) -> NiftiHeader:
     return NiftiHeader(version, *place, *_scaling(header), grid, is_vector, *_time_step(header))
 
 
+def _by_pair(is_pair: bool) -> tuple[dict[int, tuple[int, bytes]], dict[int, tuple[int, bytes]]]:
+    """Where the marks of a file or a pair are, and those of the other kind."""
+    return (_PAIR_MAGIC, _MAGIC) if is_pair else (_MAGIC, _PAIR_MAGIC)
+
+
+def _refuse_other(is_other: bool, is_pair: bool, version: int) -> None:
+    """Refuse the header of a file that should be a pair, of a pair that should be a file, and that of Analyze 7.5."""
+    if is_other and is_pair:
+        raise InputError(
+            "the header says that the voxels follow it in the same file", "rename it to end in .nii"
+        )
+    if is_other:
+        raise InputError(
+            "the header says that the voxels are in another file",
+            "rename the pair to .hdr and .img",
+        )
+    if is_pair and version == 1:
+        raise InputError(
+            "an Analyze 7.5 header given, which does not say where left and right are",
+            "convert it to NIfTI with the program that wrote it, and compare the sides",
+        )
+
+
 def _scaling(header: Any) -> tuple[float, float]:
-    """Slope and intercept; as in ITK what is not finite is not there, and a slope of 0 is none."""
+    """Slope and intercept. A slope of 0 is none, as the standard has it, and so is NaN, which nibabel writes: then the
+    intercept does not count either.
+    """
     slope, intercept = (float(header[key]) for key in ("scl_slope", "scl_inter"))
-    slope, intercept = (v if math.isfinite(v) else 0.0 for v in (slope, intercept))
+    if slope == 0 or not math.isfinite(slope):
+        return 1.0, 0.0
+    if not math.isfinite(intercept):
+        raise InputError(
+            f"the header scales by slope {slope:g} and intercept {intercept:g}, a finite intercept expected",
+            "correct scl_inter in the header",
+        )
     # Whole numbers stay what they are.
-    return 1.0 if slope == 0 or (
-        intercept == 0 and abs(slope - 1) < _SLOPE_ROUNDING
-    ) else slope, intercept
+    is_rounded = intercept == 0 and abs(slope - 1) < _SLOPE_ROUNDING
+    return (1.0 if is_rounded else slope), intercept
 
 
 def _time_step(header: Any) -> tuple[float | None, bool]:

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -18,11 +18,11 @@ from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.boxes import bounding_box, whole_box
 from accelsurf.image.volume import Volume
 from accelsurf.io import itk
-from accelsurf.io.formats.raw_header import ByteOrder, Encoding, RawHeader
-from accelsurf.io.headers import TIMES_KEY
+from accelsurf.io.formats.raw_header import ByteOrder, Encoding, ListedHeader, RawHeader
+from accelsurf.io.headers import TIMES_KEY, check_data_file
 from accelsurf.settings import budgets
 from accelsurf.settings.labels import LabelEntry
-from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions, check_readable
 from accelsurf.settings.wording import seconds_of
 
 #: Kinds of an axis of space, of time points, and of none that is said; along the others lie the values of a voxel.
@@ -75,6 +75,7 @@ _META_SIZED = frozenset(
 _META_FLAGS = ("BinaryData", "BinaryDataByteOrderMSB", "ElementByteOrderMSB", "CompressedData")
 #: Bytes after the header that are looked at.
 _REST = 4096
+_LIST = re.compile(r"\s*ElementDataFile\s*[=:]\s*LIST\b", re.IGNORECASE)
 
 
 def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
@@ -313,7 +314,8 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
             file, lambda line: re.match(r"\s*ElementDataFile\s*[=:]", line) is not None
         )
         offset = file.tell()
-        rest = file.read(_REST).strip()
+        rest = file.read(_REST)
+        files = file.read(budgets.TEXT_HEADER.limit) if lines and _LIST.match(lines[-1]) else b""
     pairs = [re.split("[=:]", line, maxsplit=1) for line in lines if line.strip()]
     fields = {pair[0].strip(): pair[-1].strip() for pair in pairs}
     keys = [pair[0].strip() for pair in pairs if len(pair) == 2]
@@ -331,7 +333,8 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
             "this is not a MetaImage: NDims, DimSize or ElementDataFile is missing or out of order",
             hint="is it the right file, and whole?",
         )
-    if rest and name.upper() not in ("LOCAL", "LIST"):
+    is_list = name.upper().split()[:1] == ["LIST"]
+    if rest.strip() and not is_list and name.upper() != "LOCAL":
         raise InputError(
             "the MetaImage header goes on after ElementDataFile, where no reader looks",
             "put ElementDataFile last",
@@ -360,7 +363,9 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     numbers = math.prod(sizes) * channels
     _check_meta_axes(fields, len(sizes))
     _check_units([fields["DistanceUnits"]] if "DistanceUnits" in fields else [])
-    data, offset = (path, offset) if name.upper() == "LOCAL" else (_detached(path, name), 0)
+    data = path
+    if name.upper() != "LOCAL" and not is_list:
+        data, offset = _detached(path, name), 0
     if not _is_true(fields, "BinaryData", "True"):
         raise InputError(
             "a MetaImage whose voxels are text given, binary ones expected", "save it again"
@@ -371,6 +376,10 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
         if skip != 0 or (stored is None and data == path):
             # ITK then decompresses nothing and returns uninitialized memory.
             raise InputError(*_NOT_PACKED)
+    if is_list:
+        return _listed(
+            path, fields, rest + files, _ListedVoxels(sizes, channels, item, skip, options)
+        )
     if 0 < skip < offset:
         raise InputError(
             f"the MetaImage header of {offset} bytes gives a HeaderSize of {skip}",
@@ -391,6 +400,69 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
         order=order,
         **axis,
         asked=options,
+    )
+
+
+class _ListedVoxels(NamedTuple):
+    """What a MetaImage says of voxels that lie in several files: see `ListedHeader`."""
+
+    sizes: list[int]
+    channels: int
+    item: int
+    skip: int
+    options: ReadOptions
+
+
+def _listed(
+    path: Path, fields: Mapping[str, str], rest: bytes, said: _ListedVoxels
+) -> ListedHeader:
+    """The header of a MetaImage with a list of files, one for each slice, or each of as many axes as ``LIST 2D`` says.
+
+    Raises
+    ------
+    InputError
+        When the list has another number of files, one is missing or lies elsewhere, or they are packed.
+    """
+    name, sizes = fields["ElementDataFile"], said.sizes
+    found = re.fullmatch(r"LIST(?:\s+([1-9])D?)?", name, re.IGNORECASE)
+    if found is None or len(sizes) > 3:
+        raise InputError(
+            f"the voxels are spread over several files ({name[:40]}) of {len(sizes)} axes",
+            "save the image as one file first",
+        )
+    axes = int(found.group(1) or max(len(sizes) - 1, 1))
+    if _is_true(dict(fields), "CompressedData"):
+        raise InputError(
+            "the files of the list are packed, plain ones expected", "save the image as one file"
+        )
+    budgets.TEXT_HEADER.check(len(rest), "the list of files")
+    names = [line.strip() for line in rest.decode("utf-8", errors="replace").splitlines()]
+    names = [line for line in names if line]
+    wanted = math.prod(sizes[axes:])
+    if axes > len(sizes) or len(names) != wanted:
+        raise InputError(
+            f"the list has {len(names)} files, {wanted} expected: one for each "
+            f"{'slice' if axes == 2 else f'part of {axes} axes'}",
+            "are all files of the list in the header?",
+        )
+    for part in names:
+        if "\0" in part:
+            raise InputError("a name in the list of files has a zero byte", "correct the list")
+        check_data_file(path, path.parent / part)
+        check_readable(path.parent / part, f"{part}: ")
+    numbers = math.prod(sizes) * said.channels
+    return ListedHeader(
+        path,
+        0,
+        "raw",
+        numbers * said.item,
+        METAIMAGE_ITK_NAME,
+        numbers=numbers,
+        order=_meta_order(dict(fields)),
+        **_meta_fourth_axis(said.channels, sizes),
+        asked=said.options,
+        parts=tuple(path.parent / part for part in names),
+        skipped=said.skip,
     )
 
 

@@ -11,11 +11,11 @@ import re
 from pathlib import Path
 from typing import Any
 
-from accelsurf.errors import OutputError, UsageError
+from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.image.volume import Volume
 from accelsurf.io.file_set import open_set, refuse_links
-from accelsurf.io.files import write_bytes
+from accelsurf.io.files import read_json, write_bytes
 from accelsurf.io.formats import ome_zarr
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
 from accelsurf.io.headers import check_within_store
@@ -131,10 +131,13 @@ def _listing(mark: Path, name: str) -> bytes:
     node: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": {}}
     if mark.is_file():
         try:
-            node = json.loads(mark.read_text(encoding="utf-8"))
-        except ValueError as error:
+            node = read_json(mark)
+            ome = node.setdefault("attributes", {}).setdefault("ome", {"version": _VERSION})
+            known = [known for known in ome.get("labels", []) if isinstance(known, str)]
+        except (InputError, AttributeError, TypeError) as error:
             raise OutputError(f"{mark}: is damaged", "repair the store") from error
-    ome = node.setdefault("attributes", {}).setdefault("ome", {"version": _VERSION})
-    known = [known for known in ome.get("labels", []) if isinstance(known, str)]
+    else:
+        ome = node["attributes"]["ome"] = {"version": _VERSION}
+        known = []
     ome["labels"] = known if name in known else [*known, name]
     return (json.dumps(node, indent=2) + "\n").encode()

@@ -236,7 +236,11 @@ def _plain(path: Path, kind: str) -> tuple[str, str]:
 def _says_images(mark: Path) -> bool:
     """Test if a file of metadata is that of an OME-Zarr image; a quick look, which another reading follows."""
     try:
-        return mark.stat().st_size < _QUICK and b'"multiscales"' in mark.read_bytes()
+        return (
+            mark.is_file()
+            and mark.stat().st_size < _QUICK
+            and b'"multiscales"' in mark.read_bytes()
+        )
     except OSError:
         return False
 

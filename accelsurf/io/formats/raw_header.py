@@ -223,3 +223,64 @@ class RawHeader:
                 f"{len(raw)} bytes of voxels announced, {at} read", hint=TRUNCATED_HINT
             )
         return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class ListedHeader(RawHeader):
+    """Claims of a header whose voxels are spread over several files, not packed, an equal part in each.
+
+    Attributes
+    ----------
+    parts : tuple of Path
+        The files in their order.
+    skipped : int
+        Bytes in each before its voxels; below 0 the voxels are its last bytes.
+    """
+
+    parts: tuple[Path, ...]
+    skipped: int = 0
+
+    @property
+    def part_bytes(self) -> int:
+        """Bytes of voxels in each file."""
+        return self.claimed_bytes // len(self.parts)
+
+    def check_claims(self) -> None:
+        """Refuse a list whose files hold less than the header claims.
+
+        Raises
+        ------
+        InputError
+            With the first of them.
+        """
+        for part in self.parts:
+            present = part.stat().st_size - max(self.skipped, 0)
+            if present < self.part_bytes:
+                raise InputError(
+                    f"the header announces {self.part_bytes} bytes of voxels in {part.name}, "
+                    f"it holds {max(present, 0)}",
+                    hint=TRUNCATED_HINT,
+                )
+
+    def _values(self, stored: np.dtype[Any], begin: int, count: int) -> NDArray[Any]:
+        values = np.empty(count, stored)
+        raw, first, size = (
+            memoryview(values.view(np.uint8).data),
+            begin * stored.itemsize,
+            self.part_bytes,
+        )
+        at = 0
+        while at < len(raw):
+            number, skip = divmod(first + at, size)
+            with self.parts[number].open("rb") as stream:
+                before = (
+                    self.skipped if self.skipped >= 0 else self.parts[number].stat().st_size - size
+                )
+                stream.seek(before + skip)
+                read = stream.readinto(raw[at : at + size - skip])
+            if not read:
+                raise InputError(
+                    f"{len(raw)} bytes of voxels announced, {at} read", hint=TRUNCATED_HINT
+                )
+            at += read
+        return values

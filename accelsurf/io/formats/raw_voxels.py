@@ -33,7 +33,7 @@ CHANGED = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RawLayout:
     """Place of voxels in a file.
 

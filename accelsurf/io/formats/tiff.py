@@ -60,6 +60,7 @@ MAX_SAMPLES, ANY = (1 << 16) - 1, 1 << 62
 _MAX_ENTRIES = 4096
 Page = dict[int, tuple[Any, ...]]
 _PLAIN_HINT = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
+_PALETTE_HINT = "save it as grey if its numbers are labels or values, as RGB if its colours count"
 _MAX_TILE_EDGE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
 _DIRECTORY_BYTES = 186  # about
 DEFLATE = (8, 32946)
@@ -103,6 +104,10 @@ class TagRule(NamedTuple):
     most: int = 1
 
 
+#: The description of the first page of a file of ImageJ begins so.
+IMAGEJ = "ImageJ="
+#: The photometric interpretation of colours that a table in the file has.
+_PALETTE = 3
 #: The tags that are read.
 RULES = {
     SUBFILE: TagRule("NewSubfileType"),
@@ -248,7 +253,21 @@ def read_pages(file: BinaryIO) -> Directories:
             raise ValueError
         pages[at] = found.page
         at = found.following
+    first: Page = next(iter(pages.values()), {})
+    if str(first.get(DESCRIPTION, ("",))[0]).startswith(IMAGEJ):
+        pages = {at: _without_colours(page) for at, page in pages.items()}
     return Directories(file, form, pages)
+
+
+def _without_colours(page: Page) -> Page:
+    """A page of ImageJ as grey: its table of colours, or that it shows 0 as white, is for the display alone.
+
+    ImageJ measures the stored numbers whatever table is chosen. Where another program writes a palette, the numbers
+    are places in it and say nothing by themselves.
+    """
+    is_of_numbers = page.get(BITS, (1,))[0] >= 8 and page.get(SAMPLES, (1,))[0] == 1
+    is_shown_otherwise = page.get(PHOTOMETRIC, (1,))[0] in (0, _PALETTE)
+    return {**page, PHOTOMETRIC: (1,)} if is_of_numbers and is_shown_otherwise else page
 
 
 def read_directory(file: BinaryIO, form: TiffForm, at: int, spent: int = 0) -> Directory:
@@ -358,7 +377,7 @@ def strips_of(page: Page) -> NDArray[np.int64]:
     return strips
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TiffHeader:
     """Claims of the directories of a TIFF, and the check that all of it is there.
 
@@ -668,7 +687,7 @@ def _check_kind(page: Page) -> None:
         raise ValueError
     if PHOTOMETRIC not in page:
         wrong = "no word on whether 0 is black or white"
-    elif colour == 3:
+    elif colour == _PALETTE:
         wrong = "colours from a palette"
     elif not grey and (colour != 2 or len(bits) not in (3, 4)):
         wrong = f"{len(bits)} channels of colour kind {colour}"
@@ -698,5 +717,6 @@ def _check_kind(page: Page) -> None:
         wrong = f"tiles of {page[TILE_WIDTH][0]} x {page[TILE_HEIGHT][0]}"
     if wrong:
         raise InputError(
-            f"a TIFF with {wrong} given, which cannot be read faithfully", hint=_PLAIN_HINT
+            f"a TIFF with {wrong} given, which cannot be read faithfully",
+            _PALETTE_HINT if colour == _PALETTE else _PLAIN_HINT,
         )

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.io.formats.png import TRUNCATED_HINT
-from accelsurf.io.formats.tiff import DESCRIPTION, RES_UNIT, X_RES, Y_RES, Page
+from accelsurf.io.formats.tiff import DESCRIPTION, IMAGEJ, RES_UNIT, X_RES, Y_RES, Page
 from accelsurf.io.headers import TIMES_KEY, FrameTimes
 from accelsurf.settings import budgets
 from accelsurf.settings.wording import mm_of, seconds_of, unit_name
 
 _CM = 3  # as unit of the resolution
 #: How texts begin that say what the pages are.
-_MARKS = ("ImageJ=", "<?xml", "<OME", '{"shape": [')
+_MARKS = (IMAGEJ, "<?xml", "<OME", '{"shape": [')
 _ONE_MM = (1.0, 1.0, 1.0)
 
 
@@ -148,7 +148,7 @@ def stack_of(page: Page, pages: int, samples: int) -> TiffStack:
         )
     if "<OME" in text[:4096] or "OME>" in text[-16:]:
         return _ome_stack(text, pages, samples)
-    if text.startswith("ImageJ="):
+    if text.startswith(IMAGEJ):
         return _imagej_stack(text, page, pages)
     sizes = _tifffile_axes(text, pages, samples)
     y, x = _resolution(page)

@@ -1,7 +1,8 @@
 """Folders of the Cell Tracking Challenge: a table of tracks, and a label map for each frame.
 
 A result has ``res_track.txt`` and ``mask000.tif``; a reference ``TRA/man_track.txt`` and ``TRA/man_track000.tif``, and
-in ``SEG`` outlines of some frames, ``man_seg000.tif``.
+in ``SEG`` outlines of some frames, ``man_seg000.tif``, or of single slices of them, ``man_seg_000_012.tif``: the frame,
+then the slice.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.files import naming
+from accelsurf.io.files import bytes_within, naming
 from accelsurf.io.images import read_labels
 from accelsurf.settings import budgets
 
@@ -22,7 +23,7 @@ _TABLES = ("res_track.txt", "man_track.txt")
 _TABLE_HINT = "correct the table of tracks"
 _FRAME = re.compile(r"(?:mask|man_track)([0-9]+)\.tiff?", re.IGNORECASE)
 _OUTLINE = re.compile(r"man_seg_?([0-9]+)\.tiff?", re.IGNORECASE)
-_SLICE = re.compile(r"man_seg_?[0-9]+_[0-9]+\.tiff?", re.IGNORECASE)
+_SLICE = re.compile(r"man_seg_?([0-9]+)_([0-9]+)\.tiff?", re.IGNORECASE)
 
 
 class ChallengeTrack(NamedTuple):
@@ -32,6 +33,14 @@ class ChallengeTrack(NamedTuple):
     first: int
     last: int
     parent: int
+
+
+class Outline(NamedTuple):
+    """A label map with outlines of a frame, or of one slice of it: ``plane`` along z."""
+
+    frame: int
+    path: Path
+    plane: int | None = None
 
 
 @dataclass(frozen=True)
@@ -45,14 +54,14 @@ class ChallengeFolder:
     tracks : tuple of ChallengeTrack
     frames : tuple of Path
         Label maps in the order of the frames.
-    outlines : tuple of (int, Path)
-        Frames with outlines of their own, and their label maps.
+    outlines : tuple of Outline
+        Of frames and slices that have outlines of their own, in their order.
     """
 
     folder: Path
     tracks: tuple[ChallengeTrack, ...]
     frames: tuple[Path, ...]
-    outlines: tuple[tuple[int, Path], ...]
+    outlines: tuple[Outline, ...]
 
     def labels(self, number: int) -> NDArray[Any]:
         """The label map (nz, ny, nx) of a frame."""
@@ -78,8 +87,9 @@ def open_challenge(path: Path) -> ChallengeFolder:
         raise InputError(
             f"{path}: neither {' nor '.join(_TABLES)} in it", "is it a folder of tracks?"
         )
+    content = bytes_within(table, budgets.CASES)
     with naming(table):
-        tracks = _read_tracks(table)
+        tracks = _read_tracks(content)
     frames = _numbered(folder, _FRAME)
     lacking = next((n for n in range(len(frames)) if n not in frames), None)
     if not frames or lacking is not None:
@@ -87,20 +97,35 @@ def open_challenge(path: Path) -> ChallengeFolder:
             f"{folder}: the label map of frame {lacking or 0} is not there", "are all files there?"
         )
     exact = folder.parent / "SEG" if folder.name == "TRA" else folder
-    slices = [
-        slice_map.name for slice_map in exact.glob("man_seg*") if _SLICE.fullmatch(slice_map.name)
-    ]
-    if slices:
-        raise InputError(
-            f"{exact / slices[0]}: an outline of one slice of a volume, outlines of whole frames expected",
-            "give the folder TRA alone: SEG is then measured on its label maps",
-        )
     return ChallengeFolder(
         folder,
         tracks,
         tuple(frames[n] for n in range(len(frames))),
-        tuple(sorted(_numbered(exact, _OUTLINE).items())),
+        _outlines_in(exact),
     )
+
+
+def _outlines_in(folder: Path) -> tuple[Outline, ...]:
+    """The outlines in a folder, by frame and slice.
+
+    Raises
+    ------
+    InputError
+        When a frame has outlines of the whole and of slices: an object would count several times.
+    """
+    whole = [Outline(frame, path) for frame, path in sorted(_numbered(folder, _OUTLINE).items())]
+    slices = [
+        Outline(int(found[1]), path, int(found[2]))
+        for path in (sorted(folder.iterdir()) if folder.is_dir() else ())
+        if (found := _SLICE.fullmatch(path.name))
+    ]
+    twice = {one.frame for one in whole} & {one.frame for one in slices}
+    if twice:
+        raise InputError(
+            f"{folder}: frame {min(twice)} has outlines of the whole frame and of single slices",
+            "keep one of the two",
+        )
+    return (*whole, *sorted(slices, key=lambda one: (one.frame, one.plane)))
 
 
 def _numbered(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
@@ -111,10 +136,9 @@ def _numbered(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
     }
 
 
-def _read_tracks(table: Path) -> tuple[ChallengeTrack, ...]:
-    budgets.CASES.check(table.stat().st_size, "the table of tracks")
+def _read_tracks(content: bytes) -> tuple[ChallengeTrack, ...]:
     tracks: dict[int, ChallengeTrack] = {}
-    for number, line in enumerate(table.read_bytes().decode("ascii", "replace").splitlines(), 1):
+    for number, line in enumerate(content.decode("ascii", "replace").splitlines(), 1):
         if not line.strip():
             continue
         try:

@@ -26,7 +26,7 @@ _HALF = (_KEY + _TO_VIEWER) / np.linalg.norm(_KEY + _TO_VIEWER)
 LIGHTS = tuple(_KEY.tolist()), (0.7, -0.1, 0.7), tuple(_HALF.tolist())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Picture:
     """A rendered mesh.
 

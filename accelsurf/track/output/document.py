@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from accelsurf.image.sequence import ImageSequence
+from accelsurf.io.cells import table_text
 from accelsurf.output import document
 from accelsurf.output.document import (
     SCHEMA_VERSION,
@@ -16,7 +17,6 @@ from accelsurf.output.document import (
     to_json,
     versions,
 )
-from accelsurf.output.tables import csv_text
 from accelsurf.track.output.frames import TrackSet
 
 __all__ = ["Status", "build", "to_json"]
@@ -182,7 +182,7 @@ def tracks_csv(tracks: TrackSet) -> str:
         row.id: ";".join(map(str, tracks.lineage.parents(row.id))) for row in tracks.lineage.tracks
     }
     unit = tracks.sequence.time_unit
-    return csv_text(
+    return table_text(
         TRACK_COLUMNS,
         (
             (
@@ -215,4 +215,4 @@ def curves_csv(tracks: TrackSet) -> str:
         seen = {tracked.id: tracked.volume_mm3 * ML for tracked in row.objects if tracked.seen}
         lines.append((row.frame, row.time, *(seen.get(object_id) for object_id in ids)))
     columns = (f"object_{object_id}_ml" for object_id in ids)
-    return csv_text(("frame", f"time_{tracks.sequence.time_unit}", *columns), lines)
+    return table_text(("frame", f"time_{tracks.sequence.time_unit}", *columns), lines)

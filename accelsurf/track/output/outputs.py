@@ -211,7 +211,8 @@ class TrackOutputs:
         """Write the meshes of a frame to the frames' folder; those of objects that it does not show have none."""
         folder, number = self._mesh_folder, f"{result.frame:0{self._digits}d}"
         for old in folder.glob(f"*_t{number}.*"):
-            old.unlink()
+            if is_of_frame(old.name, self.name):
+                old.unlink()
         for kind in self.files.mesh:
             for tracked in result.objects:
                 if tracked.seen and tracked.surface.has_inside:
