@@ -15,8 +15,8 @@ from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import is_stored, sha256, split_name
 from accelsurf.io.file_set import InputFiles
 from accelsurf.io.files import read_json
-from accelsurf.output.given_image import GivenImage
 from accelsurf.io.seals import is_sealed
+from accelsurf.output.given_image import GivenImage
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
