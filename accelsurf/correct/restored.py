@@ -130,10 +130,10 @@ def _replay(
         for click in new:  # in the order in which they were made
             models.add((click,))
             for id in known:
-                mine = clicks_on((click,), id)
-                model = models.model(id) if mine else None
-                for seen in mine if model is not None else ():
-                    model.add(seen)
+                model = models.model(id) if (mine := clicks_on((click,), id)) else None
+                if model is not None:
+                    for seen in mine:
+                        model.add(seen)
     elif correction.kind == "mend":
         id = correction.object or next(iter(known))
         if mask is None or id not in known:
