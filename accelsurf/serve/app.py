@@ -24,7 +24,6 @@ import accelsurf
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.serve import arrays
 from accelsurf.serve.session import LIVENESS, FullError, ImageSession, Lease, LeaseLostError, Leases
-from accelsurf.settings.wording import escaped
 
 #: Headers of the protocol: metadata of a request or an answer as JSON, and the lease.
 META, LEASE = "X-Meta", "X-Lease-Token"
@@ -319,7 +318,8 @@ class Server:
         self._tell(f"viewer {lease.number}: gone ({why})")
 
     def _tell(self, line: str) -> None:
-        self._write_log(f"{time.strftime('%H:%M:%S')} {escaped(line[:MAX_LINE])}")
+        shown = (part if part.isprintable() else ascii(part)[1:-1] for part in line[:MAX_LINE])
+        self._write_log(f"{time.strftime('%H:%M:%S')} {''.join(shown)}")
 
     # -- who may ask ---------------------------------------------------------------------------------------
 

@@ -204,5 +204,5 @@ def fingerprint(volume: Volume, channels: Sequence[Volume] = ()) -> str:
         said = (each.array.dtype.str, grid.shape, grid.spacing, grid.origin, grid.direction)
         digest.update(repr([np.asarray(part).tolist() for part in said]).encode())
         for plane in each.array:
-            digest.update(np.ascontiguousarray(plane).view(np.uint8))
+            digest.update(np.ascontiguousarray(plane).view(np.uint8).data)
     return digest.hexdigest()
