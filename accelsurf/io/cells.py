@@ -11,7 +11,6 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterable, Sequence
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,14 @@ import numpy as np
 _FORMULA = re.compile(r"'*[\s\0]*[=+\-@\uff1d\uff0b\uff0d\uff20]|'*[\t\r\n]")
 _END = "\r\n"
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|-|[+-]?(inf|nan)")
+
+
+class _Lines(list[str]):
+    """Lines that a writer of tables has written."""
+
+    def write(self, line: str) -> None:
+        """Take a line."""
+        self.append(line)
 
 
 def text_cell(text: str) -> str:
@@ -55,11 +62,9 @@ def table_text(columns: Sequence[str], rows: Iterable[Sequence[Any]], delimiter:
     rows : iterable of sequence
     delimiter : str, optional
     """
-    lines: list[str] = []
+    lines = _Lines()
     # This end of a line has cells with either of its characters put in quotes.
-    writer = csv.writer(
-        SimpleNamespace(write=lines.append), delimiter=delimiter, lineterminator=_END
-    )
+    writer = csv.writer(lines, delimiter=delimiter, lineterminator=_END)
     writer.writerow([text_cell(column) for column in columns])
     writer.writerows([_cell(value) for value in row] for row in rows)
     return "".join(f"{line.removesuffix(_END)}\n" for line in lines)

@@ -6,6 +6,7 @@ frames are a step and its unit, or where these cannot say them, a line of text (
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import re
@@ -218,7 +219,8 @@ def is_stored(path: Path) -> bool:
     False
     """
     marks = {mark for form in IMAGE_FORMATS.values() for mark in form.folder_marks}
-    return path.is_file() or any((path / mark).is_file() for mark in marks)
+    # os.path: of a name that is too long for the system Path says so by an error.
+    return os.path.isfile(path) or any(os.path.isfile(path / mark) for mark in marks)
 
 
 def is_store(path: Path) -> bool:
@@ -282,6 +284,11 @@ def check_name(path: Path) -> None:
         raise InputError(message, "rename it, or link to it") from None
     if "\0" in name:
         raise InputError("the name of the file has a zero byte", "correct the name")
+    try:
+        os.lstat(path)
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise InputError("the name of the file is too long", "correct the name") from None
 
 
 def check_data_file(path: Path, data: Path) -> None:

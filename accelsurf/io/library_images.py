@@ -16,6 +16,7 @@ from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence, check_times
 from accelsurf.image.volume import UNIT_KEY, Volume, array_on_grid
+from accelsurf.io.files import library_named
 from accelsurf.settings.reading import spacing_of
 from accelsurf.settings.registry import load
 from accelsurf.settings.wording import mm_of
@@ -224,7 +225,8 @@ def from_library(value: Any, name: str = "the image") -> Any:
 def _of_itk(image: Any, name: str) -> Volume:
     """Return an image of ITK, whose arrays are (z, y, x) and whose world is LPS, as a volume; a 2D one is one slice."""
     axes, values = int(image.GetImageDimension()), int(image.GetNumberOfComponentsPerPixel())
-    array = np.asarray(image)
+    with library_named(f"{name}: an image of ITK without voxels given", "update its filter first"):
+        array = np.asarray(image)
     if axes not in (2, 3) or values > 1 or array.ndim != axes:
         raise InputError(
             f"{name}: an image of ITK with {axes} axes and {values} values per voxel given, 3 and 1 expected",

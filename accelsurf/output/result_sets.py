@@ -31,7 +31,7 @@ _KINDS = re.compile(
     re.IGNORECASE,
 )
 #: Kinds of the values of a report; what need not be there may be None.
-_REPORT = {
+_REPORT: dict[str, Any] = {
     "status": str,
     "outputs": list,
     "exit_code": int,

@@ -51,5 +51,6 @@ REPORT_KEYS = {
     "seconds": "wall time of load, start, evolve, refine, mesh, write, total",
     "peak_rss_mb": "largest memory of the process, MB (10^6 bytes)",
     "warnings": "of the run and of the files",
-    "outputs": "files that were written: path, kind, SHA-256; kind `data` is the data file of an .mhd header",
+    "outputs": "files that were written: path, kind, SHA-256; kind `data` is the data file of an .mhd header. `seal` "
+    "tells a later run that you have written the file: only files with your seal are removed with an earlier result",
 }

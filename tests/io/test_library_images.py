@@ -50,6 +50,68 @@ def test_an_image_of_simpleitk_is_what_its_file_is(tmp_path):
     assert flat.array.shape == (1, 14, 16) and flat.geometry.spacing[1:] == (1.0, 1.0)
 
 
+class FakeMatrix:
+    """A direction as ITK gives it."""
+
+    def __init__(self, matrix):
+        self.matrix = matrix
+
+    def GetVnlMatrix(self):
+        return self
+
+    def get(self, i, j):
+        return float(self.matrix[i, j])
+
+
+class FakeItk:
+    """An image of the package itk, which is not installed here; tried with itk 5.4."""
+
+    __module__ = "itk.itkImagePython"
+
+    def __init__(self, image, first=(0, 0, 0), values=1):
+        self.image, self.first, self.values = image, first, values
+
+    def __array__(self, dtype=None, copy=None):
+        x, y, z = self.first
+        array = sitk.GetArrayFromImage(self.image)
+        return array[z:, y:, x:] if array.ndim == 3 else array
+
+    def GetImageDimension(self):
+        return self.image.GetDimension()
+
+    def GetNumberOfComponentsPerPixel(self):
+        return self.values
+
+    def GetBufferedRegion(self):
+        return self
+
+    def GetIndex(self):
+        return self.first[: self.image.GetDimension()]
+
+    def GetSpacing(self):
+        return self.image.GetSpacing()
+
+    def GetDirection(self):
+        axes = self.image.GetDimension()
+        return FakeMatrix(np.reshape(self.image.GetDirection(), (axes, axes)))
+
+    def TransformIndexToPhysicalPoint(self, index):
+        return self.image.TransformIndexToPhysicalPoint([int(i) for i in index])
+
+
+@pytest.mark.parametrize("first", [(0, 0, 0), (2, 1, 3)])
+def test_an_image_of_itk_is_that_of_simpleitk(first):
+    x, y, z = first
+    assert same(as_volume(FakeItk(itk_image(), first)), as_volume(itk_image()[x:, y:, z:]))
+    flat = itk_image()[:, :, 5]
+    flat = sitk.GetImageFromArray(sitk.GetArrayFromImage(flat))
+    flat.SetSpacing((0.5, 0.75))
+    found = as_volume(FakeItk(flat))
+    assert found.geometry.spacing == (1.0, 0.75, 0.5) and found.array.shape == (1, 14, 16)
+    with pytest.raises(InputError, match="2 values per voxel"):
+        as_volume(FakeItk(itk_image(), values=2))
+
+
 @pytest.mark.parametrize("unit", ["mm", "micron", "unknown"])
 def test_an_image_of_nibabel_is_what_its_file_is(tmp_path, unit):
     path, scale = tmp_path / "a.nii.gz", 1000.0 if unit == "micron" else 1.0

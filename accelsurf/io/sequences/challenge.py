@@ -125,7 +125,7 @@ def _outlines_in(folder: Path) -> tuple[Outline, ...]:
             f"{folder}: frame {min(twice)} has outlines of the whole frame and of single slices",
             "keep one of the two",
         )
-    return (*whole, *sorted(slices, key=lambda one: (one.frame, one.plane)))
+    return (*whole, *sorted(slices, key=lambda one: (one.frame, one.plane or 0)))
 
 
 def _numbered(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
