@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -117,7 +118,7 @@ def _say_notes(volumes: list[Volume], source: Path) -> None:
             say(f"warning: {note}")
 
 
-def _met(volume: Volume, at: tuple[float, float, float] | None, labels: NDArray[Any] | None) -> str:
+def _met(volume: Volume, at: Sequence[float] | None, labels: NDArray[Any] | None) -> str:
     """The place where the slices meet, as options take it."""
     from accelsurf.output.pictures.look import voxel_shown
     from accelsurf.settings.coordinates import place_text

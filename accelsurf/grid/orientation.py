@@ -145,7 +145,7 @@ def part_of(
     geometry: Geometry,
     shape: tuple[int, int, int],
     origin: Sequence[float],
-    spacing: tuple[float, float, float] | None = None,
+    spacing: Sequence[float] | None = None,
 ) -> Geometry:
     """Return a grid along the axes of another, with the scales of that.
 
@@ -163,6 +163,5 @@ def part_of(
         x, y, z = geometry.index_to_world(index_of_scales(geometry, (0.0, 0.0, 0.0))).tolist()
         zero = (x, y, z)
     corner = (float(origin[0]), float(origin[1]), float(origin[2]))
-    return Geometry(
-        shape, spacing or geometry.spacing, corner, geometry.direction, geometry.unit, zero
-    )
+    hz, hy, hx = spacing or geometry.spacing
+    return Geometry(shape, (hz, hy, hx), corner, geometry.direction, geometry.unit, zero)

@@ -36,13 +36,12 @@ class Spacing(tuple[float, float, float]):
     ((0.5, 0.5, 2.0), 'um')
     """
 
-    unit: str
-
     def __new__(cls, sizes: Iterable[float], unit: str = "") -> Spacing:
         """Make it of three sizes in mm."""
-        made = super().__new__(cls, sizes)
-        made.unit = unit
-        return made
+        return super().__new__(cls, sizes)
+
+    def __init__(self, sizes: Iterable[float], unit: str = "") -> None:
+        self.unit = unit
 
 
 @dataclass(frozen=True)

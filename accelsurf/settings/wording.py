@@ -173,10 +173,12 @@ def size_text(mm: float, unit: str = "mm", power: int = 1, digits: int = 6) -> s
 
     Examples
     --------
-    >>> size_text(0.0123456789, "um"), size_text(4.2e-7, "um", 3), size_text(34161.94, power=2)
-    ('12.3457 um', '420 um3', '34161.9 mm2')
+    >>> size_text(0.0123456789, "um"), size_text(1.12084e-5, "um", 3, digits=4), size_text(34161.94, power=2)
+    ('12.3457 um', '11210 um3', '34161.9 mm2')
     """
-    return f"{in_unit(mm, unit, power):.{digits}g} {unit}{power if power > 1 else ''}"
+    number = float(f"{in_unit(mm, unit, power):.{digits}g}")
+    text = f"{number:.12g}" if abs(number) < 1e7 else f"{number:.{digits}g}"
+    return f"{text} {unit}{power if power > 1 else ''}"
 
 
 def voxel_text(spacing_mm: Iterable[float], unit: str = "mm") -> str:

@@ -426,8 +426,7 @@ def tick_labels(axis):
 def test_lengths_are_in_the_unit_of_the_file(scene_of):
     volume, center = viewing.ball_image()
     frames, history = viewing.run_frames(volume, center, levels=1)
-    small = Volume(volume.array, volume.geometry)
-    small.metadata[UNIT_KEY] = "um"
+    small = Volume(volume.array, volume.geometry, {UNIT_KEY: "um"})
     scene = scene_of(small, size=(1280, 720))
     scene.update(frames[-1], [history])
     scene.screenshot()
