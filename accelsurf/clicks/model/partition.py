@@ -24,7 +24,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, connected_to, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.image.smoothing import gaussian_mm
-from accelsurf.kernels.arrival import Sources, Tissue
+from accelsurf.kernels.arrival import Tissue
 
 #: Smoothing of the image before anything is learned from it, and of the shares of objects; of the smallest spacing.
 SMOOTHING, SHARES = 0.3, 0.7
@@ -139,14 +139,12 @@ def basins_of(
     sooner = times_from(ground, beyond, spacing, _GROUND, mask) if ground.any() else None
     cost = _cost(smooth, common)
     del smooth, beyond
-    origin = np.empty(seeds.size, np.int32 if seeds.size < 2**31 else np.int64)
-    sources = Sources(origin, seeds.ravel())
-    times_from(seeds != UNREACHED, cost, spacing, _COSTS, mask, sooner, sources)
+    times = times_from(seeds != UNREACHED, cost, spacing, _COSTS, mask, sooner)
     del cost
-    labels = np.where(origin >= 0, seeds.ravel()[origin], np.int32(UNREACHED)).reshape(seeds.shape)
+    labels = _nearest(times, seeds)
     if sooner is not None:
         labels[(labels == UNREACHED) & np.isfinite(sooner)] = NOBODY
-    del origin, sources, sooner
+    del times, sooner
     return _with_shares(numbers, labels, spacing, clicks)
 
 
@@ -166,6 +164,30 @@ def _common(tissues: Sequence[Tissue]) -> Tissue:
     apart = 1.4826 * np.median(np.abs(medians - middle), axis=0)
     spread = np.maximum(np.median([tissue.spread for tissue in tissues], axis=0), apart)
     return tissues[0]._replace(median=middle, spread=spread)
+
+
+def _nearest(times: Floats, seeds: NDArray[np.int32]) -> NDArray[np.int32]:
+    """From which seeds the front came to each voxel: back from voxel to earliest neighbour, by leaps."""
+    kind = np.int32 if times.size < 2**31 else np.int64
+    voxels = np.arange(times.size, dtype=kind).reshape(times.shape)
+    before, earliest = voxels.copy(), times.copy()
+    for axis in range(3):
+        ends = slice(1, None), slice(None, -1)
+        for here, there in (ends, ends[::-1]):
+            mine, theirs = ((slice(None),) * axis + (part,) for part in (here, there))
+            is_earlier = times[theirs] < earliest[mine]
+            earliest[mine][is_earlier] = times[theirs][is_earlier]
+            before[mine][is_earlier] = voxels[theirs][is_earlier]
+    before = np.where(seeds != UNREACHED, voxels, before)
+    del voxels, earliest
+    came = before.ravel()
+    while True:
+        farther = came[came]
+        if np.array_equal(farther, came):
+            return np.where(
+                np.isfinite(times), seeds.ravel()[came].reshape(times.shape), np.int32(UNREACHED)
+            )
+        came = farther
 
 
 def _with_shares(
