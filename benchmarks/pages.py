@@ -72,9 +72,12 @@ FIGURES = (
     ),
     Figures(
         "README.md",
-        rf"trapped at the core in five \(Dice {_N}\)",
+        rf"descent finds the box in {_N} of 5, momentum in {_N} of 5",
         "docs/explanation/paper.md",
-        (rf"several phases: [^|]*\| descent \| {_N}",),
+        tuple(
+            rf"\| core 2\.6 {before}\| {_N} of 5"
+            for before in (r"\|[^|]*\|[^|]*", r"\|[^|]*\|[^|]*\|[^|]*")
+        ),
     ),
     Figures(
         "docs/how-to/viewer.md",

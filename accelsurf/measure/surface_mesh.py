@@ -23,7 +23,7 @@ from accelsurf.errors import EmptyResultError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import write_bytes
-from accelsurf.measure.vertex_placement import balanced, on_edges
+from accelsurf.measure.vertex_placement import balanced, in_cells, on_edges
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.mesh_formats import MESH_FORMATS, Shape, mesh_formats
 from accelsurf.settings.registry import load
@@ -169,6 +169,7 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
     zyx, faces = crossings(psi, geometry)
     zyx, faces = _merge_cap_edges(zyx, faces, geometry.shape)
     zyx = on_edges(zyx, psi, geometry.spacing, NODE_MARGIN * min(geometry.spacing))
+    zyx = in_cells(zyx, faces, psi.shape)
     zyx = balanced(zyx, faces, psi, geometry.spacing)
     # skimage's triangles face outward in a right-handed (z, y, x); taken as (x, y, z) they are mirrored once, and
     # once more by a left-handed direction.

@@ -95,6 +95,29 @@ def on_edges(zyx: Floats, psi: Psi, spacing: tuple[float, float, float], margin:
     return placed
 
 
+def in_cells(zyx: Floats, faces: NDArray[np.integer], shape: tuple[int, ...]) -> Floats:
+    """Move vertices that lie within a cell, on no edge of the grid, to the mean of their neighbours, which lie on edges.
+
+    Marching cubes puts one into some cells, at the mean in single precision from the corner of its box: without this it
+    would depend by rounding on where the rest of the object ends, and so would all vertices around it.
+    """
+    between = (zyx > np.floor(zyx)) & ~_on_cap(zyx, shape)
+    inner = between.sum(axis=1) > 1
+    if not inner.any():
+        return zyx
+    corners = faces[inner[faces].any(axis=1)].T.astype(np.intp)
+    others = zip(corners, np.roll(corners, -1, axis=0), np.roll(corners, 1, axis=0), strict=True)
+    total, count = np.zeros(zyx.shape), np.zeros(len(zyx))
+    for corner, *beside in others:
+        for other in beside:
+            count += np.bincount(corner, minlength=len(zyx))
+            for axis in range(3):
+                total[:, axis] += np.bincount(corner, zyx[other, axis], len(zyx))
+    placed = zyx.copy()
+    placed[inner] = total[inner] / count[inner, None]
+    return placed
+
+
 def _zeros_along(zyx: Floats, axis: int, psi: Psi, h: float, margin: float) -> Floats:
     """Positions along ``axis``, of spacing ``h``, of the zeros between the nodes around each vertex."""
     n = psi.shape[axis]

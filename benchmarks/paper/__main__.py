@@ -2,7 +2,7 @@
 
     python -m benchmarks.paper [EXPERIMENT...] [--jobs N]
 
-Half an hour on one core for all. Experiments that are not named keep what the JSON has of them.
+Three quarters of an hour on one core for all. Experiments that are not named keep what the JSON has of them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from accelsurf.measure.metrics import dice
 from benchmarks.figures.common import plain
 from benchmarks.paper import pictures, tables
 from benchmarks.paper.experiments import EXPERIMENTS
-from benchmarks.paper.runs import run
+from benchmarks.paper.runs import ridge, run
 from benchmarks.paper.tables import groups
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -67,22 +67,31 @@ def run_all(name: str, jobs: int) -> list[dict[str, Any]]:
     """Run the tasks of an experiment, in order."""
     runs = []
     with ProcessPoolExecutor(jobs) as pool:
-        for figures in pool.map(run, EXPERIMENTS[name]):
+        for figures in pool.map(ridge if name == "ridge" else run, EXPERIMENTS[name]):
             runs.append(figures)
             tell(figures)
-    for group in groups(runs, "landscape", "method", "seed", "noise", "limits").values():
-        for entry in group:
-            entry["agreement"] = min(dice(entry["labels"], other["labels"]) for other in group)
+    if name != "ridge":
+        alike = ("landscape", "method", "seed", "noise", "limits", "epsilon", "remedy")
+        for group in groups(runs, *alike).values():
+            for entry in group:
+                entry["agreement"] = min(dice(entry["labels"], other["labels"]) for other in group)
     return runs
 
 
 def tell(figures: dict[str, Any]) -> None:
     """Print a run as it ends."""
+    what = (
+        f"{figures['experiment']}: {figures['landscape']}, {figures['start']}, {figures['method']}, seed "
+        f"{figures['seed']}, {figures['limits']} steps, noise {figures['noise']:g}, epsilon {figures['epsilon']:g}, "
+        f"remedy {figures['remedy']}: "
+    )
+    if "crest" in figures:
+        print(f"{what}least {figures['least']:.0f}, crest {figures['crest']:.0f}", flush=True)
+        return
     later = figures.get("later_dice", np.nan)
     print(
-        f"{figures['experiment']:20s} {figures['start']:12s} {figures['method']:25s} "
-        f"seed {figures['seed']} {figures['limits']:8s} noise {figures['noise']:g}: Dice {figures['dice']:.3f}, later "
-        f"{later:.3f}, {figures['steps']} steps, {figures['stop']}, {figures['seconds']:.1f} s",
+        f"{what}Dice {figures['dice']:.3f}, later {later:.3f}, {figures['steps']} steps, {figures['stop']}, "
+        f"{figures['seconds']:.1f} s",
         flush=True,
     )
 

@@ -105,12 +105,22 @@ def walled(depth: float, thick: float) -> Callable[[int], tuple[Array, Array]]:
     return make
 
 
+def core_middle(random: np.random.Generator) -> Array:
+    """Draw the middle of the core, z y x from the middle of the volume: the first that is drawn from a seed."""
+    return random.uniform(-2.0, 2.0, 3)
+
+
+def about_core(seed: int, radius: float) -> Ball:
+    """Return the ball of a radius about the core that a seed draws."""
+    return Ball(*core_middle(np.random.default_rng(seed)).tolist(), radius)
+
+
 def phases(core: float, sigma: float) -> Callable[[int], tuple[Array, Array]]:
     """The box with a brighter core: the surface starts in the core, and shall find the whole box."""
 
     def make(seed: int) -> tuple[Array, Array]:
         random, truth = np.random.default_rng(seed), box()
-        z, y, x = axes() - random.uniform(-2.0, 2.0, 3).reshape(3, 1, 1, 1)
+        z, y, x = axes() - core_middle(random).reshape(3, 1, 1, 1)
         image = truth + (core - 1.0) * (np.sqrt(z**2 + y**2 + x**2) < 7.0)
         return image + random.normal(0.0, sigma, truth.shape), truth
 
@@ -179,3 +189,11 @@ LANDSCAPES = {
     ),
     "thin wall": Landscape("the same behind a wall of 1 voxel", two_rooms(1.0), IN_ROOM),
 }
+#: The box with a core of each brightness, in noise of 0.1: the scan that shows how wide the range is.
+CORES = {
+    f"core {core:g}": Landscape(
+        f"the box with a core {core:g} times as bright, noise 0.1", phases(core, 0.1), ONE
+    )
+    for core in (2.2, 2.3, 2.4, 2.5, 2.6, 2.7, 2.8, 3.0)
+}
+ALL = {**LANDSCAPES, **CORES}

@@ -10,19 +10,19 @@ import matplotlib.pyplot as plt
 from benchmarks.figures.common import COLOURS
 from benchmarks.figures.planar import save, show
 from benchmarks.paper.landscapes import LANDSCAPES
-from benchmarks.paper.tables import groups
+from benchmarks.paper.tables import PICTURED, groups
 
 Run = dict[str, Any]
 
 
 def draw(name: str, runs: list[Run], output: Path) -> None:
-    """Draw an experiment, each flow and all starts of the first seed; that of random acceleration has no picture."""
+    """Draw an experiment, each flow and all starts of the first seed; those without a picture are left out."""
     runs = [
         entry
         for entry in runs
         if entry["seed"] == 0 and entry["limits"] == "default" and entry["noise"] == 0.0
     ]
-    if name == "random acceleration":
+    if name not in {*LANDSCAPES, *PICTURED}:
         return
     methods = groups(runs, "method")
     image, truth = LANDSCAPES[runs[0]["landscape"]].make(0)

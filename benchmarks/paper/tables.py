@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.pages import head_of, put_table, row_of
-from benchmarks.paper.landscapes import LANDSCAPES
-from benchmarks.paper.runs import DESCENT, MOMENTUM
+from benchmarks.paper.landscapes import ALL
+from benchmarks.paper.runs import DESCENT, GROWN, MOMENTUM, SMOOTHED, STARTS
 
 COMMAND = "python -m benchmarks.paper"
 #: Dice from which the object is found.
@@ -18,16 +18,33 @@ FOUND = 0.9
 #: Dice that makes a difference; Dice that a surface at rest gains at most in as many steps again; and the factor of the
 #: steps from which descent is slow.
 DIFFERENT, AT_REST, SLOW = 0.02, 0.01, 1.5
+#: Experiments other than landscapes that have a picture.
+PICTURED = ("three starts", "corners")
+#: What each remedy is called in its table.
+REMEDY_WORDS = {
+    "none": "as it is",
+    "smoothed": f"image smoothed by {SMOOTHED:g} voxel",
+    "grown": f"surface at rest grown by {GROWN:g} voxel",
+    "starts": f"the lowest energy of {STARTS} starts drawn in the box",
+}
 Run = dict[str, Any]
 
 
 def write(page: Path, runs: list[Run]) -> None:
     """Write the tables, of what has been run, each of an experiment of its own with its picture."""
-    alone = {"three starts": three_starts, "corners": corners, "random acceleration": by_strength}
+    alone = {
+        "three starts": three_starts,
+        "corners": corners,
+        "random acceleration": by_strength,
+        "smeared": landscapes,
+        "cores": cores,
+        "ridge": ridges,
+        "remedies": remedies,
+    }
     for name, table in alone.items():
         group = [e for e in runs if e["experiment"] == name]
         lines = table(group) if group else ["Not run yet."]
-        if group and name != "random acceleration":
+        if group and name in PICTURED:
             lines += [
                 "",
                 f"![{name}: middle slice at rest](../figures/paper-{name.replace(' ', '-')}.png)",
@@ -143,7 +160,7 @@ def landscapes(runs: list[Run]) -> list[str]:
         words = ", ".join(f"{word} {count}" for word, count in verdicts.most_common())
         laters = [e["later_dice"] for e in group if "later_dice" in e]
         later = f"{np.median(laters):.3f}" if laters else ""
-        place = f"{name}: {LANDSCAPES[name].words}" if first else ""
+        place = f"{name}: {ALL[name].words}" if first else ""
         dices = spread([e["dice"] for e in group])
         lines.append(row_of([place, method, dices, found(group), later, *cost(group), words]))
     return lines
@@ -158,5 +175,69 @@ def by_strength(runs: list[Run]) -> list[str]:
         dices = spread([entry["dice"] for entry in group])
         lines.append(
             row_of([f"{name}, {start}", f"{strength:g}", dices, found(group), *cost(group)])
+        )
+    return lines
+
+
+def interface_of(epsilon: float) -> str:
+    """Name the interface of an energy."""
+    return "sharp" if epsilon == 0 else f"smeared, {epsilon:g}"
+
+
+def cores(runs: list[Run]) -> list[str]:
+    """A row for each brightness of the core: how many runs found the box, by interface and flow."""
+    columns = list(groups(runs, "epsilon", "method"))
+    lines = head_of(("core", *(f"{interface_of(width)}: {flow}" for width, flow in columns)))
+    for (name,), group in groups(runs, "landscape").items():
+        cells = groups(group, "epsilon", "method")
+        lines.append(row_of([name, *(found(cells[column]) for column in columns)]))
+    return lines
+
+
+def ridges(runs: list[Run]) -> list[str]:
+    """A row for each landscape, interface and seed: energies of balls about the core."""
+    columns = ("landscape", "interface", "seed", "start", "won", "least", "crest", "rise", "box")
+    lines = head_of(columns)
+    for e in runs:
+        name, rise = f"{e['landscape']}", e["crest"] - e["least"]
+        places = [f"{e[key]:,.0f} at {e[f'{key}_radius']:g}" for key in ("least", "crest")]
+        lines.append(
+            row_of(
+                [
+                    name,
+                    interface_of(e["epsilon"]),
+                    str(e["seed"]),
+                    f"{e['first_energy']:,.0f}",
+                    *(
+                        [f"{e['first_energy'] - e['least']:,.0f}", *places, f"{rise:,.0f}"]
+                        if rise > 0
+                        else ["", "none", "none", "0"]
+                    ),
+                    f"{e['true_energy']:,.0f}",
+                ]
+            )
+        )
+    return lines
+
+
+def remedies(runs: list[Run]) -> list[str]:
+    """A row for each landscape, remedy and flow."""
+    lines = head_of(("landscape, interface", "remedy", "flow", "Dice", "found", "of all starts"))
+    for (name, epsilon, remedy, method), group in groups(
+        runs, "landscape", "epsilon", "remedy", "method"
+    ).items():
+        every = [value for entry in group for value in entry["dice_of_starts"]]
+        of_all = f"{sum(value >= FOUND for value in every)} of {len(every)}"
+        lines.append(
+            row_of(
+                [
+                    f"{name}, {interface_of(epsilon)}",
+                    REMEDY_WORDS[remedy],
+                    method,
+                    spread([entry["dice"] for entry in group]),
+                    found(group),
+                    of_all if remedy == "starts" else "",
+                ]
+            )
         )
     return lines

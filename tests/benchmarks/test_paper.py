@@ -12,12 +12,12 @@ from accelsurf.levelset import LevelSet
 from benchmarks import pages
 from benchmarks.paper import landscapes, tables
 from benchmarks.paper.experiments import EXPERIMENTS
-from benchmarks.paper.runs import METHODS, Task, run, vector_gradient
+from benchmarks.paper.runs import METHODS, SMEARED, Task, ridge, run, vector_gradient
 
 
-@pytest.mark.parametrize("name", landscapes.LANDSCAPES)
+@pytest.mark.parametrize("name", landscapes.ALL)
 def test_a_seed_makes_the_same_landscape_and_starts_touch_the_object(name: str) -> None:
-    landscape = landscapes.LANDSCAPES[name]
+    landscape = landscapes.ALL[name]
     image, truth = landscape.make(3)
     again, _ = landscape.make(3)
     assert np.array_equal(image, again) and not np.array_equal(image, landscape.make(4)[0])
@@ -32,7 +32,7 @@ def test_every_task_has_its_start_and_method() -> None:
         assert len({task.seed for task in tasks}) >= 5 and len(set(tasks)) == len(tasks)
         for task in tasks:
             assert task.experiment == name and task.method in METHODS
-            assert task.start in landscapes.LANDSCAPES[task.landscape].starts
+            assert task.start in landscapes.ALL[task.landscape].starts
 
 
 @pytest.mark.parametrize("length", [5.0, 10.0])
@@ -53,6 +53,25 @@ def test_a_run_reports_its_rest() -> None:
         figures["dice"], abs=0.01
     )
     assert figures["first_energy"] > figures["energy"] > figures["true_energy"]
+
+
+@pytest.mark.parametrize(
+    ("core", "epsilon", "rise"),
+    [("core 2.4", 0.0, 135), ("core 2.4", SMEARED, 0), ("core 2.6", SMEARED, 109)],
+)
+def test_the_ridge_is_that_of_the_energy_that_is_minimised(
+    core: str, epsilon: float, rise: float
+) -> None:
+    found = ridge(Task("ridge", core, "inside", "descent", 0, epsilon=epsilon))
+    assert found["crest"] - found["least"] == pytest.approx(rise, abs=2)
+    assert found["first_energy"] > found["crest"] > found["true_energy"]
+
+
+def test_energies_of_runs_have_the_interface_of_their_task() -> None:
+    """Descent rests at a core of 2.4 with a sharp interface, and not with the program's."""
+    task = Task("cores", "core 2.4", "inside", "descent", 0)
+    assert run(task)["dice"] < 0.2
+    assert run(task._replace(epsilon=SMEARED))["dice"] > 0.99
 
 
 @pytest.mark.parametrize(

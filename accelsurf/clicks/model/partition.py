@@ -141,7 +141,7 @@ def basins_of(
     del smooth, beyond
     times = times_from(seeds != UNREACHED, cost, spacing, _COSTS, mask, sooner)
     del cost
-    labels = _nearest(times, seeds)
+    labels = _nearest(times, seeds, spacing)
     if sooner is not None:
         labels[(labels == UNREACHED) & np.isfinite(sooner)] = NOBODY
     del times, sooner
@@ -166,20 +166,22 @@ def _common(tissues: Sequence[Tissue]) -> Tissue:
     return tissues[0]._replace(median=middle, spread=spread)
 
 
-def _nearest(times: Floats, seeds: NDArray[np.int32]) -> NDArray[np.int32]:
-    """From which seeds the front came to each voxel: back from voxel to earliest neighbour, by leaps."""
+def _nearest(times: Floats, seeds: NDArray[np.int32], spacing: Spacing) -> NDArray[np.int32]:
+    """From which seeds the front came to each voxel: back along the steepest fall per mm to a neighbour, by leaps."""
     kind = np.int32 if times.size < 2**31 else np.int64
     voxels = np.arange(times.size, dtype=kind).reshape(times.shape)
-    before, earliest = voxels.copy(), times.copy()
+    before, steepest = voxels.copy(), np.zeros(times.shape, np.float32)
     for axis in range(3):
         ends = slice(1, None), slice(None, -1)
         for here, there in (ends, ends[::-1]):
             mine, theirs = ((slice(None),) * axis + (part,) for part in (here, there))
-            is_earlier = times[theirs] < earliest[mine]
-            earliest[mine][is_earlier] = times[theirs][is_earlier]
-            before[mine][is_earlier] = voxels[theirs][is_earlier]
+            with np.errstate(invalid="ignore"):  # between two voxels that no front reaches
+                fall = (times[mine] - times[theirs]) / np.float32(spacing[axis])
+            is_steeper = fall > steepest[mine]
+            steepest[mine][is_steeper] = fall[is_steeper]
+            before[mine][is_steeper] = voxels[theirs][is_steeper]
     before = np.where(seeds != UNREACHED, voxels, before)
-    del voxels, earliest
+    del voxels, steepest
     came = before.ravel()
     while True:
         farther = came[came]
