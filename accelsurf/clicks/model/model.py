@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from accelsurf.clicks.model.answers import OF_ALIKE, Answer, Levels, grown
 from accelsurf.clicks.model.boundary import at_boundary
+from accelsurf.clicks.model.even import as_large, dithered
 from accelsurf.clicks.model.features import Features, features_of_first, features_of_later
 from accelsurf.clicks.model.network import Network, networks
 from accelsurf.clicks.model.surface import mean_curvature
@@ -229,7 +230,10 @@ def first_blocks(
     """Return an answer to the first click on blocks, which is what it shows but for its boundary; see `first_model`."""
     network = networks()["first"] if network is None else network
     least = scene.sizes[0] if size_mm3 is None and scene.sizes is not None else size_mm3
+    seed, noise = as_large(seed, scene)
     for window in _windows(scene, [seed], least):
+        if noise is not None:
+            window = replace(window, values=dithered(window.values, noise))
         probability, levels = read_first(window, network)
         answers = levels.answers() if size_mm3 is None else (levels.of_volume(size_mm3),)
         if not _touches(_object(probability, answers[0], window), window):
