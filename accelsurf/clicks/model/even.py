@@ -70,7 +70,7 @@ class _Values(NamedTuple):
 
 
 def as_large(seed: Seed, scene: Scene) -> tuple[Seed, float | None]:
-    """Return a first click as it is read, and the noise that it wants in its blocks; None where it wants none.
+    """Return a first click as it is read, and the noise around it; None where nothing even is known around it.
 
     Raises
     ------
@@ -80,7 +80,11 @@ def as_large(seed: Seed, scene: Scene) -> tuple[Seed, float | None]:
     radius, most = inscribed_radius(seed, scene), OF_IMAGE * _middle_side(scene)
     even = even_ball(scene, seed)
     noise = None
-    if even is not None and even.radius >= FROM * scene.step and _holds(even, seed, scene):
+    if (
+        even is not None
+        and _whole(scene) > even.radius >= FROM * scene.step
+        and _holds(even, seed, scene)
+    ):
         noise = even.noise
         if radius < TOO_SMALL * even.radius:
             return _ball(even.middle, READ * even.radius / DEEPER, seed, scene), noise
@@ -139,8 +143,8 @@ def _grown(scene: Scene, middle: NDArray[np.float64], radius: float) -> EvenBall
     ball = _values_around(scene, middle, radius)
     if ball is None:
         return None
-    whole = float(np.sqrt(((np.array(scene.whole_shape) * scene.spacing) ** 2).sum()))
-    while radius < min(whole, MOST_STEPS * scene.step):
+    most = min(_whole(scene), MOST_STEPS * scene.step)
+    while radius < most:
         wider = max(WIDER * radius, radius + LEAST_WIDER * scene.step)
         around = _values_around(scene, middle, wider)
         if around is None or not _is_like(_shell(around, radius), ball):
@@ -220,13 +224,17 @@ def _ball(middle: NDArray[np.float64], radius: float, seed: Seed, scene: Scene) 
     box: Box = (slice(*ends[0]), slice(*ends[1]), slice(*ends[2]))
     z, y, x = np.ogrid[box]
     square = sum(
-        ((axis - at) * h) ** 2
-        for axis, at, h in zip((z, y, x), places, scene.spacing, strict=True)
+        ((axis - at) * h) ** 2 for axis, at, h in zip((z, y, x), places, scene.spacing, strict=True)
     )
     mask = np.asarray(square <= radius * radius)
     if scene.open is not None:
         mask &= scene.open[box]
     return seed_of(Click(seed.click.side, box, mask), scene)
+
+
+def _whole(scene: Scene) -> float:
+    """Length of the image's diagonal, mm: nothing differs in the image where a ball has grown so far."""
+    return float(np.sqrt(((np.array(scene.whole_shape) * scene.spacing) ** 2).sum()))
 
 
 def _middle_side(scene: Scene) -> float:
