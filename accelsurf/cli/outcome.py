@@ -14,10 +14,12 @@ from accelsurf.errors import (
     NotConvergedError,
 )
 from accelsurf.io.headers import UNIT_KEY
+from accelsurf.measure.quality import extent_text
 from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.wording import place_text, size_text, volume_text
 
 if TYPE_CHECKING:
+    from accelsurf.grid.geometry import Geometry
     from accelsurf.measure.likely import Quality
     from accelsurf.run.result import Result, SegmentedObject
 
@@ -175,20 +177,21 @@ def _judgement(result: Result) -> list[str]:
             lines.append(
                 f"{whose}{quality.probability:.0%} likely to be good; most doubtful near {place}"
             )
-        lines += [f"{whose}{line}" for line in _other_answers(quality)]
+        lines += [f"{whose}{line}" for line in _other_answers(quality, result.geometry)]
         lines += [f"{whose}note: {note}" for note in quality.notes]
     return lines
 
 
-def _other_answers(quality: Quality) -> list[str]:
+def _other_answers(quality: Quality, geometry: Geometry) -> list[str]:
     """A line about other answers to the first click, as long as no click has corrected the one that was taken.
 
-    All that is alike is an answer to every click: it is named beside a part, and where there are warnings.
+    All that is alike is an answer to every click: it is named beside a part, and where there are warnings. Where the
+    answer is ambiguous, a warning has named the other one.
     """
-    if quality.correction is not None or len(quality.answers) < (2 if quality.warnings else 3):
+    if quality.is_ambiguous or len(quality.answers) < (2 if quality.warnings else 3):
         return []
     others = [
-        f"{volume_text(answer.volume_mm3) if answer.volume_mm3 else 'all that is alike and connected'} "
+        f"{extent_text(answer.volume_mm3, geometry) if answer.volume_mm3 else 'all that is alike and connected'} "
         f"(--answer {answer.number})"
         for answer in quality.answers[1:]
     ]

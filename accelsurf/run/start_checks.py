@@ -175,8 +175,9 @@ def _background_line(
 def _background_share(image: NDArray[np.float32], click: Click) -> float:
     """Return the share of an image that is background like a click; 0 where the click does not look like it.
 
-    The values under the click are the image's least or largest one with no spread, and many voxels have it, half of the
-    corners among them. Or they lie at an end of the range, and what is like them and connected to the click reaches most corners of the image.
+    The values under the click are the image's least or largest one with no spread, and many voxels have it, half of
+    the corners among them. Or they lie at an end of the range, and what is like them and connected to the click reaches
+    most corners of the image.
 
     Parameters
     ----------

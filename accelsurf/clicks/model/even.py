@@ -13,7 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model.windows import DEEPER, Floats, Scene, Seed, inscribed_radius, seed_of
+from accelsurf.clicks.model.windows import (
+    DEEPER,
+    LARGEST,
+    Floats,
+    Scene,
+    Seed,
+    inscribed_radius,
+    seed_of,
+)
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click
 
@@ -23,8 +31,12 @@ FROM = 7.5
 #: And where it is below this part of that radius; it is then read with the second part. Drawn balls and discs in noise
 #: are found with .6 to .8 of their radius (benchmarks/notes/clicks-reading.md).
 TOO_SMALL, READ = 0.5, 0.7
+#: Its radius is known where it is at most so many times that one.
+SURE = 1.1
 #: A click's inscribed radius is at most this part of the image's middle side: an object needs surroundings.
 OF_IMAGE = 0.35
+#: A click is larger than people make them from so many of the smallest spacings on.
+BEYOND = 9.0
 #: A shell is this much wider than the ball in it, and this part of a spacing at least.
 WIDER, LEAST_WIDER = 1.15, 0.75
 #: A mean, or a spread, differs from so many of its standard errors on; a value from so many spreads on, and where more
@@ -69,8 +81,25 @@ class _Values(NamedTuple):
     sector: NDArray[np.int64]
 
 
-def as_large(seed: Seed, scene: Scene) -> tuple[Seed, float | None]:
-    """Return a first click as it is read, and the noise around it; None where nothing even is known around it.
+class AsRead(NamedTuple):
+    """A first click as it is read.
+
+    Attributes
+    ----------
+    seed : Seed
+    noise : float or None
+        Standard deviation of what is even around it; None where nothing even is known.
+    is_sure : bool
+        What is even around it is as deep as the click says.
+    """
+
+    seed: Seed
+    noise: float | None = None
+    is_sure: bool = False
+
+
+def as_large(seed: Seed, scene: Scene) -> AsRead:
+    """Return a first click as it is read: as large as what is even around it says, and as the image has room for.
 
     Raises
     ------
@@ -79,18 +108,30 @@ def as_large(seed: Seed, scene: Scene) -> tuple[Seed, float | None]:
     """
     radius, most = inscribed_radius(seed, scene), OF_IMAGE * _middle_side(scene)
     even = even_ball(scene, seed)
-    noise = None
+    noise, is_sure = None, False
     if (
         even is not None
         and _whole(scene) > even.radius >= FROM * scene.step
         and _holds(even, seed, scene)
     ):
-        noise = even.noise
+        noise, is_sure = even.noise, radius <= SURE * even.radius
         if radius < TOO_SMALL * even.radius:
-            return _ball(even.middle, READ * even.radius / DEEPER, seed, scene), noise
+            return AsRead(
+                _ball(even.middle, READ * even.radius / DEEPER, seed, scene), noise, is_sure
+            )
     if radius > max(most, FROM * scene.step):
-        return _ball(seed.core[0], most / DEEPER, seed, scene), noise
-    return seed, noise
+        return AsRead(_ball(seed.core[0], most / DEEPER, seed, scene), noise, is_sure)
+    return AsRead(seed, noise, is_sure)
+
+
+def is_beyond_people(seed: Seed, scene: Scene) -> bool:
+    """Test if a click is larger than people make them: how it reads is known of no drawn scene."""
+    return seed.radius > BEYOND * scene.step
+
+
+def as_people_click(seed: Seed, scene: Scene) -> Seed:
+    """Return a click in the middle of a larger one, as large as people make them."""
+    return _ball(seed.core[0], LARGEST * scene.step, seed, scene)
 
 
 def dithered(values: Floats, noise: float) -> Floats:

@@ -129,9 +129,8 @@ def _found(run: Run, answer: Answer) -> FirstAnswer:
             return FirstAnswer(answer.number, None, False)
         frame = _outline(run, model.field, model.box, (1, 1, 1), context.spacing)
         return FirstAnswer(answer.number, model.answers[0].volume_mm3, False, frame)
-    window, field, _, _ = first_blocks(
-        scene, seed_of(context.clicks.clicks[0], scene), answer=answer.number
-    )
+    shown = first_blocks(scene, seed_of(context.clicks.clicks[0], scene), answer=answer.number)
+    window, field = shown.window, shown.field
     z, y, x = (int(n) for n in window.steps)
     hz, hy, hx = (float(side) for side in window.size)
     frame = _outline(run, -field, window.box, (z, y, x), (hz, hy, hx))

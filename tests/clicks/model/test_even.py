@@ -1,4 +1,4 @@
-"""A click in what is even is read as large as that: objects of one value, in noise, of any size, in volumes and slices."""
+"""A click in what is even is read as large as that: objects of one value, in noise, of any size, in 3D and 2D."""
 
 import numpy as np
 import pytest
@@ -101,7 +101,7 @@ def test_a_click_in_a_small_object_is_read_as_it_is(radius, noise):
     seed = seed_of(clicked("point", (20, 22, 23), truth, spacing).clicks[0], scene)
     found = even_ball(scene, seed)
     assert found is None or found.radius < FROM
-    assert as_large(seed, scene) == (seed, None)
+    assert as_large(seed, scene) == (seed, None, False)
 
 
 def test_the_ball_moves_to_where_it_is_largest_and_stays_around_the_click():
@@ -121,7 +121,7 @@ def test_where_nothing_differs_in_the_image_a_click_stays_as_it_is():
     noise = np.random.default_rng(0).normal(0.0, 1.0, shape).astype(np.float32)
     scene = Scene((noise,), spacing)
     seed = seed_of(clicked_balls.ball("inside", (12, 20, 22), 4.5, shape, spacing), scene)
-    assert as_large(seed, scene) == (seed, None)
+    assert as_large(seed, scene) == (seed, None, False)
 
 
 def test_what_is_even_up_to_a_window_of_the_image_asks_for_more():
