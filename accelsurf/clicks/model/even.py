@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.model.windows import (
     DEEPER,
-    LARGEST,
     Floats,
     Scene,
     Seed,
@@ -37,6 +36,8 @@ SURE = 1.1
 OF_IMAGE = 0.35
 #: A click is larger than people make them from so many of the smallest spacings on.
 BEYOND = 9.0
+#: It is read as one of so many too, whose radius still says something of the object's (`windows.LARGEST`).
+PEOPLES = 7.0
 #: A shell is this much wider than the ball in it, and this part of a spacing at least.
 WIDER, LEAST_WIDER = 1.15, 0.75
 #: A mean, or a spread, differs from so many of its standard errors on; a value from so many spreads on, and where more
@@ -131,7 +132,7 @@ def is_beyond_people(seed: Seed, scene: Scene) -> bool:
 
 def as_people_click(seed: Seed, scene: Scene) -> Seed:
     """Return a click in the middle of a larger one, as large as people make them."""
-    return _ball(seed.core[0], LARGEST * scene.step, seed, scene)
+    return _ball(seed.core[0], PEOPLES * scene.step, seed, scene)
 
 
 def dithered(values: Floats, noise: float) -> Floats:
