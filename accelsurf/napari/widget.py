@@ -344,15 +344,25 @@ class ClickWidget(QWidget):
             button.setVisible(len(answers) > 1 and bool(match))
             volumes = [answer.volume_mm3 for answer in match]
             button.setText(
-                "".join(f"{mm3 / 1000.0:.4g} ml" if mm3 else "all that is alike" for mm3 in volumes)
+                "".join(self._size(mm3) if mm3 else "all that is alike" for mm3 in volumes)
             )
         text = ""
         if found is not None:
-            text = f"{found.volume_mm3 / 1000.0:.4g} ml, {found.quality.probability:.0%} likely to be good"
+            text = (
+                f"{self._size(found.volume_mm3)}, {found.quality.probability:.0%} likely to be good"
+            )
             text += "".join(
                 f"\n{warning.partition('; try')[0]}" for warning in found.quality.warnings
             )
         self._said.setText(text)
+
+    def _size(self, volume_mm3: float) -> str:
+        """Return a volume in words, in an image of one slice the area."""
+        geometry = self._volume.geometry
+        axis = geometry.slice_axis
+        if axis is None:
+            return f"{volume_mm3 / 1000.0:.4g} ml"
+        return f"{volume_mm3 / geometry.spacing[axis]:.4g} mm2"
 
 
 def _grid_of(layer: Image) -> dict[str, Any]:
