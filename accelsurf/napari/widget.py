@@ -358,6 +358,7 @@ class ClickWidget(QWidget):
 
     def _size(self, volume_mm3: float) -> str:
         """Return a volume in words, in an image of one slice the area."""
+        assert self._volume is not None
         geometry = self._volume.geometry
         axis = geometry.slice_axis
         if axis is None:
