@@ -225,7 +225,7 @@ def _values_around(scene: Scene, middle: NDArray[np.float64], radius: float) -> 
 
 
 def _shell(ball: _Values, radius: float) -> _Values:
-    """What lies beyond a radius."""
+    """Return the values beyond a radius."""
     is_beyond = ball.distance > radius
     return _Values(ball.values[:, is_beyond], ball.distance[is_beyond], ball.sector[is_beyond])
 
