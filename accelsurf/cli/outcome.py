@@ -13,10 +13,12 @@ from accelsurf.errors import (
     EmptyResultError,
     NotConvergedError,
 )
+from accelsurf.measure.quality import extent_text
 from accelsurf.settings.coordinates import place_text
 from accelsurf.settings.wording import size_text, volume_text
 
 if TYPE_CHECKING:
+    from accelsurf.grid.geometry import Geometry
     from accelsurf.measure.likely import Quality
     from accelsurf.run.result import Result, SegmentedObject
 
@@ -192,7 +194,7 @@ def _judgement(result: Result) -> list[str]:
             lines.append(
                 f"{whose}{quality.probability:.0%} likely to be good (Dice 0.8 or more); most doubtful near {place}"
             )
-        lines += [f"{whose}{line}" for line in _other_answers(quality, result.geometry.unit)]
+        lines += [f"{whose}{line}" for line in _other_answers(quality, result.geometry)]
         lines += [f"{whose}note: {note}" for note in quality.notes]
     return lines
 
@@ -211,15 +213,16 @@ def _may_be_several(result: Result) -> bool:
     return result.components > 1 or bool(result.objects[0].quality.warnings)
 
 
-def _other_answers(quality: Quality, unit: str) -> list[str]:
+def _other_answers(quality: Quality, geometry: Geometry) -> list[str]:
     """A line about other answers to the first click, as long as no click has corrected the one that was taken.
 
-    All that is alike is an answer to every click: it is named beside a part, and where there are warnings.
+    All that is alike is an answer to every click: it is named beside a part, and where there are warnings. Where the
+    answer is ambiguous, a warning has named the other one.
     """
-    if quality.correction is not None or len(quality.answers) < (2 if quality.warnings else 3):
+    if quality.is_ambiguous or len(quality.answers) < (2 if quality.warnings else 3):
         return []
     others = [
-        f"{volume_text(answer.volume_mm3, unit) if answer.volume_mm3 else 'all that is alike and connected'} "
+        f"{extent_text(answer.volume_mm3, geometry) if answer.volume_mm3 else 'all that is alike and connected'} "
         f"(--answer {answer.number})"
         for answer in quality.answers[1:]
     ]

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 #: What counts where no click has corrected a result: radius of a correction (object's radii), what it keeps (Dice), and
 #: how sure the model was of the opposite.
 USUAL_CORRECTION, USUAL_UNCHANGED, USUAL_SURPRISE = 0.37, 0.77, 0.3
+#: Largest probability of an ambiguous result: no measure of it tells which object was meant.
+UNSURE = 0.45
 #: The file with the models of the probability.
 MODEL_FILE = "good_result.json"
 #: Names of the models.
@@ -93,7 +95,10 @@ class Quality(NamedTuple):
     notes : tuple of str
         Remarks worth knowing and mostly harmless.
     answers : tuple of Answer
-        To the first click: the one that was taken, and others that are likely; none without a model of clicks.
+        To the first click: the one that was taken, and others that are likely; none without a model of clicks, and
+        where a click has corrected it.
+    is_ambiguous : bool
+        The clicks may mean an object of quite another size: the probability is at most `UNSURE`.
     """
 
     probability: float
@@ -124,6 +129,7 @@ class Quality(NamedTuple):
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     answers: tuple[Answer, ...] = ()
+    is_ambiguous: bool = False
 
 
 def model_kind(found: Quality) -> ModelKind:

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import Box, bounding_box, slabs
+from accelsurf.grid.boxes import Box, bounding_box, slabs, whole_box
 from accelsurf.grid.geometry import Geometry, axis_steps
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.measure import evidence as places
 from accelsurf.measure.likely import (
+    UNSURE,
     PlateauNote,
     Quality,
     features,
@@ -24,7 +25,7 @@ from accelsurf.measure.likely import (
     why,
 )
 from accelsurf.settings.coordinates import place_text
-from accelsurf.settings.wording import volume_text
+from accelsurf.settings.wording import size_text, volume_text
 
 if TYPE_CHECKING:
     from accelsurf.clicks.model.confidence import Confidence
@@ -45,6 +46,9 @@ MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIK
     20,
     0.1,
 )
+#: A result of clicks is ambiguous where it has this part of the image's corners; or where it is so many times as large
+#: as the clicks, in so many parts of at least this part of it, with `MAX_ON_BORDER` of its surface on the border.
+MANY_CORNERS, MANY_CLICKS, MANY_PIECES, SPECK = 0.75, 150.0, 4, 1e-4
 #: An outside click is said to take away much from this share of the object on.
 MAX_TAKEN = 0.5
 #: A plateau is noted where the object has grown to so many times its size since.
@@ -102,7 +106,13 @@ def assess(
     found = measured(labels, image, geometry, history, stop, learned, plateaus, clicked, confidence)
     last = history[-1].volume_mm3 if history else 0.0
     found = found._replace(probability=probability_good(model_kind(found), features(found)))
-    warnings = _warnings(found, stop, last, labels > 0, geometry)
+    if found.answers and last > 0:  # the surface has moved since
+        taken = found.answers[0]._replace(volume_mm3=last)
+        found = found._replace(answers=(taken, *found.answers[1:]))
+    unclear = "" if confidence is None else _ambiguity(found, labels > 0, geometry)
+    if unclear:
+        found = found._replace(is_ambiguous=True, probability=min(found.probability, UNSURE))
+    warnings = _warnings(found, stop, last, labels > 0, geometry, unclear)
     notes = _notes(found, last, geometry)
     parts = 1 if clicked is None else clicked_parts(labels > 0, clicked)
     if parts > 1:
@@ -175,9 +185,10 @@ def _along_surface(found: Evidence | None) -> dict[str, Any]:
 
 def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
     """The measures by the model of the clicks; without one they are None."""
-    overlap, spread, correction, unchanged, taken, surprise, answers = confidence or (
+    overlap, spread, correction, unchanged, taken, surprise, answers, is_ambiguous = confidence or (
         *(None,) * 6,
         (),
+        False,
     )
     return {
         "level_overlap": overlap,
@@ -187,6 +198,7 @@ def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
         "taken": taken,
         "surprise": surprise,
         "answers": answers,
+        "is_ambiguous": is_ambiguous,
     }
 
 
@@ -230,15 +242,71 @@ def _compactness(last: StepRecord | None, geometry: Geometry) -> float:
     return 36.0 * math.pi * last.volume_mm3**2 / last.area_mm2**3
 
 
+def _ambiguity(found: Quality, inside: Mask, geometry: Geometry) -> str:
+    """Return why the clicks may mean an object of quite another size; empty where nothing says so."""
+    if found.is_ambiguous and len(found.answers) > 1:
+        taken, other = found.answers[0], found.answers[1]
+        sizes = sorted(answer.volume_mm3 or 0.0 for answer in (taken, other))
+        texts = " or ".join(extent_text(size, geometry) for size in sizes)
+        is_smaller = (taken.volume_mm3 or 0.0) <= (other.volume_mm3 or 0.0)
+        which = "smaller" if is_smaller else "larger"
+        return (
+            f"the click may mean {texts} (--answer {other.number} takes the other one); the {which} one was taken; try "
+            "--size with about how large the object is"
+        )
+    corners = inside[np.ix_(*((0, -1) if n > 1 else (0,) for n in inside.shape))]
+    if corners.mean() >= MANY_CORNERS:
+        return (
+            f"it holds {np.count_nonzero(corners)} of the {corners.size} corners of the image, as the surroundings of "
+            "objects do; try --inside at the object"
+        )
+    is_large = found.beyond_clicks is not None and found.beyond_clicks >= MANY_CLICKS
+    if is_large and found.border_fraction >= MAX_ON_BORDER:
+        parts = _parts_of(inside)
+        if parts >= MANY_PIECES:
+            return (
+                f"it is {found.beyond_clicks:.0f} times as large as the click, in {parts} parts, and "
+                f"{found.border_fraction:.0%} of its surface lies on the border; try --size with about how large the "
+                "object is"
+            )
+    return ""
+
+
+def _parts_of(inside: Mask) -> int:
+    """Number of separate parts, specks apart."""
+    parts, _ = ndimage.label(inside[bounding_box(inside) or whole_box(inside.shape)])
+    sizes = np.bincount(parts.ravel())[1:]
+    return int(np.count_nonzero(sizes >= SPECK * sizes.sum()))
+
+
+def extent_text(volume_mm3: float, geometry: Geometry) -> str:
+    """Return the volume of an object in words; of an image of one slice the area of that volume.
+
+    Examples
+    --------
+    >>> extent_text(2000.0, Geometry((9, 9, 9), (2.0, 1.0, 1.0)))
+    '2 ml'
+    >>> extent_text(2000.0, Geometry((1, 9, 9), (2.0, 1.0, 1.0)))
+    '1000 mm2'
+    """
+    axis = geometry.slice_axis
+    if axis is None:
+        return volume_text(volume_mm3, geometry.unit)
+    return size_text(volume_mm3 / geometry.spacing[axis], geometry.unit, power=2, digits=4)
+
+
 def _warnings(
-    found: Quality, stop: Stop, last: float, inside: Mask, geometry: Geometry
+    found: Quality, stop: Stop, last: float, inside: Mask, geometry: Geometry, unclear: str
 ) -> list[str]:
     """Return the warnings, each with one command to try where one is known to help."""
     warnings, at_rest = [], "; try --stop-at-rest" if found.rests else ""
+    if unclear:
+        warnings.append(f"ambiguous: {unclear}")
     if found.leaked:
         # Neither more steps nor a click at the most doubtful place was found to help (benchmarks/hints.py).
         warnings.append(f"leak: {stop.message}{at_rest}")
-    if found.probability < warning_threshold(model_kind(found)) and found.next_click is not None:
+    is_doubtful = found.probability < warning_threshold(model_kind(found)) and not unclear
+    if is_doubtful and found.next_click is not None:
         # No place is named: a click where the surface has the least evidence was found to help in few cases. A run
         # without clicks is seldom mended by one, and mostly by clicks from the first step on.
         sure = f"{found.probability:.0%} likely to be good"

@@ -345,15 +345,27 @@ class ClickWidget(QWidget):
             button.setVisible(len(answers) > 1 and bool(match))
             volumes = [answer.volume_mm3 for answer in match]
             button.setText(
-                "".join(_volume_text(mm3) if mm3 else "all that is alike" for mm3 in volumes)
+                "".join(self._size(mm3) if mm3 else "all that is alike" for mm3 in volumes)
             )
         text = ""
         if found is not None:
-            text = f"{_volume_text(found.volume_mm3)}, {found.quality.probability:.0%} likely to be good"
+            text = (
+                f"{self._size(found.volume_mm3)}, {found.quality.probability:.0%} likely to be good"
+            )
             text += "".join(
                 f"\n{warning.partition('; try')[0]}" for warning in found.quality.warnings
             )
         self._said.setText(text)
+
+    def _size(self, volume_mm3: float) -> str:
+        """Return a volume in words, in an image of one slice the area."""
+        assert self._volume is not None
+        geometry = self._volume.geometry
+        axis = geometry.slice_axis
+        if axis is None:
+            return _volume_text(volume_mm3)
+        area, unit = volume_mm3 / geometry.spacing[axis], geometry.unit
+        return f"{area * {'mm': 1.0, 'um': 1e6, 'nm': 1e12}[unit]:.4g} {unit}2"
 
 
 def _volume_text(mm3: float) -> str:

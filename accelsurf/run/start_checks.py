@@ -46,6 +46,8 @@ _END = 0.15
 _FEW, _AROUND = 20, 2
 #: The part around the click has at least this part of the image's corners.
 _CORNERS = 0.75
+#: What has one value is background where at least this part of the corners has it.
+_HALF = 0.5
 
 
 class Bounds(NamedTuple):
@@ -175,8 +177,9 @@ def _background_line(
 def _background_share(image: NDArray[np.float32], click: Click) -> float:
     """Return the share of an image that is background like a click; 0 where the click does not look like it.
 
-    The values under the click are the image's least or largest one with no spread, and many voxels have it. Or they
-    lie at an end of the range, and what is like them and connected to the click reaches most corners of the image.
+    The values under the click are the image's least or largest one with no spread, and many voxels have it, half of
+    the corners among them. Or they lie at an end of the range, and what is like them and connected to the click reaches
+    most corners of the image.
 
     Parameters
     ----------
@@ -199,7 +202,9 @@ def _background_share(image: NDArray[np.float32], click: Click) -> float:
         and same.mean() >= _COMMON
         and (values == middle).mean() > _ONE_VALUE
     ):
-        return float(same.mean())
+        # An object may be of one value too, of a mask or where it is clipped: it has no corner of the image, or few.
+        has_corners = np.mean([same[place] for place in _corner_voxels(same.shape)]) >= _HALF
+        return float(same.mean()) if has_corners else 0.0
     if _END < middle < 1.0 - _END:
         return 0.0
     spread = max(NORMAL_MAD * float(np.median(np.abs(values - middle))), 0.01)

@@ -135,8 +135,9 @@ class SettingFields(BaseModel):
     )
     answer: Annotated[int, Field(ge=1, le=3)] = setting(
         1,
-        "Which answer to the first click is taken: 1 is the likeliest, 2 a part, 3 all that is alike and connected. "
-        "The likeliest where there is no part; with --size there is one alone.",
+        "Which answer to the first click is taken: 1 is the likeliest, 2 a part (or, where the click is ambiguous, the "
+        "larger object), 3 all that is alike and connected. The likeliest where there is no part; with --size there is "
+        "one alone.",
         entry=SettingEntry(RUN, viewer="first", metavar="1|2|3", scope="term", fixed=True),
     )
     max_volume: Annotated[float, Field(gt=0)] | None = setting(

@@ -66,7 +66,12 @@ def test_the_other_answer_has_another_volume_and_each_run_names_the_other(
     assert dice(labels_of(tmp_path / "first"), whole) > 0.85 and dice(labels_of(second), part) > 0.9
     assert [answer["number"] for answer in answers_of(tmp_path / "first")][:2] == [1, 2]
     assert [answer["number"] for answer in answers_of(second)][:2] == [2, 1]
-    assert sorted(map(str, answers_of(tmp_path / "first"))) == sorted(map(str, answers_of(second)))
+    sizes, others = (
+        {answer["number"]: answer["volume_mm3"] for answer in answers_of(folder)[:2]}
+        for folder in (tmp_path / "first", second)
+    )
+    assert sizes == {number: pytest.approx(mm3, rel=0.05) for number, mm3 in others.items()}
+    assert sizes[1] > 1.3 * sizes[2]
 
 
 def test_its_settings_have_it_and_repeat_the_run(scan, second, tmp_path):

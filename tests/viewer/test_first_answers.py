@@ -53,7 +53,7 @@ def test_an_answer_is_taken_as_one_change_and_the_run_is_that_of_the_setting(ima
         first, second = offered[:2]
         assert (
             numbers(session) == [(1, True), (2, False)]
-            and first.volume_mm3 > 1.4 * second.volume_mm3
+            and first.volume_mm3 > 1.3 * second.volume_mm3
         )
         assert dice(second.surface.inside(EVERYWHERE), part) > 0.9
         assert first.surface is None and dice(second.surface.inside(EVERYWHERE), whole) < 0.8

@@ -32,7 +32,9 @@ class Confidence(NamedTuple):
     surprise : float or None
         How sure the model was of the opposite where clicks corrected it, mean over them: 1 where it was certain.
     answers : tuple of Answer
-        To the first click: the one that was taken, and others that are likely.
+        To the first click: the one that was taken, and others that are likely; none where a click has corrected it.
+    is_ambiguous : bool
+        The only click means objects whose sizes differ by a factor.
     """
 
     overlap: float
@@ -42,6 +44,7 @@ class Confidence(NamedTuple):
     taken: float
     surprise: float | None
     answers: tuple[Answer, ...]
+    is_ambiguous: bool = False
 
 
 def confidence_of(model: ClickModel) -> Confidence | None:
@@ -64,5 +67,6 @@ def confidence_of(model: ClickModel) -> Confidence | None:
         model.unchanged,
         model.taken,
         surprise,
-        model.answers,
+        model.answers if model.correction is None else (),
+        model.is_ambiguous,
     )

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.clicks.model.answers import OF_ALIKE, Answer, Levels, grown
+from accelsurf.clicks.model.answers import LIKELIEST, OF_ALIKE, OF_PART, Answer, Levels, grown
 from accelsurf.clicks.model.boundary import at_boundary
+from accelsurf.clicks.model.even import as_large, as_people_click, dithered, is_beyond_people
 from accelsurf.clicks.model.features import Features, features_of_first, features_of_later
 from accelsurf.clicks.model.network import Network, networks
 from accelsurf.clicks.model.surface import mean_curvature
@@ -50,6 +51,7 @@ from accelsurf.grid.boxes import (
     widened,
 )
 from accelsurf.grid.clicks import Click, Clicks, Side
+from accelsurf.image.blocks import on_voxels
 
 #: A later inside click adds from this probability on, an outside click removes from one less this on: of an object with
 #: the Dice d a voxel is worth taking from d/2 on.
@@ -70,6 +72,11 @@ WRONG = 0.1
 ABOUT = 1.25
 #: A stated size is looked for in a window of at least so many times that volume.
 ROOM = 4.0
+#: Two readings of a click make it ambiguous where one object has so many times the volume of the other.
+FACTOR = 2.0
+#: The volume of an answer that is not taken is of its fitted voxels in a window of at most so many; else of places
+#: between blocks, at most so many to a side of each.
+MOST_FITTED, FINE = 4_000_000, 3
 #: The boundary is fitted with so many blocks around what a click has turned.
 WIDE = 3
 
@@ -101,6 +108,8 @@ class ClickModel:
         Of each click that corrected something: how sure the model was of the opposite there, the mean of |F| at most 1.
     is_partition : bool
         It is one of several objects that fill a space.
+    is_ambiguous : bool
+        It is of one click, which means objects whose sizes differ by a factor.
     """
 
     clicks: Clicks
@@ -114,6 +123,7 @@ class ClickModel:
     taken: float = 0.0
     surprises: tuple[float, ...] = ()
     is_partition: bool = False
+    is_ambiguous: bool = False
 
     def field_on(self, box: Box) -> Floats:
         """F on a box of the grid."""
@@ -200,6 +210,13 @@ def in_order(clicks: Clicks) -> Clicks:
     return Clicks((first, *(click for click in clicks.clicks if click is not first)), clicks.shape)
 
 
+class Shown(NamedTuple):
+    """An answer to the first click on the blocks of its window: ``field`` (nz, ny, nx) is above 0 in it."""
+
+    window: Window
+    field: Floats
+
+
 class FirstBlocks(NamedTuple):
     """An answer to the first click, on blocks.
 
@@ -211,12 +228,32 @@ class FirstBlocks(NamedTuple):
     levels : Levels
     answers : tuple of Answer
         This one, and others that are likely.
+    others : dict of int to Shown
+        The others that have a level, by number.
+    is_ambiguous : bool
+        The click, read as large as it is and as a smaller one, gives objects that differ by a factor.
     """
 
     window: Window
     field: Floats
     levels: Levels
     answers: tuple[Answer, ...]
+    others: Mapping[int, Shown]
+    is_ambiguous: bool = False
+
+
+class _Reading(NamedTuple):
+    """A click as it was read in the window where its answer ends."""
+
+    window: Window
+    probability: Floats
+    levels: Levels
+    answers: tuple[Answer, ...]
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of the likeliest answer's blocks, mm3."""
+        return self.answers[0].volume_mm3 or 0.0
 
 
 def first_blocks(
@@ -226,22 +263,55 @@ def first_blocks(
     answer: int = 1,
     network: Network | None = None,
 ) -> FirstBlocks:
-    """Return an answer to the first click on blocks, which is what it shows but for its boundary; see `first_model`."""
+    """Return an answer to the first click on blocks, which is what it shows but for its boundary; see `first_model`.
+
+    A click that is larger than people make them is read as a smaller one too. Where the two answers differ by a factor,
+    the smaller is the first, and the larger is in place of a part of it.
+    """
     network = networks()["first"] if network is None else network
+    read, noise, is_sure = as_large(seed, scene)
+    reading = _read(scene, read, noise, size_mm3, network)
+    by_number = {each.number: (reading, each) for each in reading.answers}
+    is_ambiguous = False
+    is_known = size_mm3 is not None or scene.sizes is not None or is_sure
+    if not is_known and is_beyond_people(read, scene):
+        small = _read(scene, as_people_click(read, scene), None, None, network)
+        is_ambiguous = small.volume_mm3 * FACTOR < reading.volume_mm3
+        if is_ambiguous:
+            larger = reading.answers[0]._replace(number=OF_PART)
+            by_number |= {LIKELIEST: (small, small.answers[0]), OF_PART: (reading, larger)}
+    number = answer if answer in by_number and answer != OF_ALIKE else LIKELIEST
+    shown = {n: _shown(*by_number[n]) for n in by_number if n != OF_ALIKE}
+    taken = by_number[number][0]
+    answers = (
+        by_number[number][1],
+        *(by_number[n][1] for n in sorted(by_number) if n != number),
+    )
+    window, field = shown.pop(number)
+    return FirstBlocks(window, field, taken.levels, answers, shown, is_ambiguous)
+
+
+def _read(
+    scene: Scene, seed: Seed, noise: float | None, size_mm3: float | None, network: Network
+) -> _Reading:
+    """Read a click in windows from near to far, until its answer ends within one."""
     least = scene.sizes[0] if size_mm3 is None and scene.sizes is not None else size_mm3
     for window in _windows(scene, [seed], least):
+        if noise is not None:
+            window = replace(window, values=dithered(window.values, noise))
         probability, levels = read_first(window, network)
         answers = levels.answers() if size_mm3 is None else (levels.of_volume(size_mm3),)
         if not _touches(_object(probability, answers[0], window), window):
             break
-    taken = next((other for other in answers if other.number == answer != OF_ALIKE), answers[0])
-    found = _object(probability, taken, window)
-    assert taken.level is not None
-    field = _signed(probability, taken.level, found)
+    return _Reading(window, probability, levels, answers)
+
+
+def _shown(reading: _Reading, answer: Answer) -> Shown:
+    found = _object(reading.probability, answer, reading.window)
+    assert answer.level is not None
+    field = _signed(reading.probability, answer.level, found)
     field[holes_filled(found) & ~found] = JUST
-    return FirstBlocks(
-        window, field, levels, (taken, *(other for other in answers if other is not taken))
-    )
+    return Shown(reading.window, field)
 
 
 def first_model(
@@ -267,20 +337,9 @@ def first_model(
         Which of the answers is taken, from 1.
     asked : mapping of str to Network
     """
-    window, field, levels, answers = first_blocks(scene, seed, size_mm3, answer, asked["first"])
-    score = -window.on_voxels(field)
-    tight = bounding_box(score < 0)
-    if tight is None:  # of a block alone nothing may be left between its neighbours
-        mask = seed.click.mask_on(window.box)
-        score[mask], tight = -JUST, bounding_box(mask)
-    assert tight is not None  # the click is in it
-    margin = [
-        int(AROUND * (s.stop - s.start)) + int(n) for s, n in zip(tight, window.steps, strict=True)
-    ]
-    part = widened(tight, score.shape, margin)
-    box, score = placed_at(part, corner_of(window.box)), score[part].copy()
-    if "boundary" in asked:
-        score = _fitted(score, box, window, asked["boundary"], seed.click)
+    found = first_blocks(scene, seed, size_mm3, answer, asked["first"])
+    window, levels, answers = found.window, found.levels, found.answers
+    box, score = _on_voxels(Shown(window, found.field), seed.click, asked)
     if size_mm3 is not None:
         score = _sized(score, size_mm3 / float(np.prod(scene.spacing)))
     elif answer == OF_ALIKE:
@@ -291,12 +350,66 @@ def first_model(
         volume = float(np.count_nonzero(score < 0) * np.prod(scene.spacing))
         answers = (
             Answer(None, volume, OF_ALIKE),
-            *(other for other in answers if other.number != OF_ALIKE),
+            *(other._replace(volume_mm3=None) for other in answers if other.number != OF_ALIKE),
+        )
+    else:
+        answers = tuple(
+            each._replace(volume_mm3=_true_volume(found.others[each.number], seed.click, asked))
+            if each.number in found.others
+            else each
+            for each in answers
         )
     made = ClickModel(
-        Clicks((seed.click,), shape), box, score, score < 0, answers, levels.volume_spread()
+        Clicks((seed.click,), shape),
+        box,
+        score,
+        score < 0,
+        answers,
+        levels.volume_spread(),
+        is_ambiguous=found.is_ambiguous,
     )
-    return _with_clicks(made, scene)
+    made = _with_clicks(made, scene)
+    volume = made.count * float(np.prod(scene.spacing))
+    return replace(made, answers=(answers[0]._replace(volume_mm3=volume), *answers[1:]))
+
+
+class _Score(NamedTuple):
+    """F of a first answer on a box of the images at hand."""
+
+    box: Box
+    field: Floats
+
+
+def _on_voxels(shown: Shown, click: Click, asked: Mapping[str, Network]) -> _Score:
+    """Bring a first answer to voxels, around what it shows, with its boundary fitted to the image."""
+    window = shown.window
+    score = -window.on_voxels(shown.field)
+    tight = bounding_box(score < 0)
+    if tight is None:  # of a block alone nothing may be left between its neighbours
+        mask = click.mask_on(window.box)
+        score[mask], tight = -JUST, bounding_box(mask)
+    assert tight is not None  # the click is in it
+    margin = [
+        int(AROUND * (s.stop - s.start)) + int(n) for s, n in zip(tight, window.steps, strict=True)
+    ]
+    part = widened(tight, score.shape, margin)
+    box, score = placed_at(part, corner_of(window.box)), score[part].copy()
+    if "boundary" in asked:
+        score = _fitted(score, box, window, asked["boundary"], click)
+    return _Score(box, score)
+
+
+def _true_volume(shown: Shown, click: Click, asked: Mapping[str, Network]) -> float:
+    """Return the volume, mm3, of an answer that is not taken, as one gets it; of a very large one without its fit."""
+    window = shown.window
+    voxel = float(np.prod(window.scene.spacing))
+    sides = np.array([side.stop - side.start for side in window.box])
+    if np.prod(sides) <= MOST_FITTED:
+        return float(np.count_nonzero(_on_voxels(shown, click, asked).field < 0)) * voxel
+    steps = np.minimum(window.steps, FINE)
+    shape = np.ceil(sides * steps / window.steps).astype(int)
+    values = on_voxels(shown.field, steps.tolist(), shape.tolist())
+    return float(np.mean(values > 0)) * float(np.prod(sides)) * voxel
 
 
 def read_first(window: Window, network: Network) -> tuple[Floats, Levels]:
@@ -412,7 +525,12 @@ def with_click(
     surprises = (*model.surprises, float(np.clip(wrong, -1.0, 1.0).mean()))
     taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
     return replace(
-        after, correction=seed.radius / width, unchanged=unchanged, taken=taken, surprises=surprises
+        after,
+        correction=seed.radius / width,
+        unchanged=unchanged,
+        taken=taken,
+        surprises=surprises,
+        is_ambiguous=False,
     )
 
 

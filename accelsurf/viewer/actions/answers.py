@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from accelsurf.settings.wording import volume_text
 from accelsurf.viewer.actions.frames import FramesFeature
 from accelsurf.viewer.actions.tool import AllActions, Feature, Key, whole
 from accelsurf.viewer.core.status import Status
@@ -50,9 +49,7 @@ class AnswersFeature(Feature):
                 {
                     "number": answer.number,
                     "key": KEYS[answer.number],
-                    "volume": "all alike"
-                    if answer.volume_mm3 is None
-                    else volume_text(answer.volume_mm3, self.actions.scene.unit),
+                    "volume": answer.size or "all alike",
                     "taken": answer.is_taken,
                 }
                 for answer in answers

@@ -17,6 +17,7 @@ from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Box, corner_of
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.window import LeavesWindow
+from accelsurf.measure.quality import extent_text
 from accelsurf.run.run import Run
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.energy_expression import uses_model
@@ -35,6 +36,8 @@ class FirstAnswer:
         About its volume, if it is known.
     is_taken : bool
         The run is of it.
+    size : str
+        Its volume in words, in an image of one slice its area; empty if it is not known.
     surface : SurfaceFrame or None
         Its outline, on the blocks of voxels that the click is read in; None of the one that is taken, and where it
         needs more of the image than is at hand.
@@ -43,6 +46,7 @@ class FirstAnswer:
     number: int
     volume_mm3: float | None
     is_taken: bool
+    size: str = ""
     surface: SurfaceFrame | None = None
 
 
@@ -63,7 +67,7 @@ class FirstAnswers:
             taken, *others = _answers(run) or (None,)
             self._run, self._clicks, self._left = run, clicks, others
             self._found = (
-                () if taken is None else (FirstAnswer(taken.number, taken.volume_mm3, True),)
+                () if taken is None else (_described(run, taken.number, taken.volume_mm3, True),)
             )
         return bool(self._left)
 
@@ -126,16 +130,26 @@ def _found(run: Run, answer: Answer) -> FirstAnswer:
         try:
             model = click_model(scene, context.clicks, answer=OF_ALIKE)
         except LeavesWindow:  # a run of it reads more of the image
-            return FirstAnswer(answer.number, None, False)
+            return _described(run, answer.number, None, False)
         frame = _outline(run, model.field, model.box, (1, 1, 1), context.spacing)
-        return FirstAnswer(answer.number, model.answers[0].volume_mm3, False, frame)
-    window, field, _, _ = first_blocks(
-        scene, seed_of(context.clicks.clicks[0], scene), answer=answer.number
-    )
+        return _described(run, answer.number, model.answers[0].volume_mm3, False, frame)
+    shown = first_blocks(scene, seed_of(context.clicks.clicks[0], scene), answer=answer.number)
+    window, field = shown.window, shown.field
     z, y, x = (int(n) for n in window.steps)
     hz, hy, hx = (float(side) for side in window.size)
     frame = _outline(run, -field, window.box, (z, y, x), (hz, hy, hx))
-    return FirstAnswer(answer.number, answer.volume_mm3, False, frame)
+    return _described(run, answer.number, answer.volume_mm3, False, frame)
+
+
+def _described(
+    run: Run,
+    number: int,
+    volume_mm3: float | None,
+    is_taken: bool,
+    surface: SurfaceFrame | None = None,
+) -> FirstAnswer:
+    size = "" if volume_mm3 is None else extent_text(volume_mm3, run.volume.geometry)
+    return FirstAnswer(number, volume_mm3, is_taken, size, surface)
 
 
 def _outline(

@@ -310,7 +310,8 @@ def size_drag_of(
         passes = np.ones(context.images[0].shape, np.bool_) if passes is None else passes
         passes[taken.box] &= ~taken.mask
     scene = Scene(tuple(context.images), context.spacing, passes)
-    window, _, levels, _ = first_blocks(scene, seed_of(click, scene), size_mm3)
+    found = first_blocks(scene, seed_of(click, scene), size_mm3)
+    window, levels = found.window, found.levels
     times = np.float32(1.0) - window.on_voxels(levels.blocks)
     first = placed_at(window.box, run.prepared.first)
     axis = geometry.slice_axis

@@ -1,0 +1,285 @@
+"""Even surroundings of a click: the largest ball around it in which nothing differs.
+
+The radius of a click says how deep the object is around it. A point, or a small ball, in a large object says too
+little: nothing differs in the windows that it is first read in, and no window tells where the object ends. Such a
+click is read as a person's ball in what is even around it, which is a part of the object, whatever the object is.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.clicks.model.windows import (
+    DEEPER,
+    Floats,
+    Scene,
+    Seed,
+    inscribed_radius,
+    seed_of,
+)
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.clicks import Click
+
+#: A click is read anew from this radius on of what is even around it, in the smallest spacings: within less, the
+#: nearest window of a point shows what differs.
+FROM = 7.5
+#: And where it is below this part of that radius; it is then read with the second part. Drawn balls and discs in noise
+#: are found with .6 to .8 of their radius (benchmarks/notes/clicks-reading.md).
+TOO_SMALL, READ = 0.5, 0.7
+#: Its radius is known where it is at most so many times that one.
+SURE = 1.1
+#: A click's inscribed radius is at most this part of the image's middle side: an object needs surroundings.
+OF_IMAGE = 0.35
+#: A click is larger than people make them from so many of the smallest spacings on.
+BEYOND = 9.0
+#: It is read as one of so many too, whose radius still says something of the object's (`windows.LARGEST`).
+PEOPLES = 7.0
+#: A shell is this much wider than the ball in it, and this part of a spacing at least.
+WIDER, LEAST_WIDER = 1.15, 0.75
+#: A mean, or a spread, differs from so many of its standard errors on; a value from so many spreads on, and where more
+#: than this part of a shell and so many voxels do.
+ERRORS, FAR, FAR_PART, FAR_VOXELS = 5.0, 4.0, 1e-3, 2
+#: Values that differ by less are the same; of the image's range between percentiles.
+SAME = 1e-6
+#: A ball is looked at in about so many voxels along its radius.
+FINE = 12
+#: No ball grows beyond so many of the smallest spacings.
+MOST_STEPS = 128.0
+#: The middle moves by these parts of the radius, to where a ball wider by `WIDER` is even; at most so often.
+MOVES, MOST_MOVES = (0.5, 0.25), 24
+#: Noise that is added to blocks of a window around what has none, of the window's range: the networks know no image
+#: without.
+DITHER = 0.02
+
+
+class EvenBall(NamedTuple):
+    """A ball in which nothing differs.
+
+    Attributes
+    ----------
+    middle : ndarray (3,) float64
+        Voxel (z, y, x).
+    radius : float
+        mm.
+    noise : float
+        Largest standard deviation of a channel in it.
+    """
+
+    middle: NDArray[np.float64]
+    radius: float
+    noise: float
+
+
+class _Values(NamedTuple):
+    """Values (channels, n) of the voxels of a ball, ``distance`` (n,) of each from its middle, mm, and its sector."""
+
+    values: NDArray[np.float64]
+    distance: NDArray[np.float64]
+    sector: NDArray[np.int64]
+
+
+class AsRead(NamedTuple):
+    """A first click as it is read.
+
+    Attributes
+    ----------
+    seed : Seed
+    noise : float or None
+        Standard deviation of what is even around it; None where nothing even is known.
+    is_sure : bool
+        What is even around it is as deep as the click says.
+    """
+
+    seed: Seed
+    noise: float | None = None
+    is_sure: bool = False
+
+
+def as_large(seed: Seed, scene: Scene) -> AsRead:
+    """Return a first click as it is read: as large as what is even around it says, and as the image has room for.
+
+    Raises
+    ------
+    LeavesWindow
+        When what is even comes near an open face of the scene's part.
+    """
+    radius, most = inscribed_radius(seed, scene), OF_IMAGE * _middle_side(scene)
+    even = even_ball(scene, seed)
+    noise, is_sure = None, False
+    if (
+        even is not None
+        and _whole(scene) > even.radius >= FROM * scene.step
+        and _holds(even, seed, scene)
+    ):
+        noise, is_sure = even.noise, radius <= SURE * even.radius
+        if radius < TOO_SMALL * even.radius:
+            return AsRead(
+                _ball(even.middle, READ * even.radius / DEEPER, seed, scene), noise, is_sure
+            )
+    if radius > max(most, FROM * scene.step):
+        return AsRead(_ball(seed.core[0], most / DEEPER, seed, scene), noise, is_sure)
+    return AsRead(seed, noise, is_sure)
+
+
+def is_beyond_people(seed: Seed, scene: Scene) -> bool:
+    """Test if a click is larger than people make them: how it reads is known of no drawn scene."""
+    return seed.radius > BEYOND * scene.step
+
+
+def as_people_click(seed: Seed, scene: Scene) -> Seed:
+    """Return a click in the middle of a larger one, as large as people make them."""
+    return _ball(seed.core[0], PEOPLES * scene.step, seed, scene)
+
+
+def dithered(values: Floats, noise: float) -> Floats:
+    """Blocks with noise added, where they have less than a part of their range; the same ones for the same shape."""
+    wanted = DITHER * float(np.ptp(values))
+    if noise >= wanted:
+        return values
+    drawn = np.random.default_rng(0).standard_normal(values.shape)
+    return (values + wanted * drawn).astype(np.float32)
+
+
+def even_ball(scene: Scene, seed: Seed) -> EvenBall | None:
+    """Return the largest ball around a click's middle that is found to be even; None where its own is not.
+
+    The ball grows as long as the next shell, and each of its sectors, has the mean and the spread of the values within.
+    Then it moves to where a larger one is even that still holds the click's middle.
+    """
+    start, first = seed.core[0].copy(), max(seed.radius, 1.5 * scene.step)
+    found = _grown(scene, start, first)
+    if found is None or found.radius <= first:
+        return found
+    known = _values_around(scene, start, found.radius)
+    assert known is not None
+    mm, corner = np.asarray(scene.spacing), np.array(scene.corner)
+    whole = np.array(scene.whole_shape)
+    flat = whole == 1
+    ways = [
+        np.array(way) / np.sqrt(np.abs(way).sum())
+        for way in product((-1, 0, 1), repeat=3)
+        if any(way) and not any(np.array(way)[flat])
+    ]
+    for _ in range(MOST_MOVES):
+        for part, way in product(MOVES, ways):
+            middle = np.rint(found.middle + part * found.radius * way / mm)
+            wider = WIDER * found.radius
+            is_within = ((middle + corner >= 0) & (middle + corner < whole)).all()
+            if not is_within or np.sqrt((((middle - start) * mm) ** 2).sum()) > found.radius:
+                continue
+            ball = _values_around(scene, middle, wider)
+            if ball is not None and _is_like(ball, known):
+                found, known = _grown(scene, middle, wider) or found, ball
+                break
+        else:
+            break
+    return found
+
+
+def _grown(scene: Scene, middle: NDArray[np.float64], radius: float) -> EvenBall | None:
+    """Grow a ball from a radius on."""
+    ball = _values_around(scene, middle, radius)
+    if ball is None:
+        return None
+    most = min(_whole(scene), MOST_STEPS * scene.step)
+    while radius < most:
+        wider = max(WIDER * radius, radius + LEAST_WIDER * scene.step)
+        around = _values_around(scene, middle, wider)
+        if around is None or not _is_like(_shell(around, radius), ball):
+            break
+        radius, ball = wider, around
+    return EvenBall(middle, radius, float(ball.values.std(axis=1).max()))
+
+
+def _values_around(scene: Scene, middle: NDArray[np.float64], radius: float) -> _Values | None:
+    """Values in a ball; None where the object cannot be in all of it.
+
+    Raises
+    ------
+    LeavesWindow
+        When it comes near an open face of the scene's part.
+    """
+    axes, sides = [], []
+    for at, h, first, n in zip(middle, scene.spacing, scene.corner, scene.whole_shape, strict=True):
+        step = max(int(radius / FINE / h), 1)
+        most = int(radius / h / step)
+        places = int(at) + step * np.arange(-most, most + 1)
+        places = places[(places >= -first) & (places < n - first)]
+        axes.append((places - at) * h)
+        sides.append(slice(int(places[0]), int(places[-1]) + 1, step))
+    box: Box = (sides[0], sides[1], sides[2])
+    if scene.part is not None:
+        scene.part.check_box(box)
+    z, y, x = np.meshgrid(*axes, indexing="ij", sparse=True)
+    square = z * z + y * y + x * x
+    within = square <= radius * radius
+    if scene.open is not None and not scene.open[box][within].all():
+        return None
+    sector = (4 * (z >= 0) + 2 * (y >= 0) + (x >= 0)) + np.zeros(square.shape, np.int64)
+    values = np.stack([image[box][within] for image in scene.images]).astype(np.float64)
+    return _Values(values, np.sqrt(square[within]), sector[within])
+
+
+def _shell(ball: _Values, radius: float) -> _Values:
+    """Return the values beyond a radius."""
+    is_beyond = ball.distance > radius
+    return _Values(ball.values[:, is_beyond], ball.distance[is_beyond], ball.sector[is_beyond])
+
+
+def _is_like(part: _Values, known: _Values) -> bool:
+    """Test if values, and those of each sector, look like known ones."""
+    count, of_known = part.values.shape[1], known.values.shape[1]
+    if count == 0:
+        return True  # beyond the image, or between voxels
+    for values, usual in zip(part.values, known.values, strict=True):
+        mean, spread = float(usual.mean()), float(usual.std()) + SAME
+        if np.count_nonzero(np.abs(values - mean) > FAR * spread) > FAR_PART * count + FAR_VOXELS:
+            return False
+        for some in (values, *(values[part.sector == n] for n in np.unique(part.sector))):
+            error = spread * np.sqrt(1.0 / len(some) + 1.0 / of_known)
+            if abs(float(some.mean()) - mean) > ERRORS * error:
+                return False
+        ratio = np.log((float(values.std()) + SAME) / spread)
+        if abs(ratio) > ERRORS * np.sqrt(0.5 / count + 0.5 / of_known):
+            return False
+    return True
+
+
+def _holds(even: EvenBall, seed: Seed, scene: Scene) -> bool:
+    """Test if all of a click lies in a ball: a longer stroke says more than that."""
+    voxels = np.argwhere(seed.click.mask) + [side.start for side in seed.click.box]
+    apart = ((voxels - even.middle) * np.asarray(scene.spacing)) ** 2
+    return bool(apart.sum(axis=1).max() <= even.radius**2)
+
+
+def _ball(middle: NDArray[np.float64], radius: float, seed: Seed, scene: Scene) -> Seed:
+    """The click of a ball."""
+    places = [int(round(float(at))) for at in middle]
+    ends = [
+        (max(at - int(radius / h), 0), min(at + int(radius / h) + 1, n))
+        for at, h, n in zip(places, scene.spacing, scene.shape, strict=True)
+    ]
+    box: Box = (slice(*ends[0]), slice(*ends[1]), slice(*ends[2]))
+    z, y, x = np.ogrid[box]
+    square = sum(
+        ((axis - at) * h) ** 2 for axis, at, h in zip((z, y, x), places, scene.spacing, strict=True)
+    )
+    mask = np.asarray(square <= radius * radius)
+    if scene.open is not None:
+        mask &= scene.open[box]
+    return seed_of(Click(seed.click.side, box, mask), scene)
+
+
+def _whole(scene: Scene) -> float:
+    """Length of the image's diagonal, mm: nothing differs in the image where a ball has grown so far."""
+    return float(np.sqrt(((np.array(scene.whole_shape) * scene.spacing) ** 2).sum()))
+
+
+def _middle_side(scene: Scene) -> float:
+    """The middle one of the image's sides, mm; of a flat image the smaller one."""
+    sides = [n * h for n, h in zip(scene.whole_shape, scene.spacing, strict=True) if n > 1]
+    return sorted(sides)[-2] if len(sides) > 1 else max(sides, default=0.0)

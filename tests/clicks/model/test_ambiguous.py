@@ -1,0 +1,130 @@
+"""Ambiguous clicks: both sizes are named, the smaller is taken, and the result is never said to be good."""
+
+import numpy as np
+import pytest
+
+from accelsurf.api.segment import segment
+from accelsurf.clicks.model import Scene, click_model
+from accelsurf.clicks.model.confidence import confidence_of
+from accelsurf.evolution.records import Stop
+from accelsurf.grid.boxes import whole_box
+from accelsurf.grid.clicks import Clicks
+from accelsurf.grid.geometry import Geometry
+from accelsurf.image.volume import Volume
+from accelsurf.measure.likely import UNSURE
+from accelsurf.measure.quality import assess
+from tests.support import clicked_balls
+from tests.support.part_and_whole import CLICK, part_and_whole
+
+SHAPE, SPACING = (1, 200, 210), (3.0, 0.5, 0.5)
+MIDDLE = (0, 100, 105)
+DONE = Stop("converged", 0, 0.0, "")
+
+
+class AsTheClickSays:
+    """A network by which an object is one and a half times as deep as the click says."""
+
+    def probability(self, features, shape):
+        is_near = np.broadcast_to(features["distance"] < np.log2(1.6), shape)
+        return np.where(is_near, np.float32(0.9), np.float32(0.1))
+
+
+ASKED = {"first": AsTheClickSays(), "later": AsTheClickSays()}
+
+
+def scene():
+    y, x = np.indices(SHAPE[1:])
+    image = np.random.default_rng(1).normal(0.0, 0.1, SHAPE) + np.sin(0.2 * y) + np.cos(0.3 * x)
+    return Scene((image.astype(np.float32),), SPACING)
+
+
+def clicks(radius):
+    return Clicks((clicked_balls.ball("inside", MIDDLE, radius, SHAPE, SPACING),), SHAPE)
+
+
+def model(radius, **more):
+    return click_model(scene(), clicks(radius), asked=ASKED, **more)
+
+
+def judged(found):
+    labels = found.inside_on(whole_box(SHAPE)).astype(np.uint8)
+    clicked = found.clicks.mask("inside")
+    return assess(
+        labels,
+        scene().images[0],
+        Geometry(SHAPE, SPACING),
+        [],
+        DONE,
+        clicked=clicked,
+        confidence=confidence_of(found),
+    )
+
+
+def test_a_click_larger_than_people_make_is_read_as_a_smaller_one_too():
+    found, larger = model(9.0), model(9.0, answer=2)
+    assert found.is_ambiguous and larger.is_ambiguous
+    assert larger.count > 2 * found.count
+    voxel = np.prod(SPACING)
+    assert [answer.number for answer in found.answers] == [1, 2, 3]
+    assert [answer.number for answer in larger.answers] == [2, 1, 3]
+    for answers, first, second in (
+        (found.answers, found, larger),
+        (larger.answers, larger, found),
+    ):
+        assert answers[0].volume_mm3 == pytest.approx(first.count * voxel)
+        assert answers[1].volume_mm3 == pytest.approx(second.count * voxel, rel=0.01)
+
+
+@pytest.mark.parametrize("answer", [1, 2])
+def test_an_ambiguous_result_is_never_said_to_be_good(answer):
+    quality = judged(model(9.0, answer=answer))
+    assert quality.is_ambiguous and quality.probability <= UNSURE
+    (line,) = (line for line in quality.warnings if line.startswith("ambiguous: "))
+    assert line.count(" mm2") == 2 and "--size" in line  # areas in an image of one slice
+    assert f"--answer {3 - answer}" in line
+    assert ("the smaller one was taken" in line) == (answer == 1)
+
+
+def test_a_usual_click_and_a_stated_size_are_not_ambiguous():
+    assert not model(3.5).is_ambiguous
+    assert not model(9.0, size_mm3=500.0).is_ambiguous
+
+
+@pytest.mark.parametrize("shape", [(1, 40, 40), (20, 30, 30)])
+def test_the_surroundings_of_objects_are_ambiguous(shape):
+    inside = np.ones(shape, bool)
+    inside[:, 10:20, 10:20] = False
+    geometry = Geometry(shape, (1.0, 1.0, 1.0))
+    sure = confidence_of(model(3.5))._replace(overlap=1.0, spread=0.0)
+    clicked = np.zeros(shape, bool)
+    clicked[:, 3, 3] = True
+    given = (inside.astype(np.uint8), inside.astype(np.float32), geometry, [], DONE)
+    quality = assess(*given, clicked=clicked, confidence=sure)
+    assert quality.is_ambiguous and quality.probability <= UNSURE
+    assert [line for line in quality.warnings if "corners of the image" in line]
+    other = assess((~inside).astype(np.uint8), *given[1:], clicked=~inside, confidence=sure)
+    assert not other.is_ambiguous
+
+
+def test_sizes_of_answers_are_those_that_one_gets():
+    image = part_and_whole()[0]
+    first, second = (segment(image, inside=CLICK, answer=number) for number in (1, 2))
+    for found, other in ((first, second), (second, first)):
+        assert found.quality.answers[0].volume_mm3 == found.volume_mm3
+        (said,) = (
+            answer.volume_mm3
+            for answer in found.quality.answers
+            if answer.number == other.quality.answers[0].number
+        )
+        assert said == pytest.approx(other.volume_mm3, rel=0.05)
+
+
+@pytest.mark.parametrize("thickness", [1.0, 6.0])
+def test_of_one_slice_the_size_is_that_of_the_disc(thickness):
+    shape, spacing = (1, 100, 110), (thickness, 0.5, 0.5)
+    far = clicked_balls.distance((0, 50, 55), shape, spacing)
+    image = (far <= 14) + np.random.default_rng(0).normal(0.0, 0.1, shape)
+    found = segment(Volume.from_array(image.astype(np.float32), spacing), inside="ball:27.5,25,0,7")
+    taken = found.quality.answers[0]
+    assert taken.volume_mm3 / thickness == pytest.approx(np.pi * 14**2, rel=0.07)
+    assert taken.volume_mm3 == pytest.approx(found.enclosed_mm2 * thickness)
