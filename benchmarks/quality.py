@@ -57,9 +57,6 @@ DRAWN = "scenes"
 SIGNS = {
     "level_overlap": 1.0,
     "size_spread": -1.0,
-    "correction": -1.0,
-    "unchanged": 1.0,
-    "surprise": -1.0,
     "rim": -1.0,
     "drift": -1.0,
     "no_edge": -1.0,
@@ -229,7 +226,7 @@ def trained(rows: Rows, kind: str) -> dict[str, Any]:
     Its means, deviations and weights by feature, and its constant.
     """
     every = [(row, _weight(row) / len(each)) for each in rows.values() for row in each]
-    names = sorted(every[0][0][kind])
+    names = sorted(SIGNS.keys() & every[0][0][kind].keys())
     table = np.array([[row[kind][name] for name in names] for row, _ in every])
     weight = np.array([w for _, w in every])
     weight *= len(every) / weight.sum()

@@ -224,10 +224,9 @@ class _CorrectedRun:
 
     def lines(self) -> list[str]:
         """Return the effect of the correction, for the summary."""
+        many = len(self._changes) > 1
         return [
-            f"  {'moved' if change.voxels else 'nothing changed'}"
-            + (f" {change.voxels} voxels in {change.seconds:.2f} s" if change.voxels else "")
-            + (f" (object {change.object_id})" if len(self._changes) > 1 else "")
+            f"  {change.text}{f' (object {change.object_id})' if many else ''}"
             for change in self._changes
         ]
 

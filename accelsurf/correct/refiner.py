@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.model.reach import Reach, reach_of
 from accelsurf.clicks.reading import check_left, clicks_of, on_image
 from accelsurf.correct import object_changes
 from accelsurf.correct.corrected_surface import (
@@ -37,13 +38,14 @@ from accelsurf.correct.region import (
     automatic_near,
     box_around,
     rim_width,
+    within_reaches,
 )
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box, box_at, counted_from, on_box, tightened
 from accelsurf.grid.click_bounds import click_bounds
-from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.grid.clicks import Click, Clicks, Side
 from accelsurf.grid.pyramid import Level
 from accelsurf.io.memory import available_cores
 from accelsurf.levelset import Workers
@@ -59,13 +61,69 @@ MARGIN = 5.0
 
 
 class Change(NamedTuple):
-    """The effect of a correction: voxels that changed sides, in a ``box`` of the grid; seconds of the solver."""
+    """The effect of a correction on an object.
+
+    Attributes
+    ----------
+    object_id : int
+    box : tuple of slice
+        Part of the grid in which it could change.
+    voxels : int
+        Number of voxels that changed sides.
+    seconds : float
+        Of the solver.
+    stop : Stop
+    reach : Reach or None
+        How far from the clicks it could change, and what the clicks would have changed without a bound; None where all
+        clicks were on their sides already, and of a change without clicks.
+    side : {"inside", "outside"} or None
+        On which all clicks were already; None where they were not.
+    rim : float
+        Width of the rim of the region, mm, in which the surface may leave its place by less and less.
+    """
 
     object_id: int
     box: Box
     voxels: int
     seconds: float
     stop: Stop
+    reach: Reach | None = None
+    side: Side | None = None
+    rim: float = 0.0
+
+    @property
+    def is_bounded(self) -> bool:
+        """True if the clicks would have changed more than they reached."""
+        return self.reach is not None and self.reach.farthest_mm > self.reach.mm
+
+    @property
+    def text(self) -> str:
+        """The effect in words: how many voxels moved, how far from the click at most, and what was left as it is."""
+        if not self.voxels:
+            return f"nothing changed{f': it is already {self.side}' if self.side else ''}"
+        moved = f"moved {self.voxels} voxels in {self.seconds:.2f} s"
+        if self.reach is None:
+            return moved
+        moved += f", none more than {self.reach.mm:.3g} mm from the click"
+        if not self.is_bounded:
+            return moved
+        all_of_it = (
+            f"{self.reach.wanted} voxels look alike, up to {self.reach.farthest_mm:.3g} mm away"
+        )
+        return f"{moved}; {all_of_it}: click there too, or add --near {self.near_for_all:g}"
+
+    @property
+    def near_for_all(self) -> float:
+        """The value of ``near``, mm, with which the clicks change all that they would change without a bound."""
+        return 0.0 if self.reach is None else float(math.ceil(self.reach.farthest_mm + self.rim))
+
+
+def changes_text(changes: Sequence[Change]) -> str:
+    """Return the effect of a correction on all objects in words."""
+    moved = [change for change in changes if change.voxels] or list(changes[:1])
+    if len(moved) == 1:
+        return moved[0].text
+    return "; ".join(f"object {change.object_id}: {change.text}" for change in moved)
 
 
 class Refiner:
@@ -225,7 +283,7 @@ class Refiner:
             check_object(correction, ids if objects.has_ids else None)
         base = self._result
         read = clicks_of(correction, base.volume, base.image, correction.target, objects.has_ids)
-        new = placed_clicks(read, prepared)
+        new = placed_clicks(read, prepared, correction.near)
         before = objects.models.clicks
         if correction.new in ids:  # it begins anew
             before = Clicks(
@@ -300,17 +358,19 @@ class Refiner:
         """Correct one object, of which ``new`` are clicks on the grid of the region of interest."""
         began = time.perf_counter()
         surface = self._objects.grown(place, box_around(new))
-        relabelled = self._relabelled(surface, new)
+        relabelled, reaches = self._relabelled(surface, new)
         if not relabelled:
+            sides = {click.side for click in new}
             return Change(
                 surface.id,
                 box_at((0, 0, 0), (0, 0, 0)),
                 0,
                 time.perf_counter() - began,
                 surface.stop,
+                side=sides.pop() if len(sides) == 1 else None,
             )
         takes = frozenset(self._objects.holders(new)) - {place}
-        region = self._region(surface, new, relabelled, near)
+        region = self._region(surface, new, relabelled, near, reaches)
         surface = self._objects.grown(place, region.box)
         box = counted_from(region.box, surface.corner)
         psi = surface.psi[box].copy()
@@ -331,22 +391,45 @@ class Refiner:
         for other in sorted(takes):
             self._objects.take_from(other, region, outcome.psi, stepping.workers)
         changed = int(np.count_nonzero((outcome.psi < 0) != (psi < 0)))
-        return Change(surface.id, region.box, changed, time.perf_counter() - began, stop)
+        seconds = time.perf_counter() - began
+        reach = Reach(
+            region.reach,
+            sum(each.wanted for each in reaches),
+            max((each.farthest_mm for each in reaches), default=0.0),
+        )
+        return Change(surface.id, region.box, changed, seconds, stop, reach, rim=region.rim)
 
-    def _relabelled(self, surface: CorrectedSurface, new: Sequence[Click]) -> list[Click]:
+    def _relabelled(
+        self, surface: CorrectedSurface, new: Sequence[Click]
+    ) -> tuple[list[Click], list[Reach]]:
         """Return the voxels that new clicks relabel: their own and those of their basins, where a side is wrong.
 
-        Nothing where all are on their sides already, and the model gives them nothing else.
+        And how far each click reaches, where there is a model. Nothing where all are on their sides already, and the
+        model gives them nothing else.
         """
-        relabelled, model = list(new), self._objects.models.model(surface.id)
+        relabelled, model, reaches = list(new), self._objects.models.model(surface.id), []
         if model is not None:
             relabelled = []
             for click in new:
                 change = model.add(click)
                 self._objects.note_click(model, change)
                 relabelled.append(basin_of(click, change, model, surface))
+                reaches.append(model.state.reach or self._reach_on(surface, click))
         wrong = [_wrong_part(click, surface) for click in relabelled]
-        return [click for click in wrong if click is not None]
+        return [click for click in wrong if click is not None], reaches
+
+    def _reach_on(self, surface: CorrectedSurface, click: Click) -> Reach:
+        """Return how far a click reaches that is right for the model, and wrong on the surface."""
+        if click.near is not None:
+            return Reach(click.near, 0, 0.0)
+        domain = box_at(surface.corner, surface.psi.shape)
+        mm = reach_of(
+            click,
+            lambda box: on_box(surface.psi, domain, box, 1.0) < 0,
+            self._shape,
+            self._spacing,
+        )
+        return Reach(mm, 0, 0.0)
 
     def _region(
         self,
@@ -354,8 +437,12 @@ class Refiner:
         new: Sequence[Click],
         relabelled: Sequence[Click],
         near: float | str,
+        reaches: Sequence[Reach],
     ) -> NearRegion:
-        """Return the region of motion for new clicks: within ``near``, or where they relabel, or by their depth."""
+        """Return the region of motion for new clicks.
+
+        Within ``near``; or where they relabel, as far as they reach; or by their depth.
+        """
         rim = rim_width(self._shape, self._spacing)
         margin = max(
             MARGIN * max(h for h, n in zip(self._spacing, self._shape, strict=True) if n > 1),
@@ -365,8 +452,11 @@ class Refiner:
             return around_clicks(
                 new, near, min(rim, 0.5 * near), self._shape, self._spacing, margin
             )
-        if self._objects.models.model(surface.id) is not None:
-            return around_clicks([*new, *relabelled], rim, rim, self._shape, self._spacing, margin)
+        if reaches:
+            region = around_clicks(
+                [*new, *relabelled], rim, rim, self._shape, self._spacing, margin
+            )
+            return within_reaches(region, new, [reach.mm for reach in reaches], self._spacing)
         placed = (
             Clicks(tuple(new), self._shape).on_box(box_at(surface.corner, surface.psi.shape)).clicks
         )

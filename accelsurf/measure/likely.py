@@ -18,9 +18,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 if TYPE_CHECKING:
     from accelsurf.clicks.model import Answer
 
-#: What counts where no click has corrected a result: radius of a correction (object's radii), what it keeps (Dice), and
-#: how sure the model was of the opposite.
-USUAL_CORRECTION, USUAL_UNCHANGED, USUAL_SURPRISE = 0.37, 0.77, 0.3
 #: The file with the models of the probability.
 MODEL_FILE = "good_result.json"
 #: Names of the models.
@@ -139,17 +136,15 @@ def features(found: Quality) -> dict[str, float]:
 def click_features(found: Quality) -> dict[str, float] | None:
     """Return the features of the model of the clicks; None without one.
 
-    Neither the number of clicks nor the compactness is among them: they tell of objects, not of this result.
+    No measure of a click is among them, neither how many there were, nor how small the last one was, nor how little it
+    changed: a person who clicks anywhere would raise the probability of the same surface. Nor is the compactness, which
+    tells of objects and not of this result.
     """
     if found.level_overlap is None or found.size_spread is None:
         return None
-    correction = USUAL_CORRECTION if found.correction is None else found.correction
     return {
         "level_overlap": _log_odds(found.level_overlap),
         "size_spread": min(found.size_spread, 3.0),
-        "correction": math.log(min(max(correction, 0.03), 5.0)),
-        "unchanged": _log_odds(USUAL_UNCHANGED if found.unchanged is None else found.unchanged),
-        "surprise": USUAL_SURPRISE if found.surprise is None else found.surprise,
         "rim": found.rim_fraction,
         "drift": _drift(found),
     }
@@ -178,14 +173,6 @@ def why(found: Quality) -> str:
         "drift": f"its grey values change from its centre outwards, by {found.drift:.1f} standard deviations",
         "no_edge": f"{found.no_edge_fraction:.0%} of its surface lies where the image has no edge",
     }
-    if found.correction is not None and found.unchanged is not None:
-        words["correction"] = (
-            f"the last click was large: {found.correction:.2g} radii of the object"
-        )
-        words["unchanged"] = (
-            f"the last click changed it much: Dice {found.unchanged:.2f} with the object before"
-        )
-        words["surprise"] = "you clicked where the model had been sure of the opposite"
     return words[lowest_term(model_kind(found), features(found), words)]
 
 

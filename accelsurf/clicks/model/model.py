@@ -18,6 +18,16 @@ from accelsurf.clicks.model.answers import OF_ALIKE, Answer, Levels, grown
 from accelsurf.clicks.model.boundary import at_boundary
 from accelsurf.clicks.model.features import Features, features_of_first, features_of_later
 from accelsurf.clicks.model.network import Network, networks
+from accelsurf.clicks.model.reach import (
+    Reach,
+    bounded_by_count,
+    distances_from,
+    least_reach,
+    most_voxels,
+    radius_of,
+    reach_of,
+    separate_part,
+)
 from accelsurf.clicks.model.surface import mean_curvature
 from accelsurf.clicks.model.windows import (
     SCALES,
@@ -101,6 +111,8 @@ class ClickModel:
         Of each click that corrected something: how sure the model was of the opposite there, the mean of |F| at most 1.
     is_partition : bool
         It is one of several objects that fill a space.
+    reach : Reach or None
+        Of the last click; None where it was on its side already, or is the first.
     """
 
     clicks: Clicks
@@ -114,6 +126,7 @@ class ClickModel:
     taken: float = 0.0
     surprises: tuple[float, ...] = ()
     is_partition: bool = False
+    reach: Reach | None = None
 
     def field_on(self, box: Box) -> Floats:
         """F on a box of the grid."""
@@ -351,7 +364,7 @@ def is_right(model: ClickModel, click: Click) -> bool:
 
 def _with_right_click(model: ClickModel, click: Click, scene: Scene) -> ClickModel:
     """The model after one more click that is on its side already: its own voxels alone may change."""
-    after = replace(model, clicks=model.clicks.with_more([click]), taken=0.0)
+    after = replace(model, clicks=model.clicks.with_more([click]), taken=0.0, reach=None)
     is_beyond = click.side == "outside" and not overlap(click.box, model.box)
     return after if is_beyond else _with_clicks(after, scene)
 
@@ -405,6 +418,7 @@ def with_click(
     )
     if not inside:
         after = without_cut_off(after, model)
+    after = within_reach(after, model, click, scene.spacing)
     width = radius_of_count(max(after.count, 1), scene)
     # Of the two objects one lies in the other.
     unchanged = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
@@ -414,6 +428,58 @@ def with_click(
     return replace(
         after, correction=seed.radius / width, unchanged=unchanged, taken=taken, surprises=surprises
     )
+
+
+def within_reach(
+    after: ClickModel, before: ClickModel, click: Click, spacing: Spacing
+) -> ClickModel:
+    """Return the model after a click where that reaches and what changed is connected to it; elsewhere that before.
+
+    Parameters
+    ----------
+    after, before : ClickModel
+        With the click, and without it.
+    click : Click
+    spacing : (hz, hy, hx)
+        mm.
+    """
+    box, shape = enclosing(after.box, click.box), after.clicks.shape
+    before_on, after_on = before.field_on(box), after.field_on(box)
+    differs = bounding_box((before_on != after_on) | click.mask_on(box))
+    assert differs is not None  # the click is in it
+    part = placed_at(differs, corner_of(box))
+    old, new, clicked = before_on[differs], after_on[differs], click.mask_on(part)
+    distance, turned = distances_from(click, part, spacing), (old < 0) != (new < 0)
+    far = distance[turned]
+    reach = click.near
+    if reach is None:
+        reach = max(
+            reach_of(click, before.inside_on, shape, spacing),
+            reach_to_end(click, before, spacing),
+        )
+        most = most_voxels(radius_of(click, shape, spacing), before.count, spacing, shape[0] == 1)
+        reach = bounded_by_count(far, reach, most, least_reach(shape, spacing))
+    changed = connected_to(((old != new) & (distance <= reach)) | clicked, clicked)
+    before_on[differs] = np.where(changed, new, old)
+    known = Reach(reach, int(far.size), float(far.max(initial=0.0)))
+    return replace(after, box=box, field=before_on, inside=before_on < 0, reach=known)
+
+
+def reach_to_end(click: Click, model: ClickModel, spacing: Spacing) -> float:
+    """Return how far the part of an object goes from an outside click in it, mm, where it is no main part; else 0."""
+    if click.side == "inside":
+        return 0.0
+    held = np.zeros(model.field.shape, np.bool_)
+    for other in model.clicks.clicks:
+        if other.side == "inside":
+            held |= other.mask_on(model.box)
+    part = separate_part(click, model.box, model.inside, held)
+    if part is None:
+        return 0.0
+    tight = bounding_box(part)
+    assert tight is not None  # the click is in it
+    box = placed_at(tight, corner_of(model.box))
+    return float(distances_from(click, box, spacing)[part[tight]].max())
 
 
 def without_cut_off(model: ClickModel, before: ClickModel) -> ClickModel:
