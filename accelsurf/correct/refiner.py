@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.model.model import is_right, largest_reach
 from accelsurf.clicks.model.reach import Reach, reach_of
 from accelsurf.clicks.reading import check_left, clicks_of, on_image
 from accelsurf.correct import object_changes
@@ -58,6 +59,8 @@ from accelsurf.settings.run_config import RunConfig
 
 #: Voxels of the largest spacing beyond the region that the surface and its stencils see; there they do not move.
 MARGIN = 5.0
+#: What a click did not change is told from this share on of all that it would have changed.
+TOLD = 0.1
 
 
 class Change(NamedTuple):
@@ -93,8 +96,11 @@ class Change(NamedTuple):
 
     @property
     def is_bounded(self) -> bool:
-        """True if the clicks would have changed more than they reached."""
-        return self.reach is not None and self.reach.farthest_mm > self.reach.mm
+        """True if the clicks would have changed more than they reached, and not only single voxels."""
+        reach = self.reach
+        return (
+            reach is not None and reach.farthest_mm > reach.mm and reach.left > TOLD * reach.wanted
+        )
 
     @property
     def text(self) -> str:
@@ -107,10 +113,8 @@ class Change(NamedTuple):
         moved += f", none more than {self.reach.mm:.3g} mm from the click"
         if not self.is_bounded:
             return moved
-        all_of_it = (
-            f"{self.reach.wanted} voxels look alike, up to {self.reach.farthest_mm:.3g} mm away"
-        )
-        return f"{moved}; {all_of_it}: click there too, or add --near {self.near_for_all:g}"
+        left = f"{self.reach.left} more look alike, up to {self.reach.farthest_mm:.3g} mm away"
+        return f"{moved}; {left}: click there too, or add --near {self.near_for_all:g}"
 
     @property
     def near_for_all(self) -> float:
@@ -171,6 +175,8 @@ class Refiner:
         self._reach = window_reach(self._settings, state.prepared.geometry)
         self._undo: list[RunConfig] = []
         self._seconds = 0.0
+        #: Largest reach of each correction by clicks, mm, by its number; of those before this one it is not known.
+        self._reaches: dict[int, float] = {}
 
     @property
     def surfaces(self) -> tuple[CorrectedSurface, ...]:
@@ -195,6 +201,29 @@ class Refiner:
         ids, click = self._objects.ids, point_click(np.rint(place).astype(int).tolist(), id)
         takes = {*self._objects.holders([click]), *([ids.index(id)] if id in ids else [])}
         return object_changes.taken_voxels(self._objects, frozenset(takes))
+
+    def reach(self, correction: Correction) -> float:
+        """Return how far from its clicks a correction may change an object at most, mm, before it is made.
+
+        Raises
+        ------
+        UsageError, InputError
+            As of `apply`.
+        """
+        new, found = self._new_clicks(correction), 0.0
+        for surface in self._objects.surfaces:
+            for click in clicks_on(new, surface.id):
+                model = self._objects.models.model(surface.id)
+                if click.near is not None:
+                    mm = click.near
+                elif model is None:
+                    mm = self._region(surface, [click], [], "auto", []).reach
+                elif is_right(model.state, click):
+                    mm = self._reach_on(surface, click).mm
+                else:
+                    mm = largest_reach(click, model.state, self._spacing)
+                found = max(found, mm)
+        return found
 
     # -- corrections ---------------------------------------------------------------------------------------
 
@@ -263,6 +292,9 @@ class Refiner:
                     changes = self._mend(number, correction, stepping)
                 else:
                     changes = self._rearrange(number, correction, workers)
+            reaches = [change.reach.mm for change in changes if change.reach is not None]
+            if reaches:
+                self._reaches[number] = max(reaches)
             self._seconds += time.perf_counter() - began
             return changes
         except BaseException:  # Ctrl-C too
@@ -351,6 +383,7 @@ class Refiner:
         """Go back to the state before the last correction that was made; with none nothing happens."""
         if self._objects.undo():
             self.config = self._undo.pop()
+            self._reaches.pop(len(self.config.refine), None)
 
     def _correct(
         self, place: int, new: Sequence[Click], near: float | str, stepping: Stepping
@@ -395,6 +428,7 @@ class Refiner:
         reach = Reach(
             region.reach,
             sum(each.wanted for each in reaches),
+            sum(each.left for each in reaches),
             max((each.farthest_mm for each in reaches), default=0.0),
         )
         return Change(surface.id, region.box, changed, seconds, stop, reach, rim=region.rim)
@@ -421,7 +455,7 @@ class Refiner:
     def _reach_on(self, surface: CorrectedSurface, click: Click) -> Reach:
         """Return how far a click reaches that is right for the model, and wrong on the surface."""
         if click.near is not None:
-            return Reach(click.near, 0, 0.0)
+            return Reach(click.near)
         domain = box_at(surface.corner, surface.psi.shape)
         mm = reach_of(
             click,
@@ -429,7 +463,7 @@ class Refiner:
             self._shape,
             self._spacing,
         )
-        return Reach(mm, 0, 0.0)
+        return Reach(mm)
 
     def _region(
         self,
@@ -500,6 +534,7 @@ class Refiner:
         base, models = self._result, self._objects.models
         objects = tuple(self._objects.segmented(surface) for surface in self._objects.surfaces)
         seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
+        reaches = [self._reaches.get(number) for number in range(len(self.config.refine))]
         clicks = on_image(models.clicks, self._state.prepared.first, base.geometry.shape)
         return dataclasses.replace(
             base,
@@ -507,6 +542,7 @@ class Refiner:
             has_ids=self.has_ids,
             config=self.config,
             state=self._objects.state,
+            resolved_settings={**base.resolved_settings, "reach_mm": reaches},
             seconds=seconds,
             clicks=clicks,
             late_leakage=_still_inside(base.late_leakage, objects),

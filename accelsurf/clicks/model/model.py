@@ -453,22 +453,27 @@ def within_reach(
     far = distance[turned]
     reach = click.near
     if reach is None:
-        reach = max(
-            reach_of(click, before.inside_on, shape, spacing),
-            reach_to_end(click, before, spacing),
-        )
+        reach = largest_reach(click, before, spacing)
         most = most_voxels(radius_of(click, shape, spacing), before.count, spacing, shape[0] == 1)
         reach = bounded_by_count(far, reach, most, least_reach(shape, spacing))
     changed = connected_to(((old != new) & (distance <= reach)) | clicked, clicked)
     before_on[differs] = np.where(changed, new, old)
-    known = Reach(reach, int(far.size), float(far.max(initial=0.0)))
+    left = int(np.count_nonzero(turned & ~changed))
+    known = Reach(reach, int(far.size), left, float(far.max(initial=0.0)))
     return replace(after, box=box, field=before_on, inside=before_on < 0, reach=known)
 
 
-def reach_to_end(click: Click, model: ClickModel, spacing: Spacing) -> float:
-    """Return how far the part of an object goes from an outside click in it, mm, where it is no main part; else 0."""
-    if click.side == "inside":
-        return 0.0
+def largest_reach(click: Click, model: ClickModel, spacing: Spacing) -> float:
+    """Return how far a click may change a model that is wrong there, mm; a share of the object may bound it more.
+
+    By its radius and depth, and to the end of a separate part that an outside click lies in.
+    """
+    found = reach_of(click, model.inside_on, model.clicks.shape, spacing)
+    return max(found, 0.0 if click.side == "inside" else _to_end_of_part(click, model, spacing))
+
+
+def _to_end_of_part(click: Click, model: ClickModel, spacing: Spacing) -> float:
+    """Return how far the part of an object goes from a click in it, mm, where it is no main part; else 0."""
     held = np.zeros(model.field.shape, np.bool_)
     for other in model.clicks.clicks:
         if other.side == "inside":

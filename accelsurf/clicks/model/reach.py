@@ -10,17 +10,20 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.grid.boxes import Box, connected_to, enclosing, on_box, widened
-from accelsurf.grid.clicks import Click
+from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import axis_steps
 
 Mask = NDArray[np.bool_]
 Spacing = tuple[float, float, float]
 #: A click reaches this number of its radii, and of its depths in what it says is wrong; at least this number of the
 #: smallest spacings, and one of the largest. A person's ball is about half as wide as the error in whose middle it is,
-#: and an error is longer than it is deep.
-OF_RADIUS, OF_DEPTH, LEAST = 4.0, 2.0, 4.0
+#: and an error is longer than it is deep. What is taken away by mistake was right before, so that an outside click
+#: reaches less far.
+OF_RADIUS: dict[Side, float] = {"inside": 6.0, "outside": 4.0}
+OF_DEPTH: dict[Side, float] = {"inside": 3.0, "outside": 2.0}
+LEAST = 4.0
 #: Beyond the least reach it moves at most this share of the object's voxels, or the ball of this number of its radii.
-SHARE, CORE_OF = 0.5, 2.0
+SHARE, CORE_OF = 0.5, 3.0
 #: First half width, voxels, of the box in which the other side is searched around a click.
 _FIRST_SEARCH = 8
 
@@ -34,13 +37,16 @@ class Reach(NamedTuple):
         No voxel farther from the click has changed.
     wanted : int
         Number of voxels that it would have changed without a bound.
+    left : int
+        Number of them that stayed as they were.
     farthest_mm : float
         How far from the click the farthest of them is.
     """
 
     mm: float
-    wanted: int
-    farthest_mm: float
+    wanted: int = 0
+    left: int = 0
+    farthest_mm: float = 0.0
 
 
 def least_reach(shape: tuple[int, ...], spacing: Spacing) -> float:
@@ -71,9 +77,8 @@ def reach_of(
         mm.
     """
     depth = depth_in_wrong(click, inside_on, shape, spacing)
-    return max(
-        OF_RADIUS * radius_of(click, shape, spacing), OF_DEPTH * depth, least_reach(shape, spacing)
-    )
+    of_radius = OF_RADIUS[click.side] * radius_of(click, shape, spacing)
+    return max(of_radius, OF_DEPTH[click.side] * depth, least_reach(shape, spacing))
 
 
 def depth_in_wrong(
