@@ -118,7 +118,7 @@ def refine(
     outside
         Voxels that are not in the object, and stay out of it.
     near
-        How far from the clicks the surface may move, mm; auto is what the clicks are about.
+        How far from the clicks the surface may move, mm; auto follows from their radius and depth.
     object
         Id of the object that is corrected, where there are several.
     labels

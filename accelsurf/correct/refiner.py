@@ -210,7 +210,7 @@ class Refiner:
         UsageError, InputError
             As of `apply`.
         """
-        new, found = self._new_clicks(correction), 0.0
+        new, found = self._new_clicks(self._of_the_one(correction)), 0.0
         for surface in self._objects.surfaces:
             for click in clicks_on(new, surface.id):
                 model = self._objects.models.model(surface.id)
@@ -258,13 +258,7 @@ class Refiner:
         """
         objects, number = self._objects, len(self.config.refine)
         others = self._result.other_labels
-        if (
-            others is not None
-            and correction.object is None
-            and len(objects.ids) == 1
-            and correction.is_of_one
-        ):
-            correction = correction.model_copy(update={"object": objects.ids[0]})
+        correction = self._of_the_one(correction)
         if correction.split is not None:
             correction = object_changes.completed(objects, correction, self._result)
         if others is not None and correction.new is not None and (others == correction.new).any():
@@ -300,6 +294,14 @@ class Refiner:
         except BaseException:  # Ctrl-C too
             self.undo()
             raise
+
+    def _of_the_one(self, correction: Correction) -> Correction:
+        """Return a correction with the id of the object where that is the only one of a label map."""
+        ids = self._objects.ids
+        is_known = self._result.other_labels is None or len(ids) > 1 or not correction.is_of_one
+        if is_known or correction.object is not None:
+            return correction
+        return correction.model_copy(update={"object": ids[0]})
 
     def _new_clicks(self, correction: Correction) -> tuple[Click, ...]:
         """The clicks of a correction on the grid of the region of interest.
