@@ -64,7 +64,7 @@ def test_no_voxel_moves_beyond_the_stated_reach(name, near, seed):
     random = np.random.default_rng(seed)
     for side, where in (("inside", truth & ~mask), ("outside", mask), ("outside", truth)):
         index = random.choice(np.argwhere(where))
-        x, y, z = volume.geometry.index_to_world(index)
+        x, y, z = (float(v) for v in volume.geometry.index_to_world(index))
         radius = float(random.uniform(1.0, 4.0))
         correction = Correction(**{side: (f"ball:{x!r},{y!r},{z!r},{radius!r}",)}, near=near)
         before = refiner.result().labels > 0

@@ -76,6 +76,8 @@ SIDE = 0.2
 AROUND = 0.25
 #: A click corrects what was shown where more than this part of it is on the other side there.
 WRONG = 0.1
+#: The objects of F below this and above its negative are compared.
+LEVEL = 0.2
 #: A stated size is met up to this factor; nearer to it the image decides.
 ABOUT = 1.25
 #: A stated size is looked for in a window of at least so many times that volume.
@@ -113,6 +115,8 @@ class ClickModel:
         It is one of several objects that fill a space.
     reach : Reach or None
         Of the last click; None where it was on its side already, or is the first.
+    least_overlap : float
+        Least `level_overlap` of the models before the last click.
     """
 
     clicks: Clicks
@@ -127,6 +131,7 @@ class ClickModel:
     surprises: tuple[float, ...] = ()
     is_partition: bool = False
     reach: Reach | None = None
+    least_overlap: float = 1.0
 
     def field_on(self, box: Box) -> Floats:
         """F on a box of the grid."""
@@ -362,11 +367,30 @@ def is_right(model: ClickModel, click: Click) -> bool:
     return int(np.count_nonzero(there != (click.side == "inside"))) <= WRONG * there.size
 
 
+def level_overlap(model: ClickModel) -> float:
+    """Return the Dice of the objects of F below a level and below its negative: 1 where F is steep at its boundary."""
+    clicked = np.zeros(model.field.shape, np.bool_)
+    for click in model.clicks.clicks:
+        if click.side == "inside":
+            clicked |= click.mask_on(model.box)
+    # F is -3 and 3 in clicks: they are on their sides of both.
+    smaller = int(np.count_nonzero(model.inside & (model.field < -LEVEL)))
+    both = smaller + int(np.count_nonzero(connected_to(model.field < LEVEL, clicked)))
+    return 2.0 * smaller / both if both else 0.0
+
+
+def least_overlap_with(model: ClickModel) -> float:
+    """Return the least `level_overlap` of a model and those before it."""
+    return min(model.least_overlap, level_overlap(model))
+
+
 def _with_right_click(model: ClickModel, click: Click, scene: Scene) -> ClickModel:
     """The model after one more click that is on its side already: its own voxels alone may change."""
     after = replace(model, clicks=model.clicks.with_more([click]), taken=0.0, reach=None)
     is_beyond = click.side == "outside" and not overlap(click.box, model.box)
-    return after if is_beyond else _with_clicks(after, scene)
+    if is_beyond:
+        return after
+    return _with_clicks(replace(after, least_overlap=least_overlap_with(model)), scene)
 
 
 def with_click(
@@ -426,7 +450,12 @@ def with_click(
     surprises = (*model.surprises, float(np.clip(wrong, -1.0, 1.0).mean()))
     taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
     return replace(
-        after, correction=seed.radius / width, unchanged=unchanged, taken=taken, surprises=surprises
+        after,
+        correction=seed.radius / width,
+        unchanged=unchanged,
+        taken=taken,
+        surprises=surprises,
+        least_overlap=least_overlap_with(model),
     )
 
 
