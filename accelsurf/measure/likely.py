@@ -18,6 +18,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 if TYPE_CHECKING:
     from accelsurf.clicks.model import Answer
 
+#: Radius of a correction (object's radii), what it keeps (Dice), and how sure the model was of the opposite, where no
+#: click has corrected a result.
+USUAL = {"correction": 0.37, "unchanged": 0.77, "surprise": 0.3}
 #: The file with the models of the probability.
 MODEL_FILE = "good_result.json"
 #: Names of the models.
@@ -147,6 +150,20 @@ def click_features(found: Quality) -> dict[str, float] | None:
         "size_spread": min(found.size_spread, 3.0),
         "rim": found.rim_fraction,
         "drift": _drift(found),
+    }
+
+
+def history_features(found: Quality) -> dict[str, float]:
+    """Return measures of the last corrections, by name; the usual ones where none was made.
+
+    The calibration holds them fast, and counts them as the usual ones: see `benchmarks/quality.py`.
+    """
+    correction = USUAL["correction"] if found.correction is None else found.correction
+    unchanged = USUAL["unchanged"] if found.unchanged is None else found.unchanged
+    return {
+        "correction": math.log(min(max(correction, 0.03), 5.0)),
+        "unchanged": _log_odds(unchanged),
+        "surprise": USUAL["surprise"] if found.surprise is None else found.surprise,
     }
 
 
