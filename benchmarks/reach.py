@@ -27,7 +27,7 @@ from accelsurf.correct.refine import beginning_with
 from accelsurf.correct.refiner import Refiner
 from accelsurf.grid.boxes import bounding_box
 from accelsurf.image.volume import Volume
-from accelsurf.settings.corrections import Correction
+from accelsurf.settings.corrections import corrections_of
 from benchmarks.clicks.own import text_of
 from benchmarks.clicks.person import PersonClick, next_click, voxels_of
 from benchmarks.clicks.phantoms import made
@@ -121,7 +121,7 @@ def rim_click(truth: Mask, labels: Mask, image: Volume) -> PersonClick:
 def measured(case: Case, refiner: Refiner, click: PersonClick, kind: str) -> dict[str, Any]:
     """Make a correction and measure it."""
     image, before = case.image, refiner.result()
-    correction = Correction(**{click.side: (text_of(click, image),)})
+    (correction,) = corrections_of({click.side: text_of(click, image)})
     shown = refiner.reach(correction)
     (change,) = refiner.apply(correction)
     after = refiner.result()
