@@ -28,6 +28,7 @@ from accelsurf.clicks.model import click_model
 from accelsurf.clicks.model.confidence import confidence_of
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import whole_box
+from accelsurf.image.volume import Volume
 from accelsurf.measure import likely, quality
 from accelsurf.measure.metrics import dice
 from accelsurf.run.preprocessing import apply, scale_of
@@ -209,7 +210,7 @@ def row_of_result(
         hinted = dice(within(after, scene.region), scene.truth)
     return {
         "dice": round(value, 4),
-        "clicks": _rounded(features),
+        "clicks": _rounded({**features, **likely.history_features(measured)}),
         "image": _rounded(likely.image_features(measured)),
         "hinted": hinted,
         "person": None,
@@ -226,10 +227,13 @@ def _rounded(features: Mapping[str, float]) -> dict[str, float]:
 def trained(rows: Rows, kind: str) -> dict[str, Any]:
     """A logistic model with a ridge, by Newton's method; each object counts the same, one of a scene less.
 
+    Measures of the corrections are held fast while the others are fitted, and then count as those of a result that
+    nobody has corrected: the person of the games clicks where most is wrong, another one anywhere.
+
     Its means, deviations and weights by feature, and its constant.
     """
     every = [(row, _weight(row) / len(each)) for each in rows.values() for row in each]
-    names = sorted(every[0][0][kind])
+    names = sorted(SIGNS.keys() & every[0][0][kind].keys())
     table = np.array([[row[kind][name] for name in names] for row, _ in every])
     weight = np.array([w for _, w in every])
     weight *= len(every) / weight.sum()
@@ -250,7 +254,19 @@ def trained(rows: Rows, kind: str) -> dict[str, Any]:
         name: [round(float(v), 6) for v in (mean[i], deviation[i], beta[i + 1])]
         for i, name in enumerate(names)
     }
-    return {"features": listed, "constant": round(float(beta[0]), 6)}
+    usual, constant = _usual(), float(beta[0])
+    for name in usual.keys() & listed.keys():
+        average, spread, weight_of = listed.pop(name)
+        constant += weight_of * (usual[name] - average) / spread
+    return {"features": listed, "constant": round(constant, 6)}
+
+
+def _usual() -> dict[str, float]:
+    """Measures of the corrections of a result that nobody has corrected."""
+    shown = np.zeros((3, 3, 3), np.uint8)
+    geometry = Volume.from_array(np.zeros((3, 3, 3), np.float32), 1.0).geometry
+    nothing = quality.measured(shown, np.zeros((3, 3, 3), np.float32), geometry, [], DONE)
+    return likely.history_features(nothing)
 
 
 def _weight(row: Mapping[str, Any]) -> float:

@@ -141,7 +141,7 @@ def refine(
         correction, made in the order given, as if each were a command of its own. A later one takes the voxels that it
         contradicts from earlier ones.
     near
-        How far from the clicks the surface may move, mm; auto is what the clicks are about.
+        How far from the clicks the surface may move, mm; auto follows from their radius and depth.
     object
         Id of the object that is corrected, where there are several.
     labels
@@ -256,15 +256,8 @@ class _CorrectedRun:
 
 def _lines_of(changes: Sequence[Change]) -> list[str]:
     """Return what a correction has moved, for each object that was looked at."""
-    return [
-        (
-            f"moved {change.voxels} voxels in {change.seconds:.2f} s"
-            if change.voxels
-            else "nothing changed"
-        )
-        + (f" (object {change.object_id})" if len(changes) > 1 else "")
-        for change in changes
-    ]
+    many = len(changes) > 1
+    return [f"{change.text}{f' (object {change.object_id})' if many else ''}" for change in changes]
 
 
 def _print_summary(done: Finished, compute: _CorrectedRun) -> None:

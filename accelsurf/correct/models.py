@@ -278,8 +278,10 @@ def ids_text(ids: Sequence[int]) -> str:
     return "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
 
 
-def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple[Click, ...]:
-    """Clicks of the image's grid on that of the region of interest.
+def placed_clicks(
+    clicks: Sequence[Click], prepared: PreprocessedInput, near: float | str
+) -> tuple[Click, ...]:
+    """Clicks of the image's grid on that of the region of interest, which reach as far as ``near`` says, mm or "auto".
 
     Raises
     ------
@@ -306,7 +308,9 @@ def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple
             if prepared.other_labels is None
             else "click elsewhere, or ask for these labels too",
         )
-    return placed
+    if isinstance(near, str):
+        return placed
+    return tuple(click._replace(near=near) for click in placed)
 
 
 def clicks_on(new: Sequence[Click], id: int) -> tuple[Click, ...]:

@@ -98,7 +98,7 @@ def refine(
                 "refine: labels or spacing were given with a result", "give the image in its place"
             )
     else:
-        result = _given(result, labels, spacing)
+        result = beginning_with(result, labels, spacing)
     table: dict[str, Any] = {"inside": inside, "outside": outside, "near": near, "object": object}
     table |= {"new": new, "size": size, "merge": tuple(merge), "split": split, "remove": remove}
     table |= {"to_edges": to_edges, "islands": islands, "holes": holes}
@@ -108,10 +108,10 @@ def refine(
     return refiner.result()
 
 
-def _given(
+def beginning_with(
     image: ImageLike,
     labels: ImageLike | None,
-    spacing: float | str | tuple[float, float, float] | None,
+    spacing: float | str | tuple[float, float, float] | None = None,
 ) -> Result:
     """Return the result that a label map is, before it is mended."""
     if labels is None:

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.model.model import is_right, largest_reach
+from accelsurf.clicks.model.reach import Reach, reach_of
 from accelsurf.clicks.reading import check_left, clicks_of, on_image
 from accelsurf.correct import object_changes
 from accelsurf.correct.corrected_surface import (
@@ -37,13 +39,14 @@ from accelsurf.correct.region import (
     automatic_near,
     box_around,
     rim_width,
+    within_reaches,
 )
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box, box_at, counted_from, on_box, tightened
 from accelsurf.grid.click_bounds import click_bounds
-from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.grid.clicks import Click, Clicks, Side
 from accelsurf.grid.pyramid import Level
 from accelsurf.io.memory import available_cores
 from accelsurf.levelset import Workers
@@ -56,16 +59,75 @@ from accelsurf.settings.run_config import RunConfig
 
 #: Voxels of the largest spacing beyond the region that the surface and its stencils see; there they do not move.
 MARGIN = 5.0
+#: What a click did not change is told from this share on of all that it would have changed.
+TOLD = 0.1
 
 
 class Change(NamedTuple):
-    """The effect of a correction: voxels that changed sides, in a ``box`` of the grid; seconds of the solver."""
+    """The effect of a correction on an object.
+
+    Attributes
+    ----------
+    object_id : int
+    box : tuple of slice
+        Part of the grid in which it could change.
+    voxels : int
+        Number of voxels that changed sides.
+    seconds : float
+        Of the solver.
+    stop : Stop
+    reach : Reach or None
+        How far from the clicks it could change, and what the clicks would have changed without a bound; None where all
+        clicks were on their sides already, and of a change without clicks.
+    side : {"inside", "outside"} or None
+        On which all clicks were already; None where they were not.
+    rim : float
+        Width of the rim of the region, mm, in which the surface may leave its place by less and less.
+    """
 
     object_id: int
     box: Box
     voxels: int
     seconds: float
     stop: Stop
+    reach: Reach | None = None
+    side: Side | None = None
+    rim: float = 0.0
+
+    @property
+    def is_bounded(self) -> bool:
+        """True if the clicks would have changed more than they reached, and not only single voxels."""
+        reach = self.reach
+        return (
+            reach is not None and reach.farthest_mm > reach.mm and reach.left > TOLD * reach.wanted
+        )
+
+    @property
+    def text(self) -> str:
+        """The effect in words: how many voxels moved, how far from the click at most, and what was left as it is."""
+        if not self.voxels:
+            return f"nothing changed{f': it is already {self.side}' if self.side else ''}"
+        moved = f"moved {self.voxels} voxels in {self.seconds:.2f} s"
+        if self.reach is None:
+            return moved
+        moved += f", none more than {self.reach.mm:.3g} mm from the click"
+        if not self.is_bounded:
+            return moved
+        left = f"{self.reach.left} more look alike, up to {self.reach.farthest_mm:.3g} mm away"
+        return f"{moved}; {left}: click there too, or add --near {self.near_for_all:g}"
+
+    @property
+    def near_for_all(self) -> float:
+        """The value of ``near``, mm, with which the clicks change all that they would change without a bound."""
+        return 0.0 if self.reach is None else float(math.ceil(self.reach.farthest_mm + self.rim))
+
+
+def changes_text(changes: Sequence[Change]) -> str:
+    """Return the effect of a correction on all objects in words."""
+    moved = [change for change in changes if change.voxels] or list(changes[:1])
+    if len(moved) == 1:
+        return moved[0].text
+    return "; ".join(f"object {change.object_id}: {change.text}" for change in moved)
 
 
 class Refiner:
@@ -113,6 +175,8 @@ class Refiner:
         self._reach = window_reach(self._settings, state.prepared.geometry)
         self._undo: list[RunConfig] = []
         self._seconds = 0.0
+        #: Largest reach of each correction by clicks, mm, by its number; of those before this one it is not known.
+        self._reaches: dict[int, float] = {}
 
     @property
     def surfaces(self) -> tuple[CorrectedSurface, ...]:
@@ -137,6 +201,29 @@ class Refiner:
         ids, click = self._objects.ids, point_click(np.rint(place).astype(int).tolist(), id)
         takes = {*self._objects.holders([click]), *([ids.index(id)] if id in ids else [])}
         return object_changes.taken_voxels(self._objects, frozenset(takes))
+
+    def reach(self, correction: Correction) -> float:
+        """Return how far from its clicks a correction may change an object at most, mm, before it is made.
+
+        Raises
+        ------
+        UsageError, InputError
+            As of `apply`.
+        """
+        new, found = self._new_clicks(self._of_the_one(correction)), 0.0
+        for surface in self._objects.surfaces:
+            for click in clicks_on(new, surface.id):
+                model = self._objects.models.model(surface.id)
+                if click.near is not None:
+                    mm = click.near
+                elif model is None:
+                    mm = self._region(surface, [click], [], "auto", []).reach
+                elif is_right(model.state, click):
+                    mm = self._reach_on(surface, click).mm
+                else:
+                    mm = largest_reach(click, model.state, self._spacing)
+                found = max(found, mm)
+        return found
 
     # -- corrections ---------------------------------------------------------------------------------------
 
@@ -172,13 +259,7 @@ class Refiner:
         """
         objects, number = self._objects, len(self.config.refine)
         others = self._result.other_labels
-        if (
-            others is not None
-            and correction.object is None
-            and len(objects.ids) == 1
-            and correction.is_of_one
-        ):
-            correction = correction.model_copy(update={"object": objects.ids[0]})
+        correction = self._of_the_one(correction)
         if correction.split is not None:
             correction = object_changes.completed(objects, correction, self._result)
         if others is not None and correction.new is not None and (others == correction.new).any():
@@ -205,11 +286,22 @@ class Refiner:
                     changes = self._mend(number, correction, stepping)
                 else:
                     changes = self._rearrange(number, correction, workers)
+            reaches = [change.reach.mm for change in changes if change.reach is not None]
+            if reaches:
+                self._reaches[number] = max(reaches)
             self._seconds += time.perf_counter() - began
             return changes
         except BaseException:  # Ctrl-C too
             self.undo()
             raise
+
+    def _of_the_one(self, correction: Correction) -> Correction:
+        """Return a correction with the id of the object where that is the only one of a label map."""
+        ids = self._objects.ids
+        is_known = self._result.other_labels is None or len(ids) > 1 or not correction.is_of_one
+        if is_known or correction.object is not None:
+            return correction
+        return correction.model_copy(update={"object": ids[0]})
 
     def _new_clicks(self, correction: Correction) -> tuple[Click, ...]:
         """The clicks of a correction on the grid of the region of interest.
@@ -225,7 +317,7 @@ class Refiner:
             check_object(correction, ids if objects.has_ids else None)
         base = self._result
         read = clicks_of(correction, base.volume, base.image, correction.target, objects.has_ids)
-        new = placed_clicks(read, prepared)
+        new = placed_clicks(read, prepared, correction.near)
         before = objects.models.clicks
         if correction.new in ids:  # it begins anew
             before = Clicks(
@@ -300,6 +392,7 @@ class Refiner:
         """Go back to the state before the last correction that was made; with none nothing happens."""
         if self._objects.undo():
             self.config = self._undo.pop()
+            self._reaches.pop(len(self.config.refine), None)
 
     def _correct(
         self, place: int, new: Sequence[Click], near: float | str, stepping: Stepping
@@ -308,17 +401,19 @@ class Refiner:
         began = time.perf_counter()
         # Where nothing is wrong its part of the grid stays too, as in the result.
         surface = self._objects.seen_on(place, box_around(new))
-        relabelled = self._relabelled(surface, new)
+        relabelled, reaches = self._relabelled(surface, new)
         if not relabelled:
+            sides = {click.side for click in new}
             return Change(
                 surface.id,
                 box_at((0, 0, 0), (0, 0, 0)),
                 0,
                 time.perf_counter() - began,
                 surface.stop,
+                side=sides.pop() if len(sides) == 1 else None,
             )
         takes = frozenset(self._objects.holders(new)) - {place}
-        region = self._region(surface, new, relabelled, near)
+        region = self._region(surface, new, relabelled, near, reaches)
         surface = self._objects.grown(place, region.box)
         box = counted_from(region.box, surface.corner)
         psi = surface.psi[box].copy()
@@ -339,22 +434,46 @@ class Refiner:
         for other in sorted(takes):
             self._objects.take_from(other, region, outcome.psi, stepping.workers)
         changed = int(np.count_nonzero((outcome.psi < 0) != (psi < 0)))
-        return Change(surface.id, region.box, changed, time.perf_counter() - began, stop)
+        seconds = time.perf_counter() - began
+        reach = Reach(
+            region.reach,
+            sum(each.wanted for each in reaches),
+            sum(each.left for each in reaches),
+            max((each.farthest_mm for each in reaches), default=0.0),
+        )
+        return Change(surface.id, region.box, changed, seconds, stop, reach, rim=region.rim)
 
-    def _relabelled(self, surface: CorrectedSurface, new: Sequence[Click]) -> list[Click]:
+    def _relabelled(
+        self, surface: CorrectedSurface, new: Sequence[Click]
+    ) -> tuple[list[Click], list[Reach]]:
         """Return the voxels that new clicks relabel: their own and those of their basins, where a side is wrong.
 
-        Nothing where all are on their sides already, and the model gives them nothing else.
+        And how far each click reaches, where there is a model. Nothing where all are on their sides already, and the
+        model gives them nothing else.
         """
-        relabelled, model = list(new), self._objects.models.model(surface.id)
+        relabelled, model, reaches = list(new), self._objects.models.model(surface.id), []
         if model is not None:
             relabelled = []
             for click in new:
                 change = model.add(click)
                 self._objects.note_click(model, change)
                 relabelled.append(basin_of(click, change, model, surface))
+                reaches.append(model.state.reach or self._reach_on(surface, click))
         wrong = [_wrong_part(click, surface) for click in relabelled]
-        return [click for click in wrong if click is not None]
+        return [click for click in wrong if click is not None], reaches
+
+    def _reach_on(self, surface: CorrectedSurface, click: Click) -> Reach:
+        """Return how far a click reaches that is right for the model, and wrong on the surface."""
+        if click.near is not None:
+            return Reach(click.near)
+        domain = box_at(surface.corner, surface.psi.shape)
+        mm = reach_of(
+            click,
+            lambda box: on_box(surface.psi, domain, box, 1.0) < 0,
+            self._shape,
+            self._spacing,
+        )
+        return Reach(mm)
 
     def _region(
         self,
@@ -362,8 +481,12 @@ class Refiner:
         new: Sequence[Click],
         relabelled: Sequence[Click],
         near: float | str,
+        reaches: Sequence[Reach],
     ) -> NearRegion:
-        """Return the region of motion for new clicks: within ``near``, or where they relabel, or by their depth."""
+        """Return the region of motion for new clicks.
+
+        Within ``near``; or where they relabel, as far as they reach; or by their depth.
+        """
         rim = rim_width(self._shape, self._spacing)
         margin = max(
             MARGIN * max(h for h, n in zip(self._spacing, self._shape, strict=True) if n > 1),
@@ -373,8 +496,11 @@ class Refiner:
             return around_clicks(
                 new, near, min(rim, 0.5 * near), self._shape, self._spacing, margin
             )
-        if self._objects.models.model(surface.id) is not None:
-            return around_clicks([*new, *relabelled], rim, rim, self._shape, self._spacing, margin)
+        if reaches:
+            region = around_clicks(
+                [*new, *relabelled], rim, rim, self._shape, self._spacing, margin
+            )
+            return within_reaches(region, new, [reach.mm for reach in reaches], self._spacing)
         placed = (
             Clicks(tuple(new), self._shape).on_box(box_at(surface.corner, surface.psi.shape)).clicks
         )
@@ -418,6 +544,7 @@ class Refiner:
         base, models = self._result, self._objects.models
         objects = tuple(self._objects.segmented(surface) for surface in self._objects.surfaces)
         seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
+        reaches = [self._reaches.get(number) for number in range(len(self.config.refine))]
         clicks = on_image(models.clicks, self._state.prepared.first, base.geometry.shape)
         return dataclasses.replace(
             base,
@@ -425,6 +552,7 @@ class Refiner:
             has_ids=self.has_ids,
             config=self.config,
             state=self._objects.state,
+            resolved_settings={**base.resolved_settings, "reach_mm": reaches},
             seconds=seconds,
             clicks=clicks,
             late_leakage=_still_inside(base.late_leakage, objects),

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from accelsurf.clicks.model.reach import depth_in_wrong
 from accelsurf.grid.boxes import Box, box_at, corner_of, enclosing, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.clicks import SIDES, Click, Side
@@ -35,18 +35,20 @@ _MIN_NEAR = 4.0
 #: Distances are continued beyond the band by this number of the largest spacings: no surface that is bounded
 #: by a number comes so far from it.
 _BEYOND_BAND = 6.0
-#: First half width, voxels, of the box in which the surface is searched around a click.
-_FIRST_SEARCH = 8
 
 Spacing = tuple[float, float, float]
 
 
 class NearRegion(NamedTuple):
-    """The region of motion: ``mask`` on a ``box`` of the grid, with more voxels around it; ``rim`` in mm."""
+    """The region of motion: ``mask`` on a ``box`` of the grid, with more voxels around it; ``rim`` in mm.
+
+    ``reach``, mm: no voxel of the region is farther from the clicks.
+    """
 
     box: Box
     mask: NDArray[np.bool_]
     rim: float
+    reach: float = math.inf
 
 
 def rim_width(shape: Sequence[int], spacing: Spacing) -> float:
@@ -85,7 +87,17 @@ def around_clicks(
     room = [math.ceil((near + margin) / h) + 1 for h in spacing]
     box = widened(box_at(first, tuple(high - low)), shape, room)
     distance = distances_within(_voxels(clicks, box), spacing, float(near))
-    return NearRegion(box, np.isfinite(distance), rim)
+    return NearRegion(box, np.isfinite(distance), rim, near)
+
+
+def within_reaches(
+    region: NearRegion, clicks: Sequence[Click], reaches: Sequence[float], spacing: Spacing
+) -> NearRegion:
+    """Return a region without what lies farther from each click than that reaches, mm; the clicks stay."""
+    near = np.zeros(region.mask.shape, np.bool_)
+    for click, reach in zip(clicks, reaches, strict=True):
+        near |= np.isfinite(distances_within(_voxels([click], region.box), spacing, reach))
+    return region._replace(mask=region.mask & near, reach=max(reaches))
 
 
 def _voxels(clicks: Sequence[Click], box: Box) -> NDArray[np.bool_]:
@@ -111,35 +123,11 @@ def automatic_near(psi: NDArray[np.float32], clicks: Iterable[Click], spacing: S
         mm.
     """
     steps = axis_steps(psi.shape, spacing)
-    deepest = max(_distance_to_surface(psi, click, spacing) for click in clicks)
+    nz, ny, nx = psi.shape
+    deepest = max(
+        depth_in_wrong(click, lambda box: psi[box] < 0, (nz, ny, nx), spacing) for click in clicks
+    )
     return max(_MIN_NEAR * max(steps), min(_AUTO_TIMES * deepest, _MAX_NEAR * min(steps)))
-
-
-def _distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing) -> float:
-    """Distance, mm, from the voxels of a click that are on the wrong side to the nearest that are not; 0 for none.
-
-    Where a whole search finds nothing of the other side, it is the extent of the grid.
-    """
-    inside = click.side == "inside"
-    wrong = click.mask & ((psi[click.box] < 0) != inside)
-    if not wrong.any():
-        return 0.0
-    search = _FIRST_SEARCH
-    while True:
-        box = widened(click.box, psi.shape, (search, search, search))
-        side = (psi[box] < 0) == inside
-        at = tuple(
-            slice(c.start - b.start, c.stop - b.start) for c, b in zip(click.box, box, strict=True)
-        )
-        covers_all = all(s.stop - s.start == n for s, n in zip(box, psi.shape, strict=True))
-        if side.any():
-            farthest = float(ndimage.distance_transform_edt(~side, spacing)[at][wrong].max())
-            # Beyond the box another voxel may be nearer than those found in its corners.
-            if covers_all or farthest <= search * min(axis_steps(psi.shape, spacing)):
-                return farthest
-        elif covers_all:
-            return float(max(n * h for n, h in zip(psi.shape, spacing, strict=True)))
-        search *= 2
 
 
 def signed_distance(

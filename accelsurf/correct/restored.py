@@ -120,6 +120,7 @@ def _replay(
         new = placed_clicks(
             clicks_of(correction, base.volume, base.image, correction.target, has_ids),
             models.prepared,
+            correction.near,
         )
         if correction.new is not None:
             models.add(new)

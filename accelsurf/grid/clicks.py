@@ -33,6 +33,8 @@ class Click(NamedTuple):
         The object; 1 where there is one alone, 0 for "no object".
     owner : int or None
         As one object sees it: the id inside which it was clicked; None of an outside click.
+    near : float or None
+        How far from it the object may change, mm, as the person asked; None where that follows from the click.
     """
 
     side: Side
@@ -40,6 +42,7 @@ class Click(NamedTuple):
     mask: NDArray[np.bool_]
     id: int = 1
     owner: int | None = None
+    near: float | None = None
 
     def mask_on(self, box: Box) -> NDArray[np.bool_]:
         """Return its voxels on a box of the grid; none where it lies elsewhere."""
@@ -167,7 +170,7 @@ class Clicks:
 
 
 def _same(first: Click, second: Click) -> bool:
-    same = first.side == second.side and first.box == second.box
+    same = (first.side, first.box, first.near) == (second.side, second.box, second.near)
     return first is second or (same and np.array_equal(first.mask, second.mask))
 
 

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 if TYPE_CHECKING:
     from accelsurf.clicks.model import Answer
 
-#: What counts where no click has corrected a result: radius of a correction (object's radii), what it keeps (Dice), and
-#: how sure the model was of the opposite.
-USUAL_CORRECTION, USUAL_UNCHANGED, USUAL_SURPRISE = 0.37, 0.77, 0.3
+#: Radius of a correction (object's radii), what it keeps (Dice), and how sure the model was of the opposite, where no
+#: click has corrected a result.
+USUAL = {"correction": 0.37, "unchanged": 0.77, "surprise": 0.3}
 #: Largest probability of an ambiguous result: no measure of it tells which object was meant.
 UNSURE = 0.45
 #: The file with the models of the probability.
@@ -145,19 +145,31 @@ def features(found: Quality) -> dict[str, float]:
 def click_features(found: Quality) -> dict[str, float] | None:
     """Return the features of the model of the clicks; None without one.
 
-    Neither the number of clicks nor the compactness is among them: they tell of objects, not of this result.
+    No measure of a click is among them, neither how many there were, nor how small the last one was, nor how little it
+    changed: a person who clicks anywhere would raise the probability of the same surface. Nor is the compactness, which
+    tells of objects and not of this result.
     """
     if found.level_overlap is None or found.size_spread is None:
         return None
-    correction = USUAL_CORRECTION if found.correction is None else found.correction
     return {
         "level_overlap": _log_odds(found.level_overlap),
         "size_spread": min(found.size_spread, 3.0),
-        "correction": math.log(min(max(correction, 0.03), 5.0)),
-        "unchanged": _log_odds(USUAL_UNCHANGED if found.unchanged is None else found.unchanged),
-        "surprise": USUAL_SURPRISE if found.surprise is None else found.surprise,
         "rim": found.rim_fraction,
         "drift": _drift(found),
+    }
+
+
+def history_features(found: Quality) -> dict[str, float]:
+    """Return measures of the last corrections, by name; the usual ones where none was made.
+
+    The calibration holds them fast, and counts them as the usual ones: see `benchmarks/quality.py`.
+    """
+    correction = USUAL["correction"] if found.correction is None else found.correction
+    unchanged = USUAL["unchanged"] if found.unchanged is None else found.unchanged
+    return {
+        "correction": math.log(min(max(correction, 0.03), 5.0)),
+        "unchanged": _log_odds(unchanged),
+        "surprise": USUAL["surprise"] if found.surprise is None else found.surprise,
     }
 
 
@@ -184,14 +196,6 @@ def why(found: Quality) -> str:
         "drift": f"its grey values change from its centre outwards, by {found.drift:.1f} standard deviations",
         "no_edge": f"{found.no_edge_fraction:.0%} of its surface lies where the image has no edge",
     }
-    if found.correction is not None and found.unchanged is not None:
-        words["correction"] = (
-            f"the last click was large: {found.correction:.2g} radii of the object"
-        )
-        words["unchanged"] = (
-            f"the last click changed it much: Dice {found.unchanged:.2f} with the object before"
-        )
-        words["surprise"] = "you clicked where the model had been sure of the opposite"
     return words[lowest_term(model_kind(found), features(found), words)]
 
 

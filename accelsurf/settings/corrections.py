@@ -94,8 +94,8 @@ class Correction(BaseModel):
         Id of the object that the clicks or the ball are for, where there are several; what one gains is taken from the
         others. 0, before a step, is no object.
     near : float or "auto"
-        How far from the clicks the surface may move after the end, mm; beyond it every byte stays. auto is what the
-        clicks are about.
+        How far from the clicks the surface may move after the end, mm; beyond it every byte stays. auto follows from
+        their radius and depth, and moves at most a share of the object.
     new : int, optional
         Id of an object that begins at the clicks, beside the others; one that has this id already begins anew. With
         ``split``: of what is split off.

@@ -282,19 +282,23 @@ def test_neither_the_compactness_nor_the_number_of_clicks_is_a_feature():
     [
         ("level_overlap", {"overlap": 0.1}, "a small change of its size gives another shape"),
         ("size_spread", {"spread": 3.0}, "objects of other sizes fit the clicks as well"),
-        ("correction", {"correction": 5.0}, "the last click was large: 5 radii of the object"),
-        ("unchanged", {"unchanged": 0.02}, "the last click changed it much"),
-        (
-            "surprise",
-            {"surprise": 1.0},
-            "you clicked where the model had been sure of the opposite",
-        ),
     ],
 )
 def test_a_doubt_names_what_speaks_most_against_the_result(feature, changes, words):
     sure = USUAL._replace(overlap=0.98, spread=0.2, correction=0.1, unchanged=0.98, surprise=0.0)
     weight = likely.calibrated_models()["clicks"]["features"][feature][2]
     assert (words in likely.why(told_of(sure._replace(**changes)))) == (weight != 0)
+
+
+@pytest.mark.parametrize("correction", [None, 0.05, 5.0])
+@pytest.mark.parametrize("unchanged", [None, 0.1, 0.99])
+@pytest.mark.parametrize("surprise", [None, 0.0, 1.0])
+def test_a_click_that_leaves_the_surface_as_it_is_leaves_its_probability(
+    correction, unchanged, surprise
+):
+    clicked = USUAL._replace(correction=correction, unchanged=unchanged, surprise=surprise)
+    assert told_of(clicked).probability == told_of(USUAL).probability
+    assert likely.why(told_of(clicked)) == likely.why(told_of(USUAL))
 
 
 def test_thin_objects_and_those_whose_values_drift_are_told_so():

@@ -7,11 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.clicks.model.answers import Answer
-from accelsurf.clicks.model.model import ClickModel
-from accelsurf.grid.boxes import connected_to
-
-#: The objects of F below this and above its negative are compared.
-LEVEL = 0.2
+from accelsurf.clicks.model.model import ClickModel, level_overlap
 
 
 class Confidence(NamedTuple):
@@ -20,7 +16,8 @@ class Confidence(NamedTuple):
     Attributes
     ----------
     overlap : float
-        Dice of the objects {F < -0.2} and {F < 0.2}: 1 where F is steep at its boundary.
+        Dice of the objects {F < -0.2} and {F < 0.2}: 1 where F is steep at its boundary. The least after any of the
+        clicks: a click makes F steep around it, and that is no better surface.
     spread : float
         Logarithm of how much larger the first answer is at a low probability than at a high one.
     correction : float or None
@@ -51,17 +48,9 @@ def confidence_of(model: ClickModel) -> Confidence | None:
     """Measure how sure a model is; None of one of several objects that fill a space."""
     if model.is_partition:
         return None
-    clicked = np.zeros(model.field.shape, np.bool_)
-    for click in model.clicks.clicks:
-        if click.side == "inside":
-            clicked |= click.mask_on(model.box)
-    # F is -3 and 3 in clicks: they are on their sides of both.
-    smaller = int(np.count_nonzero(model.inside & (model.field < -LEVEL)))
-    both = smaller + int(np.count_nonzero(connected_to(model.field < LEVEL, clicked)))
-    overlap = 2.0 * smaller / both if both else 0.0
     surprise = float(np.mean(model.surprises)) if model.surprises else None
     return Confidence(
-        overlap,
+        min(model.least_overlap, level_overlap(model)),
         model.spread,
         model.correction,
         model.unchanged,

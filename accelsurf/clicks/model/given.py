@@ -16,9 +16,7 @@ from accelsurf.grid.boxes import (
     Box,
     bounding_box,
     box_at,
-    connected_to,
     corner_of,
-    enclosing,
     on_box,
     overlap,
     placed_at,
@@ -29,8 +27,6 @@ from accelsurf.grid.boxes import (
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import axis_steps
 
-#: A click changes the mask within so many of its radii, and at least so many of the smallest spacings.
-NEAR, MIN_NEAR = 4.0, 4.0
 #: F rises from 0 at the mask's boundary to 1 within so many of the smallest spacings, and falls to -1 as far inside.
 RAMP = 2.0
 
@@ -133,7 +129,7 @@ def corrected_model(
             first = (_core_of(given, scene.spacing),) if given.mask.any() else ()
             seeds = [seed_of(each, scene) for each in (*first, *clicks.clicks)]
         known = seeds[: len(seeds) - len(clicks) + number + 1]
-        model = _near_click(with_click(model, scene, known, using), model, known[-1], scene)
+        model = with_click(model, scene, known, using)
     return replace(model, clicks=clicks)
 
 
@@ -151,25 +147,9 @@ def _core_of(given: GivenMask, spacing: Spacing) -> Click:
     return Click("inside", *tight)
 
 
-def _near_click(after: ClickModel, before: ClickModel, seed: Seed, scene: Scene) -> ClickModel:
-    """The model after a click where it is near that and connected to it, the one before elsewhere."""
-    click, spacing = seed.click, scene.spacing
-    reach = max(NEAR * seed.radius, MIN_NEAR * scene.step)
-    part = widened(click.box, after.clicks.shape, [int(reach / h) + 1 for h in spacing])
-    clicked = click.mask_on(part)
-    near = ndimage.distance_transform_edt(~clicked, sampling=spacing) <= reach
-    changed = (after.field_on(part) != before.field_on(part)) & near
-    changed = connected_to(changed | clicked, clicked)
-    box = enclosing(after.box, click.box)
-    field = before.field_on(box)
-    here, there = shared(corner_of(box), field.shape, corner_of(part), changed.shape)
-    field[here] = np.where(changed[there], after.field_on(part)[there], field[here])
-    return replace(after, box=box, field=field, inside=field < 0)
-
-
 def _with_right_click(model: ClickModel, click: Click) -> ClickModel:
     """The model after one more click that is on its side already: its own voxels alone may change."""
-    after = replace(model, clicks=model.clicks.with_more([click]), taken=0.0)
+    after = replace(model, clicks=model.clicks.with_more([click]), taken=0.0, reach=None)
     if not overlap(click.box, model.box):
         return after
     field = model.field.copy()

@@ -19,6 +19,16 @@ from accelsurf.clicks.model.boundary import at_boundary
 from accelsurf.clicks.model.even import as_large, as_people_click, dithered, is_beyond_people
 from accelsurf.clicks.model.features import Features, features_of_first, features_of_later
 from accelsurf.clicks.model.network import Network, networks
+from accelsurf.clicks.model.reach import (
+    Reach,
+    bounded_by_count,
+    distances_from,
+    least_reach,
+    most_voxels,
+    radius_of,
+    reach_of,
+    separate_part,
+)
 from accelsurf.clicks.model.surface import mean_curvature
 from accelsurf.clicks.model.windows import (
     SCALES,
@@ -68,6 +78,8 @@ SIDE = 0.2
 AROUND = 0.25
 #: A click corrects what was shown where more than this part of it is on the other side there.
 WRONG = 0.1
+#: The objects of F below this and above its negative are compared.
+LEVEL = 0.2
 #: A stated size is met up to this factor; nearer to it the image decides.
 ABOUT = 1.25
 #: A stated size is looked for in a window of at least so many times that volume.
@@ -110,6 +122,10 @@ class ClickModel:
         It is one of several objects that fill a space.
     is_ambiguous : bool
         It is of one click, which means objects whose sizes differ by a factor.
+    reach : Reach or None
+        Of the last click; None where it was on its side already, or is the first.
+    least_overlap : float
+        Least `level_overlap` of the models before the last click.
     """
 
     clicks: Clicks
@@ -124,6 +140,8 @@ class ClickModel:
     surprises: tuple[float, ...] = ()
     is_partition: bool = False
     is_ambiguous: bool = False
+    reach: Reach | None = None
+    least_overlap: float = 1.0
 
     def field_on(self, box: Box) -> Floats:
         """F on a box of the grid."""
@@ -462,11 +480,30 @@ def is_right(model: ClickModel, click: Click) -> bool:
     return int(np.count_nonzero(there != (click.side == "inside"))) <= WRONG * there.size
 
 
+def level_overlap(model: ClickModel) -> float:
+    """Return the Dice of the objects of F below a level and below its negative: 1 where F is steep at its boundary."""
+    clicked = np.zeros(model.field.shape, np.bool_)
+    for click in model.clicks.clicks:
+        if click.side == "inside":
+            clicked |= click.mask_on(model.box)
+    # F is -3 and 3 in clicks: they are on their sides of both.
+    smaller = int(np.count_nonzero(model.inside & (model.field < -LEVEL)))
+    both = smaller + int(np.count_nonzero(connected_to(model.field < LEVEL, clicked)))
+    return 2.0 * smaller / both if both else 0.0
+
+
+def least_overlap_with(model: ClickModel) -> float:
+    """Return the least `level_overlap` of a model and those before it."""
+    return min(model.least_overlap, level_overlap(model))
+
+
 def _with_right_click(model: ClickModel, click: Click, scene: Scene) -> ClickModel:
     """The model after one more click that is on its side already: its own voxels alone may change."""
-    after = replace(model, clicks=model.clicks.with_more([click]), taken=0.0)
+    after = replace(model, clicks=model.clicks.with_more([click]), taken=0.0, reach=None)
     is_beyond = click.side == "outside" and not overlap(click.box, model.box)
-    return after if is_beyond else _with_clicks(after, scene)
+    if is_beyond:
+        return after
+    return _with_clicks(replace(after, least_overlap=least_overlap_with(model)), scene)
 
 
 def with_click(
@@ -518,6 +555,7 @@ def with_click(
     )
     if not inside:
         after = without_cut_off(after, model)
+    after = within_reach(after, model, click, scene.spacing)
     width = radius_of_count(max(after.count, 1), scene)
     # Of the two objects one lies in the other.
     unchanged = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
@@ -531,7 +569,65 @@ def with_click(
         taken=taken,
         surprises=surprises,
         is_ambiguous=False,
+        least_overlap=least_overlap_with(model),
     )
+
+
+def within_reach(
+    after: ClickModel, before: ClickModel, click: Click, spacing: Spacing
+) -> ClickModel:
+    """Return the model after a click where that reaches and what changed is connected to it; elsewhere that before.
+
+    Parameters
+    ----------
+    after, before : ClickModel
+        With the click, and without it.
+    click : Click
+    spacing : (hz, hy, hx)
+        mm.
+    """
+    box, shape = enclosing(after.box, click.box), after.clicks.shape
+    before_on, after_on = before.field_on(box), after.field_on(box)
+    differs = bounding_box((before_on != after_on) | click.mask_on(box))
+    assert differs is not None  # the click is in it
+    part = placed_at(differs, corner_of(box))
+    old, new, clicked = before_on[differs], after_on[differs], click.mask_on(part)
+    distance, turned = distances_from(click, part, spacing), (old < 0) != (new < 0)
+    far = distance[turned]
+    reach = click.near
+    if reach is None:
+        reach = largest_reach(click, before, spacing)
+        most = most_voxels(radius_of(click, shape, spacing), before.count, spacing, shape[0] == 1)
+        reach = bounded_by_count(far, reach, most, least_reach(shape, spacing))
+    changed = connected_to(((old != new) & (distance <= reach)) | clicked, clicked)
+    before_on[differs] = np.where(changed, new, old)
+    left = int(np.count_nonzero(turned & ~changed))
+    known = Reach(reach, int(far.size), left, float(far.max(initial=0.0)))
+    return replace(after, box=box, field=before_on, inside=before_on < 0, reach=known)
+
+
+def largest_reach(click: Click, model: ClickModel, spacing: Spacing) -> float:
+    """Return how far a click may change a model that is wrong there, mm; a share of the object may bound it more.
+
+    By its radius and depth, and to the end of a separate part that an outside click lies in.
+    """
+    found = reach_of(click, model.inside_on, model.clicks.shape, spacing)
+    return max(found, 0.0 if click.side == "inside" else _to_end_of_part(click, model, spacing))
+
+
+def _to_end_of_part(click: Click, model: ClickModel, spacing: Spacing) -> float:
+    """Return how far the part of an object goes from a click in it, mm, where it is no main part; else 0."""
+    held = np.zeros(model.field.shape, np.bool_)
+    for other in model.clicks.clicks:
+        if other.side == "inside":
+            held |= other.mask_on(model.box)
+    part = separate_part(click, model.box, model.inside, held)
+    if part is None:
+        return 0.0
+    tight = bounding_box(part)
+    assert tight is not None  # the click is in it
+    box = placed_at(tight, corner_of(model.box))
+    return float(distances_from(click, box, spacing)[part[tight]].max())
 
 
 def without_cut_off(model: ClickModel, before: ClickModel) -> ClickModel:

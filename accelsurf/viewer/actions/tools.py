@@ -184,6 +184,7 @@ class CorrectionTool(Tool):
     def leave(self) -> None:
         if self._mark:
             self.actions.scene.marks.end(self._mark)
+            self.actions.scene.mark_ball(None)
         self._pieces, self._mark = [], 0
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
@@ -203,6 +204,25 @@ class Inside(CorrectionTool):
 
     name, key, text = "inside", "I", "Inside"
     tip = "Click or draw on what is missing: it is in the object, and stays in it"
+
+    def press(self, at: Picked) -> None:
+        """Begin a stroke, and show how far around its first place the surface may move while the button is down."""
+        super().press(at)
+        if at.world is None or not self._mark:
+            return
+        mark, where = self._mark, (click_text([at.world], self.width),)
+
+        def show(reach: float | None) -> None:
+            if reach is not None and self._mark == mark:
+                self.actions.scene.mark_ball(at.world, reach + self.width)
+                self.actions.note(f"the surface moves within {reach:.3g} mm of the click")
+
+        self.actions.ask(self.actions.session.reach(self.side, where, self.actions.object_id), show)
+
+    def release(self) -> None:
+        super().release()
+        self.actions.scene.mark_ball(None)
+        self.actions.note("", 0.0)  # what the correction did is said next
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
         texts = tuple(click_text(piece, self.width) for piece in pieces)

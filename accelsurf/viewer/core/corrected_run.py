@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import on_image
 from accelsurf.correct.finished import result_of, state_at_end
-from accelsurf.correct.refiner import Change, Refiner
+from accelsurf.correct.refiner import Change, Refiner, changes_text
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import (
@@ -108,13 +108,11 @@ class Corrections:
         )
         self._follow(refiner, correction, changes)
         self._wanted = refiner.config.refine
-        moved, seconds = (
-            sum(change.voxels for change in changes),
-            sum(change.seconds for change in changes),
-        )
-        return f"{said}: " + (
-            f"moved {moved} voxels in {seconds:.2f} s" if moved else "nothing changed"
-        )
+        return f"{said}: {changes_text(changes)}"
+
+    def reach(self, run: Run, correction: Correction) -> float | None:
+        """Return how far from its clicks a correction may change an object, mm; None while the run goes on."""
+        return None if run.stop is None else self._begun(run).reach(correction)
 
     def _follow(
         self, refiner: Refiner, correction: Correction, changes: tuple[Change, ...]

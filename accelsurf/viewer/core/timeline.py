@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from accelsurf.errors import UsageError
+from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
@@ -472,6 +472,25 @@ class Timeline:
         (edit,) = RunConfig(edit=[{"step": self.step_number, **clicks}]).edit
         self._replace_edits((*self._edits_so_far(), edit), said)
         self._message = said
+
+    def reach(
+        self, side: Side, where: tuple[str, ...], object_id: int | None = None
+    ) -> float | None:
+        """Return how far from the clicks an object may change, mm, see `Session.reach`.
+
+        Raises
+        ------
+        UsageError, InputError
+            When the first is no place or lies outside.
+        """
+        if not self.has_begun or (object_id is not None and object_id not in self.objects.ids):
+            return None
+        clicks = {side: list(where), "object": self._whose(where[0], object_id)}
+        (refinement,) = RunConfig(refine=[clicks]).refine
+        try:
+            return self.corrections.reach(self.run, refinement)
+        except AccelsurfError:
+            return None  # the click itself says what is wrong with it
 
     def _whose(self, place: str, object_id: int | None) -> int | None:
         """Return the object that a click is for, see `Session.add_click`; None where there is one without an id."""
