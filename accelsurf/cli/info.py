@@ -107,11 +107,12 @@ def _show_results(reports: Sequence[Path], as_json: bool) -> None:
 def _summary(report: object) -> dict[str, str]:
     """Return what a report says of image, end, volume and quality."""
     document = report if isinstance(report, dict) else {}
-    source, stop, error, quality = (
-        _fields_of(document, name) for name in ("input", "stop", "error", "quality")
+    source, stop, error, quality, best = (
+        _fields_of(document, name) for name in ("input", "stop", "error", "quality", "estimates")
     )
     out = {"image": source.get("path"), "ended": stop.get("message") or error.get("message")}
-    volume, probability = document.get("volume_mm3"), quality.get("probability")
+    volume = best.get("volume_mm3", document.get("volume_mm3"))
+    probability = quality.get("probability")
     if isinstance(volume, int | float):
         out["volume"] = f"{volume:.6g} mm3"
     if isinstance(probability, int | float):

@@ -242,11 +242,8 @@ def outcome_title(name: str, result: Result) -> str:
     if result.enclosed_mm2 is not None:
         size = size_text(result.enclosed_mm2, unit, 2, digits=4)
     else:
-        size = (
-            volume_text(result.volume_mm3)
-            if unit == "mm"
-            else size_text(result.volume_mm3, unit, 3, digits=4)
-        )
+        volume = result.estimates.volume_mm3
+        size = volume_text(volume) if unit == "mm" else size_text(volume, unit, 3, digits=4)
     return f"{name}: {size}, {result.resolved_settings['flow']} flow, {result.stop.steps} steps, {result.stop.reason}"
 
 
