@@ -22,7 +22,14 @@ from scipy.optimize import minimize
 from skimage.measure import marching_cubes, mesh_surface_area
 
 import accelsurf
-from accelsurf.measure.intervals import EdgeMeasures, edge_measures, estimates, signs, units
+from accelsurf.measure.intervals import (
+    MAX_NOISE_OF_DIAMETER,
+    EdgeMeasures,
+    edge_measures,
+    estimates,
+    signs,
+    units,
+)
 
 Floats = NDArray[np.float64]
 RESULTS = Path(__file__).parent / "results" / "intervals.json"
@@ -362,7 +369,7 @@ def weights_of(key: str, rows: list[dict[str, Any]]) -> Floats:
 
 
 def fitted(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Yield the weights of each measure, and the deviations of 95 % of the cases, and of 93 % of those of each shape.
+    """Yield the weights of each measure, and the deviations of 95 % of the cases.
 
     The deviations are of objects that were left out of the fit, a fifth after another.
     """
@@ -375,14 +382,10 @@ def fitted(rows: list[dict[str, Any]]) -> Iterator[str]:
             held = [row for row, is_mine in zip(rows, mine, strict=True) if is_mine]
             deviations[mine] = deviations_of(key, held, weights_of(key, others))
         bias, spread = np.split(weights_of(key, rows).round(3), 2)
-        off = np.abs(deviations)
-        of_shapes = [
-            np.quantile(
-                [far for far, row in zip(off, rows, strict=True) if row["shape"] == shape], 0.93
-            )
-            for shape in PARTS["fit"]
+        told = [
+            key != "diameter_mm" or row["edge"]["noise"] <= MAX_NOISE_OF_DIAMETER for row in rows
         ]
-        factor = float(max(np.quantile(off, 0.95), *of_shapes))
+        factor = float(np.quantile(np.abs(deviations[told]), 0.95))
         yield f"{key}: _Weights({tuple(bias.tolist())}, {tuple(spread.tolist())}, {factor:.2f})"
 
 
