@@ -41,7 +41,7 @@ _UP, _TURN = 1 - (2 * np.arange(4000) + 1) / 4000, np.pi * (1 + 5**0.5) * np.ara
 _ACROSS = np.sqrt(1 - _UP**2)
 DIRECTIONS = np.stack([_ACROSS * np.cos(_TURN), _ACROSS * np.sin(_TURN), _UP], axis=1)
 #: Phantoms of each part, each in all slices.
-NUMBERS = {"fit": range(120), "report": range(144)}
+NUMBERS = {"fit": range(83), "report": range(99)}
 #: A result with a smaller Dice is another object, of which no interval can hold; a person clicks again below the other,
 #: so often at most.
 MIN_DICE, GOOD_DICE, MAX_CLICKS = 0.8, 0.88, 4
