@@ -216,9 +216,8 @@ def clicked(scan: accelsurf.Volume, truth: Truth) -> tuple[accelsurf.Result, flo
         deep = ndimage.distance_transform_edt(np.pad(wrong, 1), spacing)[1:-1, 1:-1, 1:-1]
         z, y, x = (int(v) for v in np.unravel_index(int(deep.argmax()), deep.shape))
         clicks[side].append(f"ball:{x},{y},{z},{max(0.5 * float(deep.max()), 0.5):.2f}vox")
-        result = accelsurf.segment(
-            scan, **{key: value for key, value in clicks.items() if value}, threads=1
-        )
+        options: dict[str, Any] = {key: value for key, value in clicks.items() if value}
+        result = accelsurf.segment(scan, **options, threads=1)
         found = result.labels > 0
         missing, extra = truth.inside & ~found, found & ~truth.inside
         dice = 2 * float((truth.inside & found).sum()) / float(truth.inside.sum() + found.sum())
@@ -291,7 +290,10 @@ def counted(rows: list[dict[str, Any]]) -> dict[str, Any]:
         best = np.array([getattr(each, key) for each, _ in made])
         low, high = np.array([getattr(each, key) or (np.nan, np.nan) for _, each in made]).T
         told, holds = np.isfinite(low), (low <= true) & (true <= high)
-        of_measure = {"below": int((true < low).sum()), "above": int((true > high).sum())}
+        of_measure: dict[str, Any] = {
+            "below": int((true < low).sum()),
+            "above": int((true > high).sum()),
+        }
         for group, name in GROUPS.items():
             names = np.array([name(row) for row in found])
             of_measure[group] = {
