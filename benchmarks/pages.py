@@ -40,10 +40,22 @@ _SERVED = (
     ("lasso", "lasso"),
     ("labels", "labels"),
 )
-_HELD, _MEASURED = (
-    ("all/all", "slices/1 mm", "slices/3 mm", "slices/5 mm"),
-    ("volume", "area", "diameter"),
-)
+_MEASURED = ("volume_mm3", "area_mm2", "diameter_mm")
+_HELD = {
+    "all": "all/all",
+    **{
+        name: f"shape/{name.removesuffix(' *')}"
+        for name in (
+            *("ball", "box", "cylinder *", "ellipsoid", "lobes *"),
+            *("potato *", "torus", "tube", "turned box"),
+        )
+    },
+    **{f"slices of {n} mm": f"slices/{n} mm" for n in (1, 3, 5)},
+    **{f"noise {text}": f"noise/0{text}" for text in (".05", ".1", ".2", ".3")},
+    "fading contrast": "image/fading",
+    "a neighbour": "image/neighbour",
+    "even contrast": "image/plain",
+}
 _BRAIN = ("accelsurf", "c3d -levelset", "Gaussian, Otsu, largest part")
 FIGURES = (
     Figures(
@@ -119,12 +131,18 @@ FIGURES = (
     *(
         Figures(
             "docs/explanation/measures.md",
-            rf"\| {name}[^|]*\| {_N} % \| {_N}, {_N}, {_N} % \| {_N} % \| {_N}, {_N}, {_N} % \|",
+            rf"\| {re.escape(name)} \| {_N} " + rf"\| {_N} %, {_N} % (?:\(\d+ not told\) )?" * 3,
             f"{_RESULTS}/intervals.json",
-            tuple(f"%counted/report/{name}_mm{power}/{part}/holds" for part in _HELD)
-            + tuple(f"counted/report/{name}_mm{power}/{part}/half_width_percent" for part in _HELD),
+            (
+                f"counted/report/volume_mm3/{group}/count",
+                *(
+                    part + f"counted/report/{measure}/{group}/{figure}"
+                    for measure in _MEASURED
+                    for part, figure in (("%", "holds"), ("", "half_width_percent"))
+                ),
+            ),
         )
-        for name, power in zip(_MEASURED, ("3", "2", ""), strict=True)
+        for name, group in _HELD.items()
     ),
 )
 

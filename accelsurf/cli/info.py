@@ -159,12 +159,13 @@ def _summary(report: object) -> dict[str, str]:
     from accelsurf.settings.wording import size_text
 
     document = report if isinstance(report, dict) else {}
-    source, stop, error, quality = (
-        _fields_of(document, name) for name in ("input", "stop", "error", "quality")
+    source, stop, error, quality, best = (
+        _fields_of(document, name) for name in ("input", "stop", "error", "quality", "estimates")
     )
     out = {"image": source.get("path"), "ended": stop.get("message") or error.get("message")}
     unit = source.get("unit")
-    volume, probability = document.get("volume_mm3"), quality.get("probability")
+    volume = best.get("volume_mm3", document.get("volume_mm3"))
+    probability = quality.get("probability")
     if isinstance(volume, int | float):
         out["volume"] = size_text(volume, unit if unit in ("um", "nm") else "mm", 3)
     if isinstance(probability, int | float):

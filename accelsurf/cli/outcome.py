@@ -15,7 +15,7 @@ from accelsurf.errors import (
 )
 from accelsurf.measure.quality import extent_text
 from accelsurf.settings.coordinates import place_text
-from accelsurf.settings.wording import size_text, volume_text
+from accelsurf.settings.wording import in_unit, rounded_text, size_text, volume_text
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
@@ -129,7 +129,7 @@ def summary_lines(
     lines = _ending(name, result, seconds)
     shaped = [output for output in outputs if "largest_distance_mm" in output]
     if result.has_ids or {"surface", "contour"} & {output["kind"] for output in outputs}:
-        lines.append(_measures(result))
+        lines += [_measures(result), *_around_measures(result)]
     lines += [f"  {line}" for line in _judgement(result)]
     if shaped:
         furthest = max(shaped, key=lambda output: float(output["largest_distance_mm"]))
@@ -231,14 +231,14 @@ def _other_answers(quality: Quality, geometry: Geometry) -> list[str]:
 
 def _in_words(result: Result, said: str) -> str:
     """The volume in the unit that people use for its size, where that is another."""
-    text = volume_text(result.volume_mm3)
+    text = volume_text(result.estimates.volume_mm3)
     return "" if text.endswith(said.rpartition(" ")[2]) else f" ({text})"
 
 
 def _measures(result: Result) -> str:
     is_2d = result.geometry.slice_axis is not None
-    unit = result.geometry.unit
-    volume, area = size_text(result.volume_mm3, unit, 3), size_text(result.area_mm2, unit, 2)
+    unit, best = result.geometry.unit, result.estimates
+    volume, area = size_text(best.volume_mm3, unit, 3), size_text(best.area_mm2, unit, 2)
     sizes = f"volume {volume}{_in_words(result, volume)}, area {area}"
     if is_2d:
         enclosed, length = result.enclosed_mm2 or 0.0, result.length_mm or 0.0
@@ -250,3 +250,21 @@ def _measures(result: Result) -> str:
         f", touches the {'image' if is_2d else 'volume'}'s border" if result.touches_border else ""
     )
     return f"{sizes}, {parts}{border}"
+
+
+def _around_measures(result: Result) -> list[str]:
+    """A line with the intervals around the measures of one object in a volume."""
+    found = result.objects[0]
+    if result.has_ids or result.geometry.slice_axis is not None or not found.has_surface:
+        return []
+    if found.intervals is None:
+        return ["  how exact that is cannot be told: there is no edge in the image to measure by"]
+    unit = result.geometry.unit
+    texts = []
+    for power, (key, interval) in zip((3, 2, 1), found.intervals._asdict().items(), strict=True):
+        ends = [rounded_text(in_unit(end, unit, power)) for end in interval or ()]
+        told = (
+            f"{' to '.join(ends)} {unit}{power if power > 1 else ''}" if ends else "cannot be told"
+        )
+        texts.append(f"{key.partition('_')[0]} {told}")
+    return [f"  95 %: {', '.join(texts)}"]

@@ -66,7 +66,7 @@ def diameters(inside: NDArray[np.bool_], corner: tuple[int, ...], geometry: Geom
 
 def longest_line(points: Floats) -> Floats:
     """Return the two of points (n, 3) that are farthest apart."""
-    return _longest(points, with_across=False)[0]
+    return _longest(points[_far_enough(points)], with_across=False)[0]
 
 
 def _widest_slice(ends: NDArray[np.int64], axial: int, geometry: Geometry) -> NDArray[np.int64]:
@@ -149,11 +149,7 @@ def _farthest(points: Floats) -> Floats:
     """The two points that are farthest apart; the distances of so many are not stored at once."""
     from scipy.spatial.distance import cdist
 
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    radii = np.sqrt(((points - middle) ** 2).sum(axis=1))
-    start = points[radii.argmax()]
-    least = float(np.sqrt(((points - start) ** 2).sum(axis=1).max()))
-    points = points[radii >= (least - radii.max()) * (1 - 1e-12)]  # others are too near the middle
+    points = points[_far_enough(points)]
     best, longest = points[[0, 0]], -1.0
     for first in range(0, len(points), BATCH):
         distances = cdist(points[first : first + BATCH], points[first:], "sqeuclidean")
@@ -164,6 +160,15 @@ def _farthest(points: Floats) -> Floats:
                 float(distances[near_end, far_end]),
             )
     return best
+
+
+def _far_enough(points: Floats) -> NDArray[np.bool_]:
+    """True for points (n, 3) that may be one of the two farthest apart: others are too near the middle."""
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radii = np.sqrt(((points - middle) ** 2).sum(axis=1))
+    start = points[radii.argmax()]
+    least = float(np.sqrt(((points - start) ** 2).sum(axis=1).max()))
+    return np.asarray(radii >= (least - radii.max()) * (1 - 1e-12))
 
 
 def _longest_across(points: Floats, facets: NDArray[np.int32], line: Floats) -> Floats:

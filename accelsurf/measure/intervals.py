@@ -1,12 +1,15 @@
-"""Intervals that hold the true volume, area and diameter of an object in 95 of 100 cases, by its edge in the image.
+"""Best estimates of an object's volume, area and diameter by its edge in the image, and 95 % intervals around them.
 
 A voxel that the surface passes holds a share f of the object, and the image there is I = f I_in + (1 - f) I_out, for
 any blur and any thickness of the slices, as both keep sums. With I_in and I_out as they are nearby, in the object and
-beside it, the volume is that of the voxels within plus the sum of f over a shell around the surface. The surface
-f = 1/2 has the diameter; the area is that of the object's surface, scaled to this volume. White noise of deviation s in
-I is s / |I_in - I_out| in f, so that of the volume is known. The rest has no formula: the levels nearby are those of
-something else, the edge is doubtful, the surface is far off. It grows with the layer of voxels on the surface, with
-how the contrast differs along it, and with how far the shell had to be moved; the weights come from phantoms
+beside it, the volume is that of the voxels within plus the sum of f over a shell around the surface. White noise of
+deviation s in I is s / |I_in - I_out| in f, so that of the volume is known. Area and diameter are those of the surface
+f = 1/2, smoothed the more, the more noise there is. Smoothing takes away edges and tips, as blur has before; twice the
+width takes away more, and by how much tells edges from round sides, whose area and length it hardly changes.
+
+The rest has no formula: the levels nearby are those of something else, the edge is doubtful, the surface is far off.
+It grows with the layer of voxels on the surface, with the noise, with how the contrast differs along the surface, and
+with how far the shell had to be moved. Mean errors, which the estimates are free of, and deviations come from phantoms
 (`benchmarks/intervals.py`).
 """
 
@@ -19,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import Box, bounding_box, corner_of, slabs
+from accelsurf.grid.boxes import bounding_box, corner_of, slabs
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.noise import noise_of
-from accelsurf.image.smoothing import gaussian_weights
+from accelsurf.image.smoothing import gaussian_mm, gaussian_weights
 from accelsurf.kernels.smoothing import smooth_across_rows
 from accelsurf.measure.diameters import longest_line
-from accelsurf.measure.surface_mesh import crossings
+from accelsurf.measure.surface_mesh import Surface, crossings
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -40,8 +43,9 @@ MIN_CONTRAST = 0.05
 PASSES, AT_REST = 3, 0.05
 #: Beyond so much noise or variation, in parts of the contrast, there is no edge to measure by.
 MAX_DOUBT = 2.0
-#: Shares are smoothed for the surface f = 1/2 by a Gaussian of this sigma, pixels.
-SMOOTH = 0.7
+#: Shares are smoothed for the surface f = 1/2 by a Gaussian of this sigma, pixels: in an image without noise, and so
+#: much more where the noise is as strong as the contrast. Then again by twice that.
+SMOOTH, SMOOTH_IN_NOISE = 0.7, 0.9
 
 
 class Interval(NamedTuple):
@@ -52,40 +56,62 @@ class Interval(NamedTuple):
 
 
 class Intervals(NamedTuple):
-    """Intervals that hold the true measures in 95 of 100 cases, as long as the object is the right one."""
+    """Intervals that hold the true measures in 95 of 100 cases, as long as the object is the right one.
 
-    volume_mm3: Interval
-    area_mm2: Interval
-    diameter_mm: Interval
+    None where nothing can be told.
+    """
+
+    volume_mm3: Interval | None
+    area_mm2: Interval | None
+    diameter_mm: Interval | None
 
 
-#: Those of `signs` that tell a mean error.
-BIASED = (0, 1, 2, 5)
+class Estimates(NamedTuple):
+    """Best estimates of the measures of an object; the diameter is None where its image has no edge to measure by."""
+
+    volume_mm3: float
+    area_mm2: float
+    diameter_mm: float | None
 
 
 class _Weights(NamedTuple):
-    """Weights of what tells the error of a measure.
+    """Weights of what tells the error of a measure, see `signs`.
 
     Attributes
     ----------
     bias : tuple of float
-        Mean error: by 1, the variation, the noise, the thinness.
+        Mean error: the sum.
     spread : tuple of float
-        Deviation, the root of the sum of squares: by all of `signs`.
+        Deviation: the root of the sum of squares.
     factor : float
         Deviations to either side of 95 of 100 cases.
     """
 
-    bias: tuple[float, float, float, float]
-    spread: tuple[float, float, float, float, float, float]
+    bias: tuple[float, ...]
+    spread: tuple[float, ...]
     factor: float
 
 
-#: ``python -m benchmarks.intervals --fit``. Units: of the volume a layer of voxels; of the logarithm of the area, that
-#: over the volume, by the root of its thickness in pixels; of the diameter, the root of pixel and voxel along it.
-_VOLUME = _Weights((-0.002, 0.134, 0.023, 0.002), (0.0, 0.107, 0.047, 1.526, 0.036, 0.017), 2.29)
-_AREA = _Weights((-0.079, -0.076, -0.426, 0.178), (0.095, 0.556, 0.238, 0.0, 0.304, 0.035), 1.83)
-_DIAMETER = _Weights((0.693, 0.750, -2.359, -0.094), (0.741, 2.830, 1.865, 0.0, 2.923, 0.0), 1.95)
+#: ``python -m benchmarks.intervals --fit``; in the units of `units`.
+WEIGHTS = {
+    "volume_mm3": _Weights(
+        (0.012, 0.083, -0.009, -0.055, -0.019, -0.009), (0.01, 0.094, 0.0, 0.27, 0.128, 0.0), 2.73
+    ),
+    "area_mm2": _Weights(
+        (-0.029, -0.187, -0.124, 0.265, 0.081, 0.001, 0.758, -0.253),
+        (0.02, 0.0, 0.115, 0.0, 0.0, 0.033, 0.265, 0.515),
+        2.26,
+    ),
+    "diameter_mm": _Weights(
+        (-0.839, -4.617, -1.831, 2.241, -0.372, -1.007, 3.042, -0.773),
+        (0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.646, 0.0),
+        1.90,
+    ),
+}
+#: An interval whose high end is more than so many times the low one tells nothing.
+MAX_RATIO = 3.0
+#: In more noise the intervals of the diameter held it in less than 9 of 10 phantoms of the fit: none is given.
+MAX_NOISE_OF_DIAMETER = 0.5
 
 
 class EdgeMeasures(NamedTuple):
@@ -94,6 +120,8 @@ class EdgeMeasures(NamedTuple):
     Attributes
     ----------
     volume_mm3, area_mm2, diameter_mm : float
+    area_lost, diameter_lost : float
+        Logarithms of area and diameter over those of the surface that is smoothed twice as much.
     noise_mm3 : float
         Standard deviation of the volume by the noise of the image.
     layer_mm3 : float
@@ -103,7 +131,8 @@ class EdgeMeasures(NamedTuple):
     variation : float
         Standard deviation of the contrast along the surface, in parts of its mean.
     noise : float
-        Of the image, in parts of the contrast.
+        Of the image, in parts of the contrast; times the fourth root of the thickness of the slices in pixels, as there
+        are as many voxels fewer over which to smooth.
     moved : float
         How far outwards the shell was moved, in voxels.
     """
@@ -111,6 +140,8 @@ class EdgeMeasures(NamedTuple):
     volume_mm3: float
     area_mm2: float
     diameter_mm: float
+    area_lost: float
+    diameter_lost: float
     noise_mm3: float
     layer_mm3: float
     step_mm: float
@@ -120,54 +151,73 @@ class EdgeMeasures(NamedTuple):
     moved: float
 
 
-def intervals(found: EdgeMeasures) -> Intervals:
-    """Return the intervals of an object by the measures of its edge.
-
-    Examples
-    --------
-    >>> found = EdgeMeasures(4189.0, 1257.0, 20.0, 9.0, 1257.0, 1.0, 1.0, variation=0.0, noise=0.1, moved=0.0)
-    >>> [round(part) for part in intervals(found).volume_mm3], [round(part, 1) for part in intervals(found).diameter_mm]
-    ([4161, 4219], [18.9, 21.9])
-    """
-    ends, (layer, relative, line) = [], units(found)
-    for sign in (-1.0, 1.0):
-        volume = found.volume_mm3 + layer * _end(_VOLUME, found, sign, found.noise_mm3 / layer)
-        area = found.area_mm2 * math.exp(relative * _end(_AREA, found, sign))
-        diameter = found.diameter_mm + line * _end(_DIAMETER, found, sign)
-        ends.append((max(volume, 0.0), area, max(diameter, 0.0)))
-    return Intervals(*(Interval(low, high) for low, high in zip(*ends, strict=True)))
+def estimates(found: EdgeMeasures) -> tuple[Estimates, Intervals]:
+    """Return the best estimates of an object by the measures of its edge, and the intervals around them."""
+    best, around = [], []
+    for key, weights in WEIGHTS.items():
+        mean, deviation = error(found, key, weights)
+        ends = [
+            measure_at(found, key, mean + step * weights.factor * deviation) for step in (-1, 0, 1)
+        ]
+        best.append(ends[1])
+        is_told = ends[2] <= MAX_RATIO * ends[0] and (
+            key != "diameter_mm" or found.noise <= MAX_NOISE_OF_DIAMETER
+        )
+        around.append(Interval(ends[0], ends[2]) if is_told else None)
+    return Estimates(*best), Intervals(*around)
 
 
-def _end(weights: _Weights, found: EdgeMeasures, sign: float, known: float = 0.0) -> float:
-    """Return an end of an interval in the unit of its measure; ``known`` is a deviation besides."""
-    values = signs(found)
-    middle = sum(weight * values[place] for weight, place in zip(weights.bias, BIASED, strict=True))
+def error(found: EdgeMeasures, key: str, weights: _Weights) -> tuple[float, float]:
+    """Return the mean error of a measure and its deviation, in its unit."""
+    values, known = (
+        signs(found, key),
+        found.noise_mm3 / found.layer_mm3 if key == "volume_mm3" else 0.0,
+    )
+    mean = sum(weight * value for weight, value in zip(weights.bias, values, strict=True))
     squares = [(weight * value) ** 2 for weight, value in zip(weights.spread, values, strict=True)]
-    return middle + sign * weights.factor * math.sqrt(known**2 + sum(squares))
+    return mean, math.sqrt(known**2 + sum(squares))
 
 
-def signs(found: EdgeMeasures) -> tuple[float, ...]:
-    """Return what tells the error: 1, variation, noise, their product, how far the shell was moved, thinness."""
-    thinness = found.layer_mm3 / found.volume_mm3
-    return (
+def measure_at(found: EdgeMeasures, key: str, off: float) -> float:
+    """Return a measure with an error of so many of its units: the logarithm's, but for the volume."""
+    value = float(getattr(found, key))
+    change = off * units(found)[key]
+    return max(value + change, 0.0) if key == "volume_mm3" else value * math.exp(change)
+
+
+def signs(found: EdgeMeasures, key: str) -> tuple[float, ...]:
+    """Return what tells the error of a measure.
+
+    1, variation, noise, their product, how far the shell was moved, how thin the object is; of area and diameter also
+    the root of what smoothing took away, in its unit, and the product of that and the noise.
+    """
+    common = (
         1.0,
         found.variation,
         found.noise,
         found.variation * found.noise,
         abs(found.moved),
-        thinness,
+        found.layer_mm3 / found.volume_mm3,
     )
+    if key == "volume_mm3":
+        return common
+    lost = found.area_lost if key == "area_mm2" else found.diameter_lost
+    root = math.sqrt(max(lost, 0.0) / units(found)[key])
+    return (*common, root, root * found.noise)
 
 
-def units(found: EdgeMeasures) -> tuple[float, float, float]:
-    """Return the units of the errors of volume (mm3), logarithm of the area, and diameter (mm); see `_Weights`."""
-    relative = found.layer_mm3 / found.volume_mm3
+def units(found: EdgeMeasures) -> dict[str, float]:
+    """Return the units of the errors: of the volume in mm3, of the logarithms of area and diameter.
+
+    A layer of voxels; of the area this over the volume, by the root of its thickness in pixels; of the diameter the
+    root of pixel and voxel along it.
+    """
     thickness = found.layer_mm3 / found.area_mm2 / found.pixel_mm
-    return (
-        found.layer_mm3,
-        relative / math.sqrt(thickness),
-        math.sqrt(found.step_mm * found.pixel_mm),
-    )
+    return {
+        "volume_mm3": found.layer_mm3,
+        "area_mm2": found.layer_mm3 / found.volume_mm3 / math.sqrt(thickness),
+        "diameter_mm": math.sqrt(found.step_mm * found.pixel_mm) / found.diameter_mm,
+    }
 
 
 class _Levels(NamedTuple):
@@ -191,7 +241,7 @@ class _Sums(NamedTuple):
 
 
 def edge_measures(
-    psi: Image, image: Image, geometry: Geometry, volume_mm3: float, area_mm2: float
+    psi: Image, image: Image, geometry: Geometry, volume_mm3: float
 ) -> EdgeMeasures | None:
     """Measure an object by the image around its surface; None where it has no edge at all, or is one slice.
 
@@ -202,7 +252,7 @@ def edge_measures(
     image : ndarray (nz, ny, nx)
         As it was evolved, in any unit.
     geometry : Geometry
-    volume_mm3, area_mm2 : float
+    volume_mm3 : float
         Of the surface.
     """
     spacing = geometry.spacing
@@ -238,48 +288,74 @@ def edge_measures(
         abs(levels.inside - levels.beside),
     )
     deviation = float(np.sqrt(max(sums.squares / sums.voxels - mean**2, 0.0)))
-    line = _diameter(shares, geometry, box)
-    if (
-        line is None
-        or found <= 0
-        or noise > MAX_DOUBT * contrast
-        or deviation > MAX_DOUBT * abs(mean)
-    ):
+    if found <= 0 or noise > MAX_DOUBT * contrast or deviation > MAX_DOUBT * abs(mean):
         return None
+    at = Geometry(
+        psi.shape, spacing, tuple(geometry.index_to_world(corner_of(box))), geometry.direction
+    )
+    noise_of_shares = noise / contrast * (thick / thin) ** 0.25
+    sharp, blunt = (_half_surface(shares, at, noise_of_shares, times) for times in (1.0, 2.0))
+    if sharp is None or blunt is None:
+        return None
+    area, blunt_area = (
+        each.area_mm2 * (found / each.volume_mm3) ** (2 / 3) for each in (sharp, blunt)
+    )
     return EdgeMeasures(
         found,
-        area_mm2 * (found / volume_mm3) ** (2.0 / 3.0),
-        line[0],
+        area,
+        sharp.diameter_mm,
+        math.log(area / blunt_area),
+        math.log(sharp.diameter_mm / blunt.diameter_mm),
         geometry.voxel_volume * noise * float(np.sqrt(sums.weights)),
         layer,
-        line[1],
+        sharp.step_mm,
         thin,
         deviation / abs(mean),
-        noise / contrast,
+        noise_of_shares,
         (found - volume_mm3) / layer,
     )
 
 
-def _diameter(shares: Image, geometry: Geometry, box: Box) -> tuple[float, float] | None:
-    """Return the diameter of the surface where shares are 1/2, and a voxel's extent along it, mm."""
-    widths = [SMOOTH * (min(geometry.spacing) / h) ** 0.5 for h in geometry.spacing]
-    half = np.float32(0.5) - ndimage.gaussian_filter(np.clip(shares, -1.0, 2.0), widths)
+class _HalfSurface(NamedTuple):
+    """Measures of a surface f = 1/2, and a voxel's extent along its diameter."""
+
+    volume_mm3: float
+    area_mm2: float
+    diameter_mm: float
+    step_mm: float
+
+
+def _half_surface(
+    shares: Image, geometry: Geometry, noise: float, times: float
+) -> _HalfSurface | None:
+    """Measure the surface where smoothed shares are 1/2; None where none is left.
+
+    Parameters
+    ----------
+    shares : ndarray (nz, ny, nx)
+    geometry : Geometry
+        Of them.
+    noise : float
+        That of `EdgeMeasures`.
+    times : float
+        How many times the least smoothing.
+    """
+    sigma = times * (SMOOTH + SMOOTH_IN_NOISE * noise)
+    widths = [(h / min(geometry.spacing)) ** 0.5 for h in geometry.spacing]
+    half = np.float32(0.5) - gaussian_mm(np.clip(shares, -1.0, 2.0), widths, sigma)
     parts, count = ndimage.label(half < 0)
     is_hollow = np.ones(count + 1, np.bool_)
     is_hollow[parts[shares >= 1.0]] = False
     half[(half < 0) & is_hollow[parts]] = 0.1
     if not (half < 0).any():
         return None
-    part = Geometry(
-        half.shape,
-        geometry.spacing,
-        tuple(geometry.index_to_world(corner_of(box))),
-        geometry.direction,
-    )
-    first, last = longest_line(part.index_to_world(crossings(half, part)[0]))
+    places, faces = crossings(half, geometry)
+    surface = Surface(geometry.index_to_world(places), faces)
+    first, last = longest_line(surface.vertices)
     length = float(np.linalg.norm(last - first))
     along = geometry.direction.T @ (last - first) / length
-    return length, float(np.linalg.norm(along * geometry.spacing_xyz))
+    step = float(np.linalg.norm(along * geometry.spacing_xyz))
+    return _HalfSurface(abs(surface.volume), surface.area, length, step)
 
 
 def _measure_shell(

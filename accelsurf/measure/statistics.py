@@ -17,7 +17,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.diameters import Diameters, diameters
 
 if TYPE_CHECKING:
-    from accelsurf.measure.intervals import Intervals
+    from accelsurf.measure.intervals import Estimates, Intervals
 
 Floats = NDArray[np.float64]
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
@@ -47,8 +47,12 @@ class MeasuredObject(Protocol):
         """Area of its surface, mm2."""
 
     @property
+    def estimates(self) -> Estimates:
+        """Best estimates of its true measures."""
+
+    @property
     def intervals(self) -> Intervals | None:
-        """Intervals of its measures."""
+        """Intervals around them."""
 
 
 def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any]:
@@ -64,8 +68,9 @@ def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any
     Returns
     -------
     dict
-        In this order: ``volume_ml``, ``volume_mm3``, ``area_mm2``; ``volume_low_mm3``, ``volume_high_mm3`` and so on of
-        ``area`` and ``diameter``, see `accelsurf.measure.intervals`; ``voxels``; ``mean``, ``sd``, ``min``, ``p1`` to
+        In this order: ``volume_ml``, ``volume_mm3``, ``area_mm2`` of the surface; ``volume_estimate_mm3``,
+        ``volume_low_mm3``, ``volume_high_mm3`` and so on of ``area`` and ``diameter``, see
+        `accelsurf.measure.intervals`; ``voxels``; ``mean``, ``sd``, ``min``, ``p1`` to
         ``p99``, ``max`` of the image; ``box_first``, ``box_last`` (voxel indices x, y, z, both in the object);
         ``centroid_mm``; ``axes_mm``, the lengths of the ellipsoid with the same moments, longest first, and
         ``axes_directions``; ``diameter_mm``, ``diameter_across_mm``, ``diameter_axial_mm`` and
@@ -82,7 +87,7 @@ def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any
         "volume_ml": segmented.volume_mm3 / 1000,
         "volume_mm3": segmented.volume_mm3,
         "area_mm2": segmented.area_mm2,
-        **_interval_ends(segmented.intervals),
+        **_estimated(segmented.estimates, segmented.intervals),
         "voxels": count,
         **_of_image(values[box][inside]),
         "box_first": [int(part) for part in first[::-1]],
@@ -94,14 +99,18 @@ def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any
     }
 
 
-def _interval_ends(intervals: Intervals | None) -> dict[str, float | None]:
-    """Return both ends of the interval of each measure."""
-    ends: dict[str, float | None] = {}
-    for key in ("volume_mm3", "area_mm2", "diameter_mm"):
+def _estimated(estimates: Estimates, intervals: Intervals | None) -> dict[str, float | None]:
+    """Return the estimate of each measure and both ends of the interval around it."""
+    out: dict[str, float | None] = {}
+    for key, best in estimates._asdict().items():
         stem, unit = key.rsplit("_", 1)
-        low, high = getattr(intervals, key, (None, None))
-        ends |= {f"{stem}_low_{unit}": low, f"{stem}_high_{unit}": high}
-    return ends
+        low, high = getattr(intervals, key, None) or (None, None)
+        out |= {
+            f"{stem}_estimate_{unit}": best,
+            f"{stem}_low_{unit}": low,
+            f"{stem}_high_{unit}": high,
+        }
+    return out
 
 
 def _moments(inside: NDArray[np.bool_]) -> tuple[int, Floats, Floats]:

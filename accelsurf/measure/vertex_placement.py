@@ -96,7 +96,7 @@ def on_edges(zyx: Floats, psi: Psi, spacing: tuple[float, float, float], margin:
 
 
 def in_cells(zyx: Floats, faces: NDArray[np.integer], shape: tuple[int, ...]) -> Floats:
-    """Move vertices that lie within a cell, on no edge of the grid, to the mean of their neighbours, which lie on edges.
+    """Move vertices within a cell, on no edge of the grid, to the mean of their neighbours, which lie on edges.
 
     Marching cubes puts one into some cells, at the mean in single precision from the corner of its box: without this it
     would depend by rounding on where the rest of the object ends, and so would all vertices around it.

@@ -153,7 +153,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
     """
     if result is None:
         keys = ("stop", "window", "resolved_settings", "levels", "edits", "energy", "mass")
-        return dict.fromkeys((*keys, *_MEASURES, "intervals", "quality", "objects"))
+        return dict.fromkeys((*keys, *_MEASURES, "estimates", "intervals", "quality", "objects"))
     # Of the run alone: the potential of a correction is that of its box.
     ran = result.run_history
     last = ran[-1] if ran else None
@@ -183,6 +183,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         },
         "mass": describe_mass(result),
         **{key: getattr(result, key) for key in _MEASURES},
+        "estimates": result.estimates._asdict(),
         "intervals": describe_intervals(result.intervals),
         "quality": describe_quality(result.quality),
         "objects": describe_objects(result) if result.has_ids else None,
@@ -196,13 +197,11 @@ def describe_window(window: Window | None) -> dict[str, Any] | None:
     return {"first_voxel": list(reversed(window.corner)), "size": list(reversed(window.shape))}
 
 
-def describe_intervals(intervals: Intervals | None) -> dict[str, list[float]] | None:
+def describe_intervals(intervals: Intervals | None) -> dict[str, list[float] | None] | None:
     """Return the part of the report about the intervals of an object's measures."""
-    return (
-        None
-        if intervals is None
-        else {key: list(interval) for key, interval in intervals._asdict().items()}
-    )
+    if intervals is None:
+        return None
+    return {key: interval and list(interval) for key, interval in intervals._asdict().items()}
 
 
 def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
@@ -227,6 +226,7 @@ def describe_object(segmented: SegmentedObject) -> dict[str, Any]:
         "id": segmented.id,
         **{key: getattr(segmented.stop, key) for key in ("reason", "steps", "message")},
         **{key: getattr(segmented, key) for key in _MEASURES},
+        "estimates": segmented.estimates._asdict(),
         "intervals": describe_intervals(segmented.intervals),
         "centroid": _centroid(segmented),
         "cells_visited": sum(row.cells_visited for row in segmented.history),

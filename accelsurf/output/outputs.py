@@ -242,7 +242,7 @@ def outcome_title(name: str, result: Result) -> str:
     if result.enclosed_mm2 is not None:
         size = size_text(result.enclosed_mm2, unit, 2, digits=4)
     else:
-        size = volume_text(result.volume_mm3, unit)
+        size = volume_text(result.estimates.volume_mm3, unit)
     reason = "" if result.stop.reason == "converged" else f", {result.stop.reason}"
     return f"{name}: {size}{_likely(result)}{reason}"
 

@@ -31,7 +31,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.levelset.checkpoint import psi_of
 from accelsurf.measure import contours
 from accelsurf.measure.contours import Contours
-from accelsurf.measure.intervals import Intervals, edge_measures, intervals
+from accelsurf.measure.intervals import Estimates, Intervals, edge_measures, estimates
 from accelsurf.measure.likely import PlateauNote, Quality
 from accelsurf.measure.quality import ValueRange, assess
 from accelsurf.measure.surface_mesh import Surface, extract
@@ -146,12 +146,12 @@ class SegmentedObject:
 
     @property
     def volume_mm3(self) -> float:
-        """Volume of the object, mm3, sub-voxel."""
+        """Volume within the surface, mm3, sub-voxel; see `estimates` for the object's."""
         return self.history[-1].volume_mm3
 
     @property
     def area_mm2(self) -> float:
-        """Area of its surface, mm2: the mesh's, with the caps where the volume's border cuts the object.
+        """Area of the surface, mm2: the mesh's, with the caps where the volume's border cuts the object.
 
         In an image of one slice: the contour's length times the thickness of the slice.
         """
@@ -191,19 +191,31 @@ class SegmentedObject:
             bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1)
         )
 
-    @cached_property
-    def intervals(self) -> Intervals | None:
-        """Intervals that hold the true volume, area and diameter in 95 of 100 cases, by the edge in the image.
+    @property
+    def estimates(self) -> Estimates:
+        """Best estimates of the true volume, area and diameter: by the edge in the image, not by the surface alone.
 
-        They need not hold the surface's own measures, where the surface is not at the edge. None without an edge, or of
-        an image of one slice.
+        Where the image has no edge to measure by, and of an image of one slice, volume and area are those of the
+        surface.
         """
+        return self._by_edge[0]
+
+    @property
+    def intervals(self) -> Intervals | None:
+        """Intervals around the `estimates` that hold the true volume, area and diameter in 95 of 100 cases.
+
+        None without an edge, or of an image of one slice; that of a measure is None where its error cannot be told.
+        """
+        return self._by_edge[1]
+
+    @cached_property
+    def _by_edge(self) -> tuple[Estimates, Intervals | None]:
         found = None
         if self.has_surface:
-            found = edge_measures(
-                self.psi, self.image, self.geometry, self.volume_mm3, self.area_mm2
-            )
-        return None if found is None else intervals(found)
+            found = edge_measures(self.psi, self.image, self.geometry, self.volume_mm3)
+        if found is None:
+            return Estimates(self.volume_mm3, self.area_mm2, None), None
+        return estimates(found)
 
     @cached_property
     def quality(self) -> Quality:
@@ -434,7 +446,7 @@ class Result:
 
     @property
     def volume_mm3(self) -> float:
-        """Volume of all objects, mm3, sub-voxel."""
+        """Volume within all surfaces, mm3, sub-voxel; see `estimates` for that of the objects."""
         return sum(segmented.volume_mm3 for segmented in self.objects)
 
     @property
@@ -465,8 +477,19 @@ class Result:
         return any(segmented.touches_border for segmented in self.objects)
 
     @property
+    def estimates(self) -> Estimates:
+        """Best estimates of the true measures: of several objects the sums of volumes and areas, and no diameter."""
+        if not self.has_ids:
+            return self._one.estimates
+        volumes, areas = (
+            [getattr(segmented.estimates, key) for segmented in self.objects]
+            for key in ("volume_mm3", "area_mm2")
+        )
+        return Estimates(sum(volumes), sum(areas), None)
+
+    @property
     def intervals(self) -> Intervals | None:
-        """Intervals of the measures of a single object; None for several, which have their own."""
+        """Intervals around the estimates of a single object; None for several, which have their own."""
         return None if self.has_ids else self._one.intervals
 
     @property

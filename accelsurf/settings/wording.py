@@ -181,6 +181,17 @@ def size_text(mm: float, unit: str = "mm", power: int = 1, digits: int = 6) -> s
     return f"{text} {unit}{power if power > 1 else ''}"
 
 
+def rounded_text(value: float, digits: int = 4) -> str:
+    """Return a number with so many digits, without an exponent.
+
+    Examples
+    --------
+    >>> rounded_text(38201.47), rounded_text(0.0123456)
+    ('38200', '0.01235')
+    """
+    return f"{float(f'{value:.{digits}g}'):.15g}"
+
+
 def voxel_text(spacing_mm: Iterable[float], unit: str = "mm") -> str:
     """Return the size of a voxel in the unit of the file.
 

@@ -10,6 +10,7 @@ from accelsurf.evolution.loop import Stop
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import Level
+from accelsurf.measure.intervals import Estimates
 from accelsurf.measure.likely import Quality
 from accelsurf.output import document
 from accelsurf.settings.run_config import RunConfig
@@ -64,6 +65,7 @@ def finished(**changes):
         window=None,
         given=(),
         run_history=[step_record(0), step_record(1), step_record(2, kinetic=0.25)],
+        estimates=Estimates(1.0, 2.0, None),
         intervals=None,
         quality=Quality(
             probability=0.75,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +33,14 @@ from accelsurf.run.run import Run
 from accelsurf.settings.coordinates import split_suffix
 from accelsurf.settings.corrections import Correction
 from accelsurf.starts import starts
-from accelsurf.viewer.core.frame import Frame, SurfaceFrame, histories_of_run, volume_interval
+from accelsurf.viewer.core.frame import (
+    Frame,
+    SurfaceFrame,
+    VolumeEstimate,
+    histories_of_run,
+    volume_estimate,
+)
 from accelsurf.viewer.core.saving import repeating
-
-if TYPE_CHECKING:
-    from accelsurf.measure.intervals import Interval
 
 #: Voxels around an object that a frame has.
 AROUND = 2
@@ -65,9 +67,9 @@ class Corrections:
         self._boxes: dict[int, Box | None] = {}
         self._before: list[dict[int, Box | None]] = []
         self._last_step = 0
-        #: The step after which the volume's interval was measured, and that.
+        #: The step after which the volume was estimated, and that.
         self._measured_at: StepRecord | None = None
-        self._interval: Interval | None = None
+        self._estimated: VolumeEstimate | None = None
 
     @property
     def wanted(self) -> tuple[Correction, ...]:
@@ -236,8 +238,8 @@ class Corrections:
         frame = Frame.of_run(run, records, max_voxels)
         if run.stop is not None and not run.has_ids:
             if self._measured_at != records[0]:  # once, not for each picture
-                self._measured_at, self._interval = records[0], volume_interval(result_of(run))
-            frame = dataclasses.replace(frame, volume_interval=self._interval)
+                self._measured_at, self._estimated = records[0], volume_estimate(result_of(run))
+            frame = dataclasses.replace(frame, estimated=self._estimated)
         return frame, histories_of_run(run, records)
 
     def _frame(self, run: Run, refiner: Refiner) -> Frame:
@@ -272,7 +274,7 @@ class Corrections:
         marks = () if clicks is None else marks_of(clicks.clicks, run.geometry.spacing)
         if refiner.config.refine:
             return Frame(tuple(surfaces), marks, corrected_at=self._last_step)
-        return Frame(tuple(surfaces), marks, volume_interval=self._interval)
+        return Frame(tuple(surfaces), marks, estimated=self._estimated)
 
 
 def _box_of_inside(inside: NDArray[np.bool_], corner: Corner) -> Box | None:

@@ -290,6 +290,13 @@ class SurfaceFrame:
         return np.divide(total, weights, out=np.zeros_like(total), where=weights > 0)
 
 
+class VolumeEstimate(NamedTuple):
+    """Best estimate of a volume, and the interval around it; None where its error cannot be told."""
+
+    best_mm3: float
+    interval_mm3: Interval | None
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """Drawn state of one step; it does not change when the run continues.
@@ -308,8 +315,8 @@ class Frame:
         Frame and time of a sequence, in place of the step; empty of a run.
     corrected_at : int or None
         The step with which the run ended, after which the surfaces were corrected; None where they were not.
-    volume_interval : Interval or None
-        Of the volume of one object, mm3, once its run has ended and before it is corrected.
+    estimated : VolumeEstimate or None
+        The volume of one object, once its run has ended and before it is corrected.
     """
 
     surfaces: tuple[SurfaceFrame, ...]
@@ -318,7 +325,7 @@ class Frame:
     paths: tuple[Floats, ...] = ()
     said: str = ""
     corrected_at: int | None = None
-    volume_interval: Interval | None = None
+    estimated: VolumeEstimate | None = None
 
     @classmethod
     def of(
@@ -438,10 +445,12 @@ class Frame:
         return 2.0 * sum(common for common, _ in parts) / total if total else 1.0
 
 
-def volume_interval(result: Result) -> Interval | None:
-    """Return the interval of the volume of a result, mm3; None for several objects, and for a large image."""
+def volume_estimate(result: Result) -> VolumeEstimate | None:
+    """Return the estimate of the volume of a result; None for several objects, without an edge, of a large image."""
     intervals = result.intervals if result.image.size <= MAX_MEASURED else None
-    return None if intervals is None else intervals.volume_mm3
+    if intervals is None:
+        return None
+    return VolumeEstimate(result.estimates.volume_mm3, intervals.volume_mm3)
 
 
 def histories_of_run(

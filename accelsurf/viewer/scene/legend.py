@@ -105,7 +105,7 @@ MIN_ML = 100.0
 def caption(frame: Frame, geometry: Geometry, unit: str = "mm") -> list[str]:
     """Return step and level, or frame and time, and the volume (of one slice the area), in the file's unit.
 
-    Nothing of a run that has not begun. The interval of the volume has a line, where it is known.
+    Nothing of a run that has not begun. Once the volume is estimated it is the estimate, and its interval has a line.
     """
     if not frame.surfaces and not frame.said:
         return []
@@ -115,9 +115,12 @@ def caption(frame: Frame, geometry: Geometry, unit: str = "mm") -> list[str]:
     step += ", corrected" if frame.corrected_at is not None else ""
     axis = geometry.slice_axis
     if axis is None:
-        ends = [measure(in_unit(end, unit, 3)) for end in frame.volume_interval or ()]
-        lines = [step, f"volume {volume_line(frame.volume_mm3, unit)}"]
-        return [*lines, f"95 %: {' to '.join(ends)} {unit}3"] if ends else lines
+        found = frame.estimated
+        if found is None:
+            return [step, f"volume {volume_line(frame.volume_mm3, unit)}"]
+        ends = [measure(in_unit(end, unit, 3)) for end in found.interval_mm3 or ()]
+        around = f"95 %: {' to '.join(ends)} {unit}3" if ends else "its error cannot be told"
+        return [step, f"volume {volume_line(found.best_mm3, unit)}", around]
     return [
         step,
         f"area {measure(in_unit(frame.volume_mm3 / geometry.spacing[axis], unit, 2))} {unit}2",
