@@ -10,6 +10,7 @@ models into accelsurf/measure/good_result.json, and the page's figure and tables
 from __future__ import annotations
 
 import argparse
+import functools
 import hashlib
 import json
 import os
@@ -18,7 +19,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,7 @@ SIGNS = {
     "rim": -1.0,
     "drift": -1.0,
     "no_edge": -1.0,
+    "said": 1.0,
 }
 #: The models: by the clicks' model and the image, and by the image alone.
 KINDS: tuple[likely.ModelKind, ...] = ("clicks", "image")
@@ -91,7 +93,10 @@ def main() -> None:
     if not options.fit:
         gather(facts, options)
     held = {name: entry["rows"] for name, entry in facts["games"].items() if entry["rows"]}
-    models = {kind: {**trained(held, kind), "threshold": WARNED} for kind in KINDS}
+    models: dict[str, dict[str, Any]] = {
+        kind: {**trained(held, kind), "threshold": WARNED} for kind in KINDS
+    }
+    models["clicks"]["threshold_corrected"] = even_odds(held, models["clicks"])
     MODEL.write_text(json.dumps(models, indent=1) + "\n")
     likely.calibrated_models.cache_clear()
     facts["figures"] = {kind: every_figure(held, judged(held, kind)) for kind in KINDS}
@@ -261,6 +266,42 @@ def trained(rows: Rows, kind: str) -> dict[str, Any]:
     return {"features": listed, "constant": round(constant, 6)}
 
 
+def even_odds(rows: Rows, model: Mapping[str, Any]) -> float:
+    """The stated probability at which half of the corrected results are good.
+
+    The model counts no measure of a correction, so it states less than is true of results that a person has corrected.
+    """
+    stated = {
+        name: [
+            value
+            for row, value in zip(each, probabilities(model, each, "clicks"), strict=True)
+            if is_corrected(row)
+        ]
+        for name, each in rows.items()
+    }
+    corrected = {
+        name: [
+            {**row, "clicks": {"said": float(np.log(value / (1.0 - value)))}}
+            for row, value in zip(
+                (row for row in rows[name] if is_corrected(row)), values, strict=True
+            )
+        ]
+        for name, values in stated.items()
+        if values
+    }
+    line = trained(corrected, "clicks")
+    mean, deviation, weight = line["features"]["said"]
+    even = mean - line["constant"] * deviation / weight
+    return round(float(1.0 / (1.0 + np.exp(-even))), 4)
+
+
+def is_corrected(row: Mapping[str, Any]) -> bool:
+    """True of a result that a click has corrected."""
+    usual = _rounded(_usual())
+    return any(row["clicks"].get(name, value) != value for name, value in usual.items())
+
+
+@functools.cache
 def _usual() -> dict[str, float]:
     """Measures of the corrections of a result that nobody has corrected."""
     shown = np.zeros((3, 3, 3), np.uint8)
@@ -299,14 +340,26 @@ def probabilities(
     return out
 
 
-def judged(rows: Rows, kind: str) -> dict[str, list[float]]:
-    """The probabilities of the rows by models that were made without their fold."""
+class Judged(NamedTuple):
+    """The probabilities of the rows of an object, and below which of them a warning is given."""
+
+    probabilities: list[float]
+    thresholds: list[float]
+
+
+def judged(rows: Rows, kind: str) -> dict[str, Judged]:
+    """Judge the rows by models that were made without their fold."""
     folds = {name: str(each[0]["fold"]) for name, each in rows.items()}
-    out: dict[str, list[float]] = {}
+    out: dict[str, Judged] = {}
     for fold in sorted(set(folds.values())):
-        model = trained({name: each for name, each in rows.items() if folds[name] != fold}, kind)
+        others = {name: each for name, each in rows.items() if folds[name] != fold}
+        model = trained(others, kind)
+        even = even_odds(others, model) if kind == "clicks" else WARNED
         out |= {
-            name: probabilities(model, each, kind)
+            name: Judged(
+                probabilities(model, each, kind),
+                [even if is_corrected(row) else WARNED for row in each],
+            )
             for name, each in rows.items()
             if folds[name] == fold
         }
@@ -314,10 +367,10 @@ def judged(rows: Rows, kind: str) -> dict[str, list[float]]:
 
 
 def table_of(
-    rows: Rows, said: Mapping[str, Sequence[float]]
+    rows: Rows, said: Mapping[str, Judged]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Probabilities, Dice and weights of all rows."""
-    p = [value for name in rows for value in said[name]]
+    p = [value for name in rows for value in said[name].probabilities]
     d = [row["dice"] for each in rows.values() for row in each]
     w = [_weight(row) / len(each) for each in rows.values() for row in each]
     return np.array(p), np.array(d), np.array(w)
@@ -326,7 +379,7 @@ def table_of(
 # -- figures and the page -----------------------------------------------------------------------------------
 
 
-def every_figure(rows: Rows, said: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+def every_figure(rows: Rows, said: Mapping[str, Judged]) -> dict[str, Any]:
     """The figures of all scans, of each fold, of the phantoms and of the drawn scenes."""
     fold_of = {name: str(each[0]["fold"]) for name, each in rows.items()}
     parts = {
@@ -343,10 +396,11 @@ def every_figure(rows: Rows, said: Mapping[str, Sequence[float]]) -> dict[str, A
     return out
 
 
-def figures(rows: Rows, said: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+def figures(rows: Rows, said: Mapping[str, Judged]) -> dict[str, Any]:
     """What of the results said to be good is, what of the failures is said to be, the curve, and what a hint does."""
     p, d, _ = table_of(rows, said)
     says, failed = p >= SAID, d < FAILED
+    warned = p < np.array([value for name in rows for value in said[name].thresholds])
     curve = []
     for low in np.arange(0.0, 1.0, 0.2):
         here = (p >= low) & ((p < low + 0.2) | (low > 0.75))
@@ -361,8 +415,8 @@ def figures(rows: Rows, said: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     doubted = [
         row
         for name, each in rows.items()
-        for row, value in zip(each, said[name], strict=True)
-        if value < WARNED and row["hinted"] is not None and row["person"] is not None
+        for row, value, least in zip(each, *said[name], strict=True)
+        if value < least and row["hinted"] is not None and row["person"] is not None
     ]
     gains = {
         key: np.array([row[key] - row["dice"] for row in doubted]) for key in ("hinted", "person")
@@ -375,8 +429,8 @@ def figures(rows: Rows, said: Mapping[str, Sequence[float]]) -> dict[str, Any]:
         "good_of_said": float((d[says] >= GOOD).mean()) if says.any() else None,
         "failed": int(failed.sum()),
         "said_of_failed": float(says[failed].mean()) if failed.any() else None,
-        "doubted_of_good": float((p[d >= GOOD] < WARNED).mean()) if (d >= GOOD).any() else None,
-        "doubted_of_failed": float((p[failed] < WARNED).mean()) if failed.any() else None,
+        "doubted_of_good": float(warned[d >= GOOD].mean()) if (d >= GOOD).any() else None,
+        "doubted_of_failed": float(warned[failed].mean()) if failed.any() else None,
         "curve": curve,
         "hints": len(doubted),
         **{

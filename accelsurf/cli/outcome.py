@@ -191,9 +191,7 @@ def _judgement(result: Result) -> list[str]:
         quality, whose = segmented.quality, f"object {segmented.id}: " if result.has_ids else ""
         if quality.next_click is not None:
             place = place_text(quality.next_click, result.geometry)
-            lines.append(
-                f"{whose}{quality.probability:.0%} likely to be good (Dice 0.8 or more); most doubtful near {place}"
-            )
+            lines.append(f"{whose}{quality.likely} (Dice 0.8 or more); most doubtful near {place}")
         lines += [f"{whose}{line}" for line in _other_answers(quality, result.geometry)]
         lines += [f"{whose}note: {note}" for note in quality.notes]
     return lines

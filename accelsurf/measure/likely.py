@@ -131,6 +131,12 @@ class Quality(NamedTuple):
     answers: tuple[Answer, ...] = ()
     is_ambiguous: bool = False
 
+    @property
+    def likely(self) -> str:
+        """The probability in words: a lower bound once a click has corrected the result."""
+        bound = "at least " if is_lower_bound(self) else ""
+        return f"{bound}{self.probability:.0%} likely to be good"
+
 
 def model_kind(found: Quality) -> ModelKind:
     """Return the model that tells the probability."""
@@ -207,9 +213,19 @@ def calibrated_models() -> dict[str, dict[str, Any]]:
     return found
 
 
-def warning_threshold(kind: ModelKind) -> float:
-    """Return the probability below which a warning is given."""
-    return float(calibrated_models()[kind]["threshold"])
+def warning_threshold(found: Quality) -> float:
+    """Return the probability below which a warning is given.
+
+    Of a corrected result the probability is a lower bound, as no measure of a correction counts: the threshold is the
+    stated one at which half of such results are good.
+    """
+    model = calibrated_models()[model_kind(found)]
+    return float(model["threshold_corrected" if is_lower_bound(found) else "threshold"])
+
+
+def is_lower_bound(found: Quality) -> bool:
+    """True where a click has corrected a result of the clicks' model: more of them are good than is said."""
+    return model_kind(found) == "clicks" and found.correction is not None
 
 
 def probability_good(kind: ModelKind, features: Mapping[str, float]) -> float:

@@ -305,11 +305,11 @@ def _warnings(
     if found.leaked:
         # Neither more steps nor a click at the most doubtful place was found to help (benchmarks/hints.py).
         warnings.append(f"leak: {stop.message}{at_rest}")
-    is_doubtful = found.probability < warning_threshold(model_kind(found)) and not unclear
+    is_doubtful = found.probability < warning_threshold(found) and not unclear
     if is_doubtful and found.next_click is not None:
         # No place is named: a click where the surface has the least evidence was found to help in few cases. A run
         # without clicks is seldom mended by one, and mostly by clicks from the first step on.
-        sure = f"{found.probability:.0%} likely to be good"
+        sure = found.likely
         at_fault = "or --outside where it is most wrong"
         tried = at_fault if found.beyond_clicks is not None else "at the object in place of --start"
         warnings.append(f"doubt: probably not right ({why(found)}; {sure}); try --inside {tried}")

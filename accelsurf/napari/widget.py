@@ -349,9 +349,7 @@ class ClickWidget(QWidget):
             )
         text = ""
         if found is not None:
-            text = (
-                f"{self._size(found.volume_mm3)}, {found.quality.probability:.0%} likely to be good"
-            )
+            text = f"{self._size(found.volume_mm3)}, {found.quality.likely}"
             text += "".join(
                 f"\n{warning.partition('; try')[0]}" for warning in found.quality.warnings
             )

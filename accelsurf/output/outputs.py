@@ -252,7 +252,7 @@ def _likely(result: Result) -> str:
     found = result.objects[0]
     if result.has_ids or not found.has_surface:
         return ""
-    return f", {found.quality.probability:.0%} likely to be good"
+    return f", {found.quality.likely}"
 
 
 def preview_content(result: Result, title: str) -> PreviewContent:

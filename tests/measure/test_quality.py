@@ -224,7 +224,7 @@ def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
     image = (r < 12) + np.random.default_rng(1).normal(0, 0.05, SHAPE)
     history = [step_record(0, volume_mm3=900.0), step_record(9, volume_mm3=7200.0, area_mm2=1810.0)]
     good, bad = (look(mask, image, history) for mask in (r < 12, (r < 7) | ((x > 0) & (r < 16))))
-    assert good.probability > likely.warning_threshold("image") > bad.probability
+    assert good.probability > likely.warning_threshold(good) > bad.probability
     model = likely.calibrated_models()["image"]
     total = model["constant"] + sum(
         weight * (features(good)[name] - mean) / deviation
@@ -251,7 +251,7 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
         found = told_of(USUAL._replace(**changes))
         assert click_features(found) == features(found)
         doubted = [words for words in found.warnings if words.startswith("doubt: ")]
-        assert bool(doubted) == (found.probability < likely.warning_threshold("clicks"))
+        assert bool(doubted) == (found.probability < likely.warning_threshold(found))
         return found.probability
 
     usual = probability()

@@ -88,14 +88,14 @@ def test_the_first_click_inside_begins_what_can_be_run_judged_and_undone(actions
     assert status.settings.start == ("clicks",) and status.stop is not None
     assert actions.scene.frame.volume_mm3 == pytest.approx(4 / 3 * np.pi * 8**3, rel=0.15)
     for _ in range(400):
-        if actions.session.status.probabilities:
+        if actions.session.status.likelihoods:
             break
         actions.session.wait(1)
         viewing.time.sleep(0.02)
     volume, interval, likely, *doubt = actions.state()["result"]
     assert volume.startswith("volume ") and volume.endswith(" ml") and interval.startswith("95 %: ")
-    assert likely.endswith(" % likely to be good")
-    assert float(likely.split()[0]) == round(100 * actions.session.status.probabilities[1])
+    assert likely.endswith("% likely to be good")
+    assert likely == actions.session.status.likelihoods[1]
     assert [line.startswith("most doubtful at ") for line in doubt] == [True] * bool(
         actions.session.status.uncertain
     )

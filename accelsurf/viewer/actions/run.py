@@ -112,9 +112,9 @@ class HistoryFeature(Feature):
         if scene.frame is None or not status.has_begun:
             return []
         lines = caption(scene.frame, scene.geometry, scene.unit)[1:]
-        for object_id, probability in status.probabilities.items():
-            whose = f"object {object_id}: " if len(status.probabilities) > 1 else ""
-            lines.append(f"{whose}{100.0 * probability:.0f} % likely to be good")
+        for object_id, likely in status.likelihoods.items():
+            whose = f"object {object_id}: " if len(status.likelihoods) > 1 else ""
+            lines.append(f"{whose}{likely}")
         if status.uncertain:
             place, share = status.uncertain[0].world, status.uncertain[0].share
             where = self.actions.feature(SlicesFeature).shown(place)

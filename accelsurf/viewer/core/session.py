@@ -477,8 +477,8 @@ class Session:
             self._status = self._status._replace(message=error_line(error), failed=True)
             return
         if found is not None:
-            uncertain, probabilities = found
-            self._status = self._status._replace(uncertain=uncertain, probabilities=probabilities)
+            uncertain, likelihoods = found
+            self._status = self._status._replace(uncertain=uncertain, likelihoods=likelihoods)
 
     def _show_progress(self, message: str) -> None:
         """Renew the message while a command is being carried out."""
@@ -539,8 +539,8 @@ class UncertaintyWatch:
 
     def find(
         self, version: int, run: Run, corrected: Result | None
-    ) -> tuple[tuple[UncertainLocation, ...], dict[int, float]] | None:
-        """Return the uncertain locations of a version of the state, and the probability that each object is right; None
+    ) -> tuple[tuple[UncertainLocation, ...], dict[int, str]] | None:
+        """Return the uncertain locations of a version of the state, and how likely each object is good; None
         while it is not idle yet.
         """
         from accelsurf.correct.finished import result_of
@@ -551,7 +551,7 @@ class UncertaintyWatch:
         result = corrected if corrected is not None else result_of(run)
         judged = result.objects if len(result.objects) <= MAX_JUDGED else ()
         return uncertain_locations(result), {
-            each.id: each.quality.probability for each in judged if each.labels.any()
+            each.id: each.quality.likely for each in judged if each.labels.any()
         }
 
 

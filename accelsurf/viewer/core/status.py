@@ -80,8 +80,8 @@ class Status(NamedTuple):
         Which flow the run has where the settings leave it open, and why; empty where they name one.
     has_begun : bool
         There is an object, or a start of one; before that nothing is drawn and nothing can run.
-    probabilities : dict of int to float
-        That each object is right, by id; found with ``uncertain``.
+    likelihoods : dict of int to str
+        How likely each object is good, in words, by id; found with ``uncertain``.
     config : RunConfig or None
         With which a run begins that makes these steps again; has all ``edits``, no ``refinements``.
     """
@@ -108,7 +108,7 @@ class Status(NamedTuple):
     answers: tuple[FirstAnswer, ...] = ()
     flow_why: str = ""
     has_begun: bool = False
-    probabilities: Mapping[int, float] = MappingProxyType({})
+    likelihoods: Mapping[int, str] = MappingProxyType({})
     config: RunConfig | None = None
 
     @classmethod
