@@ -51,9 +51,9 @@ FINE = 12
 MOST_STEPS = 128.0
 #: The middle moves by these parts of the radius, to where a ball wider by `WIDER` is even; at most so often.
 MOVES, MOST_MOVES = (0.5, 0.25), 24
-#: Noise that is added to blocks of a window around what has none, of the window's range: the networks know no image
-#: without.
-DITHER = 0.02
+#: What has less noise than this part of a window's range has none. The networks know no image without: then its blocks
+#: get noise of the second part. In CT the noise of tissue is a hundredth of the range from air to bone, and is enough.
+NO_NOISE, DITHER = 1e-3, 0.02
 
 
 class EvenBall(NamedTuple):
@@ -136,12 +136,12 @@ def as_people_click(seed: Seed, scene: Scene) -> Seed:
 
 
 def dithered(values: Floats, noise: float) -> Floats:
-    """Blocks with noise added, where they have less than a part of their range; the same ones for the same shape."""
-    wanted = DITHER * float(np.ptp(values))
-    if noise >= wanted:
+    """Blocks with noise added, where there is none around the click; the same noise for the same shape."""
+    span = float(np.ptp(values))
+    if noise >= NO_NOISE * span:
         return values
     drawn = np.random.default_rng(0).standard_normal(values.shape)
-    return (values + wanted * drawn).astype(np.float32)
+    return (values + DITHER * span * drawn).astype(np.float32)
 
 
 def even_ball(scene: Scene, seed: Seed) -> EvenBall | None:
