@@ -159,7 +159,8 @@ def outcome_of_report(task: CaseTask, report: Mapping[str, Any], dice: float | N
 
 def _of_run(report: Mapping[str, Any]) -> dict[str, Any]:
     """Return the cells of a run."""
-    volume, is_2d = report["volume_mm3"], report["enclosed_mm2"] is not None
+    best = report.get("estimates") or report  # a report of an earlier version has none
+    volume, is_2d = best["volume_mm3"], report["enclosed_mm2"] is not None
     return {
         "reason": report["stop"]["reason"],
         "ml": None if volume is None or is_2d else volume / 1000,

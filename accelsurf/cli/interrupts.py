@@ -130,7 +130,7 @@ class Interrupts:
             self._question = before
 
     @contextmanager
-    def told_to(self, listener: Callable[[], None], usual: Sequence[int] = ()) -> Iterator[None]:
+    def calling(self, listener: Callable[[], None], usual: Sequence[int] = ()) -> Iterator[None]:
         """While this lasts, a signal calls a function and raises nothing: for a loop of events, which ends itself.
 
         Parameters

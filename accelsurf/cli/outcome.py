@@ -261,8 +261,8 @@ def _around_measures(result: Result) -> list[str]:
     texts = []
     for power, (key, interval) in zip((3, 2, 1), found.intervals._asdict().items(), strict=True):
         ends = [rounded_text(in_unit(end, unit, power)) for end in interval or ()]
-        told = (
+        text = (
             f"{' to '.join(ends)} {unit}{power if power > 1 else ''}" if ends else "cannot be told"
         )
-        texts.append(f"{key.partition('_')[0]} {told}")
+        texts.append(f"{key.partition('_')[0]} {text}")
     return [f"  95 %: {', '.join(texts)}"]

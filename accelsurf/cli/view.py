@@ -448,7 +448,7 @@ def _open_window(
 def ending(
     opening: Opening, listener: Callable[[], None], usual: Sequence[int] = ()
 ) -> Iterator[None]:
-    """Let window or page end itself when a signal comes, see `Interrupts.told_to`; then end its sessions, and say what
+    """Let window or page end itself when a signal comes, see `Interrupts.calling`; then end its sessions, and say what
     is kept.
     """
     from accelsurf.cli.interrupts import Interrupts
@@ -458,7 +458,7 @@ def ending(
         listener()
 
     interrupts = Interrupts.current()
-    with interrupts.told_to(hear, usual):
+    with interrupts.calling(hear, usual):
         yield
     interrupts.note(opening.last_words)
     opening.close()
@@ -492,5 +492,5 @@ def _serve(
         serve(
             opening, first, settings, page.host or LOCAL, page.port or 0, show_address, ends.is_set
         )
-    if ends.is_set() and opening.is_kept:
+    if ends.is_set() and opening.is_stored:
         print(f"note: {opening.last_words}", file=sys.stderr)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 
 #: Slopes and intercepts with which no stored number of 64 bits leaves the range of single precision.
-_LEAST_SLOPE, _LARGEST_SLOPE, _LARGEST_INTERCEPT = 1e-30, 1e18, 1e37
+_MIN_SLOPE, _MAX_SLOPE, _MAX_INTERCEPT = 1e-30, 1e18, 1e37
 
 
 def scaled_type(slope: float, intercept: float) -> np.dtype[Any]:
@@ -21,7 +21,7 @@ def scaled_type(slope: float, intercept: float) -> np.dtype[Any]:
     >>> scaled_type(0.5, -1024.0), scaled_type(1e300, 0.0), scaled_type(1e-40, 0.0)
     (dtype('float32'), dtype('float64'), dtype('float64'))
     """
-    is_usual = _LEAST_SLOPE <= abs(slope) <= _LARGEST_SLOPE and abs(intercept) <= _LARGEST_INTERCEPT
+    is_usual = _MIN_SLOPE <= abs(slope) <= _MAX_SLOPE and abs(intercept) <= _MAX_INTERCEPT
     return np.dtype(np.float32 if is_usual else np.float64)
 
 

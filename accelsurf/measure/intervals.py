@@ -160,10 +160,10 @@ def estimates(found: EdgeMeasures) -> tuple[Estimates, Intervals]:
             measure_at(found, key, mean + step * weights.factor * deviation) for step in (-1, 0, 1)
         ]
         best.append(ends[1])
-        is_told = ends[2] <= MAX_RATIO * ends[0] and (
+        is_stated = ends[2] <= MAX_RATIO * ends[0] and (
             key != "diameter_mm" or found.noise <= MAX_NOISE_OF_DIAMETER
         )
-        around.append(Interval(ends[0], ends[2]) if is_told else None)
+        around.append(Interval(ends[0], ends[2]) if is_stated else None)
     return Estimates(*best), Intervals(*around)
 
 

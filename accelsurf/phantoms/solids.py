@@ -103,7 +103,7 @@ class Ellipsoid(Solid):
         return np.where(inside, -1.0, 1.0) * np.linalg.norm(points - closest, axis=-1)
 
     def contains(self, x: Floats, y: Floats, z: Floats) -> NDArray[np.bool_]:
-        """Where points lie inside, without their distance."""
+        """Tell which points lie inside, without their distance."""
         a, b, c = self.half_axes
         return (x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2 < 1.0
 

@@ -349,7 +349,7 @@ class Server:
 
     # -- reading -------------------------------------------------------------------------------------------
 
-    async def _parts(self, request: Request, most: int) -> AsyncIterator[bytes]:
+    async def _body_parts(self, request: Request, most: int) -> AsyncIterator[bytes]:
         """Return a body of at most so many bytes, part by part."""
         said = request.headers.get("Content-Length", "0")
         if said.isdecimal() and int(said[:20]) > most:
@@ -364,7 +364,7 @@ class Server:
     async def _json(self, request: Request, kind: type[Said]) -> Said:
         try:
             async with asyncio.timeout(BODY_SECONDS):
-                parts = [part async for part in self._parts(request, MAX_JSON)]
+                parts = [part async for part in self._body_parts(request, MAX_JSON)]
         except TimeoutError:
             raise Refusal(408, f"the body did not arrive within {BODY_SECONDS:g} seconds") from None
         return _parsed(b"".join(parts), kind)
@@ -392,7 +392,7 @@ class Server:
         try:
             async with asyncio.timeout_at(ends) as limit:
                 self._arriving[token] = limit
-                async for part in self._parts(request, most):
+                async for part in self._body_parts(request, most):
                     body += part
                     self._held += len(part)
                     if self._held > room:

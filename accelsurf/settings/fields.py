@@ -135,8 +135,8 @@ class SettingFields(BaseModel):
     )
     answer: Annotated[int, Field(ge=1, le=3)] = setting(
         1,
-        "Which answer to the first click is taken: 1 is the likeliest, 2 a part (or, where the click is ambiguous, the "
-        "larger object), 3 all that is alike and connected. The likeliest where there is no part; with --size there is "
+        "Answer to the first click: 1 the likeliest, 2 a part (of an ambiguous click the larger object), 3 all that is "
+        "alike and connected. The likeliest where there is no part; with --size there is "
         "one alone.",
         entry=SettingEntry(RUN, viewer="first", metavar="1|2|3", scope="term", fixed=True),
     )
@@ -182,8 +182,8 @@ class SettingFields(BaseModel):
     objects: str | None = setting(
         None,
         "Several objects at once, in place of --start: a label map on the image's grid with the first voxels of each "
-        "object (FILE@2,5-9: these ids only), or a table of balls, FILE.csv with columns id,x,y,z,r in world mm or "
-        "id,x_vox,y_vox,z_vox,r_vox or id,x_grid,y_grid,z_grid,r_grid. They never overlap. With a column side (inside "
+        "object (FILE@2,5-9: these ids only), or a table of balls, FILE.csv with columns id,x,y,z,r in world mm "
+        "(x_vox: voxel indices; x_grid: as on the scales). They never overlap. With a column side (inside "
         "or outside) its rows are clicks, as --inside; then r may be left out, and id 0 is no object.",
         entry=SettingEntry(RUN, viewer="elsewhere", metavar="FILE", fixed=True),
     )
@@ -246,8 +246,8 @@ class SettingFields(BaseModel):
     )
     t0: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
         "auto",
-        "Age t, in the friction (k+1)/t, of a surface that starts at rest: larger brakes less at first. auto is 0, or "
-        "with k <= 1, where 0 is impossible, the length of the first step.",
+        "Flow time t, in the friction (k+1)/t, of a surface that starts at rest: larger brakes less at first. auto is 0, "
+        "or with k <= 1, where 0 is impossible, the length of the first step.",
         entry=SettingEntry(unit="flow time", metavar="T|auto", scope="flow"),
     )
     lam: float = setting(

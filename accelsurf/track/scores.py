@@ -181,7 +181,10 @@ def score(
     outlines = (
         frames
         if exact is None
-        else [_counted(_part(result.labels(one.frame), one.plane), one.labels) for one in exact]
+        else [
+            _counted(_frame_or_slice(result.labels(given.frame), given.plane), given.labels)
+            for given in exact
+        ]
     )
     identities = _identities(frames)
     dice = [_dice_by_identity(frame, identities) for frame in frames]
@@ -207,7 +210,7 @@ def score(
     )
 
 
-def _part(labels: NDArray[Any], plane: int | None) -> NDArray[Any]:
+def _frame_or_slice(labels: NDArray[Any], plane: int | None) -> NDArray[Any]:
     """The labels of a frame, or of one of its slices."""
     return labels if plane is None else labels[plane : plane + 1]
 

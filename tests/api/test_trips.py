@@ -10,8 +10,8 @@ LIMITS = {
     "volume, from a click": 40,
     "config, from a ball": 50,
     "config, from a click": 50,
-    "click after the end": 26,
-    "click after the end of a run from a ball": 21,  # one reads units and RAS in texts of places
+    "click after the end": 27,  # one bounds its reach
+    "click after the end of a run from a ball": 22,  # one reads units and RAS in texts of places
 }
 
 

@@ -223,7 +223,8 @@ def test_folder_instead_of_a_file(tmp_path):
 @pytest.mark.parametrize("name", ["a.jpg", "a.gz", "a", ".nii", "a.nii.bz2"])
 def test_unknown_suffix(tmp_path, name):
     (tmp_path / name).write_bytes(b"x")
-    known = ".nii.gz, .nii, .nrrd, .nhdr, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff, .dcm, .ima, .mgz"
+    known = ".nii.gz, .nii, .hdr, .hdr.gz, "
+    known += ".nrrd, .nhdr, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff, .dcm, .ima, .mgz"
     known += ", .mgh, .npy"
     refuse(tmp_path / name, re.escape(f"unknown file type, one of {known} expected"))
 

@@ -208,6 +208,7 @@ def test_an_image_whose_place_ended_while_it_was_read_is_not_kept(unbound, monke
         return await client.post("/set_image", content=arrays.pack(IMAGE), headers=headers)
 
     assert asked(server, work).status_code == 410
+    gc.collect()
     assert len(made) == 1 and made[0]() is None
 
 

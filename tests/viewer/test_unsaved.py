@@ -18,7 +18,7 @@ from accelsurf.viewer.actions.keeping import Keeper
 from accelsurf.viewer.actions.opening import Opening
 from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.recent_files import RecentFiles
-from accelsurf.viewer.core.unsaved import MAX_KEPT, UnsavedSessions, fingerprint
+from accelsurf.viewer.core.unsaved import MAX_NOTES, UnsavedSessions, fingerprint
 from accelsurf.viewer.window import display
 
 
@@ -57,7 +57,7 @@ def end_programs(folder, drop=()):
 def test_what_is_kept_comes_back(sessions, tmp_path):
     assert sessions.is_empty()
     file, volume = sessions.new_file(), image()
-    sessions.keep(file, fingerprint(volume), "scan", tmp_path / "scan.nii", CONFIG, 7)
+    sessions.store(file, fingerprint(volume), "scan", tmp_path / "scan.nii", CONFIG, 7)
     assert sessions.is_empty()  # this program runs
     end_programs(tmp_path / "unsaved")
     found = sessions.of_image(fingerprint(image()))
@@ -89,12 +89,12 @@ def test_an_image_is_known_by_its_voxels_and_their_place(other):
 
 
 def test_the_oldest_goes_first(sessions, tmp_path):
-    for number in range(MAX_KEPT + 5):
+    for number in range(MAX_NOTES + 5):
         file = sessions.new_file()
-        sessions.keep(file, f"image {number}", "scan", None, CONFIG, 0)
+        sessions.store(file, f"image {number}", "scan", None, CONFIG, 0)
         os.utime(file, (1e9 + number, 1e9 + number))
     end_programs(tmp_path / "unsaved")
-    assert len(list((tmp_path / "unsaved").iterdir())) == MAX_KEPT
+    assert len(list((tmp_path / "unsaved").iterdir())) == MAX_NOTES
     assert sessions.of_image("image 0") is None
 
 
@@ -150,7 +150,7 @@ def test_whatever_stands_in_the_folder_the_program_starts(tmp_path, seed):
     drawn = random.Random(seed)
     sessions = UnsavedSessions(tmp_path / "unsaved")
     file = sessions.new_file()
-    sessions.keep(file, "the image", "scan", tmp_path / "none.nii", CONFIG, 3)
+    sessions.store(file, "the image", "scan", tmp_path / "none.nii", CONFIG, 3)
     end_programs(tmp_path / "unsaved")
     good = json.loads(file.read_text())
     for number in range(30):
@@ -208,7 +208,7 @@ def kept_by(sessions, opened, work):
         session.ready.result(120)
         work(session)
         assert session.wait(120)
-        keeper.keep(at_once=True)
+        keeper.store(at_once=True)
         end_programs(sessions.new_file().parent)
         return keeper, session.status, sessions.of_image(fingerprint(opened.volume))
 
@@ -247,13 +247,13 @@ def test_the_next_start_goes_on_where_the_last_one_was(sessions, work):
     assert (after.step, after.refinements) == (before.step, before.refinements)
     assert after.edits == before.edits and after.settings.at(0) == before.settings.at(0)
     assert (after.stop is None) == (before.stop is None)
-    assert keeper.is_kept and later.file == found.file  # it is not saved yet
+    assert keeper.is_stored and later.file == found.file  # it is not saved yet
 
 
 def test_nothing_is_kept_of_a_session_in_which_nothing_was_done_or_undone_again(sessions):
     opened = OpenedImage(image(), RunConfig(start="ball:12,11,10,3"), "scan")
     keeper, _, found = kept_by(sessions, opened, lambda session: None)
-    assert found is None and not keeper.is_kept
+    assert found is None and not keeper.is_stored
 
     def undone(session):
         session.change(smoothness=0.7).result()
@@ -281,8 +281,8 @@ def test_what_cannot_be_kept_is_said_once(tmp_path):
         for step in (1, 2):
             session.play(step).result(120)
             session.wait(120)
-            keeper.keep(at_once=True)
-    assert not keeper.is_kept and len(shown.notes) == 1
+            keeper.store(at_once=True)
+    assert not keeper.is_stored and len(shown.notes) == 1
     assert shown.notes[0].startswith("unsaved clicks cannot be kept for the next start")
 
 
@@ -295,8 +295,8 @@ def test_in_private_nothing_is_kept(tmp_path):
         keeper = Keeper(sessions, shown, opened)
         session.play(1).result(120)
         session.wait(120)
-        keeper.keep(at_once=True)
-        assert keeper.found() is None and not keeper.is_kept and not shown.notes
+        keeper.store(at_once=True)
+        assert keeper.found() is None and not keeper.is_stored and not shown.notes
 
 
 # --------------------------------------------------------------------------------------------------------- start page
@@ -307,7 +307,7 @@ def test_the_start_page_offers_what_was_not_saved_unless_the_image_has_changed(t
     io.write(image(), path)
     recent = RecentFiles(tmp_path / "recent.json")
     sessions, read = recent.unsaved, io.read(path)
-    sessions.keep(sessions.new_file(), fingerprint(read), "scan", path, CONFIG, 3)
+    sessions.store(sessions.new_file(), fingerprint(read), "scan", path, CONFIG, 3)
     end_programs(tmp_path / "unsaved")
     opening = Opening(RunConfig(), recent)
     opening.fetch()
@@ -345,7 +345,7 @@ def test_of_a_missing_image_nothing_is_offered_nor_of_one_outside_of_the_served_
     recent = RecentFiles(tmp_path / "recent.json")
     (tmp_path / "served").mkdir()
     path = tmp_path / "scan.nii"
-    recent.unsaved.keep(recent.unsaved.new_file(), "an image", "scan", path, CONFIG, 3)
+    recent.unsaved.store(recent.unsaved.new_file(), "an image", "scan", path, CONFIG, 3)
     end_programs(tmp_path / "unsaved")
     opening = Opening(RunConfig(), recent)
     opening.fetch()
@@ -357,7 +357,7 @@ def test_of_a_missing_image_nothing_is_offered_nor_of_one_outside_of_the_served_
 
 
 def test_the_process_of_a_note_is_this_one(sessions, tmp_path):
-    sessions.keep(sessions.new_file(), "an image", "scan", None, CONFIG, 0)
+    sessions.store(sessions.new_file(), "an image", "scan", None, CONFIG, 0)
     (file,) = (tmp_path / "unsaved").iterdir()
     pid, began = json.loads(file.read_text())["process"]
     assert (pid, began) == (os.getpid(), psutil.Process().create_time())

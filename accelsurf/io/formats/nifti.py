@@ -287,10 +287,10 @@ def read_pair_header(path: Path, options: ReadOptions = AS_IT_IS) -> NiftiFile:
         As `read_header`, when one of the files is missing, and for Analyze 7.5.
     """
     about, voxels = _files_of_pair(path)
-    for one in (about, voxels):
-        if one != path:
-            check_data_file(path, one)
-            check_readable(one, f"{one.name}: ")
+    for part in (about, voxels):
+        if part != path:
+            check_data_file(path, part)
+            check_readable(part, f"{part.name}: ")
     with about.open("rb") as file:
         is_packed = file.read(2) == GZIP_START
         file.seek(0)
@@ -487,7 +487,7 @@ def parse_header(raw: bytes, is_pair: bool = False) -> NiftiHeader:
 
 
 def _by_pair(is_pair: bool) -> tuple[dict[int, tuple[int, bytes]], dict[int, tuple[int, bytes]]]:
-    """Where the marks of a file or a pair are, and those of the other kind."""
+    """Places of the marks of a file or a pair, and those of the other kind."""
     return (_PAIR_MAGIC, _MAGIC) if is_pair else (_MAGIC, _PAIR_MAGIC)
 
 

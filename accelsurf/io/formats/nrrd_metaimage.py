@@ -404,7 +404,7 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
 
 
 class _ListedVoxels(NamedTuple):
-    """What a MetaImage says of voxels that lie in several files: see `ListedHeader`."""
+    """Files of a MetaImage whose voxels lie in several: see `ListedHeader`."""
 
     sizes: list[int]
     channels: int

@@ -119,13 +119,13 @@ def _outlines_in(folder: Path) -> tuple[Outline, ...]:
         for path in (sorted(folder.iterdir()) if folder.is_dir() else ())
         if (found := _SLICE.fullmatch(path.name))
     ]
-    twice = {one.frame for one in whole} & {one.frame for one in slices}
+    twice = {outline.frame for outline in whole} & {outline.frame for outline in slices}
     if twice:
         raise InputError(
             f"{folder}: frame {min(twice)} has outlines of the whole frame and of single slices",
             "keep one of the two",
         )
-    return (*whole, *sorted(slices, key=lambda one: (one.frame, one.plane or 0)))
+    return (*whole, *sorted(slices, key=lambda outline: (outline.frame, outline.plane or 0)))
 
 
 def _numbered(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:

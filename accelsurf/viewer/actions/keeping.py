@@ -35,7 +35,7 @@ class Keeper:
         earlier = opened.unsaved
         self._file: Path | None = None if earlier is None else earlier.file
         #: What the file holds: configuration, corrections, step.
-        self._kept: tuple[Any, ...] = ()
+        self._stored: tuple[Any, ...] = ()
         self._next_time = 0.0
         self._image: Future[str] | None = None
         #: The steps of the earlier session are being made again: until then its file has more than this session.
@@ -49,11 +49,11 @@ class Keeper:
             self._write(earlier.config, earlier.step)
 
     @property
-    def is_kept(self) -> bool:
+    def is_stored(self) -> bool:
         """Test if there is something of this session to go on with."""
         return self._file is not None and not self.trouble
 
-    def keep(self, at_once: bool = False) -> None:
+    def store(self, at_once: bool = False) -> None:
         """Note what is new and not saved; forget what is saved.
 
         Parameters
@@ -76,8 +76,8 @@ class Keeper:
             status.refinements,
             status.step if status.stop is None else -1,
         )
-        is_step = content[:2] == self._kept[:2]
-        if content == self._kept or (
+        is_step = content[:2] == self._stored[:2]
+        if content == self._stored or (
             is_step and time.monotonic() < self._next_time and not at_once
         ):
             return
@@ -86,7 +86,7 @@ class Keeper:
         # A run that had gone on beyond its last step does so again; one that has ended ends there.
         steps = max(status.config.max_steps, status.step + (status.stop is None))
         config = status.config.replace(refine=status.refinements, max_steps=steps)
-        self._kept, self._next_time = content, time.monotonic() + SECONDS
+        self._stored, self._next_time = content, time.monotonic() + SECONDS
         self._write(config, content[2])
 
     def _write(self, config: Any, step: int) -> None:
@@ -94,7 +94,7 @@ class Keeper:
             file = self._file or self._sessions.new_file()
             image = self._fingerprint().result(_FINGERPRINT_SECONDS)
             opened = self.opened
-            self._sessions.keep(file, image, opened.name, opened.source, config, step)
+            self._sessions.store(file, image, opened.name, opened.source, config, step)
             self._file = file
         except (OSError, TimeoutError, UnicodeError) as error:
             if not self.trouble:
@@ -129,4 +129,4 @@ class Keeper:
         """Keep nothing of this session."""
         if self._file is not None:
             self._sessions.forget(self._file)
-        self._file, self._kept = None, ()
+        self._file, self._stored = None, ()

@@ -295,7 +295,7 @@ class Opening:
 
         Called again and again: what is new and not saved is kept then, and what was kept is offered.
         """
-        self._keep()
+        self._store()
         if self._work is None:
             return None
         if not self._work.done():
@@ -365,7 +365,7 @@ class Opening:
         if self._keeper is not None and self.closing == "discard":
             self._keeper.forget()
         elif self._keeper is not None:
-            self._keeper.keep(at_once=True)
+            self._keeper.store(at_once=True)
         if self.actions is not None:
             self._end(self.actions)
         for session, seconds in self._former:
@@ -379,18 +379,18 @@ class Opening:
         return self.actions is not None and self.actions.feature(FilesFeature).is_unsaved
 
     @property
-    def is_kept(self) -> bool:
+    def is_stored(self) -> bool:
         """Test if what is not saved can be gone on with at the next start."""
-        return self.is_unsaved and self._keeper is not None and self._keeper.is_kept
+        return self.is_unsaved and self._keeper is not None and self._keeper.is_stored
 
     @property
     def last_words(self) -> str:
-        """What a person should know at the program's end, in one line."""
+        """Line for the program's end: what is kept and how to go on."""
         keeper = self._keeper
         if keeper is None or not self.is_unsaved:
             return "nothing was unsaved"
         name = keeper.opened.name
-        if self.is_kept:
+        if self.is_stored:
             return f"what was not saved of {name} is kept: the next accelsurf view offers it"
         return f"what was not saved of {name} is lost{keeper.trouble and ': '}{keeper.trouble}"
 
@@ -414,10 +414,10 @@ class Opening:
         """Close no more: what was to be saved is not."""
         self.closing = ""
 
-    def _keep(self) -> None:
+    def _store(self) -> None:
         """Keep what is new, and offer what was kept, of this image, or on the start page of any."""
         if self._keeper is not None:
-            self._keeper.keep()
+            self._keeper.store()
         if self._question or self._choices or self.is_busy or self.closing:
             return
         if self._keeper is not None:
@@ -437,14 +437,14 @@ class Opening:
         if unsaved is None:
             return
         self._asked = {
-            "resume": partial(self._resume, unsaved),
-            "discard": partial(self._drop, unsaved),
+            "resume": partial(self._go_on, unsaved),
+            "discard": partial(self._discard_one, unsaved),
             "later": lambda: None,
         }
         loss = "; what was done here since then will be lost" if self.is_unsaved else ""
         self._question = f"{unsaved.line}. Go on with it{loss}?"
 
-    def _resume(self, unsaved: Unsaved) -> None:
+    def _go_on(self, unsaved: Unsaved) -> None:
         """Go on with a session that was not saved: in the open image, or after its image has been read."""
         path = unsaved.path
         if self._keeper is not None:
@@ -456,7 +456,7 @@ class Opening:
         elif path is not None:
             self._start(f"reading {path.name}", lambda: read_unsaved(unsaved, path))
 
-    def _drop(self, unsaved: Unsaved) -> None:
+    def _discard_one(self, unsaved: Unsaved) -> None:
         self._sessions.forget(unsaved.file)
         self._has_offered = False
         if self._keeper is not None:

@@ -22,7 +22,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.notes import read_note, write_note
 
 #: So many are kept; the oldest goes first.
-MAX_KEPT = 20
+MAX_NOTES = 20
 #: Bytes of one that are read at most, files that are looked at, and letters of a path.
 _MAX_BYTES, _MAX_FILES, _MAX_LETTERS = 1 << 22, 1000, 4096
 _NAME = re.compile(r"[0-9a-f]{16}\.json")
@@ -61,7 +61,7 @@ class Unsaved(NamedTuple):
 
     @property
     def line(self) -> str:
-        """What it is, in one line."""
+        """Name, number of clicks and age, in one line."""
         clicks = sum(
             len(each.inside) + len(each.outside) + len(each.balls)
             for each in (*self.config.edit, *self.config.refine)
@@ -118,7 +118,7 @@ class UnsavedSessions:
             raise OSError("nothing is kept")
         return self._folder / f"{secrets.token_hex(8)}.json"
 
-    def keep(
+    def store(
         self, file: Path, image: str, name: str, path: Path | None, config: RunConfig, step: int
     ) -> None:
         """Keep a session of this program, in place of what the file has; see `Unsaved`.
@@ -141,7 +141,7 @@ class UnsavedSessions:
                 "config": config.model_dump(mode="json", exclude_unset=True),
             },
         )
-        for _, old in self._files()[MAX_KEPT:]:
+        for _, old in self._files()[MAX_NOTES:]:
             self.forget(old)
 
     def forget(self, file: Path) -> None:

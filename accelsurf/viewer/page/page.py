@@ -387,11 +387,11 @@ async def _serve(
     page: Page, on_ready: Callable[[str], None] | None, ends: Callable[[], bool]
 ) -> None:
     serving = asyncio.ensure_future(page.serve())
-    is_told = False
+    is_announced = False
     while not serving.done():
         await asyncio.sleep(POLL_SECONDS)
-        if page.address and not is_told:
-            is_told = True
+        if page.address and not is_announced:
+            is_announced = True
             if on_ready is not None:
                 on_ready(page.address)
         if ends():
