@@ -28,12 +28,18 @@ PREFIX, SUFFIX = ".", ".accelsurf"
 _JOURNAL, _LOCK, _UNFINISHED = ".json", ".lock", ".draft"
 #: Journals of killed runs whose folders nobody has written to since are forgotten after so long.
 _FORGOTTEN_DAYS = 90
-_STAGING = re.compile(r"\..+\.[0-9a-f]{16}\.accelsurf")
+_STAGING = re.compile(r"\..+\.[0-9a-f]{16}\.accelsurf", re.DOTALL)
+#: Bytes of a file's name that file systems allow, and of a journal: the names of many frames are in it.
+_MAX_FILE_NAME, _MAX_JOURNAL = 255, 1 << 26
 #: Longest name of a set that is repeated in the name of its staging folder, bytes: file systems allow 255.
 _MAX_NAME_BYTES = 200
+#: Lists of names in `Moves`.
+_LISTS = ("files", "remove")
 #: Only the user may write these, on systems that say who may.
 _OTHERS_MAY_WRITE = 0o022
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+#: A pipe in the place of a journal is not waited for.
+_NO_WAIT = getattr(os, "O_NONBLOCK", 0)
 
 
 @dataclass(frozen=True)
@@ -199,6 +205,9 @@ def begin_journal(folder: Path, name: str, unique: bool) -> Journal | None:
         return Journal(None, -1, staging, reason=error.strerror or str(error))
     if lock is None:
         return None
+    if path.is_dir():
+        _free(lock, path.with_suffix(_LOCK))
+        return Journal(None, -1, staging, reason=f"{path} is a folder")
     if path.exists():  # its writer has died since the folder was recovered
         os.close(lock)
         return None
@@ -320,20 +329,42 @@ def _forget_old(state: Path) -> None:
 def _content(path: Path) -> dict[str, Any] | None:
     """Read a journal; None where it is gone, is not this user's alone, or is none."""
     try:
-        with open(os.open(path, os.O_RDONLY | _NO_LINK), encoding="utf-8") as file:
-            if not is_private(os.fstat(file.fileno())):
+        with open(os.open(path, os.O_RDONLY | _NO_LINK | _NO_WAIT), "rb") as file:
+            found = os.fstat(file.fileno())
+            is_journal = stat.S_ISREG(found.st_mode) and found.st_size <= _MAX_JOURNAL
+            if not (is_journal and is_private(found)):
                 return None
-            content = json.load(file)
-        staging, moves = content["staging"], content["moves"]
-        names = [staging]
-        if moves is not None:
-            planned = Moves(**moves)
-            names += [*planned.files, *planned.remove, planned.last or staging]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            content = json.loads(file.read())
+    except (OSError, ValueError, RecursionError):
         return None
-    if any(name in ("", ".", "..") or os.path.basename(name) != name for name in names):
+    if not isinstance(content, dict) or content.keys() != {"staging", "moves"}:
         return None
-    return dict(content)
+    staging, moves = content["staging"], content["moves"]
+    if not _is_name(staging) or not _STAGING.fullmatch(staging):
+        return None
+    return content if moves is None or _are_moves(moves) else None
+
+
+def _are_moves(moves: object) -> bool:
+    """Test if a value from a journal is that of `Moves`; a file may hold anything."""
+    if not isinstance(moves, dict) or moves.keys() != {"files", "remove", "last", "undo"}:
+        return False
+    last = moves["last"]
+    return (
+        all(isinstance(moves[key], list) and all(map(_is_name, moves[key])) for key in _LISTS)
+        and (last is None or _is_name(last))
+        and isinstance(moves["undo"], bool)
+    )
+
+
+def _is_name(name: object) -> bool:
+    """Test if a value is the name of a file in a folder, which leads nowhere else."""
+    if not isinstance(name, str) or name in ("", ".", "..") or os.path.basename(name) != name:
+        return False
+    try:
+        return "\0" not in name and len(os.fsencode(name)) <= _MAX_FILE_NAME
+    except UnicodeEncodeError:
+        return False
 
 
 def is_private(found: os.stat_result) -> bool:

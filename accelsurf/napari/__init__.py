@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -62,11 +63,13 @@ def open_results(path: str) -> list[LayerData]:
 
 def _image_of(report: dict[str, Any], name: str) -> accelsurf.Volume | None:
     """Return the image of a result; None, with a warning, where it cannot be read."""
-    source = (report.get("input") or {}).get("path")
+    source, settings = (report.get("input") or {}).get("path"), report.get("config") or {}
     try:
         if not isinstance(source, str):
             raise accelsurf.InputError("the report names none")
-        return accelsurf.read(source)
+        asked = {field.name for field in fields(accelsurf.RunConfig().reading)} & settings.keys()
+        run = accelsurf.RunConfig(**{key: settings[key] for key in asked})
+        return accelsurf.read(source, options=run.reading)
     except accelsurf.AccelsurfError as error:
         warnings.warn(f"{name}: its image cannot be opened ({error})", stacklevel=3)
         return None

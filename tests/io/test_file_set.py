@@ -7,6 +7,7 @@ import os
 import random
 import signal
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
@@ -497,6 +498,67 @@ def test_a_journal_that_is_not_the_users_alone_is_no_journal(how, tmp_path):
     with pytest.warns(AccelsurfWarning, match="not from a run of yours"):
         assert recover(staging.parent) == []
     assert everything(staging.parent) == before
+
+
+#: What stands in a journal in place of a value.
+WRONG = (None, 7, True, 1e300, "", "x", "..", "a/b", "a" * 300, "\0", "\ud800", [], [None], [["x"]])
+WRONG += (["\0"], ["a" * 300], [".."], {}, {"a": 1})
+
+
+def wrong_value(draw, text):
+    found = json.loads(text)
+    where = draw.choice([found, found["moves"]])
+    where[draw.choice([*where, "more"])] = draw.choice([v for v in WRONG if v not in (None, [])])
+    return json.dumps(draw.choice([found, found, found, *WRONG])).encode()
+
+
+#: How the content of a journal is damaged.
+DAMAGE = {
+    "cut": lambda draw, text: text[: draw.randrange(len(text))].encode(),
+    "other values": wrong_value,
+    "other bytes": lambda draw, text: draw.randbytes(draw.choice([1, 100, 9000])),
+    "deep": lambda draw, text: b"[" * 100_000,
+    "digits": lambda draw, text: b"9" * 10_000,
+}
+#: What else stands in its place.
+INSTEAD = {
+    "a link to a device": lambda path, mine: path.symlink_to("/dev/zero"),
+    "a link to a file": lambda path, mine: path.symlink_to(mine),
+    "a link to itself": lambda path, mine: path.symlink_to(path),
+    "a pipe": lambda path, mine: os.mkfifo(path),
+    "a folder": lambda path, mine: (path.mkdir(), (path / "a").write_bytes(b"")),
+    "too much": lambda path, mine: os.truncate(os.open(path, os.O_CREAT | os.O_WRONLY), 1 << 40),
+}
+
+
+@pytest.mark.sampled(12)
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("how", [*DAMAGE, *INSTEAD])
+def test_a_damaged_journal_moves_nothing_and_stops_nothing(how, seed, tmp_path):
+    draw = random.Random(f"{how}{seed}")
+    staging = killed_in_mid_move(tmp_path)
+    (mine := tmp_path / "mine").write_bytes(b"mine")
+    (path,) = set_journals.state_folder().glob("*.json")
+    if how in DAMAGE:
+        path.write_bytes(DAMAGE[how](draw, path.read_text()))
+    else:
+        path.unlink()
+        INSTEAD[how](path, mine)
+    folder, before = staging.parent, everything(tmp_path)
+    with warnings.catch_warnings(record=True):
+        warnings.simplefilter("always")
+        assert recover(folder) == []
+        assert everything(tmp_path) == before
+        write_bytes(folder / "new.txt", b"1")
+        with open_set(folder, "scan") as files:
+            (files.staging / "b").write_bytes(b"2")
+            (files.staging / "c").write_bytes(b"3")
+            files.commit(last="c")
+    written = {f"{folder.name}/{n}": c for n, c in {"new.txt": b"1", "b": b"2", "c": b"3"}.items()}
+    assert everything(tmp_path) == before | written
+    if how == "a folder":  # it is not the program's
+        (path / "a").unlink()
+        path.rmdir()
 
 
 def test_journals_of_folders_that_are_gone_are_forgotten(tmp_path):

@@ -13,11 +13,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import psutil
 
 from accelsurf.errors import AccelsurfError
-from accelsurf.image.volume import Volume
+from accelsurf.image.volume import Volume, voxels_sha256
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.notes import read_note, write_note
 
@@ -27,7 +26,7 @@ MAX_NOTES = 20
 _MAX_BYTES, _MAX_FILES, _MAX_LETTERS = 1 << 22, 1000, 4096
 _NAME = re.compile(r"[0-9a-f]{16}\.json")
 #: Version of their form.
-_VERSION = 1
+_VERSION = 2
 
 
 class Unsaved(NamedTuple):
@@ -198,11 +197,9 @@ def fingerprint(volume: Volume, channels: Sequence[Volume] = ()) -> str:
 
     Neither the name of a file nor how it is stored counts.
     """
-    digest = hashlib.sha256()
-    for each in (volume, *channels):
-        grid = each.geometry
-        said = (each.array.dtype.str, grid.shape, grid.spacing, grid.origin, grid.direction)
-        digest.update(repr([np.asarray(part).tolist() for part in said]).encode())
-        for plane in each.array:
-            digest.update(np.ascontiguousarray(plane).view(np.uint8).data)
-    return digest.hexdigest()
+    images = (volume, *channels)
+    grids = [
+        [grid.shape, grid.spacing, grid.origin, grid.direction.tolist()]
+        for grid in (each.geometry for each in images)
+    ]
+    return hashlib.sha256(f"{grids} {voxels_sha256(images)}".encode()).hexdigest()
