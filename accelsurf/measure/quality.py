@@ -82,6 +82,7 @@ def assess(
     plateaus: Sequence[PlateauNote] = (),
     clicked: Mask | None = None,
     confidence: Confidence | None = None,
+    before: float | None = None,
 ) -> Quality:
     """Measure the quality of a result.
 
@@ -102,6 +103,8 @@ def assess(
         Voxels that a person clicked, on either side.
     confidence : Confidence, optional
         Of the model of the clicks.
+    before : float, optional
+        The probability before the last correction by a click, which is the most that it is now.
     """
     found = measured(labels, image, geometry, history, stop, learned, plateaus, clicked, confidence)
     last = history[-1].volume_mm3 if history else 0.0
@@ -112,6 +115,8 @@ def assess(
     unclear = "" if confidence is None else _ambiguity(found, labels > 0, geometry)
     if unclear:
         found = found._replace(is_ambiguous=True, probability=min(found.probability, UNSURE))
+    if before is not None:
+        found = found._replace(probability=min(found.probability, before), is_corrected=True)
     warnings = _warnings(found, stop, last, labels > 0, geometry, unclear)
     notes = _notes(found, last, geometry)
     parts = 1 if clicked is None else clicked_parts(labels > 0, clicked)
