@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, corner_of, counted_from
 from accelsurf.run.preprocessing import PreprocessedInput
-from accelsurf.run.result import Result, SegmentedObject
+from accelsurf.run.result import EarlierProbability, Result, SegmentedObject
 from accelsurf.run.start import AROUND
 from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.run_config import RunConfig
@@ -19,7 +19,7 @@ from accelsurf.settings.run_config import RunConfig
 class CorrectedSurface(NamedTuple):
     """A surface between two corrections, as a value: psi (nz, ny, nx) from voxel ``corner`` of the region of interest.
 
-    ``inside`` is the number of its voxels.
+    ``inside`` is the number of its voxels; ``before`` the least probability before its corrections by clicks.
     """
 
     id: int
@@ -28,6 +28,7 @@ class CorrectedSurface(NamedTuple):
     inside: int
     history: list[StepRecord]
     stop: Stop
+    before: EarlierProbability | None = None
 
 
 def surface_of(segmented: SegmentedObject, region: Box) -> CorrectedSurface:
@@ -43,7 +44,13 @@ def surface_of(segmented: SegmentedObject, region: Box) -> CorrectedSurface:
     )
     z, y, x = (s.start - r.start for s, r in zip(box, region, strict=True))
     return CorrectedSurface(
-        segmented.id, (z, y, x), psi, count_inside(psi), segmented.history, segmented.stop
+        segmented.id,
+        (z, y, x),
+        psi,
+        count_inside(psi),
+        segmented.history,
+        segmented.stop,
+        segmented.before,
     )
 
 

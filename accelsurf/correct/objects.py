@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.model import ClickModel
 from accelsurf.clicks.reading import clicked_voxels
 from accelsurf.correct.corrected_surface import (
     CorrectedSurface,
@@ -27,7 +28,13 @@ from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.levelset import Workers
 from accelsurf.run.region_of_interest import closed_on, cropped
 from accelsurf.run.region_totals import RegionTotals
-from accelsurf.run.result import Result, RunState, SegmentedObject, on_larger_box
+from accelsurf.run.result import (
+    Result,
+    RunState,
+    SegmentedObject,
+    earlier_probability,
+    on_larger_box,
+)
 from accelsurf.run.setup import half_width
 from accelsurf.settings.run_config import RunConfig
 
@@ -50,6 +57,14 @@ class _CorrectionBefore(NamedTuple):
     models: dict[str, Any]
     surfaces: list[_SurfaceBefore]
     clicked: list[tuple[LocalModel, ModelChange]]
+
+
+class _Shown(NamedTuple):
+    """An entry in results, and the surface and the model of clicks that it is of."""
+
+    surface: CorrectedSurface
+    model: ClickModel | None
+    segmented: SegmentedObject
 
 
 class CorrectedObjects:
@@ -83,6 +98,10 @@ class CorrectedObjects:
         self.has_ids, self.models = result.has_ids, ObjectModels(state, settings)
         self._known = dict(result.by_id)
         self._regional = RegionTotals(self.images, self.surfaces[0].psi, state.totals)
+        self._shown = {
+            surface.id: _Shown(surface, self.models.made.get(surface.id), segmented)
+            for surface, segmented in zip(self.surfaces, result.objects, strict=True)
+        }
         self._undo: list[_CorrectionBefore] = []
 
     @property
@@ -212,6 +231,7 @@ class CorrectedObjects:
         after = np.where(region.mask[mine], np.maximum(psi, -winner[mine]), psi)
         if not ((after < 0) != (psi < 0)).any():
             return
+        before = earlier_probability(self.shown(surface))
         width = half_width(self._settings)
         volume, area = (measures_of(part, self.spacing, width, workers) for part in (psi, after))
         last = surface.history[-1]
@@ -225,7 +245,12 @@ class CorrectedObjects:
             place,
             theirs,
             after,
-            surface._replace(inside=inside, history=[*surface.history[:-1], last], stop=stop),
+            surface._replace(
+                inside=inside,
+                history=[*surface.history[:-1], last],
+                stop=stop,
+                before=before,
+            ),
         )
 
     def grown(self, place: int, box: Box) -> CorrectedSurface:
@@ -248,8 +273,20 @@ class CorrectedObjects:
 
     # -- result --------------------------------------------------------------------------------------------
 
+    def shown(self, now: CorrectedSurface) -> SegmentedObject:
+        """Return the last entry in results of an object as it is: its probability may be known already."""
+        last = self._shown.get(now.id)
+        if last is not None and last.surface is now and last.model is self.models.made.get(now.id):
+            return last.segmented
+        return self.segmented(now)
+
     def segmented(self, now: CorrectedSurface) -> SegmentedObject:
         """An object as results have it; later corrections do not change it."""
+        made = self._segmented(now)
+        self._shown[now.id] = _Shown(now, self.models.made.get(now.id), made)
+        return made
+
+    def _segmented(self, now: CorrectedSurface) -> SegmentedObject:
         segmented, prepared, base, models = (
             self._known[now.id],
             self.prepared,
@@ -280,7 +317,12 @@ class CorrectedObjects:
             psi = prepared.on_whole_grid(now.psi)
             psi = psi.copy() if psi is now.psi else psi
             return dataclasses.replace(
-                segmented, psi=psi, history=now.history, stop=now.stop, clicked=clicked
+                segmented,
+                psi=psi,
+                history=now.history,
+                stop=now.stop,
+                clicked=clicked,
+                before=now.before,
             )
         return dataclasses.replace(
             segmented,
@@ -292,4 +334,5 @@ class CorrectedObjects:
             stop=now.stop,
             clicked=clicked,
             plateaus=on_larger_box(segmented.plateaus, segmented.box, box),
+            before=now.before,
         )

@@ -52,7 +52,7 @@ from accelsurf.io.memory import available_cores
 from accelsurf.levelset import Workers
 from accelsurf.run.late_growth import Place
 from accelsurf.run.region_totals import RegionTotals
-from accelsurf.run.result import BoxMask, Result, SegmentedObject
+from accelsurf.run.result import BoxMask, Result, SegmentedObject, earlier_probability
 from accelsurf.run.setup import correction_rule, is_maker, setup_of, window_reach
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
@@ -400,6 +400,7 @@ class Refiner:
         """Correct one object, of which ``new`` are clicks on the grid of the region of interest."""
         began = time.perf_counter()
         # Where nothing is wrong its part of the grid stays too, as in the result.
+        shown = self._objects.shown(self._objects.surfaces[place])
         surface = self._objects.seen_on(place, box_around(new))
         relabelled, reaches = self._relabelled(surface, new)
         if not relabelled:
@@ -429,7 +430,9 @@ class Refiner:
             place,
             box,
             outcome.psi,
-            surface._replace(inside=inside, history=outcome.history, stop=stop),
+            surface._replace(
+                inside=inside, history=outcome.history, stop=stop, before=earlier_probability(shown)
+            ),
         )
         for other in sorted(takes):
             self._objects.take_from(other, region, outcome.psi, stepping.workers)

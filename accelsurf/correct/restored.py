@@ -23,7 +23,7 @@ from accelsurf.correct.state_file import (
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.run.region_of_interest import cropped
-from accelsurf.run.result import BoxMask, Result, SegmentedObject
+from accelsurf.run.result import BoxMask, EarlierProbability, Result, SegmentedObject
 from accelsurf.run.run import Run
 from accelsurf.settings.corrections import Correction
 
@@ -193,10 +193,16 @@ def _object(
         psi, plateaus = surface_of(stored), plateaus_of(stored)
     except (ValueError, TypeError) as error:
         raise InputError(f"the state is damaged ({error})", "run accelsurf segment again") from None
+    before = None if stored.before is None else EarlierProbability(stored.before)
     box = box_of(stored)
     if not has_ids:
         return dataclasses.replace(
-            known, psi=psi, history=list(stored.history), stop=stored.stop, plateaus=plateaus
+            known,
+            psi=psi,
+            history=list(stored.history),
+            stop=stored.stop,
+            plateaus=plateaus,
+            before=before,
         )
     return dataclasses.replace(
         known,
@@ -207,4 +213,5 @@ def _object(
         history=list(stored.history),
         stop=stored.stop,
         plateaus=plateaus,
+        before=before,
     )

@@ -28,7 +28,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
 
 #: Version of the file; raised when its content changes.
-VERSION = 2
+VERSION = 3
 _AGAIN = "run accelsurf segment again with --keep-state yes"
 _LEVEL = 1  # of zlib: more takes longer and saves little
 
@@ -62,13 +62,17 @@ class RestFile(NamedTuple):
 
 
 class ObjectFile(NamedTuple):
-    """An object: its ``id``, ``surface``, ``history``, ``stop`` and ``rests``."""
+    """An object: its ``id``, ``surface``, ``history``, ``stop`` and ``rests``.
+
+    ``before`` is the least probability before its corrections by clicks; None where none was made.
+    """
 
     id: int
     surface: SurfaceFile
     history: tuple[StepRecord, ...]
     stop: Stop
     rests: tuple[RestFile, ...]
+    before: float | None
 
 
 class MaskFile(NamedTuple):
@@ -150,6 +154,7 @@ def state_bytes(result: Result, image: str) -> bytes:
                 RestFile(*plateau[:-1], _packed(plateau.labels > 0))
                 for plateau in segmented.plateaus
             ),
+            None if segmented.before is None else segmented.before.value,
         )
         for segmented in result.objects
     )
@@ -220,6 +225,8 @@ def _check(state: StateFile) -> None:
             c < 0 or n < 1 or c + n > m for c, n, m in zip(corner, box, shape, strict=True)
         ):
             raise ValueError(f"the surface of object {segmented.id} lies beyond the image")
+        if segmented.before is not None and not 0.0 <= segmented.before <= 1.0:
+            raise ValueError(f"the probability of object {segmented.id} is not one")
         if not segmented.history:
             raise ValueError(f"object {segmented.id} has no history")
 

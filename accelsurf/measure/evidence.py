@@ -109,8 +109,8 @@ def gather(
     near, deep, out = (_sampled(values, index, normal, k * STEP) for k in (-1.0, -3.0, 1.0))
     core = values[deeper]
     core = core if core.size > 20 else values[part]
-    middle, deviation = _median_and_deviation(core)
-    beside = _median_and_deviation(out)[1]
+    middle, deviation = median_and_deviation(core)
+    beside = median_and_deviation(out)[1]
     floor = MIN_NOISE * max(deviation, beside, 1e-12)
     noise = max(float(np.median(np.abs(near - deep))), floor)
     across = np.abs(near - out) / noise
@@ -223,7 +223,7 @@ def _sampled(values: Image, index: NDArray[np.int64], normal: Floats, voxels: fl
     return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest"), np.float64)
 
 
-def _median_and_deviation(values: NDArray[np.floating]) -> tuple[float, float]:
+def median_and_deviation(values: NDArray[np.floating]) -> tuple[float, float]:
     """Median, and the standard deviation by the median absolute deviation."""
     flat = np.asarray(values, np.float64).ravel()
     flat = flat[:: max(1, flat.size // (1 << 18))]

@@ -99,6 +99,8 @@ class Quality(NamedTuple):
         where a click has corrected it.
     is_ambiguous : bool
         The clicks may mean an object of quite another size: the probability is at most `UNSURE`.
+    is_corrected : bool
+        Clicks have corrected the surface: the probability is at most the least before.
     """
 
     probability: float
@@ -130,6 +132,7 @@ class Quality(NamedTuple):
     notes: tuple[str, ...]
     answers: tuple[Answer, ...] = ()
     is_ambiguous: bool = False
+    is_corrected: bool = False
 
     @property
     def likely(self) -> str:
@@ -220,12 +223,13 @@ def warning_threshold(found: Quality) -> float:
     stated one at which half of such results are good.
     """
     model = calibrated_models()[model_kind(found)]
-    return float(model["threshold_corrected" if is_lower_bound(found) else "threshold"])
+    has_own = is_lower_bound(found) and "threshold_corrected" in model
+    return float(model["threshold_corrected" if has_own else "threshold"])
 
 
 def is_lower_bound(found: Quality) -> bool:
-    """True where a click has corrected a result of the clicks' model: more of them are good than is said."""
-    return model_kind(found) == "clicks" and found.correction is not None
+    """True where a click has corrected the result: more of these are good than is said."""
+    return found.is_corrected or found.correction is not None
 
 
 def probability_good(kind: ModelKind, features: Mapping[str, float]) -> float:

@@ -46,7 +46,8 @@ MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIK
     20,
     0.1,
 )
-#: A result of clicks is ambiguous where it has this part of the image's corners; or where it is so many times as large
+#: A result of clicks is ambiguous where it has this part of the image's corners, or one of them and this part has its
+#: grey values; or where it is so many times as large
 #: as the clicks, in so many parts of at least this part of it, with `MAX_ON_BORDER` of its surface on the border.
 MANY_CORNERS, MANY_CLICKS, MANY_PIECES, SPECK = 0.75, 150.0, 4, 1e-4
 #: An outside click is said to take away much from this share of the object on.
@@ -82,6 +83,7 @@ def assess(
     plateaus: Sequence[PlateauNote] = (),
     clicked: Mask | None = None,
     confidence: Confidence | None = None,
+    before: float | None = None,
 ) -> Quality:
     """Measure the quality of a result.
 
@@ -102,6 +104,8 @@ def assess(
         Voxels that a person clicked, on either side.
     confidence : Confidence, optional
         Of the model of the clicks.
+    before : float, optional
+        The probability before the last correction by a click, which is the most that it is now.
     """
     found = measured(labels, image, geometry, history, stop, learned, plateaus, clicked, confidence)
     last = history[-1].volume_mm3 if history else 0.0
@@ -109,9 +113,11 @@ def assess(
     if found.answers and last > 0:  # the surface has moved since
         taken = found.answers[0]._replace(volume_mm3=last)
         found = found._replace(answers=(taken, *found.answers[1:]))
-    unclear = "" if confidence is None else _ambiguity(found, labels > 0, geometry)
+    unclear = "" if confidence is None else _ambiguity(found, labels > 0, image, geometry)
     if unclear:
         found = found._replace(is_ambiguous=True, probability=min(found.probability, UNSURE))
+    if before is not None:
+        found = found._replace(probability=min(found.probability, before), is_corrected=True)
     warnings = _warnings(found, stop, last, labels > 0, geometry, unclear)
     notes = _notes(found, last, geometry)
     parts = 1 if clicked is None else clicked_parts(labels > 0, clicked)
@@ -242,7 +248,7 @@ def _compactness(last: StepRecord | None, geometry: Geometry) -> float:
     return 36.0 * math.pi * last.volume_mm3**2 / last.area_mm2**3
 
 
-def _ambiguity(found: Quality, inside: Mask, geometry: Geometry) -> str:
+def _ambiguity(found: Quality, inside: Mask, image: Image, geometry: Geometry) -> str:
     """Return why the clicks may mean an object of quite another size; empty where nothing says so."""
     if found.is_ambiguous and len(found.answers) > 1:
         taken, other = found.answers[0], found.answers[1]
@@ -254,12 +260,23 @@ def _ambiguity(found: Quality, inside: Mask, geometry: Geometry) -> str:
             f"the click may mean {texts} (--answer {other.number} takes the other one); the {which} one was taken; try "
             "--size with about how large the object is"
         )
-    corners = inside[np.ix_(*((0, -1) if n > 1 else (0,) for n in inside.shape))]
-    if corners.mean() >= MANY_CORNERS:
+    corners = np.ix_(*((0, -1) if n > 1 else (0,) for n in inside.shape))
+    held, count = int(np.count_nonzero(inside[corners])), inside[corners].size
+    if held >= MANY_CORNERS * count:
         return (
-            f"it holds {np.count_nonzero(corners)} of the {corners.size} corners of the image, as the surroundings of "
-            "objects do; try --inside at the object"
+            f"it holds {held} of the {count} corners of the image, as the surroundings of objects do; try --inside at "
+            "the object"
         )
+    if held:
+        values = image[inside]
+        middle, deviation = places.median_and_deviation(values)
+        like = np.abs(image[corners] - middle) <= places.LIKE * deviation
+        alike = int(np.count_nonzero(inside[corners] | like))
+        if alike >= MANY_CORNERS * count:
+            return (
+                f"it holds {held} of the {count} corners of the image and {alike} of them have its grey values, as the "
+                "surroundings of objects do; try --inside at the object"
+            )
     is_large = found.beyond_clicks is not None and found.beyond_clicks >= MANY_CLICKS
     if is_large and found.border_fraction >= MAX_ON_BORDER:
         parts = _parts_of(inside)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -66,6 +66,53 @@ _SUMMED = (
 _LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_fraction")
 
 
+@dataclass(frozen=True, eq=False)
+class EarlierProbability:
+    """The probability of an object before a correction by a click; computed when it is first asked for.
+
+    Attributes
+    ----------
+    known : float or None
+        The probability, where it was asked for already.
+    rest : SegmentedObject or None
+        Else the object, without arrays of its own.
+    inside, clicked : ndarray of uint8, or None
+        Its voxels and those that were clicked, as bits.
+    """
+
+    known: float | None = None
+    rest: SegmentedObject | None = None
+    inside: NDArray[np.uint8] | None = None
+    clicked: NDArray[np.uint8] | None = None
+
+    @cached_property
+    def value(self) -> float:
+        """The probability, 0 to 1."""
+        if self.rest is None or self.inside is None:
+            return 0.0 if self.known is None else self.known
+        labels, clicked = (
+            None if bits is None else np.unpackbits(bits, count=self.rest.image.size)
+            for bits in (self.inside, self.clicked)
+        )
+        assert labels is not None
+        shape = self.rest.image.shape
+        return replace(
+            self.rest,
+            psi=np.where(labels.reshape(shape) > 0, np.float32(-1.0), np.float32(1.0)),
+            clicked=None if clicked is None else clicked.reshape(shape) > 0,
+        ).quality.probability
+
+
+def earlier_probability(segmented: SegmentedObject) -> EarlierProbability:
+    """Return the probability of an object that a click is about to correct, without computing it now."""
+    asked = vars(segmented).get("quality")
+    if asked is not None:
+        return EarlierProbability(asked.probability)
+    clicked = None if segmented.clicked is None else np.packbits(segmented.clicked)
+    rest = replace(segmented, psi=np.empty((0, 0, 0), np.float32), clicked=None, plateaus=())
+    return EarlierProbability(None, rest, np.packbits(segmented.labels), clicked)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class SegmentedObject:
     """One object of a result, on its part of the image's grid: the whole grid for a single object.
@@ -95,6 +142,8 @@ class SegmentedObject:
         Voxels of its part that a person clicked, on either side.
     confidence : Confidence or None
         Of the model of the clicks in the object; None where the energy has none.
+    before : EarlierProbability or None
+        The least before its corrections by clicks; None where none was made.
     """
 
     id: int
@@ -109,6 +158,7 @@ class SegmentedObject:
     plateaus: tuple[Plateau, ...] = ()
     clicked: NDArray[np.bool_] | None = None
     confidence: Confidence | None = None
+    before: EarlierProbability | None = None
 
     def __repr__(self) -> str:
         volume = size_text(self.volume_mm3, self.geometry.unit, 3)
@@ -223,7 +273,8 @@ class SegmentedObject:
         plateaus = [PlateauNote(*plateau[:-1]) for plateau in self.plateaus]
         seen = self.labels, self.image, self.geometry, self.history, self.stop
         learned = None if self.learned is None else ValueRange(*self.learned)
-        return assess(*seen, learned, plateaus, self.clicked, self.confidence)
+        before = None if self.before is None else self.before.value
+        return assess(*seen, learned, plateaus, self.clicked, self.confidence, before)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

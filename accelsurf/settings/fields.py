@@ -246,7 +246,7 @@ class SettingFields(BaseModel):
     )
     t0: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
         "auto",
-        "Flow time t, in the friction (k+1)/t, of a surface that starts at rest: larger brakes less at first. auto is 0, "
+        "Flow time t, in the friction (k+1)/t, of a surface that starts at rest: larger brakes less. auto is 0, "
         "or with k <= 1, where 0 is impossible, the length of the first step.",
         entry=SettingEntry(unit="flow time", metavar="T|auto", scope="flow"),
     )

@@ -275,7 +275,7 @@ def test_a_state_of_another_version_or_size_is_refused(finished, tmp_path, monke
     state = state._replace(config=state.config.model_dump(mode="json"))
     path = tmp_path / "ball_state.npz"
     path.write_bytes(to_bytes(({"accelsurf": "9", "state": 99}, state), state_file.TYPES))
-    with pytest.raises(InputError, match="version 99, expected 2"):
+    with pytest.raises(InputError, match="version 99, expected 3"):
         read_state(path)
     path.write_bytes(
         to_bytes(({"state": state_file.VERSION}, state._replace(shape=(4, 4, 4))), state_file.TYPES)

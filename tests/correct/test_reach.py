@@ -145,3 +145,26 @@ def test_a_reach_is_asked_of_clicks_that_can_be_made():
     with pytest.raises(UsageError):
         refiner.reach(Correction(inside=("point:1,2,3",), object=7))
     assert refiner.result().config == before.config
+
+
+@pytest.mark.parametrize("neck", [2, 3, 4])
+@pytest.mark.parametrize("radius", [6, 9])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_click_in_the_middle_of_a_leak_takes_it_up_to_its_neck(neck, radius, axis):
+    """A ball of the object's values joined to it by a neck, within the reach of the click in it."""
+    z, y, x = np.indices((40, 44, 90))
+    across, at = (z - 20) ** 2 + (y - 22) ** 2, 44 + radius
+    body, leak = across + (x - 26) ** 2 < 14**2, across + (x - at) ** 2 < radius**2
+    tube = (across <= (neck / 2) ** 2) & (x >= 38) & (x <= at)
+    mask = body | leak | tube
+    image = 100.0 * mask + np.random.default_rng(neck).normal(0.0, 8.0, mask.shape)
+    body, leak, mask, image = (np.swapaxes(each, axis, 2) for each in (body, leak, mask, image))
+    place = [20, 22, at]
+    place[axis], place[2] = place[2], place[axis]
+    volume = Volume.from_array(np.ascontiguousarray(image, np.float32), 1.0)
+    refiner = Refiner(beginning_with(volume, np.ascontiguousarray(mask, np.uint8)))
+    click = f"ball:{place[2]},{place[1]},{place[0]},3"
+    (change,) = refiner.apply(Correction(outside=(click,)))
+    after = refiner.result().labels > 0
+    assert change.reach.mm >= radius and not (after & leak).any()
+    assert (after & body).sum() >= 0.999 * body.sum()

@@ -5,6 +5,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import accelsurf
 from accelsurf.clicks.model import ClickModel, Scene, click_model
@@ -14,6 +15,8 @@ from accelsurf.correct.local_model import LocalModel, ModelChange, basin_of
 from accelsurf.correct.refine import refine
 from accelsurf.correct.refiner import Refiner
 from accelsurf.correct.region import rim_width
+from accelsurf.correct.restored import restored
+from accelsurf.correct.state_file import read_state, state_bytes
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.clicks import Click, Clicks
@@ -695,3 +698,66 @@ def test_flows_with_short_steps_wait_longer():
     assert correction_rule(RunConfig()).patience == PATIENCE
     for flow in ("flowable-mass", "sobolev"):
         assert correction_rule(RunConfig(flow=flow)).patience is None
+
+
+@pytest.fixture(scope="module")
+def doubtful():
+    """A result whose values drift towards its rim, and places at the rim of its object."""
+    z, y, x = np.indices((24, 40, 40)) - np.array([12, 20, 20]).reshape(3, 1, 1, 1)
+    away = np.sqrt(z**2 + y**2 + x**2)
+    image = np.where(away < 11, 100.0 - 3.0 * away, 0.0)
+    image += np.random.default_rng(2).normal(0.0, 6.0, image.shape)
+    result = accelsurf.segment(
+        image.astype(np.float32), inside="ball:20,20,12,4", keep_state="yes", threads=1
+    )
+    labels = result.labels > 0
+    rim = np.argwhere(labels & ~ndimage.binary_erosion(labels))
+    return result, np.random.default_rng(0).permutation(rim)
+
+
+def rim_clicks(rim, count):
+    return [f"ball:{x},{y},{z},2.5" for z, y, x in rim[:count]]
+
+
+def test_no_correction_by_a_click_raises_the_probability(doubtful):
+    result, rim = doubtful
+    refiner, told, unbounded = Refiner(result), [result.quality.probability], []
+    for click in rim_clicks(rim, 6):
+        (change,) = refiner.apply(Correction(outside=(click,)))
+        if change.voxels:
+            (segmented,) = refiner.result().objects
+            told.append(segmented.quality.probability)
+            unbounded.append(dataclasses.replace(segmented, before=None).quality.probability)
+            assert segmented.quality.likely.startswith("at least ")
+    assert told == sorted(told, reverse=True)
+    # Without the bound it would rise: the clicks are harmful, and a measure says otherwise.
+    assert any(free > bound for free, bound in zip(unbounded, told[1:], strict=True))
+
+
+def test_the_bound_is_that_of_all_clicks_in_any_way_they_are_made(doubtful, tmp_path):
+    result, rim = doubtful
+    clicks = rim_clicks(rim, 4)
+    at_once = refine(result, outside=clicks)
+    one_by_one, asked = result, []
+    for click in clicks:
+        one_by_one = refine(one_by_one, outside=click)
+        asked.append(one_by_one.quality.probability)
+    assert at_once.quality.probability == one_by_one.quality.probability == min(asked)
+    path = tmp_path / "state.npz"
+    path.write_bytes(state_bytes(at_once, "0" * 64))
+    (stored,) = read_state(path).objects
+    assert stored.before == at_once.objects[0].before.value
+    again = restored(read_state(path), result.volume)
+    assert again.quality.probability == at_once.quality.probability
+    assert refine(again, outside=rim_clicks(rim, 5)[4]).quality.probability <= min(asked)
+
+
+def test_undo_gives_the_probability_back(doubtful):
+    result, rim = doubtful
+    refiner = Refiner(result)
+    for click in rim_clicks(rim, 2):
+        refiner.apply(Correction(outside=(click,)))
+    assert refiner.result().quality.likely.startswith("at least ")
+    refiner.undo()
+    refiner.undo()
+    assert refiner.result().quality.likely == result.quality.likely

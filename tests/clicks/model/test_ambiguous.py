@@ -106,6 +106,58 @@ def test_the_surroundings_of_objects_are_ambiguous(shape):
     assert not other.is_ambiguous
 
 
+@pytest.mark.parametrize("shape", [(1, 60, 60), (20, 40, 40)])
+@pytest.mark.parametrize("at", [0, -1])
+@pytest.mark.parametrize("is_like", [True, False])
+def test_a_part_of_the_air_beside_a_body_is_ambiguous(shape, at, is_like):
+    """One corner is held; the others have its grey values, or they do not: then it is an object that is cut."""
+    image = np.random.default_rng(4).normal(0.0, 1.0, shape)
+    inside = np.zeros(shape, bool)
+    near = slice(None, 14) if at == 0 else slice(-14, None)
+    inside[:, near, near] = True
+    image[:, 16:-16, 16:-16] += 50.0  # the body
+    if not is_like:
+        image[~inside] += 30.0
+    sure = confidence_of(model(3.5))._replace(overlap=1.0, spread=0.0)
+    clicked = inside & (np.indices(shape)[2] % 7 == 3)
+    given = (inside.astype(np.uint8), image.astype(np.float32), Geometry(shape, (1.0, 1.0, 1.0)))
+    quality = assess(*given, [], DONE, clicked=clicked, confidence=sure)
+    assert quality.is_ambiguous == is_like
+    assert bool([line for line in quality.warnings if "have its grey values" in line]) == is_like
+    assert quality.probability <= UNSURE if is_like else quality.probability > UNSURE
+
+
+@pytest.mark.parametrize("parts", [1, 3, 4, 6])
+@pytest.mark.parametrize("times", [100, 300])
+@pytest.mark.parametrize("on_border", [True, False])
+def test_many_parts_far_larger_than_the_click_on_the_border_are_ambiguous(parts, times, on_border):
+    shape = (24, 60, 24 * parts)
+    inside = np.zeros(shape, bool)
+    # Rods from face to face, or with ends a voxel apart from it; none has a corner of the image.
+    ends = slice(None) if on_border else slice(2, -2)
+    for part in range(parts):
+        middle = 24 * part + 12
+        inside[ends, 8:-8, middle - 8 : middle + 8] = True
+    inside[:1, :1, :1] = True  # a speck is no part
+    image = (inside * 50.0 + np.random.default_rng(5).normal(0.0, 1.0, shape)).astype(np.float32)
+    clicked = np.zeros(shape, bool)
+    clicked.reshape(-1)[np.flatnonzero(inside)[100 : 100 + inside.sum() // times]] = True
+    sure = confidence_of(model(3.5))._replace(overlap=1.0, spread=0.0)
+    quality = assess(
+        inside.astype(np.uint8),
+        image,
+        Geometry(shape, (1.0, 1.0, 1.0)),
+        [],
+        DONE,
+        clicked=clicked,
+        confidence=sure,
+    )
+    wanted = parts >= 4 and times >= 150 and on_border
+    assert (quality.border_fraction > 0.2) == on_border
+    assert quality.is_ambiguous == wanted
+    assert bool([line for line in quality.warnings if f"in {parts} parts" in line]) == wanted
+
+
 def test_sizes_of_answers_are_those_that_one_gets():
     image = part_and_whole()[0]
     first, second = (segment(image, inside=CLICK, answer=number) for number in (1, 2))
