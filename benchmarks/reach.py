@@ -122,7 +122,7 @@ def measured(case: Case, refiner: Refiner, click: PersonClick, kind: str) -> dic
     """Make a correction and measure it."""
     image, before = case.image, refiner.result()
     (correction,) = corrections_of({click.side: text_of(click, image)})
-    shown = refiner.reach(correction)
+    shown = refiner.reach_of(correction)
     (change,) = refiner.apply(correction)
     after = refiner.result()
     old, new = (np.asarray(result.labels > 0) for result in (before, after))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.model.model import is_right, largest_reach
-from accelsurf.clicks.model.reach import Reach, reach_of
+from accelsurf.clicks.model.reach import ClickReach, reach_of
 from accelsurf.clicks.reading import check_left, clicks_of, on_image
 from accelsurf.correct import object_changes
 from accelsurf.correct.corrected_surface import (
@@ -60,7 +60,7 @@ from accelsurf.settings.run_config import RunConfig
 #: Voxels of the largest spacing beyond the region that the surface and its stencils see; there they do not move.
 MARGIN = 5.0
 #: What a click did not change is told from this share on of all that it would have changed.
-TOLD = 0.1
+NAMED_FROM = 0.1
 
 
 class Change(NamedTuple):
@@ -76,7 +76,7 @@ class Change(NamedTuple):
     seconds : float
         Of the solver.
     stop : Stop
-    reach : Reach or None
+    reach : ClickReach or None
         How far from the clicks it could change, and what the clicks would have changed without a bound; None where all
         clicks were on their sides already, and of a change without clicks.
     side : {"inside", "outside"} or None
@@ -90,7 +90,7 @@ class Change(NamedTuple):
     voxels: int
     seconds: float
     stop: Stop
-    reach: Reach | None = None
+    reach: ClickReach | None = None
     side: Side | None = None
     rim: float = 0.0
 
@@ -99,7 +99,9 @@ class Change(NamedTuple):
         """True if the clicks would have changed more than they reached, and not only single voxels."""
         reach = self.reach
         return (
-            reach is not None and reach.farthest_mm > reach.mm and reach.left > TOLD * reach.wanted
+            reach is not None
+            and reach.farthest_mm > reach.mm
+            and reach.left > NAMED_FROM * reach.wanted
         )
 
     @property
@@ -202,7 +204,7 @@ class Refiner:
         takes = {*self._objects.holders([click]), *([ids.index(id)] if id in ids else [])}
         return object_changes.taken_voxels(self._objects, frozenset(takes))
 
-    def reach(self, correction: Correction) -> float:
+    def reach_of(self, correction: Correction) -> float:
         """Return how far from its clicks a correction may change an object at most, mm, before it is made.
 
         Raises
@@ -438,7 +440,7 @@ class Refiner:
             self._objects.take_from(other, region, outcome.psi, stepping.workers)
         changed = int(np.count_nonzero((outcome.psi < 0) != (psi < 0)))
         seconds = time.perf_counter() - began
-        reach = Reach(
+        reach = ClickReach(
             region.reach,
             sum(each.wanted for each in reaches),
             sum(each.left for each in reaches),
@@ -448,7 +450,7 @@ class Refiner:
 
     def _relabelled(
         self, surface: CorrectedSurface, new: Sequence[Click]
-    ) -> tuple[list[Click], list[Reach]]:
+    ) -> tuple[list[Click], list[ClickReach]]:
         """Return the voxels that new clicks relabel: their own and those of their basins, where a side is wrong.
 
         And how far each click reaches, where there is a model. Nothing where all are on their sides already, and the
@@ -465,10 +467,10 @@ class Refiner:
         wrong = [_wrong_part(click, surface) for click in relabelled]
         return [click for click in wrong if click is not None], reaches
 
-    def _reach_on(self, surface: CorrectedSurface, click: Click) -> Reach:
+    def _reach_on(self, surface: CorrectedSurface, click: Click) -> ClickReach:
         """Return how far a click reaches that is right for the model, and wrong on the surface."""
         if click.near is not None:
-            return Reach(click.near)
+            return ClickReach(click.near)
         domain = box_at(surface.corner, surface.psi.shape)
         mm = reach_of(
             click,
@@ -476,7 +478,7 @@ class Refiner:
             self._shape,
             self._spacing,
         )
-        return Reach(mm)
+        return ClickReach(mm)
 
     def _region(
         self,
@@ -484,7 +486,7 @@ class Refiner:
         new: Sequence[Click],
         relabelled: Sequence[Click],
         near: float | str,
-        reaches: Sequence[Reach],
+        reaches: Sequence[ClickReach],
     ) -> NearRegion:
         """Return the region of motion for new clicks.
 

@@ -68,7 +68,7 @@ def test_no_voxel_moves_beyond_the_stated_reach(name, near, seed):
         radius = float(random.uniform(1.0, 4.0))
         correction = Correction(**{side: (f"ball:{x!r},{y!r},{z!r},{radius!r}",)}, near=near)
         before = refiner.result().labels > 0
-        shown = refiner.reach(correction)
+        shown = refiner.reach_of(correction)
         (change,) = refiner.apply(correction)
         moved = (refiner.result().labels > 0) != before
         far = distance_to_ball(volume, index, radius)
@@ -143,7 +143,7 @@ def test_a_reach_is_asked_of_clicks_that_can_be_made():
     refiner = Refiner(beginning_with(volume, mask.astype(np.uint8), None))
     before = refiner.result()
     with pytest.raises(UsageError):
-        refiner.reach(Correction(inside=("point:1,2,3",), object=7))
+        refiner.reach_of(Correction(inside=("point:1,2,3",), object=7))
     assert refiner.result().config == before.config
 
 

@@ -39,7 +39,7 @@ BEYOND = 9.0
 #: It is read as one of so many too, whose radius still says something of the object's (`windows.LARGEST`).
 PEOPLES = 7.0
 #: A shell is this much wider than the ball in it, and this part of a spacing at least.
-WIDER, LEAST_WIDER = 1.15, 0.75
+WIDER, MIN_WIDER = 1.15, 0.75
 #: A mean, or a spread, differs from so many of its standard errors on; a value from so many spreads on, and where more
 #: than this part of a shell and so many voxels do.
 ERRORS, FAR, FAR_PART, FAR_VOXELS = 5.0, 4.0, 1e-3, 2
@@ -48,9 +48,9 @@ SAME = 1e-6
 #: A ball is looked at in about so many voxels along its radius.
 FINE = 12
 #: No ball grows beyond so many of the smallest spacings.
-MOST_STEPS = 128.0
+MAX_STEPS = 128.0
 #: The middle moves by these parts of the radius, to where a ball wider by `WIDER` is even; at most so often.
-MOVES, MOST_MOVES = (0.5, 0.25), 24
+MOVES, MAX_MOVES = (0.5, 0.25), 24
 #: What has less noise than this part of a window's range has none. The networks know no image without: then its blocks
 #: get noise of the second part. In CT the noise of tissue is a hundredth of the range from air to bone, and is enough.
 NO_NOISE, DITHER = 1e-3, 0.02
@@ -164,7 +164,7 @@ def even_ball(scene: Scene, seed: Seed) -> EvenBall | None:
         for way in product((-1, 0, 1), repeat=3)
         if any(way) and not any(np.array(way)[flat])
     ]
-    for _ in range(MOST_MOVES):
+    for _ in range(MAX_MOVES):
         for part, way in product(MOVES, ways):
             middle = np.rint(found.middle + part * found.radius * way / mm)
             wider = WIDER * found.radius
@@ -185,9 +185,9 @@ def _grown(scene: Scene, middle: NDArray[np.float64], radius: float) -> EvenBall
     ball = _values_around(scene, middle, radius)
     if ball is None:
         return None
-    most = min(_whole(scene), MOST_STEPS * scene.step)
+    most = min(_whole(scene), MAX_STEPS * scene.step)
     while radius < most:
-        wider = max(WIDER * radius, radius + LEAST_WIDER * scene.step)
+        wider = max(WIDER * radius, radius + MIN_WIDER * scene.step)
         around = _values_around(scene, middle, wider)
         if around is None or not _is_like(_shell(around, radius), ball):
             break

@@ -20,7 +20,7 @@ from accelsurf.clicks.model.even import as_large, as_people_click, dithered, is_
 from accelsurf.clicks.model.features import Features, features_of_first, features_of_later
 from accelsurf.clicks.model.network import Network, networks
 from accelsurf.clicks.model.reach import (
-    Reach,
+    ClickReach,
     bounded_by_count,
     distances_from,
     least_reach,
@@ -88,7 +88,7 @@ ROOM = 4.0
 FACTOR = 2.0
 #: The volume of an answer that is not taken is of its fitted voxels in a window of at most so many; else of places
 #: between blocks, at most so many to a side of each.
-MOST_FITTED, FINE = 4_000_000, 3
+MAX_FITTED, FINE = 4_000_000, 3
 #: The boundary is fitted with so many blocks around what a click has turned.
 WIDE = 3
 
@@ -122,7 +122,7 @@ class ClickModel:
         It is one of several objects that fill a space.
     is_ambiguous : bool
         It is of one click, which means objects whose sizes differ by a factor.
-    reach : Reach or None
+    reach : ClickReach or None
         Of the last click; None where it was on its side already, or is the first.
     least_overlap : float
         Least `level_overlap` of the models before the last click.
@@ -140,7 +140,7 @@ class ClickModel:
     surprises: tuple[float, ...] = ()
     is_partition: bool = False
     is_ambiguous: bool = False
-    reach: Reach | None = None
+    reach: ClickReach | None = None
     least_overlap: float = 1.0
 
     def field_on(self, box: Box) -> Floats:
@@ -422,7 +422,7 @@ def _true_volume(shown: Shown, click: Click, asked: Mapping[str, Network]) -> fl
     window = shown.window
     voxel = float(np.prod(window.scene.spacing))
     sides = np.array([side.stop - side.start for side in window.box])
-    if np.prod(sides) <= MOST_FITTED:
+    if np.prod(sides) <= MAX_FITTED:
         return float(np.count_nonzero(_on_voxels(shown, click, asked).field < 0)) * voxel
     steps = np.minimum(window.steps, FINE)
     shape = np.ceil(sides * steps / window.steps).astype(int)
@@ -602,7 +602,7 @@ def within_reach(
     changed = connected_to(((old != new) & (distance <= reach)) | clicked, clicked)
     before_on[differs] = np.where(changed, new, old)
     left = int(np.count_nonzero(turned & ~changed))
-    known = Reach(reach, int(far.size), left, float(far.max(initial=0.0)))
+    known = ClickReach(reach, int(far.size), left, float(far.max(initial=0.0)))
     return replace(after, box=box, field=before_on, inside=before_on < 0, reach=known)
 
 

@@ -1,4 +1,4 @@
-"""How far a later click may change an object: a number of mm that follows from the click and from what was shown."""
+"""Reach of a later click: how far it may change an object, in mm, by the click and by what was shown."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SHARE, CORE_OF = 0.5, 3.0
 _FIRST_SEARCH = 8
 
 
-class Reach(NamedTuple):
+class ClickReach(NamedTuple):
     """How far a click reached.
 
     Attributes

@@ -217,7 +217,9 @@ class Inside(CorrectionTool):
                 self.actions.scene.mark_ball(at.world, reach + self.width)
                 self.actions.note(f"the surface moves within {reach:.3g} mm of the click")
 
-        self.actions.ask(self.actions.session.reach(self.side, where, self.actions.object_id), show)
+        self.actions.ask(
+            self.actions.session.reach_of(self.side, where, self.actions.object_id), show
+        )
 
     def release(self) -> None:
         super().release()

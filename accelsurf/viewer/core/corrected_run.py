@@ -112,9 +112,9 @@ class Corrections:
         self._wanted = refiner.config.refine
         return f"{said}: {changes_text(changes)}"
 
-    def reach(self, run: Run, correction: Correction) -> float | None:
+    def reach_of(self, run: Run, correction: Correction) -> float | None:
         """Return how far from its clicks a correction may change an object, mm; None while the run goes on."""
-        return None if run.stop is None else self._begun(run).reach(correction)
+        return None if run.stop is None else self._begun(run).reach_of(correction)
 
     def _follow(
         self, refiner: Refiner, correction: Correction, changes: tuple[Change, ...]

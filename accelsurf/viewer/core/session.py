@@ -268,11 +268,11 @@ class Session:
         texts = (where,) if isinstance(where, str) else tuple(where)
         return self._do(lambda timeline: timeline.add_click(side, texts, object_id))
 
-    def reach(
+    def reach_of(
         self, side: Side, where: Sequence[str], object_id: int | None = None
     ) -> Future[float | None]:
         """Return how far from clicks the object may change, mm, before they are made; None while the run goes on."""
-        return self._do(lambda timeline: timeline.reach(side, tuple(where), object_id))
+        return self._do(lambda timeline: timeline.reach_of(side, tuple(where), object_id))
 
     def press(
         self, ball: str, size_mm3: float = 0.0, object_id: int | None = None

@@ -473,10 +473,10 @@ class Timeline:
         self._replace_edits((*self._edits_so_far(), edit), said)
         self._message = said
 
-    def reach(
+    def reach_of(
         self, side: Side, where: tuple[str, ...], object_id: int | None = None
     ) -> float | None:
-        """Return how far from the clicks an object may change, mm, see `Session.reach`.
+        """Return how far from the clicks an object may change, mm, see `Session.reach_of`.
 
         Raises
         ------
@@ -488,7 +488,7 @@ class Timeline:
         clicks = {side: list(where), "object": self._whose(where[0], object_id)}
         (refinement,) = RunConfig(refine=[clicks]).refine
         try:
-            return self.corrections.reach(self.run, refinement)
+            return self.corrections.reach_of(self.run, refinement)
         except AccelsurfError:
             return None  # the click itself says what is wrong with it
 
