@@ -29,7 +29,7 @@ _FIRST_SEARCH = 8
 
 
 class ClickReach(NamedTuple):
-    """How far a click reached.
+    """Reach of a click, and what it left.
 
     Attributes
     ----------
