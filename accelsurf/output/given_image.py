@@ -201,7 +201,8 @@ def is_there(path: Path) -> bool:
     """
     if os.path.exists(path):  # False where the system refuses the name
         return True
-    return headers.is_pattern(path) and path.parent.is_dir() and any(path.parent.glob(path.name))
+    is_searched = headers.is_pattern(path) and os.path.isdir(path.parent)
+    return is_searched and any(path.parent.glob(path.name))
 
 
 def _text(value: Any) -> str | None:
