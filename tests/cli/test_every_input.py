@@ -416,6 +416,33 @@ def frames(folder, suffix):
     return folder / "pngs"
 
 
+@pytest.mark.parametrize("suffix", ["nii", "ome.zarr"])
+def test_a_finished_run_of_an_image_read_in_parts_is_resumed(tmp_path, suffix, capsys):
+    source = tmp_path / f"a.{suffix}"
+    volume = Volume.from_array(np.tile(ball(), (8, 7, 6)), SPACING)
+    io.write(volume, source)
+    words = (
+        "segment",
+        source,
+        "-o",
+        tmp_path / "out",
+        "--start",
+        "ball:10,8,6,4vox",
+        "--max-steps",
+    )
+    words += ("3", "--max-memory", "490MB", "--energy", "threshold:110,", "--threads", "1")
+    assert run(*words, "--quiet") == 0
+    before = contents(tmp_path / "out")
+    capsys.readouterr()
+    assert run(*words, "--resume") == 0
+    assert "has ended already" in capsys.readouterr().out and contents(tmp_path / "out") == before
+    assert run(*words, "--smoothness", "0.9", "--resume", "--quiet") == 7
+    if source.is_dir():
+        shutil.rmtree(source)
+    io.write(volume.with_array(volume.array + np.uint8(1)), source)
+    assert run(*words, "--resume", "--quiet") == 7
+
+
 @pytest.mark.parametrize("kind", ["png", "tif", "pattern", "file"])
 @pytest.mark.parametrize("also", [(), ("--also", "surfaces")])
 def test_tracks_are_resumed_shown_and_made_a_movie(tmp_path, kind, also, capsys):
