@@ -6,6 +6,7 @@ Results go to stdout, progress and errors to stderr. An error is one line and a 
 from __future__ import annotations
 
 import atexit
+import errno
 import os
 import re
 import sys
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130
 
+#: Letters of a name that an error shows.
+_SHOWN_LETTERS = 60
 #: Exit code -> meaning, as documented and as `accelsurf info` lists them.
 EXIT_CODES = {
     0: "ok",
@@ -208,10 +211,26 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
             return interrupts.exit_code(INTERRUPTED)
         if debug:
             raise
+        if (wrong := _wrong_name(error)) is not None:
+            return _say(3, wrong, "correct the name")
         hint = "this is a bug in accelsurf; run again with --debug and report the traceback"
         return _say(1, f"{type(error).__name__}: {error}", hint)
     interrupts.report()
     return code
+
+
+def _wrong_name(error: BaseException) -> str | None:
+    """Say what is wrong with the name of a file that the system takes for none; None of other errors.
+
+    Most functions of Path raise an error where such a name is asked about: whoever gave it, no file has it.
+    """
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+        name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "a file"
+        short = name if len(name) <= _SHOWN_LETTERS else f"{name[:_SHOWN_LETTERS]}..."
+        return f"{short}: the name of the file is too long"
+    if isinstance(error, ValueError) and str(error).startswith("embedded null"):
+        return "the name of a file has a zero byte"
+    return None
 
 
 def _app_for(arguments: Sequence[str]) -> App:

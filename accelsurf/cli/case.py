@@ -21,7 +21,7 @@ from accelsurf.cli.outcome import shortcoming, summary_lines
 from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
 from accelsurf.io import sha256
 from accelsurf.io.file_set import finish_killed_runs
-from accelsurf.io.files import write_bytes
+from accelsurf.io.files import write_bytes, written_at
 from accelsurf.output import document, label_files, layouts, result_sets
 from accelsurf.output import folder as output_folder
 from accelsurf.output import names as output_names
@@ -172,6 +172,8 @@ class Log:
         SHA-256 of the image's file or files, once it was read.
     voxels : str or None
         SHA-256 of what was read; None of an image that is read in parts.
+    written : list of int or None
+        Of an image that is read in parts: when its files were written.
     geometry : Geometry or None
         Its grid.
     seconds : dict of str to float
@@ -185,6 +187,7 @@ class Log:
 
     checksum: str | None = None
     voxels: str | None = None
+    written: list[int] | None = None
     geometry: Geometry | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     outputs: list[dict[str, Any]] = field(default_factory=list)
@@ -208,6 +211,10 @@ class Log:
         from accelsurf.image.volume import voxels_sha256
 
         self.voxels = self.timed("load", lambda: voxels_sha256(channels))
+
+    def note_written(self, image: Path) -> None:
+        """Keep when an image's files were written; its voxels are never all read."""
+        self.written = written_at(image)
 
     def take_checksum(self, image: Path) -> None:
         """Read the image's checksum, unless it is known."""
@@ -562,7 +569,11 @@ def _write_report(
         argv=sys.argv,
         config=config,
         source=describe_input(
-            place.source, geometry=log.geometry, checksum=log.checksum, voxels=log.voxels
+            place.source,
+            geometry=log.geometry,
+            checksum=log.checksum,
+            voxels=log.voxels,
+            written=log.written,
         ),
         result=result,
         error=document.describe_error(error) if error is not None else None,

@@ -196,6 +196,7 @@ def _in_windows(image: LargeImage) -> Compute:
         from accelsurf.large.windowed import segment_in_windows
 
         log.note_grid(image.geometry)
+        log.note_written(place.source)
         state = state_of(place, config)
         with watcher.watch(place.name, config.max_steps):
             result = segment_in_windows(

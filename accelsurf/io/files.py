@@ -249,13 +249,31 @@ def sha256(path: str | os.PathLike[str]) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def written_at(path: Path) -> list[int]:
+    """Return number of files, bytes and the newest time, ns: what changes when a file, or one of a folder, is written.
+
+    Raises
+    ------
+    InputError
+        When it cannot be looked at.
+    """
+    with naming(path):
+        files = [path / name for name in _names_in(path)] if path.is_dir() else [path]
+        found = [file.stat() for file in files]
+    newest = max((each.st_mtime_ns for each in found), default=0)
+    return [len(found), sum(each.st_size for each in found), newest]
+
+
 def _folder_sha256(folder: Path) -> str:
+    return _files_sha256(folder, _names_in(folder))
+
+
+def _names_in(folder: Path) -> list[str]:
+    """Names of the files of an image in a folder."""
     names = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     # What is written about an OME-Zarr image, in its labels, is not the image; in other folders all files count.
     besides = "labels/" if (folder / "zarr.json").is_file() else None
-    return _files_sha256(
-        folder, sorted(name for name in names if besides is None or not name.startswith(besides))
-    )
+    return sorted(name for name in names if besides is None or not name.startswith(besides))
 
 
 def _files_sha256(folder: Path, names: Sequence[str]) -> str:

@@ -138,7 +138,7 @@ def format_of(path: Path) -> ImageFormat:
 
 def _folder_format(path: Path) -> ImageFormat | None:
     """The format of a folder; None where it is none, or holds no image."""
-    if not path.is_dir():
+    if not os.path.isdir(path):  # Path raises an error for a name that is too long
         return None
     named = image_format(split_name(path)[1])
     for form in IMAGE_FORMATS.values():
@@ -226,7 +226,7 @@ def is_stored(path: Path) -> bool:
 def is_store(path: Path) -> bool:
     """Test if a path is the folder of an image that may have any size, and is opened rather than read."""
     stores = [form for form in IMAGE_FORMATS.values() if form.has_levels]
-    return any((path / mark).is_file() for form in stores for mark in form.folder_marks)
+    return any(os.path.isfile(path / mark) for form in stores for mark in form.folder_marks)
 
 
 def is_pattern(path: Path) -> bool:

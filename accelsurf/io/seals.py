@@ -18,7 +18,8 @@ from pathlib import Path
 from accelsurf.io.set_journals import is_private, state_folder
 
 _KEY, _KEY_BYTES = "seal.key", 32
-_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+#: A link is not followed, and a pipe not waited for.
+_PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def seal(name: str, checksum: str) -> str:
@@ -72,7 +73,7 @@ def _key() -> bytes | None:
 
 
 def _read(path: Path) -> bytes:
-    with open(os.open(path, os.O_RDONLY | _NO_LINK), "rb") as file:
+    with open(os.open(path, os.O_RDONLY | _PLAIN), "rb") as file:
         if not is_private(os.fstat(file.fileno())):
             raise PermissionError(errno.EACCES, "others than the user may write it", str(path))
         key = file.read(_KEY_BYTES + 1)

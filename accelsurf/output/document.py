@@ -370,6 +370,7 @@ def describe_input(
     geometry: Geometry | None = None,
     checksum: str | None = None,
     voxels: str | None = None,
+    written: Sequence[int] | None = None,
 ) -> dict[str, Any]:
     """Return the report's entry about the input.
 
@@ -383,6 +384,8 @@ def describe_input(
         SHA-256 of the file, from `accelsurf.io.sha256`.
     voxels : str, optional
         SHA-256 of what was read, from `accelsurf.image.volume.voxels_sha256`.
+    written : sequence of int, optional
+        Of an image that is read in parts, from `accelsurf.io.files.written_at`.
 
     Examples
     --------
@@ -400,7 +403,9 @@ def describe_input(
             "direction": geometry.direction.tolist(),
             "unit": geometry.unit,
         }
-    known = {"sha256": checksum, "voxels_sha256": voxels}
+    known: dict[str, Any] = {"sha256": checksum, "voxels_sha256": voxels}
+    if written is not None:
+        known["written"] = list(written)
     return {"path": str(Path(path).absolute()), **known, **grid}
 
 

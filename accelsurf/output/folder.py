@@ -256,7 +256,7 @@ def _data_of(path: Path) -> Iterator[Path]:
     """Files with the voxels of an image, where they are others than its own; of a folder or a pattern its files."""
     if headers.is_pattern(path):
         yield from path.parent.glob(path.name)
-    elif path.is_dir():
+    elif os.path.isdir(path):
         yield from path.iterdir()
     elif path.name.lower().endswith(_DETACHED):
         try:

@@ -16,6 +16,7 @@ from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume, voxels_sha256
 from accelsurf.io import channels, headers, sha256
+from accelsurf.io.files import written_at
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -39,6 +40,8 @@ class GivenImage:
         SHA-256 of its file or files, by which reports without ``voxels`` know it.
     geometry : Geometry or None
         Its grid.
+    written : list of int or None
+        Of an image that was read in parts, from `accelsurf.io.files.written_at`.
     """
 
     path: Path
@@ -46,6 +49,7 @@ class GivenImage:
     voxels: str | None = None
     files: str | None = None
     geometry: Geometry | None = field(default=None, compare=False)
+    written: list[int] | None = field(default=None, compare=False)
 
     @classmethod
     def of_report(cls, report: Mapping[str, Any], where: Path) -> GivenImage:
@@ -75,7 +79,9 @@ class GivenImage:
         """Return what the entry of a report knows of an image; nothing where it is none."""
         known: dict[str, Any] = entry if isinstance(entry, dict) else {}
         voxels, files = _text(known.get("voxels_sha256")), _text(known.get("sha256"))
-        return cls(path, reading, voxels, files, _geometry(known))
+        written = known.get("written")
+        of_parts = written if isinstance(written, list) else None
+        return cls(path, reading, voxels, files, _geometry(known), of_parts)
 
     def found(self, moved: Path | None, hint: str) -> GivenImage:
         """Return the image where it is now.
@@ -145,6 +151,8 @@ class GivenImage:
     def is_same(self) -> bool:
         """True if the files have the bytes that they had, or what is read of them is the same; unknown is False.
 
+        Of an image that was read in parts, if its files were not written since.
+
         Raises
         ------
         InputError
@@ -153,7 +161,7 @@ class GivenImage:
         if self.files is not None and sha256(self.path) == self.files:
             return True
         if self.voxels is None:
-            return False
+            return self.written is not None and written_at(self.path) == self.written
         volumes = channels.read_channels(self.path, self.reading)
         is_placed = self.geometry is None or self.geometry.matches(volumes[0].geometry)
         return is_placed and voxels_sha256(volumes) == self.voxels
@@ -201,7 +209,8 @@ def is_there(path: Path) -> bool:
     """
     if os.path.exists(path):  # False where the system refuses the name
         return True
-    return headers.is_pattern(path) and path.parent.is_dir() and any(path.parent.glob(path.name))
+    is_searched = headers.is_pattern(path) and os.path.isdir(path.parent)
+    return is_searched and any(path.parent.glob(path.name))
 
 
 def _text(value: Any) -> str | None:

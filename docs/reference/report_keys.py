@@ -8,7 +8,8 @@ REPORT_KEYS = {
     "versions": "of Python, the platform and the packages that a result can depend on",
     "argv": "the command line",
     "config": "the [settings](settings.md) of the run, with the seed that was drawn if none was given",
-    "input": "path, SHA-256 of the file and of what was read (voxels_sha256), size, spacing and origin (mm), direction "
+    "input": "path, SHA-256 of the file and of what was read (voxels_sha256), or of an image that is read in parts "
+    "the number, bytes and newest time of its files (written), size, spacing and origin (mm), direction "
     "of the image, and the unit in which it is shown",
     "seed": "of everything random in the run",
     "threads": "number of threads asked for",

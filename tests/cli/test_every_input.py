@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import nibabel
@@ -12,7 +13,7 @@ from PIL import Image
 
 from accelsurf import cli, io
 from accelsurf.cli.view import FirstImage, finished_run
-from accelsurf.errors import InputError
+from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels
 from accelsurf.output.given_image import settings_of
@@ -309,6 +310,92 @@ def test_a_result_of_an_image_read_in_parts_says_why_it_cannot_be_refined(tmp_pa
     assert "read in parts" in capsys.readouterr().err
 
 
+#: Names that no file can have, and what is no file.
+NO_FILE = [
+    "a" * 300,
+    "a" * 5000 + ".nii",
+    f"x/{'b' * 300}/a.nii",
+    f"{'c' * 300}/*.tif",
+    "~" + "d" * 300,
+]
+NO_FILE += ["/".join(["e" * 200] * 25), "x\ny.nii", "x\0y.nii", "/dev/zero"]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """An image with the result of a run that read a mask and a further channel."""
+    folder = tmp_path_factory.mktemp("finished")
+    for name, values in {"a": ball(), "more": ball(1), "mask": np.ones(SHAPE, np.uint8)}.items():
+        io.write(Volume.from_array(values.astype(np.int16), SPACING), folder / f"{name}.nii")
+    words = ("segment", folder / "a.nii", "-o", folder / "out", "--inside", CLICK, "--quiet")
+    words += ("--mask", folder / "mask.nii", "--channel", folder / "more.nii", "--threads", "1")
+    assert run(*words) == 0
+    return folder, words
+
+
+def no_traceback(code, said):
+    assert code in (0, 2, 3, 7) and "bug in accelsurf" not in said and "Traceback" not in said
+    assert said.count("error:") == (code != 0)
+
+
+@pytest.mark.sampled(24)
+@pytest.mark.parametrize("where", ["input", "mask", "channel", "label_table", "start", "outputs"])
+@pytest.mark.parametrize("name", NO_FILE, ids=range(len(NO_FILE)))
+def test_a_report_that_names_no_file_is_refused_in_a_line(finished, name, where, tmp_path, capsys):
+    folder, words = finished
+    out = shutil.copytree(folder / "out", tmp_path / "out")
+    report = out / "a_report.json"
+    document = json.loads(report.read_text())
+    if where == "input":
+        document["input"]["path"] = name
+    elif where == "outputs":
+        for entry in document["outputs"]:
+            entry["path"] = name
+    else:
+        value = {"channel": [name], "start": [f"label:{name}"]}.get(where, name)
+        document["config"][where] = value
+    report.write_text(json.dumps(document))
+    words = [out if word == folder / "out" else word for word in words]
+    for command in (
+        ("info", out),
+        ("refine", out, "--inside", MORE, "--quiet"),
+        ("movie", out, "-o", tmp_path / "a.png", "--preview", "--size", "320x180", "--overwrite"),
+        (*words, "--resume"),
+    ):
+        code = run(*command)
+        no_traceback(code, capsys.readouterr().err)
+    with suppress(AccelsurfError):
+        image, config = finished_run(out) or (None, None)
+        if image is not None:
+            FirstImage(image.path, config, None, None, TrackConfig(), image).start_reading()()
+
+
+@pytest.mark.parametrize("name", [n for n in NO_FILE if "\0" not in n], ids=repr)
+def test_a_name_that_no_file_can_have_is_refused_by_every_command(finished, name, tmp_path, capsys):
+    folder, _ = finished
+    scan, out = folder / "a.nii", tmp_path / "out"
+    click = ("--start", "center", "--max-steps", "1", "--quiet")
+    for command in (
+        ("segment", name, "-o", out, *click),
+        ("segment", scan, "-o", out, "--mask", name, *click),
+        ("segment", scan, "-o", out, "--config", name, *click),
+        ("segment", scan, "-o", out, "--start", f"label:{name}"),
+        ("segment", scan, "-o", out, "--inside", f"stroke:{name}"),
+        ("look", name),
+        ("info", name),
+        ("refine", name, "--inside", MORE),
+        ("refine", folder / "out", "--inside", MORE, "--image", name),
+        ("movie", name, "-o", tmp_path / "a.gif"),
+        ("view", name),
+        ("evaluate", name, folder / "mask.nii"),
+        ("evaluate", folder / "mask.nii", name),
+        ("track", name, "-o", out, *click),
+    ):
+        code = run(*command)
+        assert code in (2, 3), command[0]
+        no_traceback(code, capsys.readouterr().err)
+
+
 @pytest.mark.parametrize(
     "path", ["a" * 300, "a" * 300 + "*", "/dev/zero", "x\0y", "gone/*.tif", 7, None]
 )
@@ -327,6 +414,33 @@ def frames(folder, suffix):
             folder / "pngs" / f"s{number:02d}.{suffix}"
         )
     return folder / "pngs"
+
+
+@pytest.mark.parametrize("suffix", ["nii", "ome.zarr"])
+def test_a_finished_run_of_an_image_read_in_parts_is_resumed(tmp_path, suffix, capsys):
+    source = tmp_path / f"a.{suffix}"
+    volume = Volume.from_array(np.tile(ball(), (8, 7, 6)), SPACING)
+    io.write(volume, source)
+    words = (
+        "segment",
+        source,
+        "-o",
+        tmp_path / "out",
+        "--start",
+        "ball:10,8,6,4vox",
+        "--max-steps",
+    )
+    words += ("3", "--max-memory", "490MB", "--energy", "threshold:110,", "--threads", "1")
+    assert run(*words, "--quiet") == 0
+    before = contents(tmp_path / "out")
+    capsys.readouterr()
+    assert run(*words, "--resume") == 0
+    assert "has ended already" in capsys.readouterr().out and contents(tmp_path / "out") == before
+    assert run(*words, "--smoothness", "0.9", "--resume", "--quiet") == 7
+    if source.is_dir():
+        shutil.rmtree(source)
+    io.write(volume.with_array(volume.array + np.uint8(1)), source)
+    assert run(*words, "--resume", "--quiet") == 7
 
 
 @pytest.mark.parametrize("kind", ["png", "tif", "pattern", "file"])

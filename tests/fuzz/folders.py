@@ -65,6 +65,29 @@ def _paired():
                 "paired", case, {name: header.encode(), DATA_FILE: data}, TEXT | {".nrrd": "text"}
             )
 
+    yield from _in_several_files(meta)
+
+
+def _in_several_files(meta: str):
+    """NIfTI as header and voxels, and MetaImages with a list of files."""
+    import nibabel
+
+    pair = nibabel.Nifti1Pair(VALUES.T.copy(), np.diag([0.75, 0.5, 3.0, 1.0]))
+    with tempfile.TemporaryDirectory() as folder:
+        pair.to_filename(Path(folder) / "a.hdr")
+        plain = content_of(Path(folder))
+    packed = {f"{name}.gz": gzip.compress(content, 1, mtime=0) for name, content in plain.items()}
+    yield from of_folder("paired", "hdr", plain)
+    yield from of_folder("paired", "hdr-gzip", packed)
+    for case, said, parts in (
+        ("list-slices", "LIST", list(VALUES)),
+        ("list-volumes", "LIST 3D", [VALUES]),
+    ):
+        names = [f"p{number}.raw" for number in range(len(parts))]
+        header = meta.format("False").replace(DATA_FILE, "\n".join([said, *names]))
+        files_of = {name: part.tobytes() for name, part in zip(names, parts, strict=True)}
+        yield from of_folder("paired", case, {"a.mhd": header.encode(), **files_of}, TEXT)
+
 
 def content_of(folder: Path) -> dict[str, bytes]:
     """All files in a folder, by their paths."""

@@ -83,7 +83,7 @@ def check_boxes(path: Path, volume: Volume) -> None:
 
 def paired(given: Input, folder: Path) -> str:
     """A header with its data file."""
-    header = next(name for name in given.written() if name.endswith((".nhdr", ".nrrd", ".mhd")))
+    header = looks.header_of(given.written())
     volume = io.read(folder / header, memory_bytes=MEMORY)
     check_boxes(folder / header, volume)
     return check_look(volume, looks.quietly(looks.paired, given.written()))

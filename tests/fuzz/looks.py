@@ -129,9 +129,21 @@ def _slice_of(content: bytes):
     return values if values.ndim == 2 else None
 
 
+def header_of(files) -> str:
+    """The name of the header among the files of an image."""
+    ends = (".nhdr", ".nrrd", ".mhd", ".hdr", ".hdr.gz")
+    return next(name for name in files if name.endswith(ends))
+
+
 def paired(files: dict[str, bytes]):
     """Voxels and spacing of a header with its data file."""
-    header = next(name for name in files if name.endswith((".nhdr", ".nrrd", ".mhd")))
+    header = header_of(files)
+    if (
+        not header.endswith((".nhdr", ".nrrd", ".mhd"))
+        or len(files) > 2
+        or b"LIST" in files[header]
+    ):
+        return None
     data = next(content for name, content in files.items() if name != header)
     return look(files[header], ".mhd" if header.endswith(".mhd") else ".nrrd", data)
 
