@@ -125,7 +125,25 @@ def assess(
         notes.append(
             f"parts: {parts} separate parts were clicked; if they are objects of their own, try --objects"
         )
+    notes += _alike_note(found, labels)
     return found._replace(warnings=tuple(warnings), notes=tuple(notes))
+
+
+def _alike_note(found: Quality, labels: NDArray[np.uint8]) -> list[str]:
+    """Say how many parts an answer has that was connected before the surface smoothed it."""
+    if not found.answers:
+        return []
+    from accelsurf.clicks.model.answers import OF_ALIKE
+
+    box = bounding_box(labels > 0)
+    if found.answers[0].number != OF_ALIKE or box is None:
+        return []
+    pieces = int(ndimage.label(labels[box])[1])
+    if pieces == 1:
+        return []
+    return [
+        f"alike: all that is alike was connected, but the surface smooths thin bridges away: it has {pieces} parts"
+    ]
 
 
 def measured(

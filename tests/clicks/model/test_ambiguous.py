@@ -5,6 +5,7 @@ import pytest
 
 from accelsurf.api.segment import segment
 from accelsurf.clicks.model import Scene, click_model
+from accelsurf.clicks.model.answers import LIKELIEST, OF_ALIKE, Answer
 from accelsurf.clicks.model.confidence import confidence_of
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import whole_box
@@ -180,3 +181,17 @@ def test_of_one_slice_the_size_is_that_of_the_disc(thickness):
     taken = found.quality.answers[0]
     assert taken.volume_mm3 / thickness == pytest.approx(np.pi * 14**2, rel=0.07)
     assert taken.volume_mm3 == pytest.approx(found.enclosed_mm2 * thickness)
+
+
+@pytest.mark.parametrize("number", [LIKELIEST, OF_ALIKE])
+@pytest.mark.parametrize("parts", [1, 2, 5])
+def test_all_that_is_alike_says_how_many_parts_it_has(number, parts):
+    inside = np.zeros((8, 20, 20 * parts), bool)
+    for part in range(parts):
+        inside[2:-2, 5:-5, 20 * part + 5 : 20 * part + 15] = True
+    seen = inside.astype(np.uint8), inside.astype(np.float32), Geometry(inside.shape, (1, 1, 1))
+    sure = confidence_of(model(3.5))._replace(answers=(Answer(None, 100.0, number),))
+    notes = assess(*seen, [], DONE, clicked=inside, confidence=sure).notes
+    said = [note for note in notes if note.startswith("alike: ")]
+    assert bool(said) == (number == OF_ALIKE and parts > 1)
+    assert all(note.endswith(f"it has {parts} parts") for note in said)
