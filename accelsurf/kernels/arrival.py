@@ -1,7 +1,9 @@
 """Geodesic arrival times: an ordered march from a set of voxels through a medium with a cost per mm.
 
 |grad T| = c, with T given at the seeds: first-order Godunov differences, voxels accepted in the order of their times
-(the fast marching method of Tsitsiklis and of Sethian).
+(the fast marching method of Tsitsiklis and of Sethian). Where it is asked from which seed the front came, T = tau r, r
+the distance from that seed, and the differences are those of tau: they are exact where c is constant, as first-order
+differences of T beside a point are not (the factored equation of Fomel, Luo and Zhao, 2009).
 
 Shortest paths over a grid from a set of voxels: every step costs its length and the change of the values.
 
@@ -23,6 +25,10 @@ from accelsurf.kernels.grid import unravel
 FIRST_CAPACITY = 4096
 #: A voxel has at most so many open neighbours, each of which enters the queue at most once when it is accepted.
 SIDES = 6
+#: A front came through one cost if its time is that of the straight way up to this part.
+EVEN = 1e-3
+#: Where fronts of several owners meet, the order is strict to this part of a bucket.
+FINER = 16.0
 
 
 class Medium(NamedTuple):
@@ -46,6 +52,15 @@ class Tissue(NamedTuple):
     weights: np.ndarray
 
 
+class Sources(NamedTuple):
+    """Whose the front is: ``origin`` (n,) int32 or int64 is to become the seed voxel from which it came to each voxel,
+    -1 where it does not come; ``owner`` (n,) int32 is whose a seed is. Both (0,) where nobody asks.
+    """
+
+    origin: np.ndarray
+    owner: np.ndarray
+
+
 class Queue(NamedTuple):
     """Voxels by their times: ``heads`` (ring of buckets) the last entry of each, -1 for none; ``entries`` (m, 2), each
     a voxel and the entry before it, or the next free one; ``free`` (1,) the first free entry.
@@ -57,7 +72,7 @@ class Queue(NamedTuple):
 
 
 @kernel
-def march(times, medium, tissue, grid, seeds, cap):
+def march(times, medium, tissue, grid, seeds, cap, sources):
     """Accept voxels in the order of their arrival times, from the seeds outwards.
 
     Parameters
@@ -72,6 +87,8 @@ def march(times, medium, tissue, grid, seeds, cap):
         Each once. A seed starts also where nothing passes.
     cap : ndarray (n,) or (0,) float32
         A voxel is accepted only if its time is below its cap; without elements there is none.
+    sources : Sources
+        Of fronts of several owners each voxel takes the one that comes first.
 
     Returns
     -------
@@ -80,18 +97,26 @@ def march(times, medium, tissue, grid, seeds, cap):
         that depends on the input alone.
     """
     width = bucket_width(tissue.weights, grid)
+    if len(sources.origin) > 0:
+        width /= FINER
     queue = new_queue(tissue.weights, grid, width)
     costs = np.empty(
         len(times)
     )  # of the voxels that a front has come to; memory that nobody writes to costs nothing
     order = np.empty(max(FIRST_CAPACITY, len(seeds)), np.int64)
     order[: len(seeds)] = seeds
+    if len(sources.origin) > 0:
+        sources.origin[:] = -1
+        for cell in seeds:
+            sources.origin[cell] = cell
     done, count, waiting, bucket = 0, len(seeds), 0, np.int64(0)
     while True:
         while done < count:
             if waiting + SIDES > len(queue.entries):
                 queue = larger(queue)
-            waiting += offer(times, costs, order[done], medium, tissue, grid, (cap, width), queue)
+            waiting += offer(
+                times, costs, order[done], medium, tissue, grid, (cap, width, sources), queue
+            )
             done += 1
         if waiting == 0:
             break
@@ -111,9 +136,9 @@ def march(times, medium, tissue, grid, seeds, cap):
 def offer(times, costs, cell, medium, tissue, grid, limits, queue):
     """Enter the neighbours that a voxel with a final time brings an earlier one; returns how many.
 
-    ``limits`` are (cap, width of a bucket) of `march`; the queue has space for all.
+    ``limits`` are (cap, width of a bucket, sources) of `march`; the queue has space for all.
     """
-    cap, width = limits
+    cap, width, sources = limits
     iz, iy, ix = unravel(cell, grid)
     time, entered = times[cell], 0
     for side in range(SIDES):
@@ -127,7 +152,11 @@ def offer(times, costs, cell, medium, tissue, grid, limits, queue):
         before = times[other]
         if 0.0 <= before < np.inf or (len(medium.open) > 0 and not medium.open[other]):
             continue
-        if 0 <= index + 2 * step < length and 0.0 <= times[other + stride] < time:
+        if (
+            0 <= index + 2 * step < length
+            and 0.0 <= times[other + stride] < time
+            and is_same_owner(sources, cell, other + stride)
+        ):
             continue  # along this axis it has been reached earlier, from beyond it
         at = (
             iz + (step if axis == 0 else 0),
@@ -136,10 +165,18 @@ def offer(times, costs, cell, medium, tissue, grid, limits, queue):
         )
         if before == np.inf:
             costs[other] = cost_at(other, at, medium, tissue, grid)
-        found = np.float32(upwind_time(times, other, at, costs[other], grid))
+        if len(sources.origin) == 0:
+            found = np.float32(upwind_time(times, other, at, costs[other], grid))
+            come_from = cell
+        else:
+            found, come_from = first_of_all(
+                times, sources, other, at, (costs[other], tissue.weights[0]), grid
+            )
         if found < abs(before) and (len(cap) == 0 or found < cap[other]):
             times[other] = -found
-            enter(queue, np.int64(found / width), other)
+            if len(sources.origin) > 0:
+                sources.origin[other] = sources.origin[come_from]
+            enter(queue, np.int64(max(found, time) / width), other)
             entered += 1
     return entered
 
@@ -231,6 +268,141 @@ def upwind_time(times, cell, at, cost, grid):
     if time <= c:
         return time
     return later_root(cost, wa, wb, 1.0 / (hc * hc), b - a, c - a) + a
+
+
+@kernel(inlined=True)
+def is_same_owner(sources, cell, other):
+    """Whether the fronts at two voxels that one has come to are of one owner, or nobody asks."""
+    origin, owner = sources
+    return len(origin) == 0 or owner[origin[cell]] == owner[origin[other]]
+
+
+@kernel(inlined=True)
+def first_of_all(times, sources, cell, at, costs, grid):
+    """Earliest time at which a front comes to a voxel from its neighbours, and the neighbour that it comes from."""
+    first, come_from = np.float32(np.inf), np.int64(-1)
+    for side in range(SIDES):
+        axis, step = side // 2, 2 * (side % 2) - 1
+        index = at[0] if axis == 0 else at[1] if axis == 1 else at[2]
+        length = grid.nz if axis == 0 else grid.ny if axis == 1 else grid.nx
+        if not 0 <= index + step < length:
+            continue
+        beside = cell + step * (grid.ny * grid.nx if axis == 0 else grid.nx if axis == 1 else 1)
+        if not 0.0 <= times[beside] < np.inf:
+            continue
+        if come_from >= 0 and sources.origin[come_from] == sources.origin[beside]:
+            continue
+        found = np.float32(factored_time(times, sources, (cell, beside), at, costs, grid))
+        if found < first:
+            first, come_from = found, beside
+    return first, come_from
+
+
+@kernel(inlined=True)
+def factored_time(times, sources, cells, at, costs, grid):
+    """Time at which the front that came to ``cells[1]`` comes to ``cells[0]``, its neighbour at ``at``.
+
+    T = tau r, r the distance from the front's seed; along each axis the earlier neighbour of the same owner has tau_i,
+    and d_i T = a_i tau - b_i, a_i = r/h +- d_i r, b_i = r tau_i/h. The least solution over sets of axes that is upwind
+    along each, or straight on from one neighbour. ``costs`` are that of the voxel and the least of all: no way is
+    cheaper.
+    """
+    (cell, come_from), (cost, least_cost) = cells, costs
+    source = sources.origin[come_from]
+    sz, sy, sx = unravel(source, grid)
+    dz, dy, dx = (at[0] - sz) * grid.hz, (at[1] - sy) * grid.hy, (at[2] - sx) * grid.hx
+    r = np.sqrt(dz * dz + dy * dy + dx * dx)
+    layer = grid.ny * grid.nx
+    straight = is_straight(times, sources, come_from, cost, grid)
+    if (
+        straight
+        and is_straight_beside(times, sources, cell, dz, layer, cost, grid)
+        and is_straight_beside(times, sources, cell, dy, grid.nx, cost, grid)
+        and is_straight_beside(times, sources, cell, dx, 1, cost, grid)
+    ):
+        return cost * r
+    front = times, sources, cell, come_from, straight
+    a0, b0, t0 = factored_axis(front, (at[0], grid.nz, layer, grid.hz), (dz, r), cost)
+    a1, b1, t1 = factored_axis(front, (at[1], grid.ny, grid.nx, grid.hy), (dy, r), cost)
+    a2, b2, t2 = factored_axis(front, (at[2], grid.nx, 1, grid.hx), (dx, r), cost)
+    least = min(t0 + cost * grid.hz, t1 + cost * grid.hy, t2 + cost * grid.hx)
+    for axes in range(3, 8):  # sets of two axes and of all three, as bits
+        if axes == 4:
+            continue
+        u, v, w = axes & 1, axes >> 1 & 1, axes >> 2
+        if (u and t0 == np.inf) or (v and t1 == np.inf) or (w and t2 == np.inf):
+            continue
+        square = u * a0 * a0 + v * a1 * a1 + w * a2 * a2
+        mixed = u * a0 * b0 + v * a1 * b1 + w * a2 * b2
+        rest = u * b0 * b0 + v * b1 * b1 + w * b2 * b2 - cost * cost
+        root = mixed * mixed - square * rest
+        if root < 0.0 or square == 0.0:
+            continue
+        tau = (mixed + np.sqrt(root)) / square
+        if (
+            (u and (a0 * tau < b0 or tau * r < t0))
+            or (v and (a1 * tau < b1 or tau * r < t1))
+            or (w and (a2 * tau < b2 or tau * r < t2))
+        ):
+            continue
+        least = min(least, tau * r)
+    return max(least, least_cost * r)
+
+
+@kernel(inlined=True)
+def is_straight(times, sources, cell, cost, grid):
+    """Whether the front came to a voxel straight from its seed, at this cost all the way."""
+    sz, sy, sx = unravel(sources.origin[cell], grid)
+    iz, iy, ix = unravel(cell, grid)
+    dz, dy, dx = (iz - sz) * grid.hz, (iy - sy) * grid.hy, (ix - sx) * grid.hx
+    least = cost * np.sqrt(dz * dz + dy * dy + dx * dx)
+    return abs(times[cell] - least) <= EVEN * least
+
+
+@kernel(inlined=True)
+def is_straight_beside(times, sources, cell, way, stride, cost, grid):
+    """Whether a front, whose ever, came straight to the next voxel towards the seed, which is ``way`` behind."""
+    if way == 0.0:
+        return True
+    towards = cell - stride if way > 0.0 else cell + stride
+    return 0.0 <= times[towards] < np.inf and is_straight(times, sources, towards, cost, grid)
+
+
+@kernel(inlined=True)
+def factored_axis(front, axis, place, cost):
+    """(a, b, T) of `factored_time` along an axis: T of the earlier neighbour, inf without one.
+
+    ``axis`` is (index, length, stride, spacing), ``place`` the distance from the seed along it, and in space.
+    """
+    index, length, stride, h = axis
+    d, r = place
+    before, after = np.inf, np.inf
+    if index > 0:
+        before = time_of_front(front, -stride)
+    if index < length - 1:
+        after = time_of_front(front, stride)
+    earlier_time = min(before, after)
+    if earlier_time == np.inf:
+        return 0.0, 0.0, np.inf
+    onwards = d if before <= after else -d
+    distance = np.sqrt(max(r * r - 2.0 * onwards * h + h * h, 0.0))
+    tau = earlier_time / distance if distance > 1e-6 * h else cost
+    return r / h + onwards / r, r * tau / h, earlier_time
+
+
+@kernel(inlined=True)
+def time_of_front(front, stride):
+    """Final time of a neighbour if its front is the same, inf otherwise.
+
+    Fronts of one owner are one front; but where they come straight from seeds, each from its own.
+    """
+    times, sources, cell, come_from, straight = front
+    other = cell + stride
+    if not 0.0 <= times[other] < np.inf or not is_same_owner(sources, come_from, other):
+        return np.inf
+    if straight and sources.origin[other] != sources.origin[come_from]:
+        return np.inf
+    return np.float64(times[other])
 
 
 @kernel(inlined=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import operator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.measure import surface_mesh
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.track.appearance import Appearance
-from accelsurf.track.evidence import Profile
+from accelsurf.track.evidence import FACTOR, Profile, volume_in_grid
 from accelsurf.track.frame_run import Measured
 from accelsurf.track.image_motion import LIKE
 from accelsurf.track.momentum import SurfaceMomentum, Triple
@@ -24,6 +25,8 @@ from accelsurf.track.records import CarriedMesh, SurfacePiece, TrackedObject
 #: A new mesh is made where the volume of a carried one differs from that of its surface by more than this part, or
 #: where more than this part of its triangles has turned over.
 MAX_DIFFERENCE = 0.05
+#: A part or a cavity of at most so many voxels is below what the grid resolves: momentum may lose it.
+UNRESOLVED = 14
 VANISHED, LEFT, LOST = "vanished", "left", "lost"
 
 
@@ -74,6 +77,14 @@ def _topology_of(piece: SurfacePiece) -> tuple[int, int]:
     inside = np.pad(piece.psi < 0, 1, mode="edge")
     outside = np.pad(piece.psi >= 0, 1, constant_values=True)
     return int(ndimage.label(inside)[1]), int(ndimage.label(outside)[1])
+
+
+def _parts_of(piece: SurfacePiece, above: int = 0) -> tuple[int, int]:
+    """Numbers of parts inside and outside of more than so many voxels, of an object that no border of the grid cuts."""
+    outside = np.pad(piece.psi.squeeze() >= 0, 1, constant_values=True)
+    sizes = (np.bincount(ndimage.label(side)[0].ravel())[1:] for side in (~outside, outside))
+    inner, outer = (int((size > above).sum()) for size in sizes)
+    return inner, outer
 
 
 class Whole(NamedTuple):
@@ -129,6 +140,8 @@ class Followed:
         Correlation of its neighbourhood with the frame before; 0 where none was matched.
     whole_profile, whole_mm3
         ``profile`` and ``volume_mm3`` of the last frame in which no border of the grid cut it.
+    last_seen : SurfacePiece
+        Its surface in the frame in which it was seen last.
     """
 
     id: int
@@ -149,8 +162,11 @@ class Followed:
     likeness: float = 0.0
     whole_profile: Profile | None = None
     whole_mm3: float = 0.0
+    last_seen: SurfacePiece | None = None
 
     def __post_init__(self) -> None:
+        if self.last_seen is None:
+            self.last_seen = self.momentum.piece
         if self.whole_profile is None:
             self.whole_profile, self.whole_mm3 = self.profile, self.volume_mm3
 
@@ -253,6 +269,26 @@ class Followed:
             return LOST
         return LEFT if self.at_border or not self.is_in_grid else VANISHED
 
+    def predict(self, time: float, duration: float, geometry: Geometry) -> SurfacePiece:
+        """Predict the surface at a ``time``, ``duration`` after the last prediction.
+
+        Where the momentum has closed a cavity or lost a part that was seen last, or the volume is not near that seen
+        last, the shape seen last goes on as a whole: no force on a surface opens a cavity again.
+        """
+        velocity = self.momentum.mean_velocity()
+        piece = self.momentum.predict(duration)
+        seen = self.last_seen
+        if seen is None or not seen.has_inside or not piece.has_inside:
+            return piece
+        if self.at_border or lies_on_border(piece, geometry):
+            return piece  # of what lies beyond the border nothing is known
+        ratio = volume_in_grid(piece.psi, geometry) / max(self.volume_mm3, 1e-300)
+        is_whole = all(map(operator.ge, _parts_of(piece), _parts_of(seen, UNRESOLVED)))
+        if 1.0 / FACTOR <= ratio <= FACTOR and is_whole:
+            return piece
+        self.momentum.start(seen.psi, seen.corner, geometry, velocity)
+        return self.momentum.predict(time - self.time)
+
     def predicted_place(self, time: float) -> Triple:
         """Predict the centroid, world mm."""
         x, y, z = (
@@ -265,6 +301,7 @@ class Followed:
         self.profile, self.volume_mm3, self.area_mm2 = profile, found.volume_mm3, found.area_mm2
         self.centroid, self.velocity = self.momentum.centroid(), self.momentum.mean_velocity()
         self.time, self.quality, self.missing = time, found.quality, 0
+        self.last_seen = self.momentum.piece
         self.at_border = lies_on_border(found.surface, geometry)
         if not self.at_border:
             self.whole_profile, self.whole_mm3 = profile, found.volume_mm3

@@ -221,7 +221,8 @@ class Follower:
             self._choose_grid(followed.momentum, followed.depth)
         self._steer(arrival)
         predicted = {
-            followed.id: followed.momentum.predict(arrival.duration) for followed in self.objects
+            followed.id: followed.predict(arrival.time, arrival.duration, self._geometry)
+            for followed in self.objects
         }
         found = self._measure(predicted, arrival)
         self._decide(found, predicted, arrival)

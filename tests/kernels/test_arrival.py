@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.kernels.arrival import Medium, Tissue, bucket_width, march
+from accelsurf.kernels.arrival import Medium, Sources, Tissue, bucket_width, march
 from accelsurf.kernels.grid import Grid
 from tests.support.arrival import plain_cost, plain_times
 
@@ -25,7 +25,8 @@ def marched(image, spacing, seeds, **given):
     times[flat] = 0
     medium = Medium(image.reshape(1, -1).astype(np.float32), given.pop("passes", np.zeros(0, bool)))
     cap = given.pop("cap", np.zeros(0, np.float32))
-    order = march(times, medium, tissue, grid, flat, cap)
+    nobody = Sources(np.zeros(0, np.int32), np.zeros(0, np.int32))
+    order = march(times, medium, tissue, grid, flat, cap, given.pop("sources", nobody))
     return times.reshape(image.shape), order
 
 
@@ -100,3 +101,22 @@ def test_more_waiting_voxels_than_the_queue_begins_with():
     times, order = marched(image, (1.0, 1.0, 1.0), seeds)
     np.testing.assert_allclose(times[[0, 2]], 0.02, rtol=1e-6)
     assert len(order) == image.size
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (5.0, 1.0, 1.0)])
+def test_fronts_of_two_owners_meet_halfway_in_even_tissue(spacing):
+    """Exactly: first-order times beside a point are up to a fifth too late, more along one direction than another."""
+    shape, seeds = (5, 9, 9), [(0, 1, 2), (4, 7, 5), (2, 8, 0)]
+    owner = np.full(shape, -1, np.int32)
+    for number, seed in enumerate(seeds):
+        owner[seed] = number
+    origin = np.empty(owner.size, np.int32)
+    times, _ = marched(
+        np.zeros(shape, np.float32), spacing, seeds, sources=Sources(origin, owner.ravel())
+    )
+    at = np.indices(shape).transpose(1, 2, 3, 0)
+    distances = np.stack([np.linalg.norm((at - s) * np.array(spacing), axis=3) for s in seeds])
+    own = np.take_along_axis(distances, owner.ravel()[origin].reshape(shape)[None], 0)[0]
+    np.testing.assert_allclose(own, distances.min(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(times / 0.02, own, rtol=2e-3)

@@ -11,7 +11,7 @@ from scipy import ndimage
 from accelsurf.clicks.model.windows import Floats, Mask, Spacing
 from accelsurf.grid.boxes import widened
 from accelsurf.grid.clicks import Click
-from accelsurf.kernels.arrival import Medium, Tissue, march
+from accelsurf.kernels.arrival import Medium, Sources, Tissue, march
 from accelsurf.kernels.grid import Grid
 
 CROSS = ndimage.generate_binary_structure(3, 1)
@@ -29,10 +29,12 @@ def times_from(
     tissue: Tissue,
     open: Mask | None = None,
     sooner_than: Floats | None = None,
+    sources: Sources | None = None,
 ) -> Floats:
     """Return arrival times (nz, ny, nx) of a front from ``seeds``; inf where it does not come.
 
     It does not come where nothing is ``open``, nor where its time would not be ``sooner_than``.
+    With ``sources`` their ``origin`` is filled in.
     """
     times = np.where(seeds, np.float32(0.0), np.float32(np.inf))
     passes = np.zeros(0, np.bool_) if open is None else np.ascontiguousarray(open).ravel()
@@ -45,6 +47,7 @@ def times_from(
         grid,
         np.flatnonzero(seeds),
         cap,
+        sources or Sources(np.zeros(0, np.int32), np.zeros(0, np.int32)),
     )
     return times
 

@@ -24,7 +24,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, connected_to, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.image.smoothing import gaussian_mm
-from accelsurf.kernels.arrival import Tissue
+from accelsurf.kernels.arrival import Sources, Tissue
 
 #: Smoothing of the image before anything is learned from it, and of the shares of objects; of the smallest spacing.
 SMOOTHING, SHARES = 0.3, 0.7
@@ -139,12 +139,14 @@ def basins_of(
     sooner = times_from(ground, beyond, spacing, _GROUND, mask) if ground.any() else None
     cost = _cost(smooth, common)
     del smooth, beyond
-    times = times_from(seeds != UNREACHED, cost, spacing, _COSTS, mask, sooner)
+    origin = np.empty(seeds.size, np.int32 if seeds.size < 2**31 else np.int64)
+    sources = Sources(origin, seeds.ravel())
+    times_from(seeds != UNREACHED, cost, spacing, _COSTS, mask, sooner, sources)
     del cost
-    labels = _nearest(times, seeds, spacing)
+    labels = np.where(origin >= 0, seeds.ravel()[origin], np.int32(UNREACHED)).reshape(seeds.shape)
     if sooner is not None:
         labels[(labels == UNREACHED) & np.isfinite(sooner)] = NOBODY
-    del times, sooner
+    del origin, sources, sooner
     return _with_shares(numbers, labels, spacing, clicks)
 
 
@@ -164,32 +166,6 @@ def _common(tissues: Sequence[Tissue]) -> Tissue:
     apart = 1.4826 * np.median(np.abs(medians - middle), axis=0)
     spread = np.maximum(np.median([tissue.spread for tissue in tissues], axis=0), apart)
     return tissues[0]._replace(median=middle, spread=spread)
-
-
-def _nearest(times: Floats, seeds: NDArray[np.int32], spacing: Spacing) -> NDArray[np.int32]:
-    """From which seeds the front came to each voxel: back along the steepest fall per mm to a neighbour, by leaps."""
-    kind = np.int32 if times.size < 2**31 else np.int64
-    voxels = np.arange(times.size, dtype=kind).reshape(times.shape)
-    before, steepest = voxels.copy(), np.zeros(times.shape, np.float32)
-    for axis in range(3):
-        ends = slice(1, None), slice(None, -1)
-        for here, there in (ends, ends[::-1]):
-            mine, theirs = ((slice(None),) * axis + (part,) for part in (here, there))
-            with np.errstate(invalid="ignore"):  # between two voxels that no front reaches
-                fall = (times[mine] - times[theirs]) / np.float32(spacing[axis])
-            is_steeper = fall > steepest[mine]
-            steepest[mine][is_steeper] = fall[is_steeper]
-            before[mine][is_steeper] = voxels[theirs][is_steeper]
-    before = np.where(seeds != UNREACHED, voxels, before)
-    del voxels, steepest
-    came = before.ravel()
-    while True:
-        farther = came[came]
-        if np.array_equal(farther, came):
-            return np.where(
-                np.isfinite(times), seeds.ravel()[came].reshape(times.shape), np.int32(UNREACHED)
-            )
-        came = farther
 
 
 def _with_shares(
