@@ -487,7 +487,7 @@ def parse_header(raw: bytes, is_pair: bool = False) -> NiftiHeader:
 
 
 def _by_pair(is_pair: bool) -> tuple[dict[int, tuple[int, bytes]], dict[int, tuple[int, bytes]]]:
-    """Where the marks of a file or a pair are, and those of the other kind."""
+    """Marks of a file or a pair, and those of the other kind."""
     return (_PAIR_MAGIC, _MAGIC) if is_pair else (_MAGIC, _PAIR_MAGIC)
 
 

@@ -404,7 +404,7 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
 
 
 class _ListedVoxels(NamedTuple):
-    """What a MetaImage says of voxels that lie in several files: see `ListedHeader`."""
+    """Claims of a MetaImage about voxels that lie in several files: see `ListedHeader`."""
 
     sizes: list[int]
     channels: int

@@ -385,7 +385,7 @@ class Opening:
 
     @property
     def last_words(self) -> str:
-        """What a person should know at the program's end, in one line."""
+        """Line that a person should read at the program's end."""
         keeper = self._keeper
         if keeper is None or not self.is_unsaved:
             return "nothing was unsaved"

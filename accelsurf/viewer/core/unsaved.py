@@ -60,7 +60,7 @@ class Unsaved(NamedTuple):
 
     @property
     def line(self) -> str:
-        """What it is, in one line."""
+        """Description of it, in one line."""
         clicks = sum(
             len(each.inside) + len(each.outside) + len(each.balls)
             for each in (*self.config.edit, *self.config.refine)
