@@ -108,15 +108,16 @@ def test_a_click_reaches_by_its_radius_and_its_depth_and_moves_a_share():
         mask = ((places - 15) ** 2).sum(axis=0) <= radius**2
         click = Click("outside", whole_box(shape), mask)
         reach = reach_of(click, lambda box: inside[box], shape, spacing)
-        assert reach == max(4.0 * radius_of(click, shape, spacing), 2.0 * 10.0)  # it is 10 deep
+        assert reach == max(8.0 * radius_of(click, shape, spacing), 4.0 * 10.0)  # it is 10 deep
         other = click._replace(side="inside")  # it is on its side: no depth
         assert reach_of(other, lambda box: inside[box], shape, spacing) == pytest.approx(
-            max(6.0 * radius_of(click, shape, spacing), 4.0)
+            max(12.0 * radius_of(click, shape, spacing), 4.0)
         )
     assert least_reach((5, 5, 5), (6.0, 1.0, 1.0)) == 6.0
-    assert most_voxels(1.0, 1000, spacing, False) == 500
-    assert most_voxels(2.0, 10, spacing, False) == int(4 / 3 * np.pi * 6**3)
-    assert most_voxels(2.0, 10, (9.0, 1.0, 1.0), True) == int(np.pi * 6**2)
+    assert most_voxels("outside", 1.0, 2000, spacing, False) == 1000
+    assert most_voxels("inside", 1.0, 2000, spacing, False) == 2000
+    assert most_voxels("inside", 2.0, 10, spacing, False) == int(4 / 3 * np.pi * 12**3)
+    assert most_voxels("outside", 2.0, 10, (9.0, 1.0, 1.0), True) == int(np.pi * 12**2)
     distances = np.float32([0, 1, 1, 2, 5, 5, 9])
     assert [bounded_by_count(distances, 7.0, most, 0.5) for most in (1, 4, 5, 6)] == [0.5, 2, 2, 7]
 

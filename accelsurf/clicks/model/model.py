@@ -597,7 +597,8 @@ def within_reach(
     reach = click.near
     if reach is None:
         reach = largest_reach(click, before, spacing)
-        most = most_voxels(radius_of(click, shape, spacing), before.count, spacing, shape[0] == 1)
+        radius = radius_of(click, shape, spacing)
+        most = most_voxels(click.side, radius, before.count, spacing, shape[0] == 1)
         reach = bounded_by_count(far, reach, most, least_reach(shape, spacing))
     changed = connected_to(((old != new) & (distance <= reach)) | clicked, clicked)
     before_on[differs] = np.where(changed, new, old)

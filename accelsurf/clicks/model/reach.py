@@ -18,12 +18,14 @@ Spacing = tuple[float, float, float]
 #: A click reaches this number of its radii, and of its depths in what it says is wrong; at least this number of the
 #: smallest spacings, and one of the largest. A person's ball is about half as wide as the error in whose middle it is,
 #: and an error is longer than it is deep. What is taken away by mistake was right before, so that an outside click
-#: reaches less far.
-OF_RADIUS: dict[Side, float] = {"inside": 6.0, "outside": 4.0}
-OF_DEPTH: dict[Side, float] = {"inside": 3.0, "outside": 2.0}
+#: reaches less far. Mean Dice after 2, 3, 5 clicks of 26 drawn scenes: .721 .756 .796 without a bound, .700 .744 .785
+#: with these numbers, .648 .687 .734 with half of all of them.
+OF_RADIUS: dict[Side, float] = {"inside": 12.0, "outside": 8.0}
+OF_DEPTH: dict[Side, float] = {"inside": 6.0, "outside": 4.0}
 LEAST = 4.0
 #: Beyond the least reach it moves at most this share of the object's voxels, or the ball of this number of its radii.
-SHARE, CORE_OF = 0.5, 3.0
+SHARE: dict[Side, float] = {"inside": 1.0, "outside": 0.5}
+CORE_OF = 6.0
 #: First half width, voxels, of the box in which the other side is searched around a click.
 _FIRST_SEARCH = 8
 
@@ -136,11 +138,12 @@ def distances_from(click: Click, box: Box, spacing: Spacing) -> NDArray[np.float
     return np.asarray(on_box(far.astype(np.float32), whole, box, 0.0))
 
 
-def most_voxels(radius: float, count: int, spacing: Spacing, is_flat: bool) -> int:
+def most_voxels(side: Side, radius: float, count: int, spacing: Spacing, is_flat: bool) -> int:
     """Return how many voxels a click changes at most: a share of the object's, or the ball of which it is the core.
 
     Parameters
     ----------
+    side : {"inside", "outside"}
     radius : float
         Of the click, mm.
     count : int
@@ -154,7 +157,7 @@ def most_voxels(radius: float, count: int, spacing: Spacing, is_flat: bool) -> i
     if is_flat:
         core = CORE_OF * radius / float(np.sqrt(np.prod(spacing[1:])))
     ball = np.pi * core**2 if is_flat else 4.0 / 3.0 * np.pi * core**3
-    return int(max(SHARE * count, ball))
+    return int(max(SHARE[side] * count, ball))
 
 
 def bounded_by_count(
