@@ -40,10 +40,14 @@ def test_an_object_of_a_drawn_scene_counts_less() -> None:
     assert (
         quality.trained(drawn, "clicks")["constant"] > quality.trained(plain, "clicks")["constant"]
     )
-    assert quality.table_of(drawn, {"a": [0.5], "b": [0.5]})[2].tolist() == [
+    assert quality.table_of(drawn, {"a": judged(0.5), "b": judged(0.5)})[2].tolist() == [
         1.0,
         quality.SCENE_WEIGHT,
     ]
+
+
+def judged(*values: float) -> quality.Judged:
+    return quality.Judged(list(values), [quality.WARNED] * len(values))
 
 
 def test_figures_count_what_is_said_to_be_good() -> None:
@@ -51,7 +55,7 @@ def test_figures_count_what_is_said_to_be_good() -> None:
         "one": [row(0.5, 0.0, hinted=0.6, person=0.8), row(0.9, 0.0), row(0.75, 0.0)],
         "two": [row(0.9, 0.0), row(0.4, 0.0, hinted=0.4, person=0.7)],
     }
-    found = quality.figures(rows, {"one": [0.2, 0.9, 0.8], "two": [0.75, 0.1]})
+    found = quality.figures(rows, {"one": judged(0.2, 0.9, 0.8), "two": judged(0.75, 0.1)})
     assert (found["results"], found["said"], found["failed"]) == (5, 3, 2)
     assert (found["good_of_said"], found["said_of_failed"]) == pytest.approx((2 / 3, 0.0))
     assert (
@@ -67,6 +71,6 @@ def test_figures_count_what_is_said_to_be_good() -> None:
 
 
 def test_nothing_said_to_be_good_has_no_share() -> None:
-    found = quality.figures({"one": [row(0.9, 0.0)]}, {"one": [0.2]})
+    found = quality.figures({"one": [row(0.9, 0.0)]}, {"one": judged(0.2)})
     assert found["good_of_said"] is None and found["said_of_failed"] is None and found["hints"] == 0
     assert np.isclose(found["good"], 1.0)

@@ -19,7 +19,14 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS
 SIZES = [10**power for power in (5, 6, 8, 9, 10, 12, 15, 18)]
 MAX_SECONDS, MORE_BYTES = 5.0, 1 << 30
 #: Formats whose claims other tests change.
-ELSEWHERE = {"ome.zarr", "png", "tif", "dcm", "slices"}
+ELSEWHERE = {
+    "ome.zarr",
+    "png",
+    "tif",
+    "dcm",
+    "slices",
+    "hdr",
+}  # the header of a pair is that of nii
 KINDS = (
     "nii",
     "nii2",
