@@ -88,7 +88,7 @@ def test_what_was_not_done_is_named_and_near_does_it():
     mask = (image > 50) & (x < 30)
     volume = Volume.from_array(image.astype(np.float32), 1.0)
     refiner = Refiner(beginning_with(volume, mask.astype(np.uint8), None))
-    click = "ball:36,12,12,2"
+    click = "ball:33,12,12,2"
     (bounded,) = refiner.apply(Correction(inside=(click,)))
     assert bounded.is_bounded and f"--near {bounded.near_for_all:g}" in bounded.text
     refiner.undo()
