@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,7 +139,7 @@ def basins_of(
     sooner = times_from(ground, beyond, spacing, _GROUND, mask) if ground.any() else None
     cost = _cost(smooth, common)
     del smooth, beyond
-    origin = np.empty(seeds.size, np.int32 if seeds.size < 2**31 else np.int64)
+    origin: NDArray[Any] = np.empty(seeds.size, np.int32 if seeds.size < 2**31 else np.int64)
     sources = Sources(origin, seeds.ravel())
     times_from(seeds != UNREACHED, cost, spacing, _COSTS, mask, sooner, sources)
     del cost
