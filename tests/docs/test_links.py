@@ -26,7 +26,8 @@ LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 #: Folders that exist only after a command was run.
 LEFT_BY_COMMANDS = (
     "out/",
-    "ring/",
+    "liver/",
+    "mended/",
     "first/",
     "both/",
     "volumes/",

@@ -47,7 +47,8 @@ class ConnectionLimit:
         terse = _terse_handler()
 
         def connection_made(protocol: Any, transport: Any) -> None:
-            protocol.__class__ = terse
+            if isinstance(protocol, terse.__bases__):
+                protocol.__class__ = terse
             made(protocol, transport)
             self._opened(transport)
 
