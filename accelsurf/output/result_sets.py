@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from types import NoneType
-from typing import Any
+from typing import Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import is_stored, sha256, split_name
@@ -215,9 +215,7 @@ def unchanged_outputs(report: Path, besides: Collection[str]) -> list[str]:
     besides : collection of str
         Names to leave out: those are replaced anyway.
     """
-    document = load_report(report)
-    listed = _entries(document["outputs"] if document is not None else ())
-    return [name for name, checksum in listed if _is_unchanged(report, name, checksum, besides)]
+    return [entry.name for entry in _unchanged(report, besides)]
 
 
 def own_outputs(report: Path, besides: Collection[str] = ()) -> list[str]:
@@ -231,14 +229,24 @@ def own_outputs(report: Path, besides: Collection[str] = ()) -> list[str]:
     besides : collection of str
         Names to leave out: those are replaced anyway.
     """
+    return [entry.name for entry in _unchanged(report, besides) if entry.is_own]
+
+
+class _Listed(NamedTuple):
+    """A file that a report lists, and whether this user's run has written it."""
+
+    name: str
+    is_own: bool
+
+
+def _unchanged(report: Path, besides: Collection[str]) -> list[_Listed]:
+    """Return the files beside a report that are as it lists them; each is read once."""
     document = load_report(report)
-    listed = document["outputs"] if document is not None else ()
     return [
-        name
-        for entry in listed
+        _Listed(name, is_sealed(name, checksum, entry.get("seal")))
+        for entry in (document["outputs"] if document is not None else ())
         for name, checksum in _entries([entry])
-        if is_sealed(name, checksum, entry.get("seal"))
-        and _is_unchanged(report, name, checksum, besides)
+        if _is_unchanged(report, name, checksum, besides)
     ]
 
 
@@ -339,14 +347,21 @@ def outdated(
     )
     if not failed and is_failure_report(folder / report_name(name + FAILED)):
         reports.append(folder / report_name(name + FAILED))
-    gone = [file for report in reports for file in (*own_outputs(report, written), report.name)]
-    listed = [file for report in reports for file in unchanged_outputs(report, written)]
+    listed = {report.name: _unchanged(report, written) for report in reports}
+    gone = [
+        file
+        for report, entries in listed.items()
+        for file in (*(entry.name for entry in entries if entry.is_own), report)
+    ]
+    stays = [
+        entry.name for entries in listed.values() for entry in entries if entry.name not in gone
+    ]
     if not overwrite:
         failures = f"{name.removesuffix(FAILED)}{FAILED}_", report_name(name)
-        gone, listed = (
-            [file for file in files if file.startswith(failures)] for files in (gone, listed)
+        gone, stays = (
+            [file for file in files if file.startswith(failures)] for files in (gone, stays)
         )
-    if stays := [file for file in listed if file not in gone]:
+    if stays:
         named = ", ".join(str(folder / file) for file in stays[:3])
         warnings.warn(
             f"{named}{' and more' if len(stays) > 3 else ''}: the earlier report lists it, but no run of yours on this "

@@ -249,18 +249,29 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
         times_text = (
             _times_text_in(_extensions(file, header, compressed)) if len(header.size) > 3 else ""
         )
+    encoding: Encoding = "deflate" if compressed else "raw"
+    return _file_of(header, path, encoding, times_text, options)
+
+
+def _file_of(
+    header: NiftiHeader,
+    voxels: Path,
+    encoding: Encoding,
+    times_text: str,
+    options: ReadOptions,
+    parts: tuple[Path, ...] = (),
+) -> NiftiFile:
+    """Return a NIfTI as it is read: by its header, where its voxels are, and the times in an extension."""
     if times_text:  # frames that are counted have no unit, but times
         header = replace(header, says_time=True)
     header.grid.check_forms()
-    metadata = {METADATA_KEY: header.grid.fields}
-    encoding: Encoding = "deflate" if compressed else "raw"
     return NiftiFile(
-        path,
+        voxels,
         0,
         encoding,
         header.claimed_bytes,
         skip=header.data_offset,
-        metadata=metadata,
+        metadata={METADATA_KEY: header.grid.fields},
         numbers=math.prod(header.size),
         channels=header.channels,
         time_points=header.time_points,
@@ -268,6 +279,7 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
         asked=options,
         nifti=header,
         times_text=times_text,
+        parts=parts,
     )
 
 
@@ -305,25 +317,7 @@ def read_pair_header(path: Path, options: ReadOptions = AS_IT_IS) -> NiftiFile:
         _extensions_in(raw[HEADER_BYTES[header.version] + 4 :], _BEGINNINGS[raw[:4]][1])
     )
     times_text = _times_text_in(extensions) if len(header.size) > 3 else ""
-    if times_text:
-        header = replace(header, says_time=True)
-    header.grid.check_forms()
-    return NiftiFile(
-        voxels,
-        0,
-        encoding,
-        header.claimed_bytes,
-        skip=header.data_offset,
-        metadata={METADATA_KEY: header.grid.fields},
-        numbers=math.prod(header.size),
-        channels=header.channels,
-        time_points=header.time_points,
-        seconds=header.seconds,
-        asked=options,
-        nifti=header,
-        times_text=times_text,
-        parts=(about, voxels),
-    )
+    return _file_of(header, voxels, encoding, times_text, options, (about, voxels))
 
 
 def is_of_pair(path: Path) -> bool:
