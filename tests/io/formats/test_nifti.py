@@ -330,7 +330,7 @@ def test_nifti_2_is_written_as_nifti_1_on_the_same_grid(tmp_path, suffix, order)
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("code", ["u1", "i1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"])
-@pytest.mark.parametrize("scale", [(0.3, 7.0), (1, 0), (0, 5), (1, 3), (np.nan, 1), (2, np.nan)])
+@pytest.mark.parametrize("scale", [(0.3, 7.0), (1, 0), (0, 5), (1, 3), (np.nan, 1)])
 def test_values_of_nifti_2_are_those_that_itk_gives_of_nifti_1(tmp_path, code, scale):
     kind = nibabel.Nifti1Header()
     kind.set_data_dtype(code)

@@ -79,12 +79,21 @@ def test_nrrd_with_voxels_in_another_file(tmp_path):
         np.testing.assert_array_equal(io.read(tmp_path / "a.nrrd").array, VALUES)
 
 
-@pytest.mark.parametrize("suffix", [".nrrd", ".mha"])
-@pytest.mark.parametrize("name", ["LIST", "LIST 2D", "a%03d.raw 1 4 1"])
-def test_voxels_in_many_files_are_refused(tmp_path, suffix, name):
+@pytest.mark.parametrize(
+    ("suffix", "name", "said"),
+    [
+        (".nrrd", "LIST", "spread over several files"),
+        (".nrrd", "LIST 2D", "spread over several files"),
+        (".nrrd", "a%03d.raw 1 4 1", "spread over several files"),
+        (".mha", "a%03d.raw 1 4 1", "spread over several files"),
+        (".mha", "LIST", "the list has 0 files, 4 expected"),
+        (".mha", "LIST 2D", "the list has 0 files, 4 expected"),
+    ],
+)
+def test_voxels_in_many_files_that_are_not_there_are_refused(tmp_path, suffix, name, said):
     key = {".nrrd": "data_file", ".mha": "ElementDataFile"}[suffix]
     (tmp_path / f"a{suffix}").write_bytes(text_header(suffix, **{key: name}))
-    refuse(tmp_path / f"a{suffix}", "spread over several files")
+    refuse(tmp_path / f"a{suffix}", said)
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "text", "hex", "bzip2"])
