@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.clicks.model.answers import Answer
-from accelsurf.clicks.model.model import ClickModel, level_overlap
+from accelsurf.clicks.model.model import ClickModel, least_overlap_with
 
 
 class Confidence(NamedTuple):
@@ -50,7 +50,7 @@ def confidence_of(model: ClickModel) -> Confidence | None:
         return None
     surprise = float(np.mean(model.surprises)) if model.surprises else None
     return Confidence(
-        min(model.least_overlap, level_overlap(model)),
+        least_overlap_with(model),
         model.spread,
         model.correction,
         model.unchanged,

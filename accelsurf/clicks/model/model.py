@@ -480,12 +480,18 @@ def is_right(model: ClickModel, click: Click) -> bool:
     return int(np.count_nonzero(there != (click.side == "inside"))) <= WRONG * there.size
 
 
-def level_overlap(model: ClickModel) -> float:
-    """Return the Dice of the objects of F below a level and below its negative: 1 where F is steep at its boundary."""
+def clicked_inside(model: ClickModel) -> Mask:
+    """Return what is clicked inside, on the box of the model."""
     clicked = np.zeros(model.field.shape, np.bool_)
     for click in model.clicks.clicks:
         if click.side == "inside":
             clicked |= click.mask_on(model.box)
+    return clicked
+
+
+def level_overlap(model: ClickModel) -> float:
+    """Return the Dice of the objects of F below a level and below its negative: 1 where F is steep at its boundary."""
+    clicked = clicked_inside(model)
     # F is -3 and 3 in clicks: they are on their sides of both.
     smaller = int(np.count_nonzero(model.inside & (model.field < -LEVEL)))
     both = smaller + int(np.count_nonzero(connected_to(model.field < LEVEL, clicked)))
@@ -618,11 +624,7 @@ def largest_reach(click: Click, model: ClickModel, spacing: Spacing) -> float:
 
 def _to_end_of_part(click: Click, model: ClickModel, spacing: Spacing) -> float:
     """Return how far the part of an object goes from a click in it, mm, where it is no main part; else 0."""
-    held = np.zeros(model.field.shape, np.bool_)
-    for other in model.clicks.clicks:
-        if other.side == "inside":
-            held |= other.mask_on(model.box)
-    part = separate_part(click, model.box, model.inside, held)
+    part = separate_part(click, model.box, model.inside, clicked_inside(model))
     if part is None:
         return 0.0
     tight = bounding_box(part)
@@ -633,10 +635,7 @@ def _to_end_of_part(click: Click, model: ClickModel, spacing: Spacing) -> float:
 
 def without_cut_off(model: ClickModel, before: ClickModel) -> ClickModel:
     """A model without what its last click has cut off from all inside clicks, where that is less than what remains."""
-    held = np.zeros(model.field.shape, np.bool_)
-    for click in model.clicks.clicks:
-        if click.side == "inside":
-            held |= click.mask_on(model.box)
+    held = clicked_inside(model)
     remains = connected_to(model.inside, held)
     cut = model.inside & ~remains & connected_to(before.inside_on(model.box), held)
     if not 0 < np.count_nonzero(cut) <= np.count_nonzero(remains):
