@@ -272,7 +272,7 @@ def upwind_time(times, cell, at, cost, grid):
 
 @kernel(inlined=True)
 def is_same_owner(sources, cell, other):
-    """Whether the fronts at two voxels that one has come to are of one owner, or nobody asks."""
+    """Test if two voxels were reached by fronts of one owner; True where no owners are given."""
     origin, owner = sources
     return len(origin) == 0 or owner[origin[cell]] == owner[origin[other]]
 
@@ -351,7 +351,7 @@ def factored_time(times, sources, cells, at, costs, grid):
 
 @kernel(inlined=True)
 def is_straight(times, sources, cell, cost, grid):
-    """Whether the front came to a voxel straight from its seed, at this cost all the way."""
+    """Test if the front came to a voxel straight from its seed, at this cost all the way."""
     sz, sy, sx = unravel(sources.origin[cell], grid)
     iz, iy, ix = unravel(cell, grid)
     dz, dy, dx = (iz - sz) * grid.hz, (iy - sy) * grid.hy, (ix - sx) * grid.hx
@@ -361,7 +361,7 @@ def is_straight(times, sources, cell, cost, grid):
 
 @kernel(inlined=True)
 def is_straight_beside(times, sources, cell, way, stride, cost, grid):
-    """Whether a front, whose ever, came straight to the next voxel towards the seed, which is ``way`` behind."""
+    """Test if the front at the next voxel towards the seed, ``way`` away, came there straight."""
     if way == 0.0:
         return True
     towards = cell - stride if way > 0.0 else cell + stride

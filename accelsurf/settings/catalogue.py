@@ -24,7 +24,7 @@ def help_of(key: str) -> str:
     Examples
     --------
     >>> help_of("cfl")
-    'Largest motion of the surface in one step, in voxels.'
+    'How far the surface may move in one step, in voxels: larger takes fewer steps and is less exact.'
     """
     return full_help(SettingFields.model_fields[key])
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.track.scores import Operations, Stretch, TrackedLabels, score, stretches
+from accelsurf.track.scores import ExactLabels, Operations, Stretch, TrackedLabels, score, stretches
 
 
 def line(*runs):
@@ -134,10 +134,12 @@ def test_no_object_in_the_reference_has_no_score():
 
 def test_overlap_is_measured_on_outlines_of_their_own():
     wide = np.where(TWO == 1, 1, 0)
-    found = score(tracked([TWO] * 2), tracked([TWO] * 2), [(1, wide)])
+    found = score(tracked([TWO] * 2), tracked([TWO] * 2), [ExactLabels(1, wide)])
     assert found.seg == 1.0
     half = line((0, 2), (1, 3), (0, 11))
-    assert score(tracked([TWO] * 2), tracked([TWO] * 2), [(1, half)]).seg == pytest.approx(3 / 4)
+    assert score(
+        tracked([TWO] * 2), tracked([TWO] * 2), [ExactLabels(1, half)]
+    ).seg == pytest.approx(3 / 4)
 
 
 def test_a_child_of_several_has_several_parents():

@@ -19,15 +19,17 @@ from tests.support import viewing
 from tests.support.viewing import look
 
 SHAPE, SPACING = (20, 36, 40), (2.0, 1.0, 1.0)
+#: Wider than the window that a press is read in first.
+WIDE = (60, 100, 100)
 PRESS, SMALL_PRESS = "ball:18,18,20,3", "ball:18,18,20,1.2"
 
 
-def scan(noise=4.0):
-    """A ball of radius 10 mm at (18, 18, 20) mm, and another one of the same brightness beside it."""
-    z, y, x = np.indices(SHAPE) * np.array(SPACING)[:, None, None, None]
+def scan(noise=4.0, shape=SHAPE):
+    """A ball of radius 10 mm at (18, 18, 20) mm in noise."""
+    z, y, x = np.indices(shape) * np.array(SPACING)[:, None, None, None]
     own = (x - 18) ** 2 + (y - 18) ** 2 + (z - 20) ** 2 < 100
-    image = 100.0 * own + np.random.default_rng(0).normal(0, noise, SHAPE)
-    return Volume(image.astype(np.float32), Geometry(SHAPE, SPACING)), own
+    image = 100.0 * own + np.random.default_rng(0).normal(0, noise, shape)
+    return Volume(image.astype(np.float32), Geometry(shape, SPACING)), own
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +39,13 @@ def pressed():
         yield session.press(PRESS).result(), own
 
 
-def inside_of(drag, volume_mm3):
-    out = np.zeros(SHAPE, bool)
+def inside_of(drag, volume_mm3, shape=SHAPE):
+    out = np.zeros(shape, bool)
     here = tuple(
         slice(first, first + n)
         for first, n in zip(drag.first[1:], drag.times.shape[1:], strict=True)
     )
-    for index in range(SHAPE[0]):
+    for index in range(shape[0]):
         plane = drag.plane(0, index, volume_mm3)
         if plane is not None:
             out[index][here] = plane < 0
@@ -75,21 +77,23 @@ def test_a_farther_drag_is_a_larger_object_and_the_press_is_in_every_one(pressed
 
 
 def test_more_is_computed_when_a_drag_comes_near_the_end_of_what_is_known():
-    volume, own = scan()
+    volume, own = scan(shape=WIDE)
     with Session(volume, RunConfig(start=SMALL_PRESS)) as session:
         dragging = Dragging(session.press, SMALL_PRESS)
         session.wait(60)
         small = dragging.at(3.0)
-        assert small.most_mm3 < 7000 and not small.is_near_end(3.0) and small.is_near_end(12.0)
-        assert small.volume_of(12.0) == small.most_mm3  # what has room in what is known
+        end = (0.75 * small.most_mm3 / np.pi) ** (
+            1 / 3
+        )  # the ball as large as the window has room for
+        assert not small.is_near_end(0.5 * end) and small.is_near_end(end)
+        assert small.volume_of(1.1 * end) == small.most_mm3
         shown = small.times.copy()
         for _ in range(4):
-            found = dragging.at(12.0)
+            found = dragging.at(end)
             session.wait(60)
-        assert found.volume_of(12.0) == pytest.approx(7238, rel=1e-3) and not found.is_near_end(
-            12.0
-        )
-        larger = inside_of(found, 4189.0)
+        assert found.most_mm3 > 1.5 * small.most_mm3 and not found.is_near_end(end)
+        assert found.volume_of(1.1 * end) == pytest.approx(1.331 * small.most_mm3, rel=1e-6)
+        larger = inside_of(found, 4189.0, WIDE)
         assert 2 * (larger & own).sum() / (larger.sum() + own.sum()) > 0.9
         # What was known before does not change.
         assert np.array_equal(small.times, shown)

@@ -222,7 +222,14 @@ def _frames(
             f"{path.name}: {count} frames announced, {len(groups)} described", HEADER_HINT
         )
     common, elapsed = _common(path, dataset), _elapsed(dataset)
-    return [_frame(common, dataset, number, count, elapsed) for number in order_of(dataset, count)]
+    order = order_of(dataset, count)
+    if groups or _is_reconstructed(dataset):
+        return [_frame(common, dataset, number, count, elapsed) for number in order]
+    # Frames of a plain loop differ by time alone.
+    first = _frame(common, dataset, 0, count, elapsed)
+    return [
+        replace(first, number=number, times=_times(dataset, number, elapsed)) for number in order
+    ]
 
 
 def _check_pixels(path: Path, dataset: Elements, pixels: PixelBytes, size: int, count: int) -> None:
@@ -340,7 +347,7 @@ def _frame(
         numbers_of(place, "ImagePositionPatient", 3),
         numbers_of(turn, "ImageOrientationPatient", 6),
     )
-    phase, times = _phase(common.path, dataset, number, count), _times(dataset, number, elapsed)
+    phase = _phase(common.path, dataset, number, count)
     return replace(
         common,
         number=number,
@@ -355,11 +362,7 @@ def _frame(
         intercept=intercept,
         labels={**common.labels, "unit": _unit(dataset, scale, table), "kind": kind},
         phase={name: value for name, value in phase.items() if value},
-        times={
-            name: value
-            for name, value in times.items()
-            if value is not None and math.isfinite(value)
-        },
+        times=_times(dataset, number, elapsed),
         has_table=bool(table),
     )
 
@@ -446,7 +449,7 @@ def _phase(path: Path, dataset: Any, number: int, count: int) -> dict[str, str]:
     }
 
 
-def _times(dataset: Elements, number: int, elapsed: Floats) -> dict[str, float | None]:
+def _times(dataset: Elements, number: int, elapsed: Floats) -> dict[str, float]:
     """Seconds: offset from the first, since the heart's trigger, in the file, of the day; and what gives the order."""
     content = _group(dataset, number, "FrameContentSequence")
     trigger = number_of(
@@ -456,7 +459,7 @@ def _times(dataset: Elements, number: int, elapsed: Floats) -> dict[str, float |
     offset = _group(dataset, number, "TemporalPositionSequence")
     point = text(content, "TemporalPositionIndex") or text(dataset, "TemporalPositionIdentifier")
     instance = number_of(dataset, "InstanceNumber")
-    return {
+    found = {
         "offset": None if offset is dataset else number_of(offset, "TemporalPositionTimeOffset"),
         "trigger": None if trigger is None else 1e-3 * trigger,
         "point": float(point) if point.isdigit() else None,
@@ -466,6 +469,9 @@ def _times(dataset: Elements, number: int, elapsed: Floats) -> dict[str, float |
         ),
         "content": _seconds(text(dataset, "ContentTime")),
         "number": None if instance is None else instance * budgets.DICOM_FRAMES.limit + number,
+    }
+    return {
+        name: value for name, value in found.items() if value is not None and math.isfinite(value)
     }
 
 
