@@ -201,8 +201,9 @@ def march_outwards(dense, grid, known, heap, counts, front, half_width):
             if state[s] != TRIAL:
                 continue
             accept(s, dense, grid, known, up, weights)
+        # Beyond the band a cell hands on nothing but is read: where the spacings differ a neighbour nearer in mm may lie
+        # further off in voxels, and without it the distance would be that along a detour.
         if voxels_along(foot[s, 0], foot[s, 1], foot[s, 2], grid) > half_width:
-            state[s] = BEYOND
             continue
         cell = cells[s]
         iz, iy, ix = unravel(cell, grid)
@@ -303,9 +304,8 @@ def carry_outwards(off, slots, shares, values):
         values[off[row]] = min(max(value, low), high) if low <= high else np.float32(0.0)
 
 
-#: State of a slot in a march: not reached; with a first estimate; accepted; accepted beyond the band, which no other
-#: reads.
-FAR, TRIAL, ACCEPTED, BEYOND = 0, 1, 2, 3
+#: State of a slot in a march: not reached; with a first estimate; accepted.
+FAR, TRIAL, ACCEPTED = 0, 1, 2
 #: The neighbour beyond a neighbour counts where both have their closest points on the same piece of surface: then
 #: |p_1 - p_2|^2 + (d_1 - d_2)^2 = h^2 on a plane, and it may be at most this many h^2.
 SAME_SHEET = 1.5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -107,20 +108,20 @@ def _find_closest_beside(surface: NarrowBand, front: np.ndarray, to_closest: np.
 class UpwindExtension(NamedTuple):
     """Order and weights in which the band reads the values known beside the surface, see `kernels.fast_marching`.
 
-    ``front`` (n,) bool is where values are given; of these, those beside the surface count. ``beside`` fills in the
-    cells there that are not on the front. ``off`` (m,) int64 are the other slots in order of distance; ``slots`` (m, 6)
-    int32 and ``shares`` (m, 6) float32.
+    ``front`` (n,) bool is where values are given; of these, those beside the surface count. ``known`` fills in the
+    cells there that are not on the front, and those that are `_cut_off`, at their closest points. ``off`` (m,) int64
+    are the other slots in order of distance; ``slots`` (m, 6) int32 and ``shares`` (m, 6) float32.
     """
 
     front: np.ndarray
-    beside: ExtensionTable
+    known: ExtensionTable
     off: np.ndarray
     slots: np.ndarray
     shares: np.ndarray
 
     def extend(self, workers: Workers, values: np.ndarray) -> None:
         """Overwrite ``values`` (n,) at all slots but those on the front and beside the surface."""
-        self.beside.extend(workers, values)
+        self.known.extend(workers, values)
         workers.serial(fast_marching.carry_outwards, self.off, self.slots, self.shares, values)
 
 
@@ -131,7 +132,8 @@ def extension_from(surface: NarrowBand, front: np.ndarray) -> ExtensionTable | U
     workers, band = surface.workers, surface.band
     beside = beside_surface(surface, band.psi)
     order = workers.serial(fast_marching.order_of, np.abs(band.psi))
-    off = order[~beside[order]]
+    given = beside | _cut_off(surface)
+    off = order[~given[order]]
     slots, shares = np.empty((off.size, 6), np.int32), np.empty((off.size, 6), np.float32)
     known = band.cells, band.to_closest, band.psi, np.full(surface.size, ACCEPTED, np.int8)
     workers.parallel(
@@ -143,5 +145,30 @@ def extension_from(surface: NarrowBand, front: np.ndarray) -> ExtensionTable | U
         off,
         (slots, shares),
     )
-    missing = extension_table(surface, front & beside, np.flatnonzero(beside & ~front))
-    return UpwindExtension(front, missing, off, slots, shares)
+    read = front & beside
+    return UpwindExtension(
+        front,
+        extension_table(surface, read, np.flatnonzero(given & ~read)),
+        off,
+        slots,
+        shares,
+    )
+
+
+def _cut_off(surface: NarrowBand) -> np.ndarray:
+    """Mask (n,) of the band cells with an upwind neighbour in the volume that is not in the band.
+
+    Where the spacings differ, a neighbour nearer to the surface in mm may be further off in voxels. Read from the
+    others alone, a field would be that of another place.
+    """
+    cells, slot, grid = surface.band.cells, surface.dense.slot, surface.grid
+    counts, spacing = (grid.nz, grid.ny, grid.nx), (grid.hz, grid.hy, grid.hx)
+    cut = np.zeros(surface.size, np.bool_)
+    for axis, index in enumerate(np.unravel_index(cells, counts)):
+        # The neighbour that is nearer to the closest point.
+        side = np.rint(np.clip(surface.band.to_closest[:, axis] / spacing[axis], -1.0, 1.0))
+        step = side.astype(np.int64)
+        inside = (step != 0) & (index + step >= 0) & (index + step < counts[axis])
+        stride = math.prod(counts[axis + 1 :])
+        cut[inside] |= slot[(cells + step * stride)[inside]] < 0
+    return cut

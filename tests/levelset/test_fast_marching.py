@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -181,6 +183,35 @@ def test_fields_come_through_a_redistancing_constant_along_normals() -> None:
         np.abs(at_cells(surface, np.sqrt((points**2).sum(axis=0))) - 9.6 - surface.band.psi).mean()
         < 0.01
     )
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("ratio", [2.0, 3.5, 5.0])
+@pytest.mark.parametrize("shape", ["ball", "oblique tube"])
+def test_where_spacings_differ_no_cell_has_the_value_of_another_place(ratio, axis, shape) -> None:
+    """Neighbours nearer in mm may lie beyond the band, further off in voxels: at every cell, not in the mean.
+
+    Without them up to 23 fine voxels off (the ball, 5:1:1), the field up to 1.1.
+    """
+    fine = 0.25
+    spacing = np.full(3, fine)
+    spacing[axis] *= ratio
+    radius = 3.0 + 3.2 * spacing.max()
+    points = points_of([math.ceil(2 * radius / h) + 14 for h in spacing], spacing)
+    along = OBLIQUE if shape == "oblique tube" else np.zeros(3)
+    off_axis = points - along[:, None, None, None] * np.tensordot(along, points, 1)
+    r = np.sqrt((off_axis**2).sum(axis=0))
+    surface = marched(r - radius, tuple(spacing))
+    # The tube goes on beyond the border.
+    within = radius / 2 if shape == "oblique tube" else np.inf
+    amid = (np.abs(at_cells(surface, points)) < within).all(axis=1)
+    distance = np.abs(surface.band.psi - at_cells(surface, r - radius))
+    assert check_level_set(surface) == [] and distance[amid].max() < 0.25 * fine
+    normal = at_cells(surface, off_axis) / at_cells(surface, r)[:, None]
+    truth = np.sin(2.0 * normal[:, 0]) + normal[:, 1] * normal[:, 2]
+    known, front = truth.astype(np.float32), surface.front()
+    surface.extend_outwards(known, front)
+    assert np.abs(known - truth)[amid].max() < 0.2
 
 
 # ---------------------------------------------------------------------------------------------------------------- rest
