@@ -205,6 +205,44 @@ def test_parts_of_a_ball_with_unequal_spacing(at: Triple) -> None:
     assert ball_on(at, (2, 1, 1), "constant-density", n=20) < 0.05
 
 
+def growing_ball(n: int, alpha: float, at: Triple, t_end: float = 0.46) -> float:
+    """`radial_error` of flowable mass that grows from .35 to .45 mm under F = -1 + 2 alpha/r, voxels of 2.6 mm/n."""
+    case = Case("grows", 0.35, lambda r: -1 + 2 * alpha / r, alpha, t_end, 3, flowable=True)
+    shape = tuple(round((24 if part == 0.5 else 20) * n / 32) for part in at)
+    on = box((shape[0], shape[1], shape[2]), (2.6 / n, 2.6 / n, 2.6 / n), at)
+    return radial_error(case, "flowable-mass", on, 0.5 * 2.6 / n)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("alpha", [0.0, 0.02, 0.05])
+@pytest.mark.parametrize("at", [(0.5, 0.5, 0), (0.5, 1, 0.5), (0.5, 0, 1), (1, 0, 1)])
+def test_parts_of_a_growing_ball_at_the_border_move_as_the_whole_one(
+    at: Triple, alpha: float
+) -> None:
+    """Centred on a face, an edge, a corner: the mirrored whole is the ball, .002 to .013 voxel off amid the volume."""
+    assert (
+        growing_ball(32, alpha, at, 0.42) < growing_ball(32, alpha, (0.5, 0.5, 0.5), 0.42) + 0.015
+    )
+
+
+#: The ball's centre lies .38 mm from the border: it passes it at about 45 degrees.
+ACROSS = 0.38 / (20 * 2.6 / 32)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("at", [(0.5, 0.5, ACROSS), (0.5, ACROSS, 1 - ACROSS), (ACROSS,) * 3])
+def test_an_area_weight_alone_turns_a_ball_that_passes_the_border_at_another_angle(
+    at: Triple,
+) -> None:
+    """No ball solves it then: the contact line's force turns the surface to a right angle, twice as far with 2 alpha.
+
+    Without one it is as near to the ball as amid the volume, at a face, an edge and a corner.
+    """
+    free, weak, strong = (growing_ball(32, alpha, at) for alpha in (0.0, 0.01, 0.02))
+    assert free < growing_ball(32, 0.0, (0.5, 0.5, 0.5)) + 0.005 < 0.03
+    assert weak > 3 * free and strong == pytest.approx(2 * weak, rel=0.2)
+
+
 # ------------------------------------------------------------------------------------------------- mirror identity
 
 
