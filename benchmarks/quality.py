@@ -271,10 +271,10 @@ def even_odds(rows: Rows, model: Mapping[str, Any]) -> float:
 
     The model counts no measure of a correction, so it states less than is true of results that a person has corrected.
     """
-    stated = {
+    values_of = {
         name: [
             value
-            for row, value in zip(each, probabilities(model, each, "clicks"), strict=True)
+            for row, value in zip(each, stated(model, each, "clicks"), strict=True)
             if is_corrected(row)
         ]
         for name, each in rows.items()
@@ -286,7 +286,7 @@ def even_odds(rows: Rows, model: Mapping[str, Any]) -> float:
                 (row for row in rows[name] if is_corrected(row)), values, strict=True
             )
         ]
-        for name, values in stated.items()
+        for name, values in values_of.items()
         if values
     }
     line = trained(corrected, "clicks")
@@ -340,6 +340,17 @@ def probabilities(
     return out
 
 
+def stated(model: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], kind: str) -> list[float]:
+    """The probabilities as the program states them: in a game no click raises that of the result before it."""
+    out: list[float] = []
+    game = None
+    for row, value in zip(rows, probabilities(model, rows, kind), strict=True):
+        is_first = not out or row.get("game") != game
+        out.append(value if is_first else min(value, out[-1]))
+        game = row.get("game")
+    return out
+
+
 class Judged(NamedTuple):
     """The probabilities of the rows of an object, and below which of them a warning is given."""
 
@@ -357,7 +368,7 @@ def judged(rows: Rows, kind: str) -> dict[str, Judged]:
         even = even_odds(others, model) if kind == "clicks" else WARNED
         out |= {
             name: Judged(
-                probabilities(model, each, kind),
+                (stated if kind == "clicks" else probabilities)(model, each, kind),
                 [even if is_corrected(row) else WARNED for row in each],
             )
             for name, each in rows.items()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.model.model import is_right, largest_reach
-from accelsurf.clicks.model.reach import ClickReach, reach_of
+from accelsurf.clicks.model.reach import ClickReach, farthest_from, reach_of
 from accelsurf.clicks.reading import check_left, clicks_of, on_image
 from accelsurf.correct import object_changes
 from accelsurf.correct.corrected_surface import (
@@ -83,6 +83,8 @@ class Change(NamedTuple):
         On which all clicks were already; None where they were not.
     rim : float
         Width of the rim of the region, mm, in which the surface may leave its place by less and less.
+    moved_mm : float
+        How far from the clicks the farthest voxel is that changed sides.
     """
 
     object_id: int
@@ -93,6 +95,7 @@ class Change(NamedTuple):
     reach: ClickReach | None = None
     side: Side | None = None
     rim: float = 0.0
+    moved_mm: float = 0.0
 
     @property
     def is_bounded(self) -> bool:
@@ -106,13 +109,15 @@ class Change(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The effect in words: how many voxels moved, how far from the click at most, and what was left as it is."""
+        """The effect in words: how many voxels moved, how far from the click, and what was left as it is."""
         if not self.voxels:
             return f"nothing changed{f': it is already {self.side}' if self.side else ''}"
         moved = f"moved {self.voxels} voxels in {self.seconds:.2f} s"
         if self.reach is None:
             return moved
-        moved += f", none more than {self.reach.mm:.3g} mm from the click"
+        farthest, bound = f"{self.moved_mm:.3g}", f"{self.reach.mm:.3g}"
+        moved += f", up to {farthest} mm from the click"
+        moved += f" (reach {bound} mm)" if farthest != bound else ""
         if not self.is_bounded:
             return moved
         left = f"{self.reach.left} more look alike, up to {self.reach.farthest_mm:.3g} mm away"
@@ -122,6 +127,13 @@ class Change(NamedTuple):
     def near_for_all(self) -> float:
         """The value of ``near``, mm, with which the clicks change all that they would change without a bound."""
         return 0.0 if self.reach is None else float(math.ceil(self.reach.farthest_mm + self.rim))
+
+
+class Extent(NamedTuple):
+    """How far from its clicks a correction could change an object, and how far it did, mm."""
+
+    reach_mm: float
+    moved_mm: float
 
 
 def changes_text(changes: Sequence[Change]) -> str:
@@ -177,8 +189,8 @@ class Refiner:
         self._reach = window_reach(self._settings, state.prepared.geometry)
         self._undo: list[RunConfig] = []
         self._seconds = 0.0
-        #: Largest reach of each correction by clicks, mm, by its number; of those before this one it is not known.
-        self._reaches: dict[int, float] = {}
+        #: Of each correction by clicks, by its number; of those before this one it is not known.
+        self._extents: dict[int, Extent] = {}
 
     @property
     def surfaces(self) -> tuple[CorrectedSurface, ...]:
@@ -290,7 +302,8 @@ class Refiner:
                     changes = self._rearrange(number, correction, workers)
             reaches = [change.reach.mm for change in changes if change.reach is not None]
             if reaches:
-                self._reaches[number] = max(reaches)
+                moved = max(change.moved_mm for change in changes)
+                self._extents[number] = Extent(max(reaches), moved)
             self._seconds += time.perf_counter() - began
             return changes
         except BaseException:  # Ctrl-C too
@@ -394,7 +407,7 @@ class Refiner:
         """Go back to the state before the last correction that was made; with none nothing happens."""
         if self._objects.undo():
             self.config = self._undo.pop()
-            self._reaches.pop(len(self.config.refine), None)
+            self._extents.pop(len(self.config.refine), None)
 
     def _correct(
         self, place: int, new: Sequence[Click], near: float | str, stepping: Stepping
@@ -438,7 +451,7 @@ class Refiner:
         )
         for other in sorted(takes):
             self._objects.take_from(other, region, outcome.psi, stepping.workers)
-        changed = int(np.count_nonzero((outcome.psi < 0) != (psi < 0)))
+        changed = (outcome.psi < 0) != (psi < 0)
         seconds = time.perf_counter() - began
         reach = ClickReach(
             region.reach,
@@ -446,7 +459,16 @@ class Refiner:
             sum(each.left for each in reaches),
             max((each.farthest_mm for each in reaches), default=0.0),
         )
-        return Change(surface.id, region.box, changed, seconds, stop, reach, rim=region.rim)
+        return Change(
+            surface.id,
+            region.box,
+            int(np.count_nonzero(changed)),
+            seconds,
+            stop,
+            reach,
+            rim=region.rim,
+            moved_mm=farthest_from(new, region.box, changed, self._spacing),
+        )
 
     def _relabelled(
         self, surface: CorrectedSurface, new: Sequence[Click]
@@ -549,7 +571,7 @@ class Refiner:
         base, models = self._result, self._objects.models
         objects = tuple(self._objects.segmented(surface) for surface in self._objects.surfaces)
         seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
-        reaches = [self._reaches.get(number) for number in range(len(self.config.refine))]
+        extents = [self._extents.get(number) for number in range(len(self.config.refine))]
         clicks = on_image(models.clicks, self._state.prepared.first, base.geometry.shape)
         return dataclasses.replace(
             base,
@@ -557,7 +579,11 @@ class Refiner:
             has_ids=self.has_ids,
             config=self.config,
             state=self._objects.state,
-            resolved_settings={**base.resolved_settings, "reach_mm": reaches},
+            resolved_settings={
+                **base.resolved_settings,
+                "reach_mm": [None if each is None else each.reach_mm for each in extents],
+                "moved_mm": [None if each is None else each.moved_mm for each in extents],
+            },
             seconds=seconds,
             clicks=clicks,
             late_leakage=_still_inside(base.late_leakage, objects),

@@ -144,7 +144,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
     ``presmooth_mm``; ``scale``, the values of each channel that became 0 and 1; ``step_voxels`` and
     ``limiter_percentile``; ``diffusion``, a rate or free; ``stop``: motion of less than so many voxels in so many
     steps; ``half_width_voxels`` of the band; ``levels``; after corrections ``reach_mm``, how far from its clicks each
-    could move the surface.
+    could move the surface, and ``moved_mm``, how far the farthest voxel is that it moved.
 
     Parameters
     ----------

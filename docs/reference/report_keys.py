@@ -27,6 +27,8 @@ REPORT_KEYS = {
     "resolved_settings.stop": "the rule of convergence: the surface moves by less than so many voxels in so many steps",
     "resolved_settings.reach_mm": "how far from its clicks each correction could move the surface, mm; null: "
     "it has no clicks, or an earlier command made it",
+    "resolved_settings.moved_mm": "how far from its clicks the farthest voxel is that each correction moved, mm; "
+    "null as of `reach_mm`",
     "resolved_settings.half_width_voxels": "half width of the narrow band, voxels",
     "resolved_settings.levels": "number of grids that the run went over",
     "levels": "each grid, coarsest first: number, size, spacing (mm), steps, reason to go on, cells visited",

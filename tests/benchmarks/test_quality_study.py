@@ -50,6 +50,19 @@ def judged(*values: float) -> quality.Judged:
     return quality.Judged(list(values), [quality.WARNED] * len(values))
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_no_click_of_a_game_raises_what_is_stated(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    games = [
+        row(0.5, v, game=game) for game in ("exact", "jittered") for v in random.normal(size=4)
+    ]
+    model = quality.trained(ROWS, "clicks")
+    alone, stated = (f(model, games, "clicks") for f in (quality.probabilities, quality.stated))
+    for first in (0, 4):  # each game begins anew
+        least = np.minimum.accumulate(alone[first : first + 4])
+        assert stated[first : first + 4] == least.tolist()
+
+
 def test_figures_count_what_is_said_to_be_good() -> None:
     rows = {
         "one": [row(0.5, 0.0, hinted=0.6, person=0.8), row(0.9, 0.0), row(0.75, 0.0)],

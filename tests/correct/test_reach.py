@@ -79,7 +79,14 @@ def test_no_voxel_moves_beyond_the_stated_reach(name, near, seed):
         assert far[moved].max(initial=0.0) <= change.reach.mm + 1e-4
         assert change.reach.mm <= shown + 1e-4
         assert change.reach.mm == near if near != "auto" else change.reach.mm >= 0.0
-        assert refiner.result().resolved_settings["reach_mm"][-1] == change.reach.mm
+        assert change.moved_mm == pytest.approx(far[moved].max(initial=0.0), abs=1e-4)
+        settings = refiner.result().resolved_settings
+        assert settings["reach_mm"][-1] == change.reach.mm
+        assert settings["moved_mm"][-1] == change.moved_mm
+        if moved.any():
+            assert f", up to {change.moved_mm:.3g} mm from the click" in change.text
+            is_less = f"{change.moved_mm:.3g}" != f"{change.reach.mm:.3g}"
+            assert (f" (reach {change.reach.mm:.3g} mm)" in change.text) == is_less
 
 
 def test_what_was_not_done_is_named_and_near_does_it():

@@ -18,8 +18,9 @@ from accelsurf.clicks.model.fronts import MIN_RANGE
 from accelsurf.clicks.model.network import Network
 from accelsurf.clicks.model.windows import Floats, Mask
 from accelsurf.grid.boxes import bounding_box, widened
-from accelsurf.image.blocks import block_means
+from accelsurf.image.blocks import block_means, on_voxels
 from accelsurf.image.smoothing import gaussian_mm
+from accelsurf.kernels.distance import distances_within
 
 #: Voxels are looked at up to this part of a block and so many voxels from the boundary.
 REACH, MORE = 0.75, 1.0
@@ -64,11 +65,11 @@ def features_near(
     distance = np.full(inside.shape, np.float32(np.inf))
     if (found := bounding_box(inside)) is not None:  # farther away no distance is looked at
         box = widened(found, inside.shape, [math.ceil(reach / h) + 1 for h in mm])
-        within, beyond = (
-            ndimage.distance_transform_edt(part, sampling=mm)
-            for part in (inside[box], ~inside[box])
-        )
-        distance[box] = beyond - within  # from voxel to voxel: half a step off on either side
+        hz, hy, hx = (float(h) for h in spacing)
+        here = np.ascontiguousarray(inside[box])
+        within, beyond = (distances_within(part, (hz, hy, hx), reach) for part in (~here, here))
+        # From voxel to voxel: half a step off on either side.
+        distance[box] = np.where(here, -within, beyond)
     band = np.abs(distance) <= reach
     where = np.flatnonzero(band if near is None else band & near)
     counted = np.where(np.abs(distance) <= MIXED * finest, np.float32(LITTLE), np.float32(1.0))
@@ -79,7 +80,8 @@ def features_near(
             for values in (part, part * image, part * image * image)
         ]
         weight = np.maximum(sums[0], 1e-6)
-        sides.append([_at(part_sum / weight, blocks, where, image.shape) for part_sum in sums[1:]])
+        at_voxels = (on_voxels(part_sum / weight, blocks, image.shape) for part_sum in sums[1:])
+        sides.append([values.ravel()[where] for values in at_voxels])
     (mean_in, square_in), (mean_out, square_out) = sides
     variance = 0.5 * (
         np.maximum(square_in - mean_in**2, 0.0) + np.maximum(square_out - mean_out**2, 0.0)
@@ -126,15 +128,3 @@ def at_boundary(
 
 def _around(blocks: Floats) -> Floats:
     return np.asarray(ndimage.uniform_filter(blocks, AROUND, mode="constant"))
-
-
-def _at(
-    blocks: NDArray[np.floating],
-    steps: Sequence[int],
-    where: NDArray[np.int64],
-    shape: Sequence[int],
-) -> NDArray[np.floating]:
-    """Values of blocks at voxels, linear between their middles."""
-    index = np.unravel_index(where, shape)
-    places = [(along - 0.5 * (step - 1)) / step for along, step in zip(index, steps, strict=True)]
-    return np.asarray(ndimage.map_coordinates(blocks, places, order=1, mode="nearest"))

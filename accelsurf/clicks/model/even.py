@@ -36,7 +36,8 @@ SURE = 1.1
 OF_IMAGE = 0.35
 #: A click is larger than people make them from so many of the smallest spacings on.
 BEYOND = 9.0
-#: It is read as one of so many too, whose radius still says something of the object's (`windows.LARGEST`).
+#: It is read as one of so many too, whose radius still says something of the object's (`windows.LARGEST`), or as the
+#: smallest of which the object is as deep as the whole click: all of that lies in it.
 PEOPLES = 7.0
 #: A shell is this much wider than the ball in it, and this part of a spacing at least.
 WIDER, MIN_WIDER = 1.15, 0.75
@@ -131,8 +132,8 @@ def is_beyond_people(seed: Seed, scene: Scene) -> bool:
 
 
 def as_people_click(seed: Seed, scene: Scene) -> Seed:
-    """Return a click in the middle of a larger one, as large as people make them."""
-    return _ball(seed.core[0], PEOPLES * scene.step, seed, scene)
+    """Return a click in the middle of a larger one: as large as people's, or the least whose object holds it."""
+    return _ball(seed.core[0], max(PEOPLES * scene.step, seed.radius / DEEPER), seed, scene)
 
 
 def dithered(values: Floats, noise: float) -> Floats:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import Box, connected_to, enclosing, on_box, widened
+from accelsurf.grid.boxes import (
+    Box,
+    bounding_box,
+    connected_to,
+    corner_of,
+    enclosing,
+    on_box,
+    placed_at,
+    widened,
+)
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import axis_steps
 
@@ -136,6 +145,16 @@ def distances_from(click: Click, box: Box, spacing: Spacing) -> NDArray[np.float
     whole = enclosing(box, click.box)
     far = ndimage.distance_transform_edt(~click.mask_on(whole), sampling=spacing)
     return np.asarray(on_box(far.astype(np.float32), whole, box, 0.0))
+
+
+def farthest_from(clicks: Sequence[Click], box: Box, changed: Mask, spacing: Spacing) -> float:
+    """Return the largest distance, mm, of a voxel of a mask on a box from the nearest of some clicks; 0 of none."""
+    tight = bounding_box(changed)
+    if tight is None:
+        return 0.0
+    part, here = placed_at(tight, corner_of(box)), changed[tight]
+    nearest = np.min([distances_from(click, part, spacing)[here] for click in clicks], axis=0)
+    return float(nearest.max())
 
 
 def most_voxels(side: Side, radius: float, count: int, spacing: Spacing, is_flat: bool) -> int:

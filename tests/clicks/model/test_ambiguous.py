@@ -7,6 +7,8 @@ from accelsurf.api.segment import segment
 from accelsurf.clicks.model import Scene, click_model
 from accelsurf.clicks.model.answers import LIKELIEST, OF_ALIKE, Answer
 from accelsurf.clicks.model.confidence import confidence_of
+from accelsurf.clicks.model.even import PEOPLES, as_people_click
+from accelsurf.clicks.model.windows import inscribed_radius, seed_of
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Clicks
@@ -84,6 +86,20 @@ def test_an_ambiguous_result_is_never_said_to_be_good(answer):
     assert line.count(" mm2") == 2 and "--size" in line  # areas in an image of one slice
     assert f"--answer {3 - answer}" in line
     assert ("the smaller one was taken" in line) == (answer == 1)
+
+
+@pytest.mark.parametrize("radius", [9.5, 12.0, 15.0, 24.0])
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (2.0, 0.7, 0.7)])
+def test_an_object_is_read_as_no_less_deep_than_the_click_in_it(radius, spacing):
+    step = min(spacing)
+    shape = tuple(int(2.2 * radius * step / h) + 3 for h in spacing)
+    scene = Scene((np.zeros(shape, np.float32),), spacing)
+    at = tuple(n // 2 for n in shape)
+    seed = seed_of(clicked_balls.ball("inside", at, radius * step, shape, spacing), scene)
+    small = as_people_click(seed, scene)
+    assert small.radius < 0.9 * seed.radius
+    assert inscribed_radius(small, scene) > 0.9 * seed.radius  # balls of voxels
+    assert small.radius > 0.9 * PEOPLES * step
 
 
 def test_a_usual_click_and_a_stated_size_are_not_ambiguous():
