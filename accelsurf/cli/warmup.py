@@ -12,6 +12,8 @@ from accelsurf.errors import OutputError
 
 #: A file beside the stored kernels: all are there, for the processor and the compiler that it names.
 _COMPLETE = "complete.txt"
+#: Said in place of `COMPILING_ALL` where nothing is to be compiled.
+_LOADING = "loading the kernels, which are stored already"
 
 
 def warmup(*, display: Display | None = None) -> int:
@@ -32,7 +34,8 @@ def warmup(*, display: Display | None = None) -> int:
     compile_all(display)
     if not display.quiet:
         new = len(storage.stored() - before)
-        print(f"{new} kernels compiled and stored, {len(before)} were there")
+        compiled = f"{new} kernels compiled and stored" if new else "nothing to compile"
+        print(f"{compiled}, {len(before)} kernels were stored already")
         print(f"folder {storage.STORAGE}")
     return 0
 
@@ -43,7 +46,7 @@ def compile_all(display: Display) -> None:
     from accelsurf.kernels import storage
 
     runs = small_runs()
-    with counted(display, COMPILING_ALL, len(runs)) as advance:
+    with counted(display, _LOADING if is_complete() else COMPILING_ALL, len(runs)) as advance:
         for name, run in runs.items():
             advance(name)
             run()

@@ -327,7 +327,7 @@ def extent_text(volume_mm3: float, geometry: Geometry) -> str:
     axis = geometry.slice_axis
     if axis is None:
         return volume_text(volume_mm3, geometry.unit)
-    return size_text(volume_mm3 / geometry.spacing[axis], geometry.unit, power=2, digits=4)
+    return size_text(volume_mm3 / geometry.spacing[axis], geometry.unit, power=2)
 
 
 def _warnings(

@@ -240,7 +240,7 @@ def outcome_title(name: str, result: Result) -> str:
     """Return the heading of a picture: how the run ended, and how large the object is."""
     unit = result.geometry.unit
     if result.enclosed_mm2 is not None:
-        size = size_text(result.enclosed_mm2, unit, 2, digits=4)
+        size = size_text(result.enclosed_mm2, unit, 2)
     else:
         size = volume_text(result.estimates.volume_mm3, unit)
     reason = "" if result.stop.reason == "converged" else f", {result.stop.reason}"

@@ -159,7 +159,7 @@ def in_unit(mm: float, unit: str, power: int = 1) -> float:
     return mm * _IN_MM[unit] ** power
 
 
-def size_text(mm: float, unit: str = "mm", power: int = 1, digits: int = 6) -> str:
+def size_text(mm: float, unit: str = "mm", power: int = 1, digits: int = 4) -> str:
     """Return a length, an area (power 2) or a volume (power 3) in the unit of the file that it was measured in.
 
     Parameters
@@ -169,12 +169,12 @@ def size_text(mm: float, unit: str = "mm", power: int = 1, digits: int = 6) -> s
     unit : {"mm", "um", "nm"}
     power : int
     digits : int
-        How many, at most.
+        How many, at most: the intervals around measures are a thousandth of them wide at best, so four are known.
 
     Examples
     --------
-    >>> size_text(0.0123456789, "um"), size_text(1.12084e-5, "um", 3, digits=4), size_text(34161.94, power=2)
-    ('12.3457 um', '11210 um3', '34161.9 mm2')
+    >>> size_text(0.0123456789, "um"), size_text(1.12084e-5, "um", 3), size_text(34161.94, power=2)
+    ('12.35 um', '11210 um3', '34160 mm2')
     """
     number = float(f"{in_unit(mm, unit, power):.{digits}g}")
     text = f"{number:.12g}" if abs(number) < 1e7 else f"{number:.{digits}g}"
@@ -224,7 +224,7 @@ def volume_text(mm3: float, unit: str = "mm") -> str:
     ('1523 ml', '12.3 mm3', '420 um3', '2.5e+08 um3')
     """
     if unit != "mm":
-        return size_text(mm3, unit, 3, digits=4)
+        return size_text(mm3, unit, 3)
     if mm3 >= 1000:
         return f"{mm3 / 1000:.4g} ml" if mm3 < 1e7 else f"{mm3 / 1e6:.4g} l"
     return f"{mm3:.4g} mm3" if mm3 >= 0.01 or mm3 <= 0 else f"{mm3 * 1e9:.4g} um3"

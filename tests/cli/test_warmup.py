@@ -78,9 +78,13 @@ def test_it_says_how_many_were_compiled_and_where_they_are(monkeypatch, capsys, 
         warmup, "small_runs", lambda: {"one": (tmp_path / "new.nbc").touch, "two": list}
     )
     assert cli.execute(["warmup"]) == 0
-    out = capsys.readouterr().out
-    assert "1 kernels compiled and stored, 1 were there" in out and str(tmp_path) in out
+    out, err = capsys.readouterr()
+    assert "1 kernels compiled and stored, 1 kernels were stored" in out and str(tmp_path) in out
+    assert "compiling" in err
     assert warmup.is_complete()
+    assert cli.execute(["warmup"]) == 0
+    out, err = capsys.readouterr()
+    assert "nothing to compile, 2 kernels were stored already" in out and "compiling" not in err
     assert cli.execute(["warmup", "--quiet"]) == 0
     assert capsys.readouterr().out == ""
 

@@ -201,8 +201,11 @@ def test_the_command_prints_the_estimates_and_their_intervals(tmp_path):
     image = 100.0 * ball()[1] + np.random.default_rng(0).normal(0, 30, (45, 40, 40))
     result = segment(image, inside="ball:20,20,22,5vox")
     measures, around = printed(result, tmp_path)[1:3]
-    assert measures.startswith(f"volume {result.estimates.volume_mm3:.6g} mm3")
-    ends = [f"{float(f'{end:.4g}'):g}" for end in result.intervals.volume_mm3]
+    best, *ends = [
+        f"{float(f'{value:.4g}'):g}"
+        for value in (result.estimates.volume_mm3, *result.intervals.volume_mm3)
+    ]
+    assert measures.startswith(f"volume {best} mm3 ")
     assert around.startswith(f"  95 %: volume {ends[0]} to {ends[1]} mm3, area ")
     assert around.endswith(" mm") and " diameter " in around
 

@@ -1,11 +1,15 @@
 import io as streams
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import tifffile
+from matplotlib.text import Text
 from PIL import Image, ImageColor
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.output.pictures.canvas import GREEN, ORANGE, SKY
+from accelsurf.io import read_sequence
+from accelsurf.output.pictures.canvas import GREEN, ORANGE, SKY, Canvas
 from accelsurf.track.output import slices
 from accelsurf.track.output.frames import FrameStore, TrackSet
 from tests.support.trackings import Ball, dividing_cells, flat_cells, tracking
@@ -115,6 +119,37 @@ def test_pictures_of_no_object_can_be_drawn(tmp_path):
     tracks = set_of(tracking(flat_cells().sequence.geometry, [{}, {}]), tmp_path)
     assert not is_color(pixels_of(slices.film_strip_png(tracks)), ORANGE)[:, 200:].any()
     assert pixels_of(slices.curves_png(tracks)).shape == (*slices.CURVES_SIZE[::-1], 3)
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("mm", 1.0), ("um", 1e-3), ("nm", 1e-6)])
+@pytest.mark.parametrize("file", [False, True])
+def test_pictures_are_in_the_unit_of_the_sequence(tmp_path, monkeypatch, unit, mm, file):
+    written = []
+    png = Canvas.png
+    monkeypatch.setattr(
+        Canvas,
+        "png",
+        lambda self: (written.extend(self.figure.findobj(Text)), png(self))[1],
+    )
+    geometry = Geometry((8, 16, 16), (2 * mm, mm, mm), unit=unit)
+    made = tracking(geometry, [{1: Ball((4.0, 8.0, 8.0), 2.5 * mm)}] * 2)
+    tracks = set_of(made, tmp_path)
+    if file:  # headers give their grid in mm, and the unit beside it
+        stack = np.stack([frame.image.array for frame in made.results]).astype(np.uint8)
+        tifffile.imwrite(
+            tmp_path / "frames.tif",
+            stack[:, :, None],
+            imagej=True,
+            metadata={"axes": "TZCYX", "spacing": 2, "unit": unit},
+            resolution=(1, 1),
+        )
+        tracks = replace(tracks, sequence=read_sequence(tmp_path / "frames.tif"))
+    slices.film_strip_png(tracks)
+    slices.curves_png(tracks)
+    texts = [text.get_text() for text in written]
+    captions = [text for text in texts if text.startswith("frame ") and "z = " in text]
+    assert len(captions) == 2 and all(text.endswith(f"z = 8 {unit}") for text in captions)
+    assert f"volume ({unit}\u00b3)" in texts and f"2 {unit}" in texts  # the scale bar
 
 
 def test_curves_have_a_gap_where_the_object_is_not_seen(tmp_path):

@@ -289,6 +289,11 @@ class TrackSet:
         """Grid of every frame."""
         return self.sequence.geometry
 
+    @cached_property
+    def unit(self) -> str:
+        """Unit in which lengths are shown: that of the first frame, as headers of sequences give their grid in mm."""
+        return self.sequence.frame(self.rows[0].frame).geometry.unit if self.rows else "mm"
+
     @property
     def label_type(self) -> np.dtype[Any]:
         """Type of the label maps of all frames."""

@@ -56,6 +56,7 @@ from accelsurf.output.pictures.slices import (
     name_section,
     write_line_names,
 )
+from accelsurf.settings.wording import in_unit
 from accelsurf.track.output.frames import DrawnObject, FrameRow, TrackSet
 from accelsurf.track.records import SurfacePiece
 
@@ -237,7 +238,7 @@ def film_strip_png(tracks: TrackSet) -> bytes:
         panel = Box(x, y, x + PANEL, y + tall)
         shown = draw_frame(canvas, panel, tracks.geometry, frame, view, ("predicted", "corrected"))
         below = canvas.height - shown.axes.bbox.y0 + 8
-        canvas.text((x + PANEL / 2, below), _caption(tracks, row, shown), TITLE_SIZE, anchor="ma")
+        canvas.text((x + PANEL / 2, below), _caption(tracks, frame, shown), TITLE_SIZE, anchor="ma")
         if number == 0:
             color = next(iter(view.colors.values()), DARK)
             predicted = NamedLine("predicted", REFERENCE, REFERENCE_DASHES)
@@ -259,11 +260,12 @@ def _height(tracks: TrackSet, view: TrackView) -> float:
     return min(max(PANEL * tall / wide, LOWEST), HIGHEST)
 
 
-def _caption(tracks: TrackSet, row: FrameRow, shown: Slice) -> str:
+def _caption(tracks: TrackSet, frame: FrameContent, shown: Slice) -> str:
     """Return the time of a frame, and of a volume the place of the slice."""
+    time = time_text(tracks, frame.row)
     if tracks.geometry.slice_axis is not None:
-        return time_text(tracks, row)
-    return f"{time_text(tracks, row)}, {across_text(shown, tracks.geometry.unit)}"
+        return time
+    return f"{time}, {across_text(shown, frame.image.geometry.unit)}"
 
 
 def picked(rows: tuple[FrameRow, ...]) -> list[FrameRow]:
@@ -339,13 +341,17 @@ def movie_frames(tracks: TrackSet, panels: Sequence[str] = PANELS) -> Iterator[P
 def curves_png(tracks: TrackSet) -> bytes:
     """Draw the volume of each object against time, with a gap where it is not seen.
 
+    Volumes are in ml or mm3, of an image in um or nm in these.
+
     Returns
     -------
     bytes
         A PNG file.
     """
     largest = max((shape.volume_mm3 for row in tracks.rows for shape in row.objects), default=0.0)
-    unit, scale = ("mm\u00b3", 1.0) if largest < 1e3 * SMALL else ("ml", 1e-3)
+    unit, scale = f"{tracks.unit}\u00b3", in_unit(1.0, tracks.unit, 3)
+    if tracks.unit == "mm" and largest >= 1e3 * SMALL:
+        unit, scale = "ml", 1e-3
     curves = {
         number: [
             (row.time, scale * shape.volume_mm3 if shape.seen else np.nan) for row, shape in life
