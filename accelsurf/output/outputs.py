@@ -242,14 +242,12 @@ def preview_content(result: Result, title: str) -> PreviewContent:
     title : str
         Its heading.
     """
-    is_2d = result.geometry.slice_axis is not None
     return PreviewContent(
         image=result.volume.array,
         psi=result.psi,
         geometry=result.geometry,
         history=result.run_history,
         steps_left_out=len(result.history) - len(result.run_history),
-        surface=result.surface if not is_2d and _has_surface(result) else None,
         start=result.start,
         title=title,
         anatomical=shows_patient(result.volume),
@@ -278,12 +276,4 @@ def _next_clicks(result: Result) -> list[tuple[float, float, float]]:
 
 def _object_shapes(result: Result) -> tuple[ObjectShape, ...]:
     """Return the parts of each of several objects that are drawn."""
-    is_2d = result.geometry.slice_axis is not None
-    counts = (
-        0 if is_2d or not found.has_surface else len(found.surface.vertices)
-        for found in result.objects
-    )
-    return tuple(
-        ObjectShape(found.id, found.box, found.psi, count)
-        for found, count in zip(result.objects, counts, strict=True)
-    )
+    return tuple(ObjectShape(found.id, found.box, found.psi) for found in result.objects)

@@ -113,7 +113,7 @@ def test_a_rest_is_reported_and_a_run_that_ends_there_has_its_volume(tmp_path):
     assert run(path, *words) == 0
     leaked = report(path)
     (rest,) = leaked["quality"]["rests"]
-    assert not [one["path"] for one in leaked["outputs"] if "rest" in one["path"]]
+    assert "rest1" not in [one["kind"] for one in leaked["outputs"]]
     assert run(path, *words, "--stop-at-rest") == 0
     rested = report(path)
     assert rested["stop"]["reason"] == "rested" and rested["quality"]["rests"] == [rest]
