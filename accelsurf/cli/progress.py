@@ -222,7 +222,7 @@ def shown_kind(display: Display) -> ProgressKind:
 
 def print_json(line: Mapping[str, Any]) -> None:
     """Print an event on stderr, as JSON on one line."""
-    print(json.dumps(json.loads(to_json(line))), file=sys.stderr, flush=True)
+    say(json.dumps(json.loads(to_json(line))))
 
 
 def table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
