@@ -234,19 +234,6 @@ def printable(text: str, length: int) -> str:
     return text
 
 
-def doubt_line(text: str) -> str:
-    """Return the line about a doubt: a warning, unless it says itself that it is a note.
-
-    Examples
-    --------
-    >>> doubt_line("area: it shrinks"), doubt_line("object 3: note: click: of two kinds")
-    ('warning: area: it shrinks', 'note: object 3: click: of two kinds')
-    """
-    before, note, after = text.partition("note: ")
-    is_note = note and (not before or before.startswith("object "))
-    return f"note: {before}{after}" if is_note else f"warning: {text}"
-
-
 @contextmanager
 def shown_warnings() -> Iterator[None]:
     """Print each warning of accelsurf once, as a line; those of libraries go the usual way."""
