@@ -19,12 +19,11 @@ from accelsurf.cli.interrupts import (
     MAX_ERROR,
     MAX_HINT,
     Interrupts,
-    guarded,
     open_missing,
+    output_failure,
     printable,
     say,
     shown_warnings,
-    without_garbage,
 )
 from accelsurf.errors import AccelsurfError
 from accelsurf.version import __version__
@@ -159,24 +158,9 @@ def execute(argv: Sequence[str]) -> int:
     interrupts = Interrupts.current()
     interrupts.install()
     try:
-        with guarded() as output:
-            with shown_warnings():
-                code = _run(arguments, debug, interrupts)
-            output.flush()
-            code = interrupts.exit_code(code)
-            # A reader that has seen enough, as in `accelsurf info | head`, is no error.
-            if (
-                output.error is not None
-                and not isinstance(output.error, BrokenPipeError)
-                and code == 0
-            ):
-                reason = getattr(output.error, "strerror", None) or output.error
-                code = _say(
-                    7,
-                    f"standard output: cannot be written ({reason})",
-                    "files that were written are complete",
-                )
-            return code
+        with shown_warnings():
+            code = _run(arguments, debug, interrupts)
+        return interrupts.exit_code(code)
     finally:
         interrupts.uninstall()
 
@@ -190,12 +174,13 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
             or 0
         )
+        sys.stdout.flush()
     except CycloptsError as error:
         command = " ".join(["accelsurf", *(error.command_chain or ())])
         problem = str(error)
         if isinstance(error, UnusedCliTokensError):
             problem = f"{command}: {' '.join(error.unused_tokens or ())}: unexpected argument"
-        return _say(2, without_garbage(problem, arguments), f"{command} --help lists the options")
+        return _say(2, problem, f"{command} --help lists the options")
     except AccelsurfError as error:
         if debug:
             raise
@@ -204,11 +189,19 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
         if debug:
             raise
         return _say(3, f"not enough memory {error}".strip(), "crop or downsample the volume")
+    except SystemExit:  # of rich, which prints the help, when nobody reads it any more
+        return 0
     except (KeyboardInterrupt, Exception) as error:
         # A library may have turned the exception of a signal into one of its own.
         if isinstance(error, KeyboardInterrupt) or interrupts.count:
             interrupts.report("error: ")
             return interrupts.exit_code(INTERRUPTED)
+        if (failure := output_failure(error)) is not None:
+            # A reader that has seen enough, as in `accelsurf info | head`, is no error.
+            if failure.errno == errno.EPIPE:
+                return 0
+            problem = f"standard output: cannot be written ({failure.strerror})"
+            return _say(7, problem, "files that were written are complete")
         if debug:
             raise
         if (wrong := _wrong_name(error)) is not None:

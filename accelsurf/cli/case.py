@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from accelsurf.cli import INTERRUPTED
-from accelsurf.cli.interrupts import Interrupts, doubt_line, resuming_command, say
+from accelsurf.cli.interrupts import Interrupts, resuming_command, say
 from accelsurf.cli.outcome import shortcoming, summary_lines
 from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
 from accelsurf.io import sha256
@@ -372,7 +372,7 @@ def say_warnings(warnings: Iterable[str], watcher: Watcher) -> None:
     """Print the warnings that the watcher has not printed yet."""
     for warning in warnings:
         if warning not in watcher.printed_warnings:
-            say(doubt_line(warning))
+            say(f"warning: {warning}")
 
 
 def note_result(watcher: Watcher, place: Place) -> None:

@@ -7,7 +7,7 @@ and written does not depend on whether somebody can read what it prints.
 from __future__ import annotations
 
 import _thread
-import io
+import errno
 import os
 import shlex
 import signal
@@ -17,14 +17,16 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import IO, Any
+from typing import Any
 
 from accelsurf.errors import AccelsurfWarning
-from accelsurf.settings.wording import escaped, shown
+from accelsurf.settings.wording import escaped
 
 #: Signals that end a program on request; their exit code is 128 more than their number.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _AGAIN_SECONDS = 0.05
+#: Errors of a stream that nobody reads any more, or that has no space left.
+_NOT_WRITTEN = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EBADF)
 #: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
 MAX_ERROR, MAX_HINT = 390, 1000
 
@@ -206,9 +208,7 @@ def resuming_command() -> str:
 
 
 def say(line: str) -> None:
-    """Write a line to stderr also where print cannot: in a signal handler, or when stderr is closed."""
-    if sys.stderr is None:
-        return
+    """Write a line to stderr also where print cannot: in a signal handler, or when nobody reads it."""
     try:
         print(line, file=sys.stderr, flush=True)
     except RuntimeError:  # the main program is writing to it at this moment
@@ -216,21 +216,6 @@ def say(line: str) -> None:
             os.write(2, f"{line}\n".encode(errors="replace"))
     except (OSError, ValueError):  # nobody reads it
         return
-
-
-def without_garbage(message: str, arguments: Sequence[str]) -> str:
-    """Return a message of the command line's parser, with the typed text cut to a readable length.
-
-    Examples
-    --------
-    >>> len(without_garbage('Unknown option: "' + 200 * "x" + '"', [200 * "x"]))
-    78
-    """
-    for word in sorted(arguments, key=len, reverse=True):
-        for part in (word, *word.split("=", 1)):
-            if part and shown(part) != part:
-                message = message.replace(part, shown(part))
-    return message
 
 
 def printable(text: str, length: int) -> str:
@@ -247,19 +232,6 @@ def printable(text: str, length: int) -> str:
             text = text[: length // 2 - 2] + "..." + text[2 - length // 2 :]
         text = escaped(text)
     return text
-
-
-def doubt_line(text: str) -> str:
-    """Return the line about a doubt: a warning, unless it says itself that it is a note.
-
-    Examples
-    --------
-    >>> doubt_line("area: it shrinks"), doubt_line("object 3: note: click: of two kinds")
-    ('warning: area: it shrinks', 'note: object 3: click: of two kinds')
-    """
-    before, note, after = text.partition("note: ")
-    is_note = note and (not before or before.startswith("object "))
-    return f"note: {before}{after}" if is_note else f"warning: {text}"
 
 
 @contextmanager
@@ -280,52 +252,6 @@ def shown_warnings() -> Iterator[None]:
         yield
 
 
-class GuardedStream:
-    """A text stream whose first error is remembered, and after which nothing more is written.
-
-    Parameters
-    ----------
-    stream : file object
-
-    Attributes
-    ----------
-    error : Exception or None
-        The first error.
-    """
-
-    def __init__(self, stream: IO[str]) -> None:
-        self._stream = stream
-        self.error: Exception | None = None
-
-    def write(self, text: str) -> int:
-        """Write text, unless there was an error before."""
-        if self.error is None:
-            try:
-                self._stream.write(text)
-            except (OSError, ValueError) as error:  # ValueError: it was closed
-                self._fail(error)
-        return len(text)
-
-    def flush(self) -> None:
-        """Write the text that is still in memory."""
-        if self.error is None:
-            try:
-                self._stream.flush()
-            except (OSError, ValueError) as error:
-                self._fail(error)
-
-    def _fail(self, error: Exception) -> None:
-        self.error = error
-        # What is left in its buffer would fail again when Python ends.
-        with suppress(OSError, ValueError, io.UnsupportedOperation):
-            null = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(null, self._stream.fileno())
-            os.close(null)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-
 def open_missing() -> None:
     """Open streams that were closed before the program began on the null device.
 
@@ -336,21 +262,12 @@ def open_missing() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # gets the lowest free number
+    # Python has made None of them, and print would write to the other one.
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")
 
 
-@contextmanager
-def guarded() -> Iterator[GuardedStream]:
-    """Guard both streams; yields standard output."""
-    before = sys.stdout, sys.stderr
-    # A stream that was closed is None, and print would write to the other one.
-    output, error = (
-        GuardedStream(open(os.devnull, "w", encoding="utf-8") if stream is None else stream)
-        for stream in before
-    )
-    sys.stdout, sys.stderr = output, error
-    try:
-        yield output
-    finally:
-        output.flush()
-        error.flush()
-        sys.stdout, sys.stderr = before
+def output_failure(error: BaseException) -> OSError | None:
+    """Return an error of standard output, which has no file name as a file has; None of other errors."""
+    is_output = isinstance(error, OSError) and error.filename is None
+    return error if is_output and error.errno in _NOT_WRITTEN else None  # type: ignore[return-value, attr-defined]

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from accelsurf.output.given_image import GivenImage
     from accelsurf.run.result import Result
     from accelsurf.run.run import Run
-    from accelsurf.viewer.drawing_process import DrawingProcess
     from accelsurf.viewer.movie_file import MovieSettings
+    from accelsurf.viewer.scene.scene import Scene
 
 MOVIE = Group("Movie", sort_key=0)
 #: It draws the run; ``color`` is what it colours surfaces by.
@@ -118,7 +118,6 @@ def movie(
     from accelsurf.output.pictures import movies
     from accelsurf.run.run import Run
     from accelsurf.viewer import movie_file
-    from accelsurf.viewer.drawing_process import DrawingProcess, SceneRecipe
 
     look, display = look or Look(), display or Display()
     source, target = required(input, "INPUT"), required(output, "-o FILE, the movie,")
@@ -144,21 +143,20 @@ def movie(
         if not display.quiet:
             print(f"{image.name}: {frames} frames\n  movie  {target.absolute()}")
         return 0
-    drawing = DrawingProcess(watcher.on_warning, 0.0 if preview else movie_settings.turn)
+    volume, *more = given.read("run accelsurf segment again")
+    shown = look.theme, look.color, look.view, movie_settings.size, look.planes
+    scene = movie_file.SceneRecipe(volume, run_settings, reference, *shown).scene()
+    drawn: Run | Result
     try:
-        volume, *more = given.read("run accelsurf segment again")
-        shown = look.theme, look.color, look.view, movie_settings.size, look.planes
-        drawing.make_scene(SceneRecipe(volume, run_settings, reference, *shown))
-        drawn: Run | Result
         if on_disk:
             drawn, what = movie_file.result_in_folder(source, volume, more), "picture"
-            movies.write_png(target, movie_file.picture_of_result(drawn, drawing))
+            movies.write_png(target, movie_file.picture_of_result(drawn, scene))
         else:
             with watcher.watch(image.name, run_settings.max_steps, "writing the steps so far"):
                 drawn = Run(volume, run_settings, None, more)
-                what = _draw(drawn, drawing, target, None if preview else movie_settings, watcher)
+                what = _draw(drawn, scene, target, None if preview else movie_settings, watcher)
     finally:
-        drawing.close()
+        scene.close()
     watcher.note(
         f"the {'picture' if preview else 'movie'} of the steps so far is written: {target.absolute()}"
     )
@@ -251,17 +249,17 @@ def _source(
 
 
 def _draw(
-    run: Run, drawing: DrawingProcess, target: Path, movie: MovieSettings | None, watcher: Watcher
+    run: Run, scene: Scene, target: Path, movie: MovieSettings | None, watcher: Watcher
 ) -> str:
     """Run to the end; write the movie, or without its settings a picture of the last step; describe the file."""
     from accelsurf.output.pictures import movies
     from accelsurf.viewer import movie_file
 
     if movie is None:
-        movies.write_png(target, movie_file.last_picture(run, drawing, watcher.on_step))
+        movies.write_png(target, movie_file.last_picture(run, scene, watcher.on_step))
         return "picture"
     count = movies.write_movie(
-        target, movie_file.pictures(run, drawing, movie, watcher.on_step), movie.size, movie.fps
+        target, movie_file.pictures(run, scene, movie, watcher.on_step), movie.size, movie.fps
     )
     return f"{count} frames, {count / movie.fps:.1f} s"
 

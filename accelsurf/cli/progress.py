@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from accelsurf.cli.interrupts import MAX_ERROR, Interrupts, doubt_line, printable, say
+from accelsurf.cli.interrupts import MAX_ERROR, Interrupts, printable, say
 from accelsurf.cli.options import Display, ProgressKind
 from accelsurf.output.document import to_json
 from accelsurf.settings.trace_columns import row_values
@@ -118,7 +118,7 @@ class Watcher:
     def on_warning(self, text: str) -> None:
         """Print a doubt about the start, before the first step."""
         self.printed_warnings.add(text)
-        say(doubt_line(text))
+        say(f"warning: {text}")
 
     def on_window(self, window: Window) -> None:
         """Show the part of a large image that a run begins on."""
@@ -222,7 +222,7 @@ def shown_kind(display: Display) -> ProgressKind:
 
 def print_json(line: Mapping[str, Any]) -> None:
     """Print an event on stderr, as JSON on one line."""
-    print(json.dumps(json.loads(to_json(line))), file=sys.stderr, flush=True)
+    say(json.dumps(json.loads(to_json(line))))
 
 
 def table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:

@@ -76,7 +76,7 @@ def _made_for() -> str:
 
 
 def small_runs() -> dict[str, Callable[[], Any]]:
-    """Return runs by name, that together call every kernel: segmentations, trackings, and a small picture."""
+    """Return runs by name, that together call every kernel: segmentations and trackings."""
     from accelsurf.api import warmup as segmentations
     from accelsurf.track import track
 
@@ -84,7 +84,6 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         **segmentations.small_runs(),
         "windows": _in_windows,
         **track.small_runs(),
-        "a picture": _picture,
     }
 
 
@@ -102,10 +101,3 @@ def _in_windows() -> None:
     for values in (image.array, np.clip(100 * image.array, 0, 255).astype(np.uint8)):
         large = LargeImage((LazyVolume.of_array(image.with_array(values)),), sys.maxsize)
         segment_in_windows(large, config)
-
-
-def _picture() -> None:
-    """A triangle that faces the viewer."""
-    from accelsurf.output.pictures.rasterizer import render
-
-    render([[0, 0, 0], [9, 0, 0], [0, 0, 9]], [[0, 1, 2]], size=8)

@@ -33,7 +33,6 @@ from accelsurf.run.result import (
     RunState,
     SegmentedObject,
     earlier_probability,
-    on_larger_box,
 )
 from accelsurf.run.setup import half_width
 from accelsurf.settings.run_config import RunConfig
@@ -333,6 +332,5 @@ class CorrectedObjects:
             history=now.history,
             stop=now.stop,
             clicked=clicked,
-            plateaus=on_larger_box(segmented.plateaus, segmented.box, box),
             before=now.before,
         )

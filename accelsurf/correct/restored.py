@@ -17,7 +17,6 @@ from accelsurf.correct.state_file import (
     StateFile,
     box_of,
     masks_of,
-    plateaus_of,
     surface_of,
 )
 from accelsurf.errors import InputError
@@ -190,7 +189,7 @@ def _object(
 ) -> SegmentedObject:
     """An object as the state has it, with the image of the run."""
     try:
-        psi, plateaus = surface_of(stored), plateaus_of(stored)
+        psi = surface_of(stored)
     except (ValueError, TypeError) as error:
         raise InputError(f"the state is damaged ({error})", "run accelsurf segment again") from None
     before = None if stored.before is None else EarlierProbability(stored.before)
@@ -201,7 +200,7 @@ def _object(
             psi=psi,
             history=list(stored.history),
             stop=stored.stop,
-            plateaus=plateaus,
+            plateaus=stored.plateaus,
             before=before,
         )
     return dataclasses.replace(
@@ -212,6 +211,6 @@ def _object(
         geometry=cropped(base.geometry, box),
         history=list(stored.history),
         stop=stored.stop,
-        plateaus=plateaus,
+        plateaus=stored.plateaus,
         before=before,
     )

@@ -22,13 +22,14 @@ from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.grid.boxes import Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level
 from accelsurf.io.files import bytes_within
-from accelsurf.run.result import BoxMask, Plateau, Result
+from accelsurf.measure.likely import Plateau
+from accelsurf.run.result import BoxMask, Result
 from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
 
 #: Version of the file; raised when its content changes.
-VERSION = 3
+VERSION = 4
 _AGAIN = "run accelsurf segment again with --keep-state yes"
 _LEVEL = 1  # of zlib: more takes longer and saves little
 
@@ -51,18 +52,8 @@ class SurfaceFile(NamedTuple):
     far: float
 
 
-class RestFile(NamedTuple):
-    """A `Plateau`, with its voxels packed."""
-
-    step: int
-    volume_mm3: float
-    left_at: int
-    place: tuple[float, float, float]
-    inside: PackedArray
-
-
 class ObjectFile(NamedTuple):
-    """An object: its ``id``, ``surface``, ``history``, ``stop`` and ``rests``.
+    """An object: its ``id``, ``surface``, ``history``, ``stop`` and ``plateaus``.
 
     ``before`` is the least probability before its corrections by clicks; None where none was made.
     """
@@ -71,7 +62,7 @@ class ObjectFile(NamedTuple):
     surface: SurfaceFile
     history: tuple[StepRecord, ...]
     stop: Stop
-    rests: tuple[RestFile, ...]
+    plateaus: tuple[Plateau, ...]
     before: float | None
 
 
@@ -124,7 +115,7 @@ TYPES: dict[str, type] = {
         MaskFile,
         ObjectFile,
         PackedArray,
-        RestFile,
+        Plateau,
         StateFile,
         StepRecord,
         Stop,
@@ -150,10 +141,7 @@ def state_bytes(result: Result, image: str) -> bytes:
             _packed_surface(segmented.psi, corner_of(segmented.box)),
             tuple(without_costs(segmented.history)),
             segmented.stop,
-            tuple(
-                RestFile(*plateau[:-1], _packed(plateau.labels > 0))
-                for plateau in segmented.plateaus
-            ),
+            segmented.plateaus,
             None if segmented.before is None else segmented.before.value,
         )
         for segmented in result.objects
@@ -279,23 +267,6 @@ def masks_of(state: StateFile) -> dict[int, BoxMask]:
             raise ValueError(f"the mask of correction {image.number} lies beyond the image")
         out[image.number] = BoxMask(box, mask)
     return out
-
-
-def plateaus_of(stored: ObjectFile) -> tuple[Plateau, ...]:
-    """The plateaus of an object, on its box.
-
-    Raises
-    ------
-    ValueError
-        When the file is damaged.
-    """
-    out = []
-    for packed in stored.rests:
-        inside = _unpacked(packed.inside)
-        if inside.dtype != np.bool_ or inside.shape != stored.surface.in_band.shape:
-            raise ValueError(f"a plateau of object {stored.id} does not fit its box")
-        out.append(Plateau(*packed[:-1], inside.view(np.uint8)))
-    return tuple(out)
 
 
 def box_of(stored: ObjectFile) -> tuple[slice, slice, slice]:

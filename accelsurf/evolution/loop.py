@@ -14,7 +14,7 @@ from accelsurf.evolution import lowest, rests
 from accelsurf.evolution.convergence import Restart, StopRule, stalled, surface_is_gone
 from accelsurf.evolution.records import Reason, Step, StepFields, StepRecord, Stop, StopReason
 from accelsurf.evolution.setup import SolverSetup
-from accelsurf.evolution.state import COLUMNS, MASS_COLUMNS, Checkpoint, FoundRest, LoopState
+from accelsurf.evolution.state import COLUMNS, MASS_COLUMNS, Checkpoint, LoopState, Slowest
 from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.protocol import voxel_rates
 from accelsurf.grid.boxes import Corner
@@ -316,9 +316,9 @@ class Evolution:
             )
             columns = self._columns(n, state.potential, fraction, area) | {
                 "returned": True,
-                "back_to": rest.at.step,
+                "back_to": rest.step,
             }
-            reason = Reason("rested", rests.WHY.format(rest.at.step))
+            reason = Reason("rested", rests.WHY.format(rest.step))
         if reason is not None:
             if columns["returned"] and surface.size:
                 fields = StepFields(
@@ -466,16 +466,16 @@ class Evolution:
     def _patience(self) -> int:
         return lowest.patience(self.state, self.rule is not None and self.rule.patience is not None)
 
-    def _left_rest(self, n: int, columns: dict[str, Any]) -> FoundRest | None:
+    def _left_rest(self, n: int, columns: dict[str, Any]) -> Slowest | None:
         """Watch for a rest; the one that the surface has just broken through from, if the run shall end at it."""
-        state, found = self.state, len(self.state.rests.found)
+        state = self.state
+        before = rests.completed(state.rests, self.level, self.surface)
         now = rests.Moment(n, self.level, columns["volume_mm3"], columns["area_mm2"], self.corner)
         self.state.rests = rests.watched(
-            state.rests, self.history[state.first :], now, self.surface, state.fields
+            before, self.history[state.first :], now, self.surface, state.fields
         )
-        return (
-            state.rests.found[-1] if self.stop_at_rest and len(state.rests.found) > found else None
-        )
+        has_left = len(state.rests.found) > len(before.found)
+        return before.slowest if self.stop_at_rest and has_left else None
 
     def _limits_now(self) -> StepLimits:
         """The limits of a step, shorter the more often the run has gone back."""

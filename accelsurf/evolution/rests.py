@@ -19,7 +19,6 @@ from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checkpoint import band_state, complete_state, psi_of
-from accelsurf.settings.budgets import MAX_PLATEAUS
 
 #: Steps that the speed is a mean over; parts of the peak below which a front may rest and above which it breaks
 #: through; part of the volume that it has grown by then.
@@ -28,6 +27,8 @@ WINDOW, SLOW, BURST, GROWTH = 5, 0.5, 0.04, 0.05
 STILL = 0.01
 #: A front without momentum is slow for this many steps: no rest.
 AFTER_RESTART = 10
+#: No more rests of a run are kept: a run that breaks through this often has leaked at the first.
+MAX_FOUND = 3
 #: Why a run ends at one.
 WHY = "it rested at step {}, before it broke through to something else"
 
@@ -54,6 +55,16 @@ def front_speed(records: Sequence[StepRecord], now: Moment) -> float | None:
     return (now.volume_mm3 - last[0].volume_mm3) / swept if swept > 0 else None
 
 
+def completed(watch: RestWatch, level: int, surface: LevelSet) -> RestWatch:
+    """Return the watch with the sides of the voxels beyond the band of its state; without a state of another level."""
+    slowest = watch.slowest
+    if slowest is not None and slowest.level != level:
+        slowest = None
+    if slowest is not None and not slowest.complete:
+        slowest = slowest._replace(surface=complete_state(slowest.surface, surface), complete=True)
+    return watch._replace(slowest=slowest)
+
+
 def watched(
     watch: RestWatch,
     records: Sequence[StepRecord],
@@ -61,7 +72,7 @@ def watched(
     surface: LevelSet,
     fields: StepFields | None,
 ) -> RestWatch:
-    """The watch after one more step; to be called at every step, as bands are kept by reference.
+    """Return the watch after one more step; to be called at every step, after `completed`.
 
     Parameters
     ----------
@@ -74,12 +85,7 @@ def watched(
     fields : StepFields or None
         What moved the surface last.
     """
-    slowest = watch.slowest
-    if slowest is not None and slowest.level != now.level:
-        slowest = None
-    if slowest is not None and not slowest.complete:
-        slowest = slowest._replace(surface=complete_state(slowest.surface, surface), complete=True)
-    watch, speed = watch._replace(slowest=slowest), front_speed(records, now)
+    slowest, speed = watch.slowest, front_speed(records, now)
     if speed is None or surface.size == 0:
         return watch
     if (
@@ -87,8 +93,14 @@ def watched(
         and fields is not None
         and _breaks_through(slowest, watch.peak, speed, now)
     ):
-        rest = FoundRest(slowest, now.step, fastest_place(fields, surface.shape, now.corner))
-        return RestWatch(speed, None, (*watch.found, rest)[:MAX_PLATEAUS])
+        rest = FoundRest(
+            slowest.step,
+            slowest.level,
+            slowest.volume_mm3,
+            now.step,
+            fastest_place(fields, surface.shape, now.corner),
+        )
+        return RestWatch(speed, None, (*watch.found, rest)[:MAX_FOUND])
     watch = watch._replace(peak=max(watch.peak, speed))
     calm = not any(
         record.restarted or record.returned or record.edits for record in records[-AFTER_RESTART:]
@@ -117,7 +129,7 @@ def _is_slowest(watch: RestWatch, speed: float, now: Moment) -> bool:
 
 
 def go_back(
-    rest: FoundRest,
+    rest: Slowest,
     state: LoopState,
     area: np.ndarray,
     surface: LevelSet,
@@ -133,10 +145,9 @@ def go_back(
     psi = surface.dense.psi.reshape(surface.shape)
     psi.fill(surface.gamma)
     z, y, x = (
-        slice(c - k, c - k + n)
-        for c, k, n in zip(rest.at.corner, corner, rest.at.shape, strict=True)
+        slice(c - k, c - k + n) for c, k, n in zip(rest.corner, corner, rest.shape, strict=True)
     )
-    psi[z, y, x] = psi_of(rest.at.surface, rest.at.shape, float(surface.gamma))
+    psi[z, y, x] = psi_of(rest.surface, rest.shape, float(surface.gamma))
     surface.reinitialize(surface.requested_half_width)
     energy.start(surface)
     flow.start(surface)

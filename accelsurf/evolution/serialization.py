@@ -23,7 +23,7 @@ import numpy as np
 from accelsurf.errors import InputError
 
 #: Version of the format; raised when it changes, or the fields of a record or the state of a flow do.
-FORMAT = 3
+FORMAT = 4
 _TREE = "tree"
 _END = ".npy"
 #: What a field of a plain type may hold.

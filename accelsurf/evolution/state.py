@@ -135,11 +135,13 @@ class Slowest(NamedTuple):
 
 
 class FoundRest(NamedTuple):
-    """Rest of the front (``at``), the step ``left_at`` in which it was seen to break through, and the voxel
-    ``place`` (z, y, x) of that level's grid in which it grew fastest then.
+    """Rest of the front: its ``step``, the ``level``, the ``volume_mm3`` then, the step ``left_at`` in which it was
+    seen to break through, and the voxel ``place`` (z, y, x) of that level's grid in which it grew fastest then.
     """
 
-    at: Slowest
+    step: int
+    level: int
+    volume_mm3: float
     left_at: int
     place: Corner
 
@@ -167,11 +169,8 @@ class RestWatch(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """Memory of the surfaces, bytes."""
-        states = [rest.at for rest in self.found] + (
-            [self.slowest] if self.slowest is not None else []
-        )
-        return sum(state.surface.nbytes for state in states)
+        """Memory of the surface, bytes."""
+        return 0 if self.slowest is None else self.slowest.surface.nbytes
 
 
 @dataclass

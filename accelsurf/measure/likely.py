@@ -29,7 +29,7 @@ MODEL_FILE = "good_result.json"
 ModelKind = Literal["clicks", "image"]
 
 
-class PlateauNote(NamedTuple):
+class Plateau(NamedTuple):
     """A plateau of the front: its ``step``, its ``volume_mm3`` then, and the ``place`` (x, y, z; mm, LPS) near which
     the front broke through at step ``left_at``.
     """
@@ -88,7 +88,7 @@ class Quality(NamedTuple):
         deviations from the mean of those that it was learned from; None where no model was learned once.
     leaked : bool
         Whether it grew beyond ``max_volume``.
-    rests : tuple of PlateauNote
+    rests : tuple of Plateau
         Plateaus of the front before it broke through.
     warnings : tuple of str
         What is uncertain, each with a command to try next.
@@ -127,7 +127,7 @@ class Quality(NamedTuple):
     surprise: float | None
     unlike_learned: float | None
     leaked: bool
-    rests: tuple[PlateauNote, ...]
+    rests: tuple[Plateau, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     answers: tuple[Answer, ...] = ()

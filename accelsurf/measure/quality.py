@@ -16,7 +16,7 @@ from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.measure import evidence as places
 from accelsurf.measure.likely import (
     UNSURE,
-    PlateauNote,
+    Plateau,
     Quality,
     features,
     model_kind,
@@ -80,7 +80,7 @@ def assess(
     history: Sequence[StepRecord],
     stop: Stop,
     learned: ValueRange | None = None,
-    plateaus: Sequence[PlateauNote] = (),
+    plateaus: Sequence[Plateau] = (),
     clicked: Mask | None = None,
     confidence: Confidence | None = None,
     before: float | None = None,
@@ -99,7 +99,7 @@ def assess(
     stop : Stop
     learned : ValueRange, optional
         The values that a model learned from the start gives the object.
-    plateaus : sequence of PlateauNote, optional
+    plateaus : sequence of Plateau, optional
     clicked : ndarray (nz, ny, nx) of bool, optional
         Voxels that a person clicked, on either side.
     confidence : Confidence, optional
@@ -153,7 +153,7 @@ def measured(
     history: Sequence[StepRecord],
     stop: Stop,
     learned: ValueRange | None = None,
-    plateaus: Sequence[PlateauNote] = (),
+    plateaus: Sequence[Plateau] = (),
     clicked: Mask | None = None,
     confidence: Confidence | None = None,
 ) -> Quality:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.settings.budgets import MAX_PLATEAUS
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, image_format
 from accelsurf.settings.mesh_formats import Shape, automatic_mesh_formats, ending_of, mesh_formats
 from accelsurf.settings.run_config import RunConfig
@@ -85,9 +84,6 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
     files |= {f"also-{name}": ending_of(name) for name in config.also if name != labels}
     if labels in ("nii", "nii.gz") and (config.name or config.color or config.label_table):
         files["also-itk-snap"] = ending_of("itk-snap")  # which ITK-SNAP reads beside a NIfTI
-    files |= {
-        f"rest{number}": f"rest{number}_seg.{labels}" for number in range(1, MAX_PLATEAUS + 1)
-    }
     files |= {"trace": "trace.csv", "preview": "preview.png"}
     return files | {"statistics": "statistics.csv", "statistics-json": "statistics.json"}
 

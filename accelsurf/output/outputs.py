@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf import io
@@ -83,7 +82,7 @@ def write_result(
     mesh_writers = list(_mesh_writers(result, names, meshes or MeshNotes())) if has_surface else []
     seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
     writers = [*_label_writers(result, names)] if has_surface else []
-    writers += [*_plateau_writers(result, names), *mesh_writers]
+    writers += mesh_writers
     if "sdf" in names and has_surface:
         distance = functools.partial(io.write, result.labels_volume().with_array(result.psi))
         writers.append(("sdf", names["sdf"], distance))
@@ -147,27 +146,6 @@ def _label_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]
             )
         else:
             yield "labels", names[kind], functools.partial(_write_labels, result, result.labels)
-
-
-def _plateau_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """The writers of the label maps of plateaus: each object at its plateau of that number, else at its end."""
-    count = max((len(segmented.plateaus) for segmented in result.objects), default=0)
-    for number in range(1, count + 1):
-        if (kind := f"rest{number}") in names:
-            yield kind, names[kind], functools.partial(_write_plateau, result, number)
-
-
-def _write_plateau(result: Result, number: int, path: Path) -> None:
-    labels = np.zeros_like(result.labels)
-    for segmented in result.objects:
-        inside = (
-            segmented.labels
-            if len(segmented.plateaus) < number
-            else segmented.plateaus[number - 1].labels
-        )
-        part = labels[segmented.box]
-        part[(inside > 0) & (part == 0)] = segmented.id
-    _write_labels(result, labels, path)
 
 
 def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) -> Iterator[Writer]:
@@ -264,14 +242,12 @@ def preview_content(result: Result, title: str) -> PreviewContent:
     title : str
         Its heading.
     """
-    is_2d = result.geometry.slice_axis is not None
     return PreviewContent(
         image=result.volume.array,
         psi=result.psi,
         geometry=result.geometry,
         history=result.run_history,
         steps_left_out=len(result.history) - len(result.run_history),
-        surface=result.surface if not is_2d and _has_surface(result) else None,
         start=result.start,
         title=title,
         anatomical=shows_patient(result.volume),
@@ -300,12 +276,4 @@ def _next_clicks(result: Result) -> list[tuple[float, float, float]]:
 
 def _object_shapes(result: Result) -> tuple[ObjectShape, ...]:
     """Return the parts of each of several objects that are drawn."""
-    is_2d = result.geometry.slice_axis is not None
-    counts = (
-        0 if is_2d or not found.has_surface else len(found.surface.vertices)
-        for found in result.objects
-    )
-    return tuple(
-        ObjectShape(found.id, found.box, found.psi, count)
-        for found, count in zip(result.objects, counts, strict=True)
-    )
+    return tuple(ObjectShape(found.id, found.box, found.psi) for found in result.objects)

@@ -22,24 +22,22 @@ from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.evolution.state import FoundRest
 from accelsurf.grid import pyramid
-from accelsurf.grid.boxes import Box, corner_of, shared
+from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.image import thumbnail
 from accelsurf.image.volume import Volume
-from accelsurf.levelset.checkpoint import psi_of
 from accelsurf.measure import contours
 from accelsurf.measure.contours import Contours
 from accelsurf.measure.intervals import Estimates, Intervals, edge_measures, estimates
-from accelsurf.measure.likely import PlateauNote, Quality
+from accelsurf.measure.likely import Plateau, Quality
 from accelsurf.measure.quality import ValueRange, assess
 from accelsurf.measure.surface_mesh import Surface, extract
 from accelsurf.run.ensemble import overall_stop
 from accelsurf.run.image_context import ImageContext
 from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.run.setup import EnergyLike
-from accelsurf.run.start_pyramid import to_finest
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import size_text
 
@@ -270,11 +268,10 @@ class SegmentedObject:
     @cached_property
     def quality(self) -> Quality:
         """Measures of quality that need no reference."""
-        plateaus = [PlateauNote(*plateau[:-1]) for plateau in self.plateaus]
         seen = self.labels, self.image, self.geometry, self.history, self.stop
         learned = None if self.learned is None else ValueRange(*self.learned)
         before = None if self.before is None else self.before.value
-        return assess(*seen, learned, plateaus, self.clicked, self.confidence, before)
+        return assess(*seen, learned, self.plateaus, self.clicked, self.confidence, before)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -620,41 +617,12 @@ def _common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
     ]
 
 
-class Plateau(NamedTuple):
-    """A plateau of the speed of an object's front.
-
-    Attributes
-    ----------
-    step : int
-        When the front was slow.
-    volume_mm3 : float
-        Its volume then.
-    left_at : int
-        Step in which it was seen to break through.
-    place : (x, y, z)
-        Where it grew fastest then, world mm.
-    labels : ndarray (nz, ny, nx), uint8
-        1 where it was inside then, on the object's part of the image's grid.
-    """
-
-    step: int
-    volume_mm3: float
-    left_at: int
-    place: tuple[float, float, float]
-    labels: NDArray[np.uint8]
-
-
-def plateaus_of(
-    found: Sequence[FoundRest], prepared: PreprocessedInput, box: Box
-) -> tuple[Plateau, ...]:
-    """The plateaus of an object whose part of the image's grid is ``box``."""
-    return tuple(_plateau(rest, prepared, box) for rest in found)
-
-
-def on_larger_box(plateaus: Sequence[Plateau], before: Box, box: Box) -> tuple[Plateau, ...]:
-    """The plateaus of an object whose part of the image's grid was ``before``, and is now the larger ``box``."""
-    around = [(a.start - b.start, b.stop - a.stop) for a, b in zip(before, box, strict=True)]
-    return tuple(plateau._replace(labels=np.pad(plateau.labels, around)) for plateau in plateaus)
+def plateaus_of(found: Sequence[FoundRest], prepared: PreprocessedInput) -> tuple[Plateau, ...]:
+    """Return the plateaus of an object, with their places in the world."""
+    return tuple(
+        Plateau(rest.step, rest.volume_mm3, rest.left_at, _place_of(rest, prepared.geometry))
+        for rest in found
+    )
 
 
 def plateaus_on_whole(plateaus: Sequence[Plateau], window: Window) -> tuple[Plateau, ...]:
@@ -664,20 +632,14 @@ def plateaus_on_whole(plateaus: Sequence[Plateau], window: Window) -> tuple[Plat
     )
 
 
-def _plateau(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> Plateau:
-    geometry, at = prepared.geometry, rest.at
-    grids = pyramid.levels(geometry.shape, geometry.spacing, at.level + 1)
-    far = float(np.abs(at.surface.psi).max(initial=0.0)) or 1.0
-    corner, psi = to_finest(at.corner, psi_of(at.surface, at.shape, far), at.level, grids)
-    labels = np.zeros(tuple(s.stop - s.start for s in box), np.uint8)
-    mine, theirs = shared(corner_of(box), labels.shape, prepared.corner_on_image(corner), psi.shape)
-    labels[mine] = psi[theirs] < 0
-    grid = grids[at.level]
+def _place_of(rest: FoundRest, geometry: Geometry) -> tuple[float, float, float]:
+    """Return the world place (x, y, z), mm, of the middle of a voxel of a rest's level."""
+    grid = pyramid.levels(geometry.shape, geometry.spacing, rest.level + 1)[rest.level]
     middle = [
         f + i * width for f, i, width in zip(grid.first, rest.place, grid.factors, strict=True)
     ]
     x, y, z = (float(v) for v in geometry.index_to_world(middle))
-    return Plateau(at.step, at.volume_mm3, rest.left_at, (x, y, z), labels)
+    return x, y, z
 
 
 class BoxMask(NamedTuple):

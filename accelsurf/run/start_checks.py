@@ -29,9 +29,6 @@ from accelsurf.starts.objects import ObjectStart
 _MIN_WITHIN, _MAX_AROUND, SHELL = 0.2, 0.5, (3.0, 8.0)
 #: A start has outliers if its standard deviation is so many times the median-based one; they lie beyond so many of it.
 _OUTLYING, FAR = 2.0, 4.0
-#: A click has values of two kinds if more than this part lies beyond so many of its median-based spreads: of a normal
-#: distribution, and of one with tails, hardly any do. What is less is left out by a model that learns robustly.
-_OTHER_KIND, _BEYOND_KIND = 0.1, 6.0
 #: Fewest voxels of a start that outliers are looked for in; surroundings and image are sampled at about so many voxels.
 MIN_VOXELS, SAMPLES = 20, 1 << 18
 #: The area cannot pull in a start whose curvature it weighs less than this part of the squared contrast.
@@ -145,15 +142,12 @@ def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]
 
 
 def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
-    """Check that no click inside is like the background, or has values of two kinds, of which the model learns one."""
-    low, width = prepared.context.scales[0]
-    lines = []
-    for click in () if evolving.context.clicks is None else evolving.context.clicks.clicks:
-        if click.side == "inside":
-            lines += _background_line(click, evolving, prepared)
-            values = low + width * prepared.images[0][click.box][click.mask].astype(np.float64)
-            lines += _two_kinds_line(values)
-    return lines
+    """Check that no click inside is like the background."""
+    clicks = () if evolving.context.clicks is None else evolving.context.clicks.clicks
+    lines = [
+        _background_line(click, evolving, prepared) for click in clicks if click.side == "inside"
+    ]
+    return list(itertools.chain.from_iterable(lines))
 
 
 def _background_line(
@@ -231,22 +225,6 @@ def _thinning(shape: Sequence[int]) -> list[int]:
 def _corner_voxels(shape: Sequence[int]) -> list[tuple[int, ...]]:
     """Voxels at the corners of an array, each once."""
     return list(itertools.product(*((0, n - 1) if n > 1 else (0,) for n in shape)))
-
-
-def _two_kinds_line(values: NDArray[np.float64]) -> list[str]:
-    """Check that no good part of a click's voxels, with these values (n,), is unlike the rest.
-
-    A note: the model learns the rest. A click without the other part was not found to help (benchmarks/hints.py).
-    """
-    middle = float(np.median(values))
-    robust = NORMAL_MAD * float(np.median(np.abs(values - middle)))
-    unlike = np.abs(values - middle) > _BEYOND_KIND * robust
-    if values.size < MIN_VOXELS or not robust > 0 or unlike.mean() <= _OTHER_KIND:
-        return []
-    return [
-        f"note: click: {unlike.mean():.0%} of it has other grey values (about {np.median(values[unlike]):.4g}) than "
-        f"the rest ({middle:.4g}), and the model leaves it out"
-    ]
 
 
 def _deepest_ball(mask: NDArray[np.bool_], corner: Sequence[int], geometry: Geometry) -> str:

@@ -1,12 +1,12 @@
-"""Movies of a run: which pictures there are, and the run in a folder of results."""
+"""Movies of a run: the scene that is drawn, its pictures, and the run in a folder of results."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, repeat
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import StepRecord
@@ -20,10 +20,78 @@ from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run
-from accelsurf.viewer.drawing_process import DrawingProcess, Histories, SceneRecipe
 
+if TYPE_CHECKING:
+    from accelsurf.viewer.scene.scene import Scene
+
+Histories = Sequence[Sequence[StepRecord]]
 #: Called with each record and the id of its object (None for one without an id); a true value ends the run.
 OnStep = Callable[[StepRecord, int | None], bool | None]
+
+
+@dataclass(frozen=True)
+class SceneRecipe:
+    """Recipe of a scene, as `accelsurf.viewer.scene.scene.Scene` and its methods take it.
+
+    Attributes
+    ----------
+    volume : Volume
+        The image.
+    settings : RunConfig
+        Of the run: its names and colours of objects, and the window of grey values.
+    reference : Path or None
+        Label map to compare with.
+    theme, color, view : str
+    size : (int, int)
+        Pixels.
+    shows_planes : bool
+    """
+
+    volume: Volume
+    settings: RunConfig
+    reference: Path | None = None
+    theme: str = "dark"
+    color: str = "plain"
+    view: str = "corner"
+    size: tuple[int, int] = (1280, 720)
+    shows_planes: bool = False
+
+    def scene(self) -> Scene:
+        """Make it; errors as of `Scene`, and of the reference and the settings.
+
+        Raises
+        ------
+        GraphicsError
+            When nothing here can draw.
+        """
+        from accelsurf.viewer.scene.headless import require_graphics
+
+        require_graphics()
+        # Only now: where nothing can draw, VTK ends the process.
+        import pyvista
+
+        from accelsurf import io
+        from accelsurf.image.grey_window import parse_window
+        from accelsurf.viewer.scene.colors import given_styles
+        from accelsurf.viewer.scene.scene import Scene
+
+        styles, window = given_styles(self.settings), parse_window(self.settings.window)
+        truth = (
+            None
+            if self.reference is None
+            else io.read_labels(self.reference, grid=self.volume.geometry)
+        )
+        layout = Scene.layout(self.volume.geometry)
+        plotter = pyvista.Plotter(off_screen=True, window_size=list(self.size), **layout)
+        scene = Scene(
+            self.volume, theme=self.theme, reference=truth, plotter=plotter, window=window
+        )
+        scene.restyle(styles)
+        scene.color_by(self.color)
+        scene.tiles.look_from(self.view)
+        scene.show_planes(self.shows_planes)
+        scene.render()
+        return scene
 
 
 @dataclass(frozen=True)
@@ -79,16 +147,16 @@ class MovieSettings:
 
 
 def pictures(
-    run: Run, drawing: DrawingProcess, movie: MovieSettings, on_step: OnStep | None = None
+    run: Run, scene: Scene, movie: MovieSettings, on_step: OnStep | None = None
 ) -> Iterator[Picture]:
-    """Run to the end and draw the steps.
+    """Run to the end and draw the steps; the camera turns from picture to picture.
 
     Parameters
     ----------
     run : Run
         Without a step yet.
-    drawing : DrawingProcess
-        With a scene of the same image.
+    scene : Scene
+        Of the same image.
     movie : MovieSettings
     on_step : callable, optional
         As `OnStep` says.
@@ -96,41 +164,28 @@ def pictures(
     Yields
     ------
     ndarray (height, width, 3), uint8
-
-    Raises
-    ------
-    GraphicsError
-        As of `DrawingProcess.draw`, or when no picture could be drawn.
     """
-    count = 0
-    held = repeat((None, ()), math.ceil(movie.hold * movie.fps))
-    for frame, histories in chain(frames(run, movie.every, on_step), held):
-        picture = drawing.draw(frame, histories)
-        if picture is not None:
-            count += 1
-            yield picture
-    if not count:
-        raise drawing.failure()
+    for number, (frame, histories) in enumerate(frames(run, movie.every, on_step)):
+        if number:
+            scene.tiles.orbit(movie.turn)
+        scene.update(frame, histories)
+        yield scene.screenshot()
+    for _ in range(math.ceil(movie.hold * movie.fps)):
+        scene.tiles.orbit(movie.turn)
+        yield scene.screenshot()
 
 
-def last_picture(run: Run, drawing: DrawingProcess, on_step: OnStep | None = None) -> Picture:
-    """Run to the end and draw the last step; parameters and errors as of `pictures`."""
+def last_picture(run: Run, scene: Scene, on_step: OnStep | None = None) -> Picture:
+    """Run to the end and draw the last step; parameters as of `pictures`."""
     ((frame, histories),) = frames(run, None, on_step)
-    return _drawn(drawing, frame, histories)
+    scene.update(frame, histories)
+    return scene.screenshot()
 
 
-def picture_of_result(result: Result, drawing: DrawingProcess) -> Picture:
-    """Draw a result; errors as of `pictures`."""
-    return _drawn(
-        drawing, Frame.of_result(result), [segmented.history for segmented in result.objects]
-    )
-
-
-def _drawn(drawing: DrawingProcess, frame: Frame, histories: Histories) -> Picture:
-    picture = drawing.draw(frame, histories)
-    if picture is None:
-        raise drawing.failure()
-    return picture
+def picture_of_result(result: Result, scene: Scene) -> Picture:
+    """Draw a result."""
+    scene.update(Frame.of_result(result), [segmented.history for segmented in result.objects])
+    return scene.screenshot()
 
 
 def frames(

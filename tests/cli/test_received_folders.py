@@ -502,7 +502,7 @@ PATHS = {
 SEALS = (None, "", "0" * 64, 7, [], "\udcff", "\ud800", {"seal": ""})
 #: Files of the user that have the names of outputs, of one kind or another; no command below writes them.
 MINE = (
-    "scan.nii scan_surface.stl scan_labels.tif scan_seg.nrrd scan_rest1_seg.nii scan_failed_seg.nii scan_state.npz "
+    "scan.nii scan_surface.stl scan_labels.tif scan_seg.nrrd scan_failed_seg.nii scan_state.npz "
     "scan_objects.csv scan_movie.mp4 scan_tracks.csv thesis.docx notes.txt id_rsa"
 ).split()
 #: Commands that replace or go on, of an image that lies elsewhere.

@@ -14,7 +14,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
 from accelsurf.measure import likely
-from accelsurf.measure.likely import PlateauNote, click_features, features
+from accelsurf.measure.likely import Plateau, click_features, features
 from accelsurf.measure.metrics import dice
 from accelsurf.measure.quality import ValueRange, assess
 from accelsurf.output.document import describe_quality, to_json
@@ -101,7 +101,7 @@ def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
     assert look(mask, mask * 1.0, history).warnings == ()
     # What has broken through after a rest only goes on.
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), history
-    rest = PlateauNote(4, 110.0, 9, (1.0, 2.0, 3.0))
+    rest = Plateau(4, 110.0, 9, (1.0, 2.0, 3.0))
     found = assess(*seen, Stop("max-steps", 60, 6.0, "not converged"), plateaus=[rest])
     assert any(
         words.startswith("growth: ") and words.endswith("try --stop-at-rest")
@@ -114,7 +114,7 @@ def test_a_leak_after_a_rest_names_the_rest():
     mask = z**2 + y**2 + x**2 < 12**2
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), []
     leaked = Stop("leaked", 60, 6.0, "it is too large")
-    rest = PlateauNote(4, 110.0, 9, (1.0, 2.25, 3.0))
+    rest = Plateau(4, 110.0, 9, (1.0, 2.25, 3.0))
     for rests, wanted in (
         ((), "leak: it is too large"),
         ((rest,), "leak: it is too large; try --stop-at-rest"),
@@ -176,7 +176,7 @@ def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
 def test_the_report_has_probability_place_and_rests_as_values():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
-    rest = PlateauNote(4, 3000.0, 9, (1.0, 2.0, 3.0))
+    rest = Plateau(4, 3000.0, 9, (1.0, 2.0, 3.0))
     geometry = Geometry(SHAPE, SPACING, origin=(100.0, 0.0, 0.0))
     history = [step_record(0, volume_mm3=900.0), step_record(9, volume_mm3=7200.0, area_mm2=1800.0)]
     found = assess(
@@ -198,7 +198,7 @@ def test_a_rest_is_noted_where_the_object_has_grown_since():
     mask = (z**2 + y**2 + x**2 < 12**2).astype(np.uint8)
     history = [step_record(0, volume_mm3=1e-6), step_record(9, volume_mm3=5e-6, area_mm2=1800.0)]
     for size, noted in ((4e-6, True), (4.8e-6, False), (6e-6, False)):
-        rest = PlateauNote(4, size, 9, (1.0, 2.0, 3.0))
+        rest = Plateau(4, size, 9, (1.0, 2.0, 3.0))
         found = assess(
             mask, mask.astype(np.float32), Geometry(SHAPE, SPACING), history, DONE, plateaus=[rest]
         )

@@ -11,14 +11,11 @@ import matplotlib.axis
 import numpy as np
 import pytest
 from matplotlib import image as mpl_image
-from matplotlib.colors import to_hex
-from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.grey_window import GreyWindow, window_of
-from accelsurf.measure.surface_mesh import Surface, extract
 from accelsurf.output.pictures import canvas, preview
 from accelsurf.output.pictures.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.output.pictures.slice_views import (
@@ -37,13 +34,11 @@ pytestmark = pytest.mark.pictures
 
 def content(psi, geometry, **changes):
     rows = [step_record(i, restarted=i == 3) for i in range(8)]
-    surface = extract(psi, geometry) if (psi < 0).any() else None
     values = dict(
         image=(psi < 0).astype(np.float32),
         psi=psi,
         geometry=geometry,
         history=rows,
-        surface=surface,
     )
     return PreviewContent(**{**values, "title": "a ball", **changes})
 
@@ -57,17 +52,22 @@ def share_of(picture, color):
     return float((np.abs(picture - wanted).max(axis=2) < 0.02).mean())
 
 
-def test_preview_shows_contour_energies_and_surface():
+def test_preview_shows_contour_and_energies():
     picture = pixels(preview.preview_png(content(*ball_on_grid())))
-    height, width = picture.shape[:2]
+    height = len(picture)
     assert share_of(picture[: height // 2], canvas.ORANGE) > 1e-3  # contours, in the upper half
     assert share_of(picture[height // 2 :], canvas.BLUE) > 1e-4  # energy
     assert share_of(picture[height // 2 :], canvas.VERMILION) > 1e-4  # kinetic energy
-    corner = picture[height // 2 :, 2 * width // 3 :]
-    orange = (
-        (corner[..., 0] > corner[..., 1] + 0.05) & (corner[..., 1] > corner[..., 2] + 0.1)
-    ).mean()
-    assert orange > 0.1  # the surface has the colour of its contour
+
+
+def test_further_clicks_fill_the_places_below_before_the_picture_grows():
+    psi, geometry = wide()
+    heights = []
+    for count in range(5):
+        clicks = [click("outside", (4 + 2 * k, 6, 6)) for k in range(count)]
+        made = content(psi, geometry, history=[], clicks=marks_of(clicks, geometry.spacing))
+        heights.append(len(pixels(preview.preview_png(made))))
+    assert heights[0] == heights[1] == heights[2] < heights[3] == heights[4]
 
 
 def test_preview_is_the_same_twice_and_keeps_no_pyplot_state():
@@ -81,7 +81,7 @@ def test_preview_is_the_same_twice_and_keeps_no_pyplot_state():
 def test_preview_of_an_empty_result(reason):
     psi, geometry = ball_on_grid()
     level = np.full_like(psi, 3.0 if reason == "vanished" else -3.0)
-    picture = pixels(preview.preview_png(content(level, geometry, surface=None)))
+    picture = pixels(preview.preview_png(content(level, geometry)))
     assert share_of(picture, canvas.ORANGE) == 0.0
 
 
@@ -135,9 +135,7 @@ def test_slices_are_cropped_to_the_object_its_clicks_and_a_margin():
         made, clicks=marks_of([click("outside", (10, 50, 40))], geometry.spacing)
     )
     assert shown_ranges(far)[1][1] >= 52
-    assert shown_ranges(content(np.full_like(psi, 3.0), geometry, surface=None)) == whole_ranges(
-        geometry
-    )
+    assert shown_ranges(content(np.full_like(psi, 3.0), geometry)) == whole_ranges(geometry)
 
 
 def test_slices_go_through_the_first_inside_click_else_through_the_largest_section():
@@ -185,7 +183,7 @@ def texts_of(figure):
     return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
 
 
-def test_around_the_object_30_percent_are_shown_and_the_whole_slice_is_inset(figures):
+def test_around_the_object_30_percent_are_shown():
     psi, geometry = wide(
         (60, 90, 96), 12, (30, 40, 50)
     )  # 12 slices of 2 mm, 24 voxels to the sides
@@ -194,58 +192,6 @@ def test_around_the_object_30_percent_are_shown_and_the_whole_slice_is_inset(fig
     for (low, high), own, least in zip(ranges, box, (3, 6, 6), strict=True):
         room = max(round(0.3 * (own[-1] + 1 - own[0])), least)
         assert (low, high) == (own[0] - room, own[-1] + 1 + room)
-    preview.preview_png(content(psi, geometry))
-    insets = [
-        axes for axes in figures[0].axes if to_hex(axes.spines["left"].get_edgecolor()) == "#ffffff"
-    ]
-    assert len(insets) == 4  # in each slice
-    for inset in insets:
-        (part,) = inset.patches
-        assert isinstance(part, Rectangle) and to_hex(part.get_edgecolor()) == canvas.YELLOW.lower()
-        inner, whole = part.get_window_extent(), inset.bbox
-        assert (
-            whole.x0 <= inner.x0 < inner.x1 <= whole.x1
-            and whole.y0 <= inner.y0 < inner.y1 <= whole.y1
-        )
-    # Of an object that fills its image there is none.
-    preview.preview_png(content(*ball_on_grid()))
-    assert not any(axes.patches for axes in figures[1].axes)
-
-
-def test_an_inset_covers_no_object_and_no_click(figures):
-    # An arm of the object reaches into the corner at the upper right of the axial slice; then into both upper ones.
-    psi, geometry = wide((12, 90, 96), 12, (6, 30, 50))
-    for arms in ((slice(60, 80),), (slice(60, 80), slice(20, 40))):
-        for arm in arms:
-            psi[:, 12:30, arm] = -1.0
-        made = content(psi, geometry, history=[])
-        preview.preview_png(made)
-        (axial,) = (axes for axes in figures[-1].axes if axes.get_title().startswith("Slice, z"))
-        insets = [
-            axes.bbox
-            for axes in figures[-1].axes
-            if to_hex(axes.spines["left"].get_edgecolor()) == "#ffffff"
-        ]
-        within = [
-            box
-            for box in insets
-            if axial.bbox.x0 <= box.x0
-            and box.x1 <= axial.bbox.x1
-            and axial.bbox.y0 <= box.y0
-            and box.y1 <= axial.bbox.y1
-        ]
-        rows, columns = np.nonzero((psi < 0).any(axis=0))
-        places = axial.transData.transform(
-            np.array(
-                [
-                    geometry.index_to_world((6, row, column))[:2]
-                    for row, column in zip(rows, columns, strict=True)
-                ]
-            )
-        )
-        for box in within:
-            assert not ((places > (box.x0, box.y0)) & (places < (box.x1, box.y1))).all(axis=1).any()
-        assert len(within) == (1 if len(arms) == 1 else 0)
 
 
 def test_slices_are_the_largest_panels_and_have_two_ticks_at_least(figures):
@@ -280,7 +226,6 @@ def test_ticks_are_laid_out_only_where_there_is_a_scale_and_never_for_a_title(fi
         axes.get_title(): [axis.get_visible() for axis in (axes.xaxis, axes.yaxis)]
         for axes in figures[0].axes
     }
-    assert shown.pop("Surface") == [False, False]
     assert shown.pop("") == [False, True]  # the second scale of the energies
     assert shown.pop("Energy and kinetic energy") == [True, True]
     assert len(shown) >= 3
@@ -375,31 +320,15 @@ def test_energies_of_corrections_are_not_drawn_and_it_is_said(figures):
     assert not any("corrections" in text for text in texts_of(figures[-1]))
 
 
-def test_objects_have_their_own_colours_in_slices_and_in_3d():
+def test_objects_have_their_own_colours():
     psi, geometry = wide()
     boxes = (slice(0, 20), slice(0, 60), slice(0, 64))
     other = np.roll(psi, 18, axis=1)
     several = [ObjectShape(3, boxes, psi), ObjectShape(70, boxes, other)]
-    first, second = extract(psi, geometry), extract(other, geometry)
-    both = Surface(
-        np.concatenate([first.vertices, second.vertices]),
-        np.concatenate([first.faces, second.faces + len(first.vertices)]),
-    )
-    several = [
-        one._replace(vertices=len(mesh.vertices))
-        for one, mesh in zip(several, (first, second), strict=True)
-    ]
-    picture = pixels(
-        preview.preview_png(
-            content(np.minimum(psi, other), geometry, surface=both, objects=several, history=[])
-        )
-    )
-    height, width = picture.shape[:2]
+    both = content(np.minimum(psi, other), geometry, objects=several, history=[])
+    picture = pixels(preview.preview_png(both))
     for color in canvas.OBJECT_COLORS[:2]:
-        assert share_of(picture[: height // 2], color) > 2e-4
-    corner = picture[height // 2 :, 2 * width // 3 :]
-    orange, blue = corner[..., 0] > corner[..., 2] + 0.2, corner[..., 2] > corner[..., 0] + 0.2
-    assert orange.mean() > 0.02 and blue.mean() > 0.02
+        assert share_of(picture[: len(picture) // 2], color) > 2e-4
 
 
 def test_window_is_that_of_the_object_and_its_surroundings():
@@ -433,7 +362,7 @@ def test_the_plotting_library_is_loaded_by_the_first_picture_and_never_pyplot():
         "from accelsurf.output.pictures.preview_content import PreviewContent\n"
         "assert 'matplotlib' not in sys.modules\n"
         "psi = np.ones((5, 6, 7), np.float32); psi[2, 2:4, 2:4] = -1\n"
-        "made = PreviewContent(psi, psi, Geometry(psi.shape, (1.0, 1.0, 1.0)), [], None, 'a')\n"
+        "made = PreviewContent(psi, psi, Geometry(psi.shape, (1.0, 1.0, 1.0)), [], 'a')\n"
         "assert preview.preview_png(made)[1:4] == b'PNG'; sys.exit('matplotlib.pyplot' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=120).returncode == 0

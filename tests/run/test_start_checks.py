@@ -93,30 +93,6 @@ def test_outliers_in_the_start_are_told_and_learned_around():
     assert lines(scan(outlier=True), energy="threshold:50,") == []  # nothing is learned
 
 
-@pytest.mark.parametrize(("radius", "has_note"), [(2.9, True), (6, False)])
-def test_a_click_of_two_kinds_has_a_note(radius, has_note, tmp_path, capsys):
-    """The model learns the larger part, robustly: of the smaller one only a good part is worth saying."""
-    image = scan(outlier=True)  # 12 voxels of stone: of 93 and of 895
-    found = lines(image, "clicks", inside=f"ball:20,20,20,{radius}vox")
-    assert len(found) == has_note
-    if has_note:
-        assert found[0].startswith(
-            "note: click: 13% of it has other grey values (about 900) than the rest (101"
-        )
-        assert "; try" not in found[0]
-        io.write(Volume(image, Geometry(SHAPE, (1.0, 1.0, 1.0))), tmp_path / "scan.nii.gz")
-        words = ["--inside", f"ball:20,20,20,{radius}vox", "--max-steps", "1", "--progress", "none"]
-        cli.execute(["segment", str(tmp_path / "scan.nii.gz"), "-o", str(tmp_path / "out"), *words])
-        said = capsys.readouterr().err
-        assert said.count("note: click: 13% of it") == 1 and "warning: note" not in said
-
-
-def test_no_note_on_clicks_in_noise_with_tails_or_across_an_edge_of_few_voxels():
-    image = scan() + np.random.default_rng(0).laplace(0, 20, SHAPE).astype(np.float32)
-    for click in ("ball:20,20,20,5vox", "ball:20,20,9,4vox", "point:20,20,20"):
-        assert lines(image, "clicks", inside=click) == []
-
-
 def in_air(noise):
     """Two cubes of 100 in air that is black or has noise."""
     image = np.random.default_rng(2).normal(0, noise, SHAPE) if noise else np.zeros(SHAPE)

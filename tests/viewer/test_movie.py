@@ -1,14 +1,10 @@
 """Movies: the frames decode, differ, and show the surface grow; repeated from a result folder; no incomplete file."""
 
-import contextlib
 import importlib.util
 import json
 import os
-import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +14,8 @@ from accelsurf import cli, io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.output.pictures import movies
 from accelsurf.run.run import Run
-from accelsurf.viewer import drawing_process, movie_file
-from tests.support import dying_scene, viewing
+from accelsurf.viewer import movie_file
+from tests.support import viewing
 
 START = "ball:{},{},{},5"
 needs_ffmpeg = pytest.mark.skipif(
@@ -328,193 +324,14 @@ def test_window_sets_the_greys_of_movies_and_their_pictures(image, tmp_path):
         assert moved == pytest.approx(greys, abs=0.05)  # webp loses some
 
 
-# -- a process that draws and dies ---------------------------------------------------------------------------
-
-
-SHORT = [
-    "--size",
-    "320x180",
-    "--hold",
-    "0.3",
-    "--every",
-    "2",
-    "--fps",
-    "10",
-    "--view",
-    "front",
-    "--color",
-    "speed",
-]
-
-
-def processes_of(pid):
-    """Processes that this one began and that go on."""
-    found = []
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            state, parent = status.read_text().rpartition(")")[2].split()[:2]
-            if (
-                int(parent) == pid
-                and state != "Z"
-                and b"drawing" in (status.parent / "cmdline").read_bytes()
-            ):
-                found.append(status.parent.name)
-    return found
-
-
-def movie_of(image, out, monkeypatch, program=None, words=SHORT):
-    """A movie, or a picture, of a process that runs this program."""
-    path, options = image
-    with monkeypatch.context() as patch:
-        if program is not None:
-            patch.setattr(drawing_process, "PROGRAM", program)
-        code = cli.execute(["movie", str(path), "-o", str(out), *options, *words])
-    assert processes_of(os.getpid()) == []
-    return code
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """The movie of a process that lives: its bytes, as each death must leave them."""
-    folder = tmp_path_factory.mktemp("whole")
-    volume, center = viewing.ball_image()
-    io.write(volume, folder / "ball.nii.gz")
-    options = [
-        "--start",
-        START.format(*(f"{v:g}" for v in center)),
-        "--threads",
-        "1",
-        "--max-steps",
-        "9",
-    ]
-    made = (folder / "ball.nii.gz", [*options, "--levels", "1"])
-    for name, words in (("a.gif", SHORT), ("a.png", [*SHORT, "--preview"])):
-        assert (
-            cli.execute(
-                ["movie", str(made[0]), "-o", str(folder / name), *made[1], *words, "--quiet"]
-            )
-            == 0
-        )
-    return made, folder
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(
-    "deaths, early",
-    [({0: 1}, True), ({2: 1}, False), ({4: 1, 6: 1}, True), ({9: 1}, False), ({-1: 1}, True)],
-    ids=["first", "second", "two", "last", "start"],
-)
-def test_a_process_that_dies_once_within_a_picture_costs_nothing(
-    whole, deaths, early, tmp_path, monkeypatch, capsys
-):
-    made, folder = whole
-    number = signal.SIGKILL if len(deaths) % 2 else signal.SIGSEGV
-    (tmp_path / "notes").mkdir()
-    program = dying_scene.program(tmp_path / "notes", deaths, number, early)
-    assert movie_of(made, tmp_path / "a.gif", monkeypatch, program) == 0
-    assert (tmp_path / "a.gif").read_bytes() == (folder / "a.gif").read_bytes()
-    assert "warning" not in capsys.readouterr().err
-    assert len(list((tmp_path / "notes").iterdir())) == sum(deaths.values())
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("step", [9, 2, 6])
-def test_one_that_dies_twice_within_a_picture_repeats_the_one_before(
-    whole, step, tmp_path, monkeypatch, capsys
-):
-    made, folder = whole
-    (tmp_path / "notes").mkdir()
-    program = dying_scene.program(tmp_path / "notes", {step: 2}, signal.SIGSEGV)
-    assert movie_of(made, tmp_path / "a.gif", monkeypatch, program) == 0
-    number = [0, 2, 4, 6, 8, 9].index(step) + 1
-    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning")]
-    why = "the process that draws ended 2 times; the one before is shown again"
-    line = f"warning: picture {number} could not be drawn: {why}"
-    assert said == [line]
-    with Image.open(folder / "a.gif") as good, Image.open(tmp_path / "a.gif") as other:
-        seconds = [
-            sum(frame.info["duration"] for frame in ImageSequence.Iterator(each))
-            for each in (good, other)
-        ]
-    assert seconds[0] == seconds[1]  # as many pictures, of which a GIF joins those that are equal
-    frames = [decoded(folder / "a.gif"), decoded(tmp_path / "a.gif")]
-    assert len(frames[1]) == len(frames[0]) - 1
-    np.testing.assert_array_equal(frames[1][-1], frames[0][-1])
-
-
-def test_a_first_picture_that_cannot_be_drawn_is_left_out(whole, tmp_path, monkeypatch, capsys):
-    made, folder = whole
-    (tmp_path / "notes").mkdir()
-    program = dying_scene.program(tmp_path / "notes", {0: 2}, signal.SIGKILL)
-    assert movie_of(made, tmp_path / "a.gif", monkeypatch, program) == 0
-    assert (
-        "picture 1 could not be drawn: the process that draws ended 2 times; it is left"
-        in capsys.readouterr().err
-    )
-    assert len(decoded(tmp_path / "a.gif")) == len(decoded(folder / "a.gif")) - 1
-
-
-@pytest.mark.slow
-def test_a_preview_is_drawn_once_more(whole, tmp_path, monkeypatch):
-    made, folder = whole
-    (tmp_path / "notes").mkdir()
-    program = dying_scene.program(tmp_path / "notes", {9: 1}, signal.SIGSEGV)
-    assert movie_of(made, tmp_path / "a.png", monkeypatch, program, [*SHORT, "--preview"]) == 0
-    assert (tmp_path / "a.png").read_bytes() == (folder / "a.png").read_bytes()
-
-
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize(
-    "deaths, words",
-    [({-1: 9}, SHORT), ({4: 9, 6: 9, 8: 9}, SHORT), ({9: 9}, [*SHORT, "--preview"])],
-)
-def test_where_nothing_can_be_drawn_one_line_says_so(
-    whole, deaths, words, tmp_path, monkeypatch, capsys
-):
-    (tmp_path / "notes").mkdir()
-    program = dying_scene.program(tmp_path / "notes", deaths, signal.SIGSEGV)
-    out = tmp_path / ("a.png" if "--preview" in words else "a.gif")
-    assert movie_of(whole[0], out, monkeypatch, program, words) == 8
-    said = capsys.readouterr().err
-    assert (
-        said.count("error:") == 1 and "the process that draws ends each time it is started" in said
-    )
-    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
-
-
-def test_a_process_that_draws_ends_with_the_one_that_began_it(image, tmp_path):
-    path, options = image
-    words = [
-        sys.executable,
-        "-m",
-        "accelsurf",
-        "movie",
-        str(path),
-        "-o",
-        str(tmp_path / "a.gif"),
-        *options,
-    ]
-    words += ["--progress", "json"]
-    running = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    assert running.stdout.readline()
-    drawing = processes_of(running.pid)
-    assert len(drawing) == 1
-    running.kill()
-    running.communicate()
-    end = time.monotonic() + 60
-    while any(Path(f"/proc/{pid}").exists() for pid in drawing) and time.monotonic() < end:
-        time.sleep(0.1)
-    assert not any(Path(f"/proc/{pid}").exists() for pid in drawing)
-
-
-def test_what_goes_wrong_in_the_process_that_draws_is_an_error_here(image, tmp_path, capsys):
+def test_a_reference_on_another_grid_is_refused(image, tmp_path, capsys):
     path, options = image
     other = tmp_path / "other.nii.gz"
     io.write(viewing.ball_image((10, 12, 14))[0], other)
     words = ["movie", str(path), "-o", str(tmp_path / "a.gif"), "--reference", str(other), *options]
     assert cli.execute(words) == 3
     assert "the reference is not on the image's grid" in capsys.readouterr().err
-    assert processes_of(os.getpid()) == []
+    assert not (tmp_path / "a.gif").exists()
 
 
 # -- without a screen ---------------------------------------------------------------------------------------

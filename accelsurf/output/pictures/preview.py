@@ -1,4 +1,4 @@
-"""Pictures of a run: where the surface lies in the image, how the energy fell, what the surface looks like.
+"""Pictures of a run: where the surface lies in the image, and how the energy fell.
 
 Pure functions from arrays to PNG bytes.
 """
@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
@@ -19,14 +18,10 @@ from accelsurf.output.pictures.canvas import (
     DASHED,
     HEADING_SIZE,
     INK,
-    LABEL_SIZE,
     PALE,
-    TICK_SIZE,
     VERMILION,
     Box,
     Canvas,
-    draw_scale_bar,
-    font,
     range_of,
     text_width,
     write_legend,
@@ -54,8 +49,6 @@ if TYPE_CHECKING:
 WIDTH, LEFT, RIGHT, GAP = 1386, 78, 30, 92
 #: Height of the title, of a panel, of a large one, of the energies, and below a panel.
 TOP, PANEL, LARGE, LOW, BELOW = 74, 378, 560, 200, 84
-#: Below the surface, for the scale bar and the arrows, and length of the arrows, pixels.
-BELOW_SURFACE, ARROW = 70, 34
 
 
 def preview_png(content: PreviewContent) -> bytes:
@@ -63,9 +56,9 @@ def preview_png(content: PreviewContent) -> bytes:
 
     Above three slices with the contour, through the first click or the largest sections, cropped to the object. Below
     the slice of the fastest late growth if that is known, else that of where to click next, the energies against step,
-    small, and the surface in 3D; then slices through further clicks. Where the object is flat along the thick slices,
-    that slice is above too, both larger, and the two low ones are below. Of an image of one slice: the image with
-    contour and start, and the energies.
+    small, and slices through further clicks. Where the object is flat along the thick slices, that slice is above too,
+    both larger, and the two low ones are below. Of an image of one slice: the image with contour and start, and the
+    energies.
 
     Parameters
     ----------
@@ -94,7 +87,9 @@ def preview_png(content: PreviewContent) -> bytes:
         -3:
     ]
     further = LARGE - PANEL if is_flat else 0
-    canvas = Canvas(WIDTH, TOP + further + (3 if more else 2) * (PANEL + BELOW), content.title)
+    canvas = Canvas(
+        WIDTH, TOP + further + (3 if len(more) > 1 else 2) * (PANEL + BELOW), content.title
+    )
     first = [main[native], second] if is_flat else main
     width = (WIDTH - LEFT - RIGHT - (len(first) - 1) * GAP) / len(first)
     panels = {
@@ -108,13 +103,13 @@ def preview_png(content: PreviewContent) -> bytes:
         panels[low[1]] = below[0]._replace(top=middle + BELOW / 2)
     else:
         panels[second] = below[0]
-    panels |= {view: panel_at(2, column, further) for column, view in enumerate(more)}
+    places = [below[2], panel_at(2, 0, further), panel_at(2, 1, further)]
+    panels |= dict(zip(more, places, strict=False))
     for view, panel in panels.items():
         if view is not None:
             draw_slice(canvas, panel, content, view, ranges, window)
     energies = below[1]._replace(right=below[1].right - 24, bottom=below[1].top + LOW)
     draw_energies(canvas, energies, content.history, content.steps_left_out)
-    draw_surface(canvas, below[2], content)
     write_window(canvas, window, content.geometry)
     return canvas.png()
 
@@ -233,59 +228,3 @@ def energy_curve(history: Sequence[StepRecord]) -> tuple[list[int], list[float]]
         steps.append(row.step)
         values.append(row.potential)
     return steps, values
-
-
-def draw_surface(canvas: Canvas, panel: Box, content: PreviewContent) -> None:
-    """Draw the surface with the directions of the world's axes."""
-    if content.surface is None or not len(content.surface.faces):
-        canvas.text(panel.middle, "no surface", LABEL_SIZE, anchor="mm")
-        return
-    # Not with the module: a picture of slices alone needs no compiled code.
-    from accelsurf.output.pictures.rasterizer import render
-
-    paint: NDArray[np.float64] = _light(content.color())
-    counts = [shape.vertices for shape in content.objects]
-    if sum(counts) == len(content.surface.vertices):
-        paint = np.repeat(
-            [_light(content.color(place)) for place in range(len(counts))], counts, axis=0
-        )
-    size = int(min(panel.width, panel.height - BELOW_SURFACE))
-    picture = render(content.surface.vertices, content.surface.faces, size=size, color=paint)
-    left, mm = round(panel.middle[0] - size / 2), picture.mm_per_pixel
-    square = Box(left, panel.top, left + size, panel.top + size + BELOW_SURFACE)
-    axes = canvas.axes(square, (0, size * mm), (-BELOW_SURFACE * mm, size * mm), frame=False)
-    axes.imshow(
-        picture.pixels,
-        extent=(0, size * mm, 0, size * mm),
-        origin="upper",
-        aspect="auto",
-        interpolation="nearest",
-    )
-    write_title(axes, "Surface")
-    draw_scale_bar(axes, content.unit)
-    for along, letter in zip(picture.axes, "LPS" if content.anatomical else "xyz", strict=True):
-        start, tip = np.array([ARROW, ARROW - 8]), ARROW * along
-        axes.annotate(
-            "",
-            tuple(start + tip),
-            tuple(start),
-            xycoords="axes pixels",
-            textcoords="axes pixels",
-            arrowprops={
-                "arrowstyle": "-|>",
-                "color": INK,
-                "linewidth": 1.5,
-                "shrinkA": 0,
-                "shrinkB": 0,
-                "mutation_scale": 10,
-            },
-        )
-        at = tuple(start + 1.35 * tip)
-        axes.annotate(
-            letter, at, xycoords="axes pixels", ha="center", va="center", **font(TICK_SIZE)
-        )
-
-
-def _light(color: str) -> NDArray[np.float64]:
-    """Return red, green, blue in 0..1 of a colour, lighter: shading darkens it."""
-    return np.array([0.2 + 0.8 * int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)])

@@ -18,7 +18,6 @@ from accelsurf.settings.labels import LabelEntry, LabelTable
 
 if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
-    from accelsurf.measure.surface_mesh import Surface
 
 
 #: The label of the one object of a run without ids.
@@ -26,14 +25,11 @@ ONE_LABEL = 1
 
 
 class ObjectShape(NamedTuple):
-    """One of several objects: its id, its part of the grid, psi there (mm, negative inside), and how many vertices of
-    the common surface are its own.
-    """
+    """One of several objects: its id, its part of the grid, and psi there (mm, negative inside)."""
 
     id: int
     box: Box
     psi: NDArray[Any]
-    vertices: int = 0
 
 
 class ClickMark(NamedTuple):
@@ -94,8 +90,6 @@ class PreviewContent:
         Their grid.
     history : sequence of StepRecord
         One record per step.
-    surface : Surface or None
-        The surface in world mm; None when there is none (vanished or filled).
     title : str
         One line above the picture.
     anatomical : bool
@@ -124,7 +118,6 @@ class PreviewContent:
     psi: NDArray[Any]
     geometry: Geometry
     history: Sequence[StepRecord]
-    surface: Surface | None
     title: str
     anatomical: bool = False
     start: NDArray[Any] | None = None

@@ -7,7 +7,6 @@ click can be read off the picture, otherwise mm along the grid from its first vo
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -49,14 +48,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.patheffects import AbstractPathEffect
 
-#: The inset takes this part of the slice's width or height, whichever is less.
-INSET, SMALL_INSET = 0.27, 0.18
-#: Its distance from an object and its clicks, pixels.
-AWAY_INSET = 8
-#: There is no inset when the slice shows so much of the image.
-NEARLY_ALL = 0.6
-#: Shorter sides than these have no room for an inset, and for a scale bar and letters, pixels.
-MIN_FOR_INSET, MIN_FOR_BAR = 150, 90
+#: A shorter side than this has no room for a scale bar and letters, pixels.
+MIN_FOR_BAR = 90
 #: An object whose section is less deep than this has no room for its id, pixels.
 MIN_FOR_ID = 7
 #: Width of a name at most, pixels.
@@ -110,9 +103,9 @@ class Slice:
     up: DisplayOrientation
     geometry: Geometry
 
-    def section(self, array: NDArray[Any], whole: bool = False) -> NDArray[Any]:
-        """Return the shown part of an array's slice, or the whole slice, (rows, columns)."""
-        parts: list[slice | int] = [slice(None) if whole else slice(*pair) for pair in self.ranges]
+    def section(self, array: NDArray[Any]) -> NDArray[Any]:
+        """Return the shown part of an array's slice, (rows, columns)."""
+        parts: list[slice | int] = [slice(*pair) for pair in self.ranges]
         parts[self.view.plane] = self.view.index
         return np.asarray(self.up.reorient(array)[tuple(parts)])
 
@@ -224,7 +217,7 @@ def draw_slice(
     ranges: Ranges,
     window: GreyWindow,
 ) -> Slice:
-    """Draw a slice of a result with contours, clicks, an inset of the whole slice, letters and a scale bar."""
+    """Draw a slice of a result with contours, clicks, letters and a scale bar."""
     image = ShownImage(content.image, content.geometry, window, content.anatomical, content.unit)
     shown = open_slice(canvas, panel, image, view, ranges)
     contours = _draw_contours(shown, content)
@@ -235,7 +228,6 @@ def draw_slice(
         _draw_mark(shown, content.late_growth, "o", YELLOW, 2, 30)
     for place in content.next_clicks:
         _draw_next_click(shown, place)
-    draw_inset(canvas, shown, image, _reserved(shown, content))
     if content.anatomical:
         write_letters(shown)
     draw_slice_scale(shown, content.unit)
@@ -398,63 +390,6 @@ def _draw_next_click(shown: Slice, place: tuple[float, float, float]) -> None:
     half = 0.5 * text_width("click next?", TICK_SIZE, bold=True) + 4
     aside = min(max(x, box.x0 + half), box.x1 - half) - x
     _write(shown.axes, "click next?", shown.place(place), (aside, -MARK - 4), "data")
-
-
-def _reserved(shown: Slice, content: PreviewContent) -> NDArray[np.bool_]:
-    """Return where nothing may cover a slice, (rows, columns): objects, clicks, places of the next."""
-    free: NDArray[np.bool_] = shown.section(content.psi) < 0
-    places = [*(mark.place for mark in content.clicks), *content.next_clicks]
-    x, y = shown.coordinates()
-    for right, up in (shown.place(place) for place in places if shown.goes_through(place)):
-        free[np.argmin(np.abs(y - up)), np.argmin(np.abs(x - right))] = True
-    return free
-
-
-def draw_inset(
-    canvas: Canvas, shown: Slice, image: ShownImage, reserved: NDArray[np.bool_]
-) -> None:
-    """Draw the whole slice small in a corner, with a frame around the part that is shown; nowhere where it would cover
-    what is ``reserved``.
-    """
-    from matplotlib.patches import Rectangle
-
-    vertical, horizontal = IN_PLANE[shown.view.plane]
-    whole, part = shown.section(image.array, whole=True), shown.section(image.array)
-    box = shown.axes.bbox
-    if part.size > NEARLY_ALL * whole.size or min(box.width, box.height) < MIN_FOR_INSET:
-        return
-    x, y = (
-        (shown.up.coordinate(axis, -0.5), shown.up.coordinate(axis, n - 0.5))
-        for axis, n in ((horizontal, whole.shape[1]), (vertical, whole.shape[0]))
-    )
-    (columns, rows), largest = (
-        shown.coordinates(),
-        min(box.width / (x[1] - x[0]), box.height / (y[1] - y[0])),
-    )
-    across = shown.pixels(columns, np.full(len(columns), rows[0]))[:, 0]
-    down = canvas.height - shown.pixels(np.full(len(rows), columns[0]), rows)[:, 1]
-    for part_of, is_right in itertools.product((INSET, SMALL_INSET), (True, False)):
-        size = part_of * largest * (x[1] - x[0]), part_of * largest * (y[1] - y[0])
-        left, top = box.x1 - 3 - size[0] if is_right else box.x0 + 3, canvas.height - box.y1 + 3
-        place = Box(left, top, left + size[0], top + size[1])
-        covered = (
-            (down < place.bottom + AWAY_INSET) & (down > place.top - AWAY_INSET),
-            ((across < place.right + AWAY_INSET) & (across > place.left - AWAY_INSET)),
-        )
-        if not reserved[np.ix_(*covered)].any():
-            break
-    else:
-        return
-    inset = canvas.axes(place, x, y[::-1] if shown.view.plane == 0 else y)
-    for spine in inset.spines.values():
-        spine.set_edgecolor("white")
-    _draw_image(inset, image.window.grey(whole), (*x, *y))
-    (left, right), (low, high) = shown.axes.get_xlim(), shown.axes.get_ylim()
-    inset.add_patch(
-        Rectangle(
-            (left, low), right - left, high - low, fill=False, edgecolor=YELLOW, linewidth=1.5
-        )
-    )
 
 
 def draw_slice_scale(shown: Slice, unit: str = "mm") -> None:

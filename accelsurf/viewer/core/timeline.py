@@ -238,7 +238,7 @@ class Timeline:
             segmented.evolution.loop.rests
             for segmented in (last.objects if last is not None else ())
         ]
-        return tuple(sorted({rest.at.step for watch in watches for rest in watch.found}))
+        return tuple(sorted({rest.step for watch in watches for rest in watch.found}))
 
     def close(self) -> None:
         """End the run's threads."""
