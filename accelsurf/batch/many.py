@@ -96,7 +96,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
 
     def _run(self) -> None:
         try:
-            with opened_set(self._folder, self._work.names.set) as files:
+            with opened_set(self._folder, self._work.names.set, mend=True) as files:
                 self._run_in(files)
         except BaseException as error:
             self._leave(error)

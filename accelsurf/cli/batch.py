@@ -279,7 +279,7 @@ def _run(
     from accelsurf.output.folder import opened_set
 
     interrupts = Interrupts.current()
-    with opened_set(folder, work.names.set) as files:
+    with opened_set(folder, work.names.set, mend=True) as files:
         if not (overwrite or resume):
             refuse_results(folder, work)
         batch_case.refuse_inputs_of(work.tasks, [folder / name for name in work.names.all], given)

@@ -20,7 +20,7 @@ from accelsurf.cli.interrupts import Interrupts, doubt_line, resuming_command, s
 from accelsurf.cli.outcome import shortcoming, summary_lines
 from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
 from accelsurf.io import sha256
-from accelsurf.io.file_set import finish_killed_runs
+from accelsurf.io.file_set import is_unfinished
 from accelsurf.io.files import write_bytes, written_at
 from accelsurf.output import document, label_files, layouts, result_sets
 from accelsurf.output import folder as output_folder
@@ -292,7 +292,7 @@ def run_case(
     """
     log = Log()
     inputs = place.inputs(config)
-    with output_folder.opened_set(place.folder, place.name, inputs) as files:
+    with output_folder.opened_set(place.folder, place.name, inputs, place.overwrite) as files:
         output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
         if place.has_checkpoint:
             place.refuse_left(place.checkpoint_path)
@@ -529,7 +529,7 @@ def report_failure(place: Place, error: BaseException) -> None:
     """
     with (
         warning_without_report(),
-        output_folder.opened_set(place.folder, place.name, place.inputs(None)) as files,
+        output_folder.opened_set(place.folder, place.name, place.inputs(None), True) as files,
     ):
         _write_failure(_Case(place, files, Log()), None, error)
 
@@ -592,15 +592,7 @@ def exit_code_of_finished(
     """The exit code of a run or a tracking that has ended with these settings, of this image; said unless ``quiet``.
 
     None where there is something to do.
-
-    Raises
-    ------
-    OutputError
-        When files of a killed run cannot be put in place.
     """
-    if not place.folder.is_dir():
-        return None
-    finish_killed_runs(place.folder)
     document = result_sets.load_report(place.report_path)
     if document is None or document["status"] != "ok" or not is_there(place.source):
         return None
@@ -615,6 +607,8 @@ def exit_code_of_finished(
 
 
 def resumed_place(place: Place, planned: Iterable[Path]) -> Place:
-    """The place to go on at: the ``planned`` files of a run that was interrupted or failed may be replaced."""
-    is_free = result_sets.unfinished_alone(place.report_path, planned)
+    """The place to go on at: the ``planned`` files of a run that was killed, interrupted or failed may be replaced."""
+    is_free = is_unfinished(place.folder, place.name) or result_sets.unfinished_alone(
+        place.report_path, planned
+    )
     return replace(place, resume=True, overwrite=place.overwrite or is_free)

@@ -102,7 +102,7 @@ def _fetch_all(files: list[SampleFile], folder: Path, name: str, overwrite: bool
     """
     from accelsurf.output.folder import naming_final, opened_set, refuse_existing
 
-    with opened_set(folder, name) as staged:
+    with opened_set(folder, name, mend=overwrite) as staged:
         refuse_existing(
             {file.name: folder / file.name for file in files if not file.is_at(folder)}, overwrite
         )

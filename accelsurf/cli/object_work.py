@@ -21,7 +21,7 @@ from accelsurf.cli.object_outputs import ObjectsDone, write_outputs
 from accelsurf.cli.options import Display
 from accelsurf.cli.progress import BatchProgress
 from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.io.file_set import refuse_links
+from accelsurf.io.file_set import is_unfinished, refuse_links
 from accelsurf.output import folder as output_folder
 from accelsurf.output import group_files, result_sets
 from accelsurf.output import names as output_names
@@ -147,10 +147,11 @@ def run_objects(
         if not display.quiet:
             print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
         return int(report["exit_code"])
-    if report is not None and report["status"] != "ok" and report.get("objects"):
+    stopped = report is not None and report["status"] != "ok" and report.get("objects")
+    if stopped or (resume and is_unfinished(place.folder, place.name)):
         place = resumed_place(place, place.paths(config).values())
     inputs = place.inputs(config)
-    with output_folder.opened_set(place.folder, place.name, inputs) as files:
+    with output_folder.opened_set(place.folder, place.name, inputs, place.overwrite) as files:
         output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
         work = _work_folder(place, resume)
         done = _Work(place, config, image, options, work).run(display)

@@ -274,7 +274,7 @@ def _source_of(path: Path, image: Path | None) -> _Source:
         When there is none, or more than one, or its state is missing or damaged.
     """
     from accelsurf.io import sha256
-    from accelsurf.io.file_set import finish_killed_runs
+    from accelsurf.io.file_set import refuse_unfinished
     from accelsurf.output import result_sets
     from accelsurf.output.given_image import GivenImage
 
@@ -283,7 +283,7 @@ def _source_of(path: Path, image: Path | None) -> _Source:
         raise InputError(
             f"{path}: there is no such folder or report", "give the folder that -o named"
         )
-    finish_killed_runs(folder)
+    refuse_unfinished(folder)
     report = path
     if path.is_dir():
         known = {path: result_sets.state_of(path) for path in sorted(folder.glob("*_report.json"))}

@@ -147,7 +147,7 @@ def _written(
 ) -> dict[str, Path]:
     """Write a set of files by ``write``, which returns what is known of them, and last the facts."""
     paths = {kind: folder / f"{name}{end}" for kind, end in ends.items()}
-    with opened_set(folder, name) as files:
+    with opened_set(folder, name, mend=overwrite) as files:
         refuse_existing(paths, overwrite)
         facts = write(files, paths)
         with naming_final(files):

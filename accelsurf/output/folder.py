@@ -162,23 +162,27 @@ def commit(
         )
     name = report.removesuffix(report_name(""))
     files.commit(
-        last=report, remove=[*outdated(files.folder, name, written, failed, overwrite), *gone]
+        last=report,
+        remove=[*outdated(files.folder, name, written, failed, overwrite), *gone],
+        mends=not failed,
     )
 
 
 @contextmanager
-def opened_set(folder: Path, name: str, inputs: Sequence[Path] = ()) -> Iterator[FileSet]:
+def opened_set(
+    folder: Path, name: str, inputs: Sequence[Path] = (), mend: bool = False
+) -> Iterator[FileSet]:
     """Make a folder, and prepare the files of a run in it; see `accelsurf.io.file_set.open_set`.
 
     Raises
     ------
     OutputError
-        When nothing can be written there, or another run is writing files of this name.
+        When nothing can be written there, another run is writing files of this name, or the set is unfinished.
     """
     make_writable(folder)
     with ExitStack() as stack:
         try:
-            files = stack.enter_context(open_set(folder, name, inputs=inputs))
+            files = stack.enter_context(open_set(folder, name, inputs=inputs, mend=mend))
         except OSError as error:
             reason = error.strerror or str(error)
             raise OutputError(

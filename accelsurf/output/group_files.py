@@ -21,9 +21,8 @@ from accelsurf.errors import InputError, OutputError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.window import Window
-from accelsurf.io.file_set import sync
+from accelsurf.io.file_set import is_staging, sync, sync_folder
 from accelsurf.io.files import read_json
-from accelsurf.io.set_journals import is_staging, sync_folder
 from accelsurf.output import names as output_names
 from accelsurf.output.document import describe_object, describe_window
 from accelsurf.run.result import SegmentedObject

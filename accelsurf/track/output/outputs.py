@@ -95,7 +95,7 @@ class TrackOutputs:
         self._run, self._overwrite = run or TrackRun(), overwrite
         with ExitStack() as stack:
             self._set = stack.enter_context(
-                output_folder.opened_set(folder, name, self._run.inputs)
+                output_folder.opened_set(folder, name, self._run.inputs, overwrite)
             )
             output_folder.refuse_existing(
                 self.files.paths(folder, name), overwrite, self._run.inputs
@@ -322,7 +322,7 @@ def write_failure(
         When it cannot be written.
     """
     with (
-        output_folder.opened_set(folder, name, run.inputs) as staged,
+        output_folder.opened_set(folder, name, run.inputs, True) as staged,
         output_folder.naming_final(staged),
     ):
         _write_failure(staged, name, files, error, source, run)

@@ -88,7 +88,7 @@ def save(
     output_names.check_outputs(config, labels, run.volume.geometry)
     label_files.check_label_settings(config, run.volume)
     inputs = inputs_of(source, result.config) if source is not None else named_files(result.config)
-    with output_folder.opened_set(folder, name, inputs) as files:
+    with output_folder.opened_set(folder, name, inputs, mend=True) as files:
         what = _all_beside_report(folder / result_sets.report_name(name), what)
         all_names = output_names.names(
             config, labels, run.volume.geometry.slice_axis is not None
