@@ -201,7 +201,7 @@ def _refuse_with_tracks(look: Look, preview: bool, reference: Path | None) -> No
 
 def _movie_of_tracks(folder: Path, given: GivenImage, config: TrackConfig, target: Path) -> int:
     """Write the movie of the tracks in a folder; return how many frames it has."""
-    from accelsurf.output.result_sets import report_name
+    from accelsurf.output.reports import report_name
     from accelsurf.track.output import slices
     from accelsurf.track.output.surfaces import SavedTracks
     from accelsurf.track.track import open_sequence
@@ -236,7 +236,7 @@ def _source(
     from accelsurf.output.given_image import GivenImage
     from accelsurf.viewer import movie_file
 
-    if source.is_dir():
+    if source.is_dir() and not any(source.glob("*_report.json")):
         refuse_unfinished(source)
     if not _has_results(source):
         made = run_config(settings, config)

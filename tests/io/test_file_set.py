@@ -611,12 +611,12 @@ def test_without_a_place_for_a_key_a_set_is_written_and_a_line_says_so(
 def test_an_output_folder_that_goes_away_is_an_error_of_its_name(tmp_path):
     import shutil
 
-    from accelsurf.output.folder import naming_final, opened_set
+    from accelsurf.output.folder import OutputFolder, naming_final
 
     folder = tmp_path / "out"
     with (
         pytest.raises(OutputError, match="out"),
-        opened_set(folder, "scan") as files,
+        OutputFolder(folder, "scan").stage() as files,
         naming_final(files),
     ):
         shutil.rmtree(folder)
