@@ -20,7 +20,7 @@ from accelsurf.batch.run import Batch, refuse_results, task_of
 from accelsurf.batch.tables import Tables
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.io.file_set import FileSet
-from accelsurf.output.folder import opened_set
+from accelsurf.output.folder import OutputFolder
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
@@ -96,7 +96,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
 
     def _run(self) -> None:
         try:
-            with opened_set(self._folder, self._work.names.set) as files:
+            with OutputFolder(self._folder, self._work.names.set, overwrite=True).stage() as files:
                 self._run_in(files)
         except BaseException as error:
             self._leave(error)

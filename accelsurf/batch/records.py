@@ -18,7 +18,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.io.files import read_json, write_bytes
 from accelsurf.output.document import to_json
 from accelsurf.output.folder import named_files
-from accelsurf.output.result_sets import is_of, is_output, load_report, report_name
+from accelsurf.output.reports import is_of, is_output, load_report, report_name
 
 
 def record_path(task: CaseTask) -> Path:

@@ -28,7 +28,7 @@ from accelsurf.errors import OutputError, UsageError
 from accelsurf.io.file_set import FileSet, recover
 from accelsurf.io.memory import available_cores, available_memory
 from accelsurf.output import layouts
-from accelsurf.output.result_sets import is_failure_report, report_name
+from accelsurf.output.reports import Report, report_name
 from accelsurf.settings.track_config import TrackConfig
 
 #: Makes the line of a case whose worker could not.
@@ -279,7 +279,7 @@ def refuse_results(folder: Path, work: Batch) -> None:
     tables = [folder / name for name in reversed(work.names.all)]
     reports = [task.folder / report_name(task.case.id) for task in work.tasks]
     existing = [path for path in tables if path.exists()]
-    existing += [path for path in reports if path.exists() and not is_failure_report(path)]
+    existing += [path for path in reports if path.exists() and not Report(path).is_failure]
     if existing:
         raise OutputError(
             f"{existing[0]}: exists already",

@@ -276,10 +276,10 @@ def _run(
     from accelsurf.cli import batch_case
     from accelsurf.cli.progress import BatchProgress
     from accelsurf.io.file_set import uninterrupted
-    from accelsurf.output.folder import opened_set
+    from accelsurf.output.folder import OutputFolder
 
     interrupts = Interrupts.current()
-    with opened_set(folder, work.names.set) as files:
+    with OutputFolder(folder, work.names.set, overwrite=True).stage() as files:
         if not (overwrite or resume):
             refuse_results(folder, work)
         batch_case.refuse_inputs_of(work.tasks, [folder / name for name in work.names.all], given)

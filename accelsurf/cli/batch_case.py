@@ -18,14 +18,15 @@ from accelsurf.batch import records
 from accelsurf.batch.outcome import CaseTask, Outcome, outcome_of_report
 from accelsurf.batch.pool import Failure
 from accelsurf.cli import track_case
-from accelsurf.cli.case import Place, check_reference, report_failure, run_case
+from accelsurf.cli.case import check_reference, report_failure, run_case
 from accelsurf.cli.interrupts import WorkerInterrupts
 from accelsurf.cli.options import Display
 from accelsurf.cli.progress import Watcher
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import channels, read_labels
 from accelsurf.io.file_set import InputFiles
-from accelsurf.output.result_sets import load_report, outdated_inputs, report_name
+from accelsurf.output.folder import OutputFolder, outdated_inputs
+from accelsurf.output.reports import load_report, report_name
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
@@ -127,11 +128,11 @@ def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
     return _failed(task, failure.message, hint, code, failure.details)
 
 
-def place_of(task: CaseTask) -> Place:
+def place_of(task: CaseTask) -> OutputFolder:
     """Return the image of a case and the folder of its files."""
     further = (task.case.reference,)
-    return Place(
-        task.case.image, task.folder, task.case.id, task.overwrite, task.resume, further=further
+    return OutputFolder(
+        task.folder, task.case.id, task.case.image, task.overwrite, task.resume, further=further
     )
 
 
@@ -151,15 +152,15 @@ def refuse_inputs_of(
     )
     read.refuse(tables)
     for place, config in places:
-        read.refuse(outdated_inputs(place.report_path, read))
+        read.refuse(outdated_inputs(place.report, read))
         read.refuse(_outputs(place, config))
 
 
-def _outputs(place: Place, config: RunConfig | TrackConfig) -> Iterable[Path]:
+def _outputs(place: OutputFolder, config: RunConfig | TrackConfig) -> Iterable[Path]:
     """All that a case may write."""
     if isinstance(config, TrackConfig):
-        return track_case.TrackCase(place, config).files.paths(place.folder, place.name).values()
-    return place.paths(config).values()
+        return track_case.TrackCase(place, config).files.paths(place.path, place.name).values()
+    return place.plan(config).values()
 
 
 def make_pool(work: Batch, limits: Limits) -> Pool:
@@ -200,7 +201,7 @@ def _run(task: CaseTask) -> Outcome:
         raise
     done = run_case(place, task.config, watcher, task.strict)
     dice = records.dice_with(done.result.labels_volume(), truth) if truth is not None else None
-    return _concluded(task, done.place.report_path, dice, done.error is None)
+    return _concluded(task, done.place.report, dice, done.error is None)
 
 
 def _concluded(

@@ -20,15 +20,13 @@ from accelsurf.cli.interrupts import Interrupts, resuming_command, say
 from accelsurf.cli.outcome import shortcoming, summary_lines
 from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
 from accelsurf.io import sha256
-from accelsurf.io.file_set import finish_killed_runs
 from accelsurf.io.files import write_bytes, written_at
-from accelsurf.output import document, label_files, layouts, result_sets
-from accelsurf.output import folder as output_folder
-from accelsurf.output import names as output_names
+from accelsurf.output import document, label_files, layouts
 from accelsurf.output.document import describe_input, describe_staged
-from accelsurf.output.folder import inputs_of
+from accelsurf.output.folder import OutputFolder, check_outputs, naming_final, refuse_folder
 from accelsurf.output.given_image import is_there
 from accelsurf.output.mesh_files import MeshNotes, check_mesh_settings
+from accelsurf.output.reports import Report, is_of
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -46,120 +44,8 @@ T = TypeVar("T")
 MAX_HASHED = 1 << 31
 
 
-@dataclass(frozen=True)
-class Place:
-    """The image of a case, and the folder and names of its outputs.
-
-    Attributes
-    ----------
-    source : Path
-        The image.
-    folder : Path
-    name : str
-        First part of every output's name.
-    overwrite : bool
-        Whether existing outputs may be replaced.
-    resume : bool
-        Whether the run goes on from the checkpoint of an earlier one.
-    has_checkpoint : bool
-        Whether it may have one: a correction has none.
-    further : tuple of Path or None
-        Files that the command reads beside the image and what its settings name.
-    """
-
-    source: Path
-    folder: Path
-    name: str
-    overwrite: bool = False
-    resume: bool = False
-    has_checkpoint: bool = True
-    further: tuple[Path | None, ...] = ()
-
-    @classmethod
-    def for_image(
-        cls, source: Path, folder: Path, overwrite: bool = False, *further: Path | None
-    ) -> Place:
-        """The place of an image whose outputs have its name, without suffix; ``further`` files are read, too."""
-        from accelsurf.io.headers import name_of
-
-        return cls(source, folder, name_of(source), overwrite, further=further)
-
-    def inputs(self, config: RunConfig | TrackConfig | None) -> list[Path]:
-        """All files that the command reads: none of them may be replaced."""
-        return inputs_of(self.source, config, *self.further)
-
-    @property
-    def report_path(self) -> Path:
-        """Path of the report."""
-        return self.folder / result_sets.report_name(self.name)
-
-    @property
-    def checkpoint_path(self) -> Path:
-        """Path of the state of the run while it goes on."""
-        return self.folder / f"{self.name}_checkpoint.npz"
-
-    def refuse_left(self, *states: Path) -> None:
-        """Refuse to lose the state of a run that was stopped, in one of ``states``.
-
-        Raises
-        ------
-        OutputError
-            When one of them is there, and the run neither goes on from it nor replaces it.
-        """
-        left = next((path for path in states if path.exists()), None)
-        if left is not None and not (self.resume or self.overwrite):
-            raise OutputError(
-                f"{left}: is the state of a run that was stopped",
-                "add --resume to go on from it, or --overwrite to begin anew",
-            )
-
-    def beside_result(self, config: RunConfig | None) -> Place:
-        """Return the place of a failed run's files: this one, or where a result stands, beside it under other names."""
-        planned = self.paths(config or RunConfig()).values()
-        if result_sets.result_stands(self.folder, self.name, planned):
-            return replace(self, name=self.name + result_sets.FAILED)
-        return self
-
-    def label_format(self, config: RunConfig) -> str:
-        """The format of the label map."""
-        from accelsurf.io import split_name
-
-        return output_names.label_format(config, split_name(self.source)[1])
-
-    def names(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, str]:
-        """Name of every output by its kind; before the image is read (``is_2d`` is None), of all possible ones."""
-        names = output_names.names(config, self.label_format(config), is_2d)
-        names = {kind: f"{self.name}_{name}" for kind, name in names.items()}
-        return layouts.renamed(config, self.source, self.name, names)
-
-    def laid_out(self, config: RunConfig) -> Place:
-        """Return the place in the layout of the settings.
-
-        Raises
-        ------
-        UsageError
-            When the image cannot be in that layout.
-        """
-        layouts.check_layout(config, self.source, self.folder, self.name)
-        return replace(self, folder=layouts.folder_of(config, self.source, self.folder))
-
-    def paths(self, config: RunConfig) -> dict[str, Path]:
-        """Every possible output by kind, the report last; of several objects those that exist already."""
-        names = self.names(config)
-        if not config.has_ids:
-            paths = {kind: self.folder / name for kind, name in names.items()}
-        else:
-            paths = {
-                k: self.folder / name
-                for k, name in names.items()
-                if not k.startswith(output_names.EACH)
-            }
-            paths |= {path.name: path for path in output_names.existing(self.folder, names)}
-        return paths | {"report": self.report_path}
-
-
 #: Computes the result of a case.
-Compute = Callable[["Place", RunConfig, "Watcher", "Log"], "Result"]
+Compute = Callable[[OutputFolder, RunConfig, "Watcher", "Log"], "Result"]
 
 
 @dataclass
@@ -226,7 +112,7 @@ class Log:
 class _Case:
     """A case: its ``place``, the ``files`` that appear all at once, and the ``log`` for the report."""
 
-    place: Place
+    place: OutputFolder
     files: FileSet
     log: Log
 
@@ -237,7 +123,7 @@ class Finished:
 
     Attributes
     ----------
-    place : Place
+    place : OutputFolder
     config : RunConfig
     result : Result
     log : Log
@@ -247,7 +133,7 @@ class Finished:
         What is wrong with it.
     """
 
-    place: Place
+    place: OutputFolder
     config: RunConfig
     result: Result
     log: Log
@@ -258,12 +144,12 @@ class Finished:
         """Return the lines printed at the end; ``name`` is that of the case."""
         log = self.log
         return summary_lines(
-            name, self.result, log.outputs, log.seconds["total"], self.place.report_path
+            name, self.result, log.outputs, log.seconds["total"], self.place.report
         )
 
 
 def run_case(
-    place: Place,
+    place: OutputFolder,
     config: RunConfig,
     watcher: Watcher,
     strict: bool = False,
@@ -273,7 +159,7 @@ def run_case(
 
     Parameters
     ----------
-    place : Place
+    place : OutputFolder
     config : RunConfig
     watcher : Watcher
         Shows progress, and ends the run at Ctrl-C.
@@ -292,10 +178,9 @@ def run_case(
     """
     log = Log()
     inputs = place.inputs(config)
-    with output_folder.opened_set(place.folder, place.name, inputs) as files:
-        output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
+    with place.stage(place.plan(config), inputs) as files:
         if place.has_checkpoint:
-            place.refuse_left(place.checkpoint_path)
+            place.refuse_left(place.checkpoint)
         case = _Case(place, files, log)
         try:
             result = (compute or _compute)(place, config, watcher, log)
@@ -311,7 +196,7 @@ def run_case(
                 if place.has_checkpoint or not isinstance(failure, KeyboardInterrupt):
                     _write_failure(case, config, failure)
                 if place.has_checkpoint:
-                    note_state(watcher, place.checkpoint_path)
+                    note_state(watcher, place.checkpoint)
             raise
     say_warnings(log.warnings, watcher)
     if finished.error is not None:
@@ -329,11 +214,11 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
     content = log.timed("mesh", lambda: outputs.preview_content(result, title))
     error, warnings = shortcoming(place.name, result, strict)
     log.warnings.extend(warnings)
-    gone = [place.checkpoint_path.name] if place.has_checkpoint else []
+    gone = [place.checkpoint.name] if place.has_checkpoint else []
     target = place if error is None else _failed_place(place, config, error)
     case = replace(case, place=target)
     names, meshes = target.names(config, result.geometry.slice_axis is not None), MeshNotes()
-    with output_folder.naming_final(files):
+    with naming_final(files):
         written = outputs.write_result(
             result, files.staging, names, content, log.seconds, log.voxels, meshes
         )
@@ -345,24 +230,20 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
         code = watcher.exit_code(error.exit_code if error is not None else 0)
         status: document.Status = "failed" if error is not None else "ok"
         _write_report(case, config, status, code, error, result)
-        layouts.complete(config, target.source, target.folder)
-        output_folder.commit(
-            files, target.report_path.name, error is not None, target.overwrite, gone
-        )
+        layouts.complete(config, target.image, target.path)
+        target.commit(files, error is not None, gone)
     if config.label_group is not None and error is None:
-        log.timed("write", lambda: label_files.into_image(result, target.source, target.overwrite))
+        log.timed("write", lambda: label_files.into_image(result, target.image, target.overwrite))
     note_result(watcher, target)
     return Finished(target, config, result, log, code, error)
 
 
-def _failed_place(place: Place, config: RunConfig, error: AccelsurfError) -> Place:
+def _failed_place(place: OutputFolder, config: RunConfig, error: AccelsurfError) -> OutputFolder:
     """Return the place of a failed result's files; raise its error where they would replace a result of that name."""
-    target = place.beside_result(config)
-    if target is not place and result_sets.result_stands(
-        target.folder, target.name, target.paths(config).values()
-    ):
+    target = place.beside_result(place.plan(config).values())
+    if target is not place and target.holds_result(target.plan(config).values()):
         say(
-            f"warning: the result of this failed run is not written: {target.folder} has other files {target.name}_*"
+            f"warning: the result of this failed run is not written: {target.path} has other files {target.name}_*"
         )
         raise error
     return target
@@ -375,9 +256,9 @@ def say_warnings(warnings: Iterable[str], watcher: Watcher) -> None:
             say(f"warning: {warning}")
 
 
-def note_result(watcher: Watcher, place: Place) -> None:
+def note_result(watcher: Watcher, place: OutputFolder) -> None:
     """Note the report, for the last line after Ctrl-C."""
-    watcher.note(f"the result is written: {place.report_path.absolute()}")
+    watcher.note(f"the result is written: {place.report.absolute()}")
 
 
 def note_state(watcher: Watcher, state: Path) -> None:
@@ -395,13 +276,13 @@ def warning_without_report() -> Iterator[None]:
         say(f"warning: the report could not be written: {second.message}")
 
 
-def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+def _compute(place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log) -> Result:
     volume, *more = read_image(place, config, log)
     return evolve_at(place, volume, more, config, watcher, log)
 
 
 def evolve_at(
-    place: Place,
+    place: OutputFolder,
     volume: Volume,
     channels: list[Volume],
     config: RunConfig,
@@ -415,17 +296,17 @@ def evolve_at(
     return result
 
 
-def state_of(place: Place, config: RunConfig) -> CheckpointFile:
+def state_of(place: OutputFolder, config: RunConfig) -> CheckpointFile:
     """The file of a run's state, written at intervals if asked for; that of an earlier run stays only for --resume."""
     from accelsurf.run.checkpoint_file import CheckpointFile
 
-    output_folder.refuse_folder(place.checkpoint_path)
+    refuse_folder(place.checkpoint)
     if not place.resume:
-        place.checkpoint_path.unlink(missing_ok=True)
-    return CheckpointFile(place.checkpoint_path, at_intervals=config.checkpoint is not None)
+        place.checkpoint.unlink(missing_ok=True)
+    return CheckpointFile(place.checkpoint, at_intervals=config.checkpoint is not None)
 
 
-def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
+def read_image(place: OutputFolder, config: RunConfig, log: Log) -> list[Volume]:
     """Read the channels of a case's image, and check that the formats of the outputs can hold a result on its grid.
 
     Raises
@@ -436,15 +317,15 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
     from accelsurf.io import channels
     from accelsurf.io.formats.nifti import import_nibabel_for
 
-    log.timed("load", lambda: import_nibabel_for(place.source))
-    volume, *more = log.timed("load", lambda: channels.read_channels(place.source, config.reading))
-    log.timed("load", lambda: log.take_checksum(place.source))
+    log.timed("load", lambda: import_nibabel_for(place.image))
+    volume, *more = log.timed("load", lambda: channels.read_channels(place.image, config.reading))
+    log.timed("load", lambda: log.take_checksum(place.image))
     log.note_voxels([volume, *more])
     check_formats(place, config, volume, log)
     return [volume, *more]
 
 
-def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> None:
+def check_formats(place: OutputFolder, config: RunConfig, volume: Volume, log: Log) -> None:
     """Keep warning and grid of an image, and check that the formats of the outputs can hold a result on its grid.
 
     Raises
@@ -462,7 +343,7 @@ def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> 
     if volume.source is not None and (question := size_question(volume, volume.source)):
         log.warnings.append(question)
     labels = place.label_format(config)
-    output_names.check_outputs(config, labels, volume.geometry)
+    check_outputs(config, labels, volume.geometry)
     label_files.check_label_settings(config, volume, place.overwrite)
     check_mesh_settings(config)
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
@@ -519,37 +400,37 @@ def evolve(
         )
 
 
-def report_failure(place: Place, error: BaseException) -> None:
+def report_failure(place: OutputFolder, error: BaseException) -> None:
     """Write the report of a run that could not begin; print a warning when that fails too.
 
     Parameters
     ----------
-    place : Place
+    place : OutputFolder
     error : BaseException
     """
     with (
         warning_without_report(),
-        output_folder.opened_set(place.folder, place.name, place.inputs(None)) as files,
+        replace(place, overwrite=True).stage(inputs=place.inputs(None)) as files,
     ):
         _write_failure(_Case(place, files, Log()), None, error)
 
 
 def _write_failure(case: _Case, config: RunConfig | None, error: BaseException) -> None:
     """Write the report of a run without a result, beside a result that stands; a warning when that fails too."""
-    stopped, image = isinstance(error, KeyboardInterrupt), case.place.source
+    stopped, image = isinstance(error, KeyboardInterrupt), case.place.image
     code = Interrupts.current().exit_code(INTERRUPTED if stopped else exit_code_of(error))
-    target = case.place.beside_result(config)
+    target = case.place.beside_result(case.place.plan(config or RunConfig()).values())
     with warning_without_report():
-        if target is not case.place and result_sets.result_stands(target.folder, target.name, ()):
+        if target is not case.place and target.holds_result():
             raise OutputError(
-                f"{target.report_path}: is the report of a result"
+                f"{target.report}: is the report of a result"
             )  # of an image that is called so
         if not stopped and image.is_file() and image.stat().st_size <= MAX_HASHED:
             case.log.take_checksum(image)
         case = replace(case, place=target)
-        with output_folder.naming_final(case.files):
+        with naming_final(case.files):
             _write_report(case, config, "interrupted" if stopped else "failed", code, error, None)
-            output_folder.commit(case.files, target.report_path.name, True, target.overwrite)
+            target.commit(case.files, failed=True)
 
 
 def _write_report(
@@ -569,7 +450,7 @@ def _write_report(
         argv=sys.argv,
         config=config,
         source=describe_input(
-            place.source,
+            place.image,
             geometry=log.geometry,
             checksum=log.checksum,
             voxels=log.voxels,
@@ -582,39 +463,25 @@ def _write_report(
         warnings=[warning for warning in log.warnings if warning not in of_result],
     )
     write_bytes(
-        case.files.staging / place.report_path.name, (document.to_json(contents) + "\n").encode()
+        case.files.staging / place.report.name, (document.to_json(contents) + "\n").encode()
     )
 
 
 def exit_code_of_finished(
-    place: Place, config: RunConfig | TrackConfig, quiet: bool = False
+    place: OutputFolder, config: RunConfig | TrackConfig, quiet: bool = False
 ) -> int | None:
     """The exit code of a run or a tracking that has ended with these settings, of this image; said unless ``quiet``.
 
     None where there is something to do.
-
-    Raises
-    ------
-    OutputError
-        When files of a killed run cannot be put in place.
     """
-    if not place.folder.is_dir():
+    report = Report(place.report)
+    document = report.document
+    if document is None or document["status"] != "ok" or not is_there(place.image):
         return None
-    finish_killed_runs(place.folder)
-    document = result_sets.load_report(place.report_path)
-    if document is None or document["status"] != "ok" or not is_there(place.source):
+    if not is_of(document, config, place.image):
         return None
-    if not result_sets.is_of(document, config, place.source):
-        return None
-    there = result_sets.unchanged_outputs(place.report_path, ())
-    if len(there) < len(document["outputs"]):
+    if len(report.unchanged()) < len(document["outputs"]):
         return None
     if not quiet:
-        print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
+        print(f"{place.name}: has ended already, see {place.report.absolute()}")
     return int(document["exit_code"])
-
-
-def resumed_place(place: Place, planned: Iterable[Path]) -> Place:
-    """The place to go on at: the ``planned`` files of a run that was interrupted or failed may be replaced."""
-    is_free = result_sets.unfinished_alone(place.report_path, planned)
-    return replace(place, resume=True, overwrite=place.overwrite or is_free)

@@ -207,7 +207,7 @@ def _try(pair: Pair, requested: Request) -> CaseResult:
 def _result(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair."""
     from accelsurf import io
-    from accelsurf.io.file_set import finish_killed_runs
+    from accelsurf.io.file_set import refuse_unfinished
     from accelsurf.measure.label_metrics import LabelMap, evaluate_labels, evaluate_object
     from accelsurf.output.evaluation import CaseResult
 
@@ -216,7 +216,7 @@ def _result(pair: Pair, requested: Request) -> CaseResult:
             f"there is no {'prediction' if pair.pred is None else 'reference'} of this name"
         )
     for path in (pair.pred.path, pair.ref.path):
-        finish_killed_runs(path.parent)
+        refuse_unfinished(path.parent)
     volumes = io.on_one_grid(*(_read(side) for side in (pair.pred, pair.ref)))
     pred, ref = (
         LabelMap(volume, side.ids)
@@ -374,12 +374,12 @@ def _cells(case: str, entry: dict[str, Any], named: bool, many: bool) -> tuple[s
 def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: str | None) -> int:
     """Compare tracks with a reference; the table has a row for each frame."""
     from accelsurf.io.cells import table_text
-    from accelsurf.io.file_set import finish_killed_runs
+    from accelsurf.io.file_set import refuse_unfinished
     from accelsurf.track.scored_files import compare, open_tracks
 
     sides = [Path(name) for name in _both(pred, ref)]
     for path in sides:
-        finish_killed_runs(path.parent)
+        refuse_unfinished(path.parent)
     _refuse_input_as_table(table, (path for side in sides for path in (side, *side.rglob("*"))))
     given, wanted = (open_tracks(side) for side in sides)
     found = compare(given, wanted)

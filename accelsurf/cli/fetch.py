@@ -100,16 +100,16 @@ def _fetch_all(files: list[SampleFile], folder: Path, name: str, overwrite: bool
     OutputError
         When another file of the same name is there, or none can be written.
     """
-    from accelsurf.output.folder import naming_final, opened_set, refuse_existing
+    from accelsurf.output.folder import OutputFolder, naming_final
 
-    with opened_set(folder, name) as staged:
-        refuse_existing(
-            {file.name: folder / file.name for file in files if not file.is_at(folder)}, overwrite
-        )
-        with naming_final(staged):
-            for file in files:
-                _fetch_file(file, staged.staging)
-            staged.commit()
+    planned = {file.name: folder / file.name for file in files if not file.is_at(folder)}
+    with (
+        OutputFolder(folder, name, overwrite=overwrite).stage(planned) as staged,
+        naming_final(staged),
+    ):
+        for file in files:
+            _fetch_file(file, staged.staging)
+        staged.commit()
 
 
 def _fetch_file(file: SampleFile, folder: Path) -> None:

@@ -15,11 +15,12 @@ from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Compute, Log, Place
+    from accelsurf.cli.case import Compute, Log
     from accelsurf.cli.progress import Watcher
     from accelsurf.image.volume import Volume
     from accelsurf.io.lazy_volume import LazyVolume
     from accelsurf.large.windowed import LargeImage
+    from accelsurf.output.folder import OutputFolder
     from accelsurf.run.result import Result
 
 #: Formats of label maps that are written box by box.
@@ -48,7 +49,7 @@ class ImageParts:
 
 
 def choose_computation(
-    place: Place, config: RunConfig, image: LargeImage | None
+    place: OutputFolder, config: RunConfig, image: LargeImage | None
 ) -> tuple[RunConfig, Compute | None]:
     """Return the settings and the function by which a case is computed: None where the image is read as a whole.
 
@@ -145,7 +146,7 @@ def with_level(source: Path, config: RunConfig, parts: ImageParts, quiet: bool) 
     return config.replace(level=found.level)
 
 
-def settings_in_windows(place: Place, config: RunConfig) -> RunConfig:
+def settings_in_windows(place: OutputFolder, config: RunConfig) -> RunConfig:
     """The settings of a run in windows: its label map is written box by box."""
     if config.format is not None and config.format not in STORES:
         raise UsageError(
@@ -172,7 +173,7 @@ def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
     Without a checksum where that part is a small one of many: a store may have any size.
     """
 
-    def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+    def compute(place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log) -> Result:
         from accelsurf.cli.case import check_formats, evolve_at
 
         read = image.channels[
@@ -180,7 +181,7 @@ def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
         ]  # a run reads the other files itself
         volume, *more = log.timed("load", lambda: [whole_volume(channel) for channel in read])
         if has_checksum:
-            log.timed("load", lambda: log.take_checksum(place.source))
+            log.timed("load", lambda: log.take_checksum(place.image))
         log.note_voxels([volume, *more])
         check_formats(place, config, volume, log)
         return evolve_at(place, volume, more, config, watcher, log)
@@ -191,12 +192,12 @@ def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
 def _in_windows(image: LargeImage) -> Compute:
     """The computation of a case in windows of its image."""
 
-    def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+    def compute(place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log) -> Result:
         from accelsurf.cli.case import state_of
         from accelsurf.large.windowed import segment_in_windows
 
         log.note_grid(image.geometry)
-        log.note_written(place.source)
+        log.note_written(place.image)
         state = state_of(place, config)
         with watcher.watch(place.name, config.max_steps):
             result = segment_in_windows(

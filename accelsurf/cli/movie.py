@@ -199,7 +199,7 @@ def _refuse_with_tracks(look: Look, preview: bool, reference: Path | None) -> No
 
 def _movie_of_tracks(folder: Path, given: GivenImage, config: TrackConfig, target: Path) -> int:
     """Write the movie of the tracks in a folder; return how many frames it has."""
-    from accelsurf.output.result_sets import report_name
+    from accelsurf.output.reports import report_name
     from accelsurf.track.output import slices
     from accelsurf.track.output.surfaces import SavedTracks
     from accelsurf.track.track import open_sequence
@@ -230,14 +230,15 @@ def _source(
     source: Path, settings: Any, config: Path | None
 ) -> tuple[GivenImage, RunConfig | TrackConfig]:
     """Image and settings of the run; those in the report if the source is a folder of results, else as given."""
-    from accelsurf.io.file_set import finish_killed_runs
+    from accelsurf.io.file_set import refuse_unfinished
     from accelsurf.output.given_image import GivenImage
     from accelsurf.viewer import movie_file
 
+    if source.is_dir() and not any(source.glob("*_report.json")):
+        refuse_unfinished(source)
     if not _has_results(source):
         made = run_config(settings, config)
         return GivenImage(source, made.reading), made
-    finish_killed_runs(source)
     given = given_options(settings)
     if given or config is not None:
         name = "config" if config is not None else next(iter(given)).replace("_", "-")

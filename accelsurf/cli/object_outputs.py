@@ -18,12 +18,13 @@ from accelsurf.cli.interrupts import Interrupts
 from accelsurf.cli.outcome import file_lines
 from accelsurf.errors import OutputError
 from accelsurf.io.files import write_bytes
-from accelsurf.output import document, folder, group_files, result_sets, tables
+from accelsurf.output import document, group_files, tables
 from accelsurf.output.document import describe_input, describe_staged
+from accelsurf.output.folder import OutputFolder, naming_final
+from accelsurf.output.reports import is_named_as_output
 from accelsurf.run.ensemble import overall_stop
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Place
     from accelsurf.cli.options import Display
     from accelsurf.io.file_set import FileSet
     from accelsurf.large.windowed import LargeImage
@@ -61,7 +62,7 @@ class ObjectsDone:
 
 
 def write_outputs(
-    place: Place,
+    place: OutputFolder,
     config: RunConfig,
     image: LargeImage,
     done: ObjectsDone,
@@ -74,7 +75,7 @@ def write_outputs(
 
     Parameters
     ----------
-    place : Place
+    place : OutputFolder
     config : RunConfig
     image : LargeImage
     done : ObjectsDone
@@ -90,7 +91,7 @@ def write_outputs(
     names = place.names(config, image.geometry.slice_axis is not None)
     rows = rows_of(done)
     code = SOME_FAILED if done.failures else 0
-    with interrupts.patience("finishing the files"), folder.naming_final(files):
+    with interrupts.patience("finishing the files"), naming_final(files):
         kinds = {
             names["labels"]: "labels",
             names["objects"]: "objects",
@@ -103,12 +104,9 @@ def write_outputs(
             "exit_code": code,
             "outputs": outputs,
         }
-        report = place.report_path.name
+        report = place.report.name
         write_bytes(files.staging / report, f"{document.to_json(contents)}\n".encode())
-        written = [*kinds, report]
-        files.commit(
-            last=report, remove=result_sets.outdated(files.folder, place.name, written, False)
-        )
+        place.commit(files)
     if not (done.failures or group_files.not_of_groups(done.folder)):
         shutil.rmtree(done.folder, ignore_errors=True)
     if not display.quiet:
@@ -137,7 +135,7 @@ def _link_meshes(done: ObjectsDone, files: FileSet, case: str) -> dict[str, str]
     for record in done.records:
         for meshes in record.meshes:
             for kind, name in meshes.items():
-                if not result_sets.is_named_as_output(name, case):
+                if not is_named_as_output(name, case):
                     raise OutputError(
                         f"{record.folder}: has the mesh {name}, of another image", _BEGIN_ANEW
                     )
@@ -165,7 +163,7 @@ def _write_labels(path: Path, image: LargeImage, done: ObjectsDone) -> None:
 
 
 def _report(
-    place: Place,
+    place: OutputFolder,
     config: RunConfig,
     image: LargeImage,
     done: ObjectsDone,
@@ -177,7 +175,7 @@ def _report(
         exit_code=0,
         argv=sys.argv,
         config=config,
-        source=describe_input(place.source, geometry=image.geometry),
+        source=describe_input(place.image, geometry=image.geometry),
         warnings=[
             *done.notes,
             *(line for record in done.records for line in record.report_entries["warnings"]),
@@ -218,11 +216,14 @@ def _sum(records: list[GroupRecord], key: str) -> Any:
 
 
 def _print_summary(
-    place: Place, done: ObjectsDone, rows: list[dict[str, Any]], outputs: list[dict[str, str]]
+    place: OutputFolder,
+    done: ObjectsDone,
+    rows: list[dict[str, Any]],
+    outputs: list[dict[str, str]],
 ) -> None:
     """Print how many objects there are, and the files."""
     counts = Counter("failed" if row["status"] == "failed" else str(row["reason"]) for row in rows)
     print(
         f"{place.name}: of {len(rows)} objects {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}"
     )
-    print("\n".join(file_lines(outputs, place.report_path, first_alone=True)))
+    print("\n".join(file_lines(outputs, place.report, first_alone=True)))

@@ -14,17 +14,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from accelsurf.batch.pool import Ended, Job, Pool
 from accelsurf.cli import large_image
-from accelsurf.cli.case import Place, resumed_place
 from accelsurf.cli.interrupts import Interrupts, resuming_command
 from accelsurf.cli.large_image import ObjectOptions
 from accelsurf.cli.object_outputs import ObjectsDone, write_outputs
 from accelsurf.cli.options import Display
 from accelsurf.cli.progress import BatchProgress
 from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.io.file_set import refuse_links
-from accelsurf.output import folder as output_folder
-from accelsurf.output import group_files, result_sets
-from accelsurf.output import names as output_names
+from accelsurf.io.file_set import is_unfinished, refuse_links
+from accelsurf.output import group_files
+from accelsurf.output.folder import EACH, OutputFolder
+from accelsurf.output.reports import had_settings, load_report
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
 
@@ -113,7 +112,7 @@ def run_task(task: GroupTask) -> GroupEnd:
 
 
 def run_objects(
-    place: Place,
+    place: OutputFolder,
     config: RunConfig,
     image: LargeImage,
     options: ObjectOptions,
@@ -124,7 +123,7 @@ def run_objects(
 
     Parameters
     ----------
-    place : Place
+    place : OutputFolder
     config : RunConfig
     image : LargeImage
     options : ObjectOptions
@@ -142,22 +141,21 @@ def run_objects(
     config = large_image.settings_in_windows(place, config)
     check_settings(config)
     image.check()
-    report = result_sets.load_report(place.report_path) if resume else None
-    if report is not None and report["status"] == "ok" and result_sets.had_settings(report, config):
+    report = load_report(place.report) if resume else None
+    if report is not None and report["status"] == "ok" and had_settings(report, config):
         if not display.quiet:
-            print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
+            print(f"{place.name}: has ended already, see {place.report.absolute()}")
         return int(report["exit_code"])
-    if report is not None and report["status"] != "ok" and report.get("objects"):
-        place = resumed_place(place, place.paths(config).values())
-    inputs = place.inputs(config)
-    with output_folder.opened_set(place.folder, place.name, inputs) as files:
-        output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
+    stopped = report is not None and report["status"] != "ok" and report.get("objects")
+    if stopped or (resume and is_unfinished(place.path, place.name)):
+        place = place.resumed(place.plan(config).values())
+    with place.stage(place.plan(config), place.inputs(config)) as files:
         work = _work_folder(place, resume)
         done = _Work(place, config, image, options, work).run(display)
         return write_outputs(place, config, image, done, files, display)
 
 
-def _work_folder(place: Place, resume: bool) -> Path:
+def _work_folder(place: OutputFolder, resume: bool) -> Path:
     """Return the folder for the files of the groups.
 
     Raises
@@ -165,7 +163,7 @@ def _work_folder(place: Place, resume: bool) -> Path:
     OutputError
         When an earlier run has left files there that may not be lost.
     """
-    work = (place.folder / f".{place.name}_objects").absolute()
+    work = (place.path / f".{place.name}_objects").absolute()
     refuse_links(work, "remove the link, or choose another folder with -o")
     replace(place, resume=resume).refuse_left(work)
     if others := group_files.not_of_groups(work):
@@ -183,7 +181,7 @@ class _Work:
 
     def __init__(
         self,
-        place: Place,
+        place: OutputFolder,
         config: RunConfig,
         image: LargeImage,
         options: ObjectOptions,
@@ -307,7 +305,7 @@ class _Work:
             self._groups.starts_of(others),
             tuple(self._starts.ids[others].tolist()),
             self._folder_of(group),
-            {kind: name for kind, name in names.items() if kind.startswith(output_names.EACH)},
+            {kind: name for kind, name in names.items() if kind.startswith(EACH)},
         )
 
     def _pool(self) -> Pool:

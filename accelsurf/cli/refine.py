@@ -15,11 +15,13 @@ from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.settings.corrections import Correction, click_by_click, corrections_in_order
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Finished, Log, Place
+    from accelsurf.cli.case import Finished, Log
     from accelsurf.cli.progress import Watcher
     from accelsurf.correct.refiner import Change
     from accelsurf.correct.state_file import StateFile
+    from accelsurf.output.folder import OutputFolder
     from accelsurf.output.given_image import GivenImage
+    from accelsurf.output.reports import Report
     from accelsurf.run.result import Result
     from accelsurf.settings.run_config import RunConfig
 
@@ -98,7 +100,7 @@ class WholeOptions:
 class _Source:
     """A finished run in a folder: its ``report``, the first part of its files' ``name``, and its ``image``."""
 
-    report: Path
+    report: Report
     name: str
     image: GivenImage
     state: StateFile
@@ -176,14 +178,15 @@ def refine(
             strict,
             display,
         )
-    from accelsurf.cli.case import Place, run_case
+    from accelsurf.cli.case import run_case
     from accelsurf.cli.progress import Watcher
+    from accelsurf.output.folder import OutputFolder
 
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
-    folder = source.report.parent if output is None else output
-    in_place, config = folder.resolve() == source.report.parent.resolve(), source.state.config
-    place = Place(
-        source.image.path, folder, source.name, overwrite or in_place, has_checkpoint=False
+    folder = source.report.path.parent if output is None else output
+    in_place, config = folder.resolve() == source.report.path.parent.resolve(), source.state.config
+    place = OutputFolder(
+        folder, source.name, source.image.path, overwrite or in_place, has_checkpoint=False
     )
     if in_place and not overwrite:
         _refuse_changed(place, source)
@@ -208,8 +211,9 @@ def _mend(
     display: Display | None,
 ) -> int:
     """Mend a label map; the outputs are those of a run that begins with it."""
-    from accelsurf.cli.case import Place, run_case
+    from accelsurf.cli.case import run_case
     from accelsurf.cli.progress import Watcher
+    from accelsurf.output.folder import OutputFolder
     from accelsurf.settings.run_config import RunConfig
 
     if other is not None:
@@ -218,7 +222,7 @@ def _mend(
         )
     config = RunConfig(labels=labels, refine=corrections)
     folder = required(output, "-o DIR, the output folder,")
-    place = replace(Place.for_image(image, folder, overwrite), has_checkpoint=False)
+    place = replace(OutputFolder.for_image(image, folder, overwrite), has_checkpoint=False)
     done = run_case(place, config, Watcher(display or Display()), strict)
     if display is None or not display.quiet:
         print("\n".join(done.summary_lines(place.name)))
@@ -232,7 +236,9 @@ class _CorrectedRun:
         self._source, self._corrections = source, corrections
         self._lines: list[str] = []
 
-    def __call__(self, place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+    def __call__(
+        self, place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log
+    ) -> Result:
         from accelsurf.cli.case import read_image
         from accelsurf.correct.refiner import Refiner
         from accelsurf.correct.restored import restored
@@ -274,55 +280,52 @@ def _source_of(path: Path, image: Path | None) -> _Source:
         When there is none, or more than one, or its state is missing or damaged.
     """
     from accelsurf.io import sha256
-    from accelsurf.io.file_set import finish_killed_runs
-    from accelsurf.output import result_sets
+    from accelsurf.io.file_set import refuse_unfinished
     from accelsurf.output.given_image import GivenImage
+    from accelsurf.output.reports import Report
 
     folder = path if path.is_dir() else path.parent
     if not path.exists():
         raise InputError(
             f"{path}: there is no such folder or report", "give the folder that -o named"
         )
-    finish_killed_runs(folder)
-    report = path
-    if path.is_dir():
-        known = {path: result_sets.state_of(path) for path in sorted(folder.glob("*_report.json"))}
-        found = [path for path, state in known.items() if state is not None]
+    if not path.is_dir():
+        report = Report(path)
+    else:
+        known = [Report(path) for path in sorted(folder.glob("*_report.json"))]
+        found = [report for report in known if report.state is not None]
         if not found:
+            refuse_unfinished(folder)
             raise InputError(
                 f"{path}: has no result that can be refined", _way_without_state(known)
             )
         if len(found) > 1:
-            names = ", ".join(path.name for path in found[:5])
+            names = ", ".join(report.path.name for report in found[:5])
             raise InputError(
                 f"{path}: there are several results: {names}", "give the report of one"
             )
         report = found[0]
-    entry = result_sets.state_of(report)
-    if entry is None:
+    if report.state is None:
         raise InputError(
-            f"{report}: is of a result that cannot be refined: it has no state",
+            f"{report.path}: is of a result that cannot be refined: it has no state",
             _way_without_state([report]),
         )
-    name, checksum = entry
-    state_path = report.parent / name
-    if not state_path.is_file() or sha256(state_path) != checksum:
+    state_path = report.path.parent / report.state.name
+    if not state_path.is_file() or sha256(state_path) != report.state.checksum:
         raise InputError(
             f"{state_path}: is not as its report says: missing, damaged or of another run", _STATE
         )
     from accelsurf.correct.state_file import read_state  # loads what a run needs
 
     state = read_state(state_path)
-    given = GivenImage.of_report(result_sets.load_report(report) or {}, report)
+    given = GivenImage.of_report(report.document or {}, report.path)
     given = given.found(image, "give where it is now with --image FILE, a folder or a pattern")
-    return _Source(report, report.name.removesuffix("_report.json"), given, state)
+    return _Source(report, report.path.name.removesuffix("_report.json"), given, state)
 
 
-def _way_without_state(reports: Iterable[Path]) -> str:
+def _way_without_state(reports: Iterable[Report]) -> str:
     """Return what to do where none of some reports lists a state."""
-    from accelsurf.output import result_sets
-
-    documents = [found for path in reports if (found := result_sets.load_report(path)) is not None]
+    documents = [report.document for report in reports if report.document is not None]
     if any(document.get("kind") == "tracking" for document in documents):
         return "a tracking is corrected by accelsurf track --correct 'frame=N inside=point:X,Y,Z'"
     inputs = [document.get("input") for document in documents if document["status"] == "ok"]
@@ -332,14 +335,12 @@ def _way_without_state(reports: Iterable[Path]) -> str:
     return _STATE
 
 
-def _refuse_changed(place: Place, source: _Source) -> None:
+def _refuse_changed(place: OutputFolder, source: _Source) -> None:
     """Refuse to replace files that are not the run's any more."""
-    from accelsurf.output import result_sets
-
-    of_run = {*result_sets.own_outputs(source.report), source.report.name}
+    of_run = {*source.report.own(), source.report.path.name}
     others = [
         path
-        for path in place.paths(source.state.config).values()
+        for path in place.plan(source.state.config).values()
         if path.exists() and path.name not in of_run
     ]
     if others:

@@ -23,7 +23,8 @@ from accelsurf.cli.options import (
 from accelsurf.errors import AccelsurfError, UsageError
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Compute, Finished, Place
+    from accelsurf.cli.case import Compute, Finished
+    from accelsurf.output.folder import OutputFolder
     from accelsurf.settings.run_config import RunConfig
 
 Settings = settings_class("Settings")
@@ -71,18 +72,19 @@ def segment(
     if dump_config:
         print(run_config(settings, config).to_toml(), end="")
         return 0
-    from accelsurf.cli.case import Place, report_failure
+    from accelsurf.cli.case import report_failure
     from accelsurf.cli.large_image import choose_computation, fits, large_image, with_level
+    from accelsurf.output.folder import OutputFolder
 
     display, work = display or Display(), work or ObjectOptions()
-    place = Place.for_image(
+    place = OutputFolder.for_image(
         required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite, config
     )
     try:
         run, parts = run_config(settings, config), parts or ImageParts()
-        run, place = with_level(place.source, run, parts, display.quiet), place.laid_out(run)
+        run, place = with_level(place.image, run, parts, display.quiet), place.laid_out(run)
         work.check(run)
-        image = large_image(place.source, run, parts, in_parts=work.given)
+        image = large_image(place.image, run, parts, in_parts=work.given)
         if image is not None and run.objects is not None and (work.given or not fits(image, run)):
             from accelsurf.cli.object_work import run_objects
 
@@ -96,7 +98,7 @@ def segment(
 
 
 def _run(
-    place: Place,
+    place: OutputFolder,
     run: RunConfig,
     compute: Compute | None,
     resume: bool,
@@ -109,11 +111,11 @@ def _run(
     from accelsurf.cli.progress import Watcher
 
     if resume:
-        from accelsurf.cli.case import exit_code_of_finished, resumed_place
+        from accelsurf.cli.case import exit_code_of_finished
 
         if (code := exit_code_of_finished(place, run, display.quiet)) is not None:
             return code
-        place = resumed_place(place, place.paths(run).values())
+        place = place.resumed(place.plan(run).values())
     done = run_case(place, run, Watcher(display), strict, compute)
     return _summed_up(place.name, done, display.quiet, profile)
 

@@ -16,7 +16,7 @@ from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
 from accelsurf.io.sequences.writing import SequenceWriter
 from accelsurf.output.document import describe_staged, to_json, versions
-from accelsurf.output.folder import naming_final, opened_set, refuse_existing
+from accelsurf.output.folder import OutputFolder, naming_final
 from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.phantoms.motions import MovingPhantom
 from accelsurf.phantoms.recipes import Recipe
@@ -147,8 +147,7 @@ def _written(
 ) -> dict[str, Path]:
     """Write a set of files by ``write``, which returns what is known of them, and last the facts."""
     paths = {kind: folder / f"{name}{end}" for kind, end in ends.items()}
-    with opened_set(folder, name) as files:
-        refuse_existing(paths, overwrite)
+    with OutputFolder(folder, name, overwrite=overwrite).stage(paths) as files:
         facts = write(files, paths)
         with naming_final(files):
             kinds = {path.name: kind for kind, path in paths.items() if kind != "facts"}

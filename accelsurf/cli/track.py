@@ -65,15 +65,15 @@ def track(
     if dump_config:
         print(wanted.to_toml(), end="")
         return 0
-    from accelsurf.cli.case import Place
     from accelsurf.cli.progress import Watcher
     from accelsurf.cli.track_case import TrackCase, run_track_case
+    from accelsurf.output.folder import OutputFolder
 
     display = display or Display()
     source = required(input, "SEQUENCE")
     folder = required(output, "-o DIR, the output folder,")
     case = TrackCase(
-        replace(Place.for_image(source, folder, overwrite, config), resume=resume), wanted
+        replace(OutputFolder.for_image(source, folder, overwrite, config), resume=resume), wanted
     )
     if resume:
         from accelsurf.cli.case import exit_code_of_finished
@@ -97,4 +97,4 @@ def _summary(case: TrackCase, done: Tracked) -> list[str]:
     lines += [f"  {count} {words.get(why, why)}" for why, count in ends.items()]
     if done.doubtful:
         lines.append(f"  these tracks cannot be trusted in {done.doubtful} of {done.frames} frames")
-    return [*lines, f"  {(case.place.folder / case.place.name).absolute()}_tracks.csv"]
+    return [*lines, f"  {(case.place.path / case.place.name).absolute()}_tracks.csv"]

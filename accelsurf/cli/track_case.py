@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.cli.case import (
-    Place,
     note_result,
     note_state,
-    resumed_place,
     say_warnings,
     warning_without_report,
 )
 from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.output import folder
+from accelsurf.output.folder import OutputFolder, refuse_folder
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
@@ -39,23 +37,23 @@ class TrackCase:
 
     Attributes
     ----------
-    place : Place
+    place : OutputFolder
         Its source is a file with time, a folder of frames, or a pattern of their names.
     config : TrackConfig
     """
 
-    place: Place
+    place: OutputFolder
     config: TrackConfig
 
     @property
     def state(self) -> Path:
         """The state after each frame."""
-        return self.place.checkpoint_path
+        return self.place.checkpoint
 
     @property
     def store(self) -> Path:
         """The frames that are done."""
-        return self.place.folder / f"{self.place.name}_frames"
+        return self.place.path / f"{self.place.name}_frames"
 
     @property
     def files(self) -> TrackFiles:
@@ -107,10 +105,10 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
         raise
     place = case.place
     if resumed:
-        place = resumed_place(place, case.files.paths(place.folder, place.name).values())
+        place = place.resumed(case.files.paths(place.path, place.name).values())
     try:
         outputs = TrackOutputs(
-            place.folder,
+            place.path,
             place.name,
             tracking.sequence,
             case.files,
@@ -140,7 +138,7 @@ def report_failure(case: TrackCase, error: BaseException) -> None:
     place = case.place
     with warning_without_report():
         run = _run_of(case.config, place.inputs(None))
-        write_failure(place.folder, place.name, case.files, error, place.source, run)
+        write_failure(place.path, place.name, case.files, error, place.image, run)
 
 
 def _run_of(config: TrackConfig, inputs: list[Path]) -> TrackRun:
@@ -152,7 +150,7 @@ def _run_of(config: TrackConfig, inputs: list[Path]) -> TrackRun:
 
 def _prepare_state(case: TrackCase) -> None:
     """Refuse to lose the state of a run that was stopped; remove it unless the tracking goes on from it."""
-    folder.refuse_folder(case.state)
+    refuse_folder(case.state)
     case.place.refuse_left(case.state, case.store)
     is_complete = case.state.exists() and case.store.exists()
     if not (case.place.resume and is_complete):
@@ -171,7 +169,7 @@ def _begun(case: TrackCase, watcher: Watcher) -> Tracking:
     from accelsurf.track.track import Tracking, open_sequence
 
     return Tracking(
-        open_sequence(case.place.source, case.config),
+        open_sequence(case.place.image, case.config),
         case.config,
         meshes=bool(case.config.mesh),
         on_step=watcher.on_step,

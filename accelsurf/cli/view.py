@@ -295,8 +295,9 @@ def finished_run(path: Path) -> tuple[GivenImage, RunConfig | TrackConfig] | Non
     InputError
         When there are several results, or the image is not there.
     """
-    from accelsurf.output import result_sets
+    from accelsurf.io.file_set import refuse_unfinished
     from accelsurf.output.given_image import GivenImage, settings_of
+    from accelsurf.output.reports import Report
 
     known = (
         sorted(path.glob("*_report.json"))
@@ -305,12 +306,10 @@ def finished_run(path: Path) -> tuple[GivenImage, RunConfig | TrackConfig] | Non
         if path.suffix == ".json"
         else []
     )
-    documents = {
-        each: result_sets.load_report(each)
-        for each in known
-        if not result_sets.is_failure_report(each)
-    }
-    reports = {each: found for each, found in documents.items() if found is not None}
+    if path.is_dir() and not known:
+        refuse_unfinished(path)
+    found = [Report(each) for each in known]
+    reports = {each.path: each.document for each in found if each.document and not each.is_failure}
     if not reports:
         return None
     if len(reports) > 1:

@@ -1,41 +1,60 @@
-"""Files that belong together: they appear all at once or not at all, also when the process is killed.
+"""Files that belong together: each appears whole, the report last; files of a killed run are no result.
 
-New files lie in a staging folder beside the outputs until all are complete and on the disk. Then a journal in the
-user's state folder (`accelsurf.io.set_journals`) says what is moved: from this moment on the new files count. Each old
-file is moved into the staging folder and each new one to its place. The last file, a report that names the others, is
-the first old one to go and the last new one to come: where a report stands, its files are those that it names. The next
-command finishes the moves of a dead process by its journal (`recover`), or removes the staging folder where none had
-begun.
-A staging folder without a journal of this user is named and left alone.
+New files lie in a hidden folder beside the outputs, the *staging folder*, until all are complete and on the disk. Then
+they come to their places one by one. The last one, a report that names the others, is the first old one to go and the
+last new one to come: where a report stands, its files are those that it names. Old files lie in the staging folder
+until the report is there, and come back where a move fails. A process that is killed between two moves leaves a set
+without a report: it is *unfinished*. The next command says so, and a run that may replace the files makes them anew.
+
+Nothing that lies in an output folder orders anything. A staging folder is this user's where its name has the seal of
+its set and of the folder that it lies in (`accelsurf.io.seals`); others are named and left alone. A lock in it ends
+with its process: who gets the lock of a staging folder that is there already knows that its writer is dead.
 """
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import os
+import re
+import secrets
 import shutil
 import signal
 import stat
+import sys
 import threading
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from accelsurf.errors import AccelsurfWarning, OutputError
-from accelsurf.io import set_journals
-from accelsurf.io.set_journals import PREFIX, SUFFIX, Journal, Moves, sync_folder
+from accelsurf.io import seals
 
 #: Signals that end a program on request.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_NEW, _OLD = "new", "old"
-#: Another process looks for a moment whether the writer of a set is dead, and holds its lock then.
+#: In a staging folder: new files, old ones, new ones of a run that mends an unfinished set, what goes, and the lock.
+_NEW, _OLD, _AGAIN, _GONE, _LOCK = "new", "old", "again", "gone", "lock"
+#: Another process looks for a moment if the writer of a set is dead, and holds its lock then.
 _TRIES, _TRY_SECONDS = 10, 0.03
 #: What Windows calls a junction by: a link between folders.
 _JUNCTION = 0xA0000003
 #: Foreign staging folders that a warning names.
 _NAMED = 3
+#: Name of a staging folder: name of the set, digits that tell two of one set apart, and the seal of both.
+_STAGING = re.compile(
+    r"\.(?P<name>.+)\.(?P<salt>[0-9a-f]{8})(?P<seal>[0-9a-f]{16})\.accelsurf", re.DOTALL
+)
+#: Digits of a set that one process at a time writes.
+_ALONE = "0" * 8
+#: Longest name of a set that is repeated in the name of its staging folder, bytes: file systems allow 255.
+_MAX_NAME_BYTES = 200
+#: A link in the place of a lock is not followed.
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+#: First and last characters of the name of a staging folder.
+PREFIX, SUFFIX = ".", ".accelsurf"
 
 
 @contextmanager
@@ -60,6 +79,34 @@ def uninterrupted() -> Iterator[None]:
             signal.raise_signal(came)
 
 
+@dataclass(frozen=True)
+class _Claim:
+    """A staging folder that this process writes in, and the open file by which it is locked; -1 without a lock."""
+
+    folder: Path
+    lock: int = -1
+
+    @property
+    def is_unfinished(self) -> bool:
+        """True if files were being put in place: until the report has left, the last of the new ones."""
+        return (self.folder / _OLD).is_dir() and not _is_empty(self.folder / _NEW)
+
+    def release(self) -> None:
+        """Free the lock, and leave the folder."""
+        if self.lock >= 0:
+            os.close(self.lock)
+
+    def remove(self) -> None:
+        """Remove the folder, its lock last, and free the lock."""
+        shutil.rmtree(self.folder / _OLD, ignore_errors=True)  # first: see `is_unfinished`
+        if sys.platform == "win32":
+            self.release()  # an open file cannot be removed there
+            shutil.rmtree(self.folder, ignore_errors=True)
+        else:
+            shutil.rmtree(self.folder, ignore_errors=True)
+            self.release()
+
+
 class FileSet:
     """Staging files that will stand in one folder; made by `open_set`.
 
@@ -67,18 +114,25 @@ class FileSet:
     ----------
     folder : Path
         Where the files will be.
-    staging : Path
-        The folder in which they are written, under their final names.
     committed : bool
-        Whether they are in place, or will be put there by the next run.
+        True when they are in place, or when some are and could not be taken back.
     """
 
-    def __init__(self, folder: Path, journal: Journal, inputs: Sequence[Path] = ()) -> None:
-        self.folder, self._journal, self._inputs = folder, journal, inputs
-        self.staging = journal.staging / _NEW
+    def __init__(
+        self, folder: Path, claim: _Claim, left: Sequence[Path], inputs: Sequence[Path]
+    ) -> None:
+        self.folder, self._claim, self._left, self._inputs = folder, claim, left, inputs
+        self._mends = claim.is_unfinished
         self.committed = False
-        os.mkdir(journal.staging)  # it is new: nothing that was put there before is followed
+        shutil.rmtree(
+            self.staging, ignore_errors=True
+        )  # of a run that was killed before it began to move files
         os.mkdir(self.staging)
+
+    @property
+    def staging(self) -> Path:
+        """The folder in which the files are written, under their final names."""
+        return self._claim.folder / (_AGAIN if self._mends else _NEW)
 
     def discard(self) -> None:
         """Remove the staging files."""
@@ -88,7 +142,9 @@ class FileSet:
         ):  # somebody has removed the output folder: what is written next says so
             self.staging.mkdir(exist_ok=True)
 
-    def commit(self, last: str | None = None, remove: Iterable[str] = ()) -> None:
+    def commit(
+        self, last: str | None = None, remove: Iterable[str] = (), mends: bool = True
+    ) -> None:
         """Put all staging files in place of the old files of their names. Signals wait until that is done.
 
         Parameters
@@ -97,6 +153,8 @@ class FileSet:
             The file that names the others: no old one stands beside new files, and no new one beside old files.
         remove : iterable of str
             Names of old files that go; those of staging files and of files that are not there are ignored.
+        mends : bool
+            False where the files are not the whole set, as those of a run that failed: it stays unfinished if it was.
 
         Raises
         ------
@@ -106,43 +164,82 @@ class FileSet:
             When one of the old files is an input of the run.
         """
         names = sorted(path.name for path in self.staging.iterdir() if path.name != last)
+        everything = names if last is None else [*names, last]
         gone = [
             name
             for name in remove
-            if name not in {*names, last} and os.path.lexists(self.folder / name)
+            if name not in everything and os.path.lexists(self.folder / name)
         ]
-        InputFiles(self._inputs).refuse(
-            self.folder / name for name in (*names, *gone, *([last] if last else []))
-        )
+        InputFiles(self._inputs).refuse(self.folder / name for name in (*everything, *gone))
         for path in self.staging.iterdir():
             sync(path)
-        everything = names if last is None else [*names, last]
         with uninterrupted():
+            if self._mends and mends:
+                self._begin_again()
             if len(everything) == 1 and not gone and not self._has_folder(everything[0]):
                 os.replace(
                     self.staging / everything[0], self.folder / everything[0]
                 )  # all or nothing by itself
             else:
-                sync_folder(self.staging)
-                self._plan(Moves(names, gone, last))
-                self.committed = (
-                    True  # staging files must not be removed from here on, whatever happens
-                )
-                try:
-                    _move(self._journal, self.folder)
-                except Exception:
-                    self.committed = self._journal.moves is not None
-                    raise
+                self._exchange(names, last, gone)
             self.committed = True
             sync_folder(self.folder)
+            for folder in self._left:
+                shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(self._old, ignore_errors=True)
 
-    def _plan(self, moves: Moves) -> None:
-        """Have a journal of the moves; where none can be written, they are made without."""
+    @property
+    def _old(self) -> Path:
+        """The folder for old files; another one where the old ones of an unfinished set have to stay."""
+        return self._claim.folder / (f"{_OLD} {_AGAIN}" if self._mends else _OLD)
+
+    def _begin_again(self) -> None:
+        """Let the files of this run take the place of those that a killed one has left; the set stays unfinished."""
+        folder = self._claim.folder
+        shutil.rmtree(folder / _GONE, ignore_errors=True)
+        with suppress(FileNotFoundError):  # a kill may have come between these two
+            os.rename(folder / _NEW, folder / _GONE)
+        os.rename(folder / _AGAIN, folder / _NEW)
+        self._mends = False
+
+    def _exchange(self, names: Sequence[str], last: str | None, gone: Sequence[str]) -> None:
+        """Move old files away and new ones to their places, one by one; a move that fails takes all back."""
+        old = self._old
+        moved: list[tuple[Path, Path]] = []
+
+        def move(source: Path, goal: Path) -> None:
+            os.replace(source, goal)
+            moved.append((source, goal))
+
+        def put(name: str) -> None:
+            if os.path.lexists(self.folder / name):
+                move(self.folder / name, old / name)
+            move(self.staging / name, self.folder / name)
+
+        sync_folder(self.staging)
+        self.committed = True  # from here on files are not to be removed, whatever happens
+        old.mkdir(exist_ok=True)
+        for path in old.iterdir():  # of a run that was killed
+            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
         try:
-            self._journal.write(moves)
-        except OSError as error:
-            self._journal.keep_in_memory(moves, error)
-            _warn_without_journal(self.folder, self._journal)
+            if last is not None and os.path.lexists(self.folder / last):
+                move(self.folder / last, old / last)
+                sync_folder(
+                    self.folder
+                )  # also after a power cut no old report stands beside new files
+            for name in names:
+                put(name)
+            if last is not None:
+                sync_folder(self.folder)
+                put(last)
+            for name in gone:
+                move(self.folder / name, old / name)
+        except Exception:
+            for source, goal in reversed(moved):
+                os.replace(goal, source)
+            shutil.rmtree(old, ignore_errors=True)
+            self.committed = False
+            raise
 
     def _has_folder(self, name: str) -> bool:
         """Test if the staging file of a name, or what it replaces, is a folder: the system does not exchange these."""
@@ -151,9 +248,13 @@ class FileSet:
 
 @contextmanager
 def open_set(
-    folder: Path, name: str, unique: bool = False, inputs: Sequence[Path] = ()
+    folder: Path,
+    name: str,
+    unique: bool = False,
+    inputs: Sequence[Path] = (),
+    mend: bool = False,
 ) -> Iterator[FileSet]:
-    """Prepare a set of files. What a killed process has left of one is finished or removed first.
+    """Prepare a set of files. What a killed process has left of new files is removed first.
 
     Parameters
     ----------
@@ -162,118 +263,169 @@ def open_set(
     name : str
         Of the set. Only one process of this user at a time writes a set of this name.
     unique : bool
-        Whether others may write one of this name at the same time: who ends last, wins.
+        True if others may write one of this name at the same time: who ends last, wins.
     inputs : sequence of Path, optional
         Files that are not replaced or removed, under whatever name.
+    mend : bool
+        True if an unfinished set of this name may be made anew.
 
     Raises
     ------
     OSError
         When nothing can be written there.
     OutputError
-        When another process is writing this set, what a killed one has begun cannot be finished, or the folder is a
-        link.
+        When another process is writing this set, the set is unfinished, or the folder is a link.
 
     Warns
     -----
     AccelsurfWarning
-        Of staging folders that are not of this user's runs, and of a state folder that cannot be written.
+        Of staging folders that are not of this user's runs, and where there is no key or no lock.
     """
     refuse_links(folder)
-    stuck = [staging for staging in recover(folder) if set_journals.belongs_to(staging, name)]
-    if stuck and not unique:
-        raise OutputError(
-            f"{folder / name}: a run that was killed has put only some of its files in place, and they cannot be moved",
-            f"is one of them open in another program? the others are in {stuck[0]}",
-        )
-    journal = _begun(folder, name, unique)
-    if journal is None:
-        raise OutputError(
-            f"{folder / name}: another run is writing there now",
-            "wait until it ends, or choose another folder with -o",
-        )
-    if not (unique or journal.has_file or set_journals.is_staging(folder)):
-        _warn_without_journal(folder, journal)
+    short = _short(name)
+    left = [path for path in recover(folder) if _set_name(path) == short]
+    if left and not (mend or unique):
+        raise _unfinished_error(folder / name, left[0])
+    claim = _claimed(folder, short, unique)
     try:
-        yield FileSet(folder, journal, inputs)
+        yield FileSet(folder, claim, [path for path in left if path != claim.folder], inputs)
     finally:
         with uninterrupted():
-            if journal.moves is not None:
-                journal.release()  # the next run tries again
+            if claim.is_unfinished:
+                claim.release()  # the next command says so
             else:
-                shutil.rmtree(journal.staging, ignore_errors=True)
-                journal.end()
+                claim.remove()
 
 
-def _warn_without_journal(folder: Path, journal: Journal) -> None:
-    warnings.warn(
-        f"{folder}: no journal can be kept ({journal.reason}); if this command is killed while its files are put in "
-        "place, some may be old and some new. Set XDG_STATE_HOME to a folder that only you can write",
-        AccelsurfWarning,
-        stacklevel=3,
+def _unfinished_error(path: Path, staging: Path) -> OutputError:
+    return OutputError(
+        f"{path}: is unfinished: a run that was killed has put only some of its files in place",
+        f"run it again with --overwrite, which makes all of them anew; the others are in {staging}",
     )
 
 
-def _begun(folder: Path, name: str, unique: bool) -> Journal | None:
-    for _ in range(_TRIES):
-        journal = set_journals.begin_journal(folder, name, unique)
-        if journal is not None:
-            return journal
+def _claimed(folder: Path, short: str, unique: bool) -> _Claim:
+    """Make a staging folder that is this process's alone, or take that of a dead one.
+
+    Raises
+    ------
+    OutputError
+        When another process has it.
+    """
+    if is_staging(folder):  # all in it is this process's
+        return _unsealed(folder, short)
+    reason = seals.unavailable()
+    for _ in range(0 if reason else _TRIES):
+        salt = secrets.token_hex(4) if unique else _ALONE
+        staging = folder / _staging_name(folder, short, salt)
+        with suppress(FileExistsError):
+            os.mkdir(staging)
+        if not _is_sealed(folder, staging):
+            reason = f"{staging.name} is no folder of this program"
+            break
+        try:
+            if (lock := _locked(staging)) is not None:
+                return _Claim(staging, lock)
+        except FileNotFoundError:  # who looked if its writer is dead has removed it
+            folder.stat()
+        except OSError as error:
+            _Claim(staging).remove()
+            reason = error.strerror or str(error)
+            break
         time.sleep(_TRY_SECONDS)
-    return None
+    if not reason:
+        raise OutputError(
+            f"{folder / short}: another run is writing there now",
+            "wait until it ends, or choose another folder with -o",
+        )
+    if not unique:
+        warnings.warn(
+            f"{folder}: runs cannot be told apart ({reason}); if this one is killed, {PREFIX}{short}.*{SUFFIX} stays "
+            "there, and a second one that writes the same files is not kept out. Set XDG_STATE_HOME to a folder that "
+            "only you can write",
+            AccelsurfWarning,
+            stacklevel=4,
+        )
+    return _unsealed(folder, short)
+
+
+def _unsealed(folder: Path, short: str) -> _Claim:
+    """A staging folder that no other process knows anything of."""
+    staging = folder / f".{short}.{secrets.token_hex(12)}.accelsurf"
+    os.mkdir(staging)
+    return _Claim(staging)
 
 
 def recover(folder: Path) -> list[Path]:
-    """Finish or remove what killed processes of this user have left in a folder; those that live are left alone.
+    """Remove new files that killed processes of this user have left in a folder; those that live are left alone.
 
     Returns
     -------
     list of Path
-        Staging folders of sets that are complete but could not be put in place.
+        Staging folders of sets that are unfinished.
 
     Warns
     -----
     AccelsurfWarning
-        Of staging folders that no journal of this user names.
+        Of staging folders that are not of this user's runs.
     """
-    if set_journals.is_staging(folder):
+    if is_staging(folder):
         return []
-    there, stuck = _staging_folders(folder), []
-    for journal in set_journals.journals_of_the_dead(folder):
+    foreign, unfinished = [], []
+    for path in _staging_folders(folder):
+        if not _is_sealed(folder, path):
+            foreign.append(path.name)
+            continue
         try:
-            _check_staging(journal)
-            if journal.moves is not None:
-                with uninterrupted():
-                    _move(journal, folder)
-            shutil.rmtree(journal.staging, ignore_errors=True)
-        except OSError:
-            stuck.append(journal.staging)
-            journal.release()
+            lock = _locked(path)
+        except OSError:  # it has just ended, or cannot be told from one that lives
+            continue
+        if lock is None:
+            continue
+        claim = _Claim(path, lock)
+        if claim.is_unfinished:
+            unfinished.append(path)
+            claim.release()
         else:
-            journal.end()
-    _name_foreign(folder, there)
-    return stuck
+            claim.remove()
+    _name_foreign(folder, foreign)
+    return unfinished
 
 
-def _staging_folders(folder: Path) -> list[str]:
-    """Names of what looks like staging folders, and of links that are called so."""
+def is_unfinished(folder: Path, name: str) -> bool:
+    """Test if a killed process of this user has put only some files of a set in place."""
+    if not folder.is_dir():
+        return False
+    return _Claim(folder / _staging_name(folder, _short(name), _ALONE)).is_unfinished
+
+
+def refuse_unfinished(folder: Path) -> None:
+    """Refuse to read results in a folder with an unfinished set; see `recover`.
+
+    Raises
+    ------
+    OutputError
+        With its name.
+    """
+    if left := recover(folder):
+        raise _unfinished_error(folder / _set_name(left[0]), left[0])
+
+
+def _staging_folders(folder: Path) -> list[Path]:
+    """What is called as a staging folder, files and links too."""
     try:
-        names = os.listdir(folder)
+        return sorted(
+            path
+            for path in folder.iterdir()
+            if path.name.startswith(PREFIX) and path.name.endswith(SUFFIX) and path.name != SUFFIX
+        )
     except OSError:
         return []
-    return sorted(
-        name
-        for name in names
-        if name.startswith(PREFIX) and name.endswith(SUFFIX) and name != SUFFIX
-    )
 
 
-def _name_foreign(folder: Path, there: list[str]) -> None:
-    """Warn of staging folders of which no journal of this user tells: whoever left them, nothing in them counts."""
-    if not there:
-        return
-    known = set_journals.recorded_staging(folder)
-    names = [name for name in there if name not in known and os.path.lexists(folder / name)]
+def _name_foreign(folder: Path, names: list[str]) -> None:
+    """Warn of staging folders without the seal of this user: whoever left them, nothing in them counts."""
+    names = [name for name in names if os.path.lexists(folder / name)]
     if names:
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
         said = f"{', '.join(names[:_NAMED])}{more} {'are' if len(names) > 1 else 'is'} not from a run of yours"
@@ -282,6 +434,101 @@ def _name_foreign(folder: Path, there: list[str]) -> None:
             AccelsurfWarning,
             stacklevel=3,
         )
+
+
+def is_staging(folder: Path) -> bool:
+    """Test if a folder is, or lies in, a staging folder.
+
+    Examples
+    --------
+    >>> is_staging(Path("out/.scan.0123456789abcdef01234567.accelsurf/new")), is_staging(Path("out/new"))
+    (True, False)
+    """
+    return any(_STAGING.fullmatch(part) for part in folder.parts)
+
+
+def _staging_name(folder: Path, short: str, salt: str) -> str:
+    """Name of a staging folder; nobody without the user's key can make one that is taken for the program's."""
+    inode = folder.stat().st_ino  # a copy of the folder is another one
+    sealed = seals.signed(b"staging", str(inode).encode(), salt.encode(), os.fsencode(short))
+    return f"{PREFIX}{short}.{salt}{sealed[:16]}{SUFFIX}"
+
+
+def _is_sealed(folder: Path, path: Path) -> bool:
+    """Test if a run of this user has made a staging folder here; that nothing else lies in its place."""
+    found = _STAGING.fullmatch(path.name)
+    return (
+        found is not None
+        and not seals.unavailable()
+        and not _is_link(path)
+        and path.name == _staging_name(folder, found["name"], found["salt"])
+        and not (path.exists() and not path.is_dir())
+        and not any(_is_link(path / inner) for inner in (_NEW, _OLD, _AGAIN))
+    )
+
+
+def _set_name(staging: Path) -> str:
+    """The name of the set of a staging folder, shortened where it is long."""
+    found = _STAGING.fullmatch(staging.name)
+    return "" if found is None else found["name"]
+
+
+def _short(name: str) -> str:
+    """The name of a set in that of its staging folder, which any file system can take.
+
+    Examples
+    --------
+    >>> _short("scan"), len(_short("x" * 255))
+    ('scan', 57)
+    """
+    if len(os.fsencode(name)) <= _MAX_NAME_BYTES:
+        return name
+    return f"{name[:40]}-{hashlib.sha256(os.fsencode(name)).hexdigest()[:16]}"
+
+
+def _is_empty(folder: Path) -> bool:
+    try:
+        return not os.listdir(folder)
+    except FileNotFoundError:
+        return False
+
+
+def _locked(staging: Path) -> int | None:
+    """Return an open file in a staging folder that this process has locked; None where another process has.
+
+    Raises
+    ------
+    OSError
+        When the folder is gone, or its file system has no locks.
+    """
+    path = staging / _LOCK
+    lock = os.open(path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o600)
+    try:
+        if _try_lock(lock) and os.path.samestat(os.fstat(lock), path.lstat()):
+            return lock
+    except BaseException:
+        os.close(lock)
+        raise
+    os.close(lock)
+    return None
+
+
+def _try_lock(lock: int) -> bool:
+    """Lock an open file without waiting; an OSError where the file system has no locks."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(lock, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
+            return False
+        raise
+    return True
 
 
 def refuse_links(folder: Path, hint: str = "") -> None:
@@ -323,23 +570,6 @@ def _is_link(path: Path) -> bool:
     except OSError:
         return False
     return stat.S_ISLNK(found.st_mode) or getattr(found, "st_reparse_tag", 0) == _JUNCTION
-
-
-def _check_staging(journal: Journal) -> None:
-    """Refuse a staging folder in whose place somebody has put something else; one that is gone has nothing to move.
-
-    Raises
-    ------
-    OSError
-        When it, or a folder in it, is no folder.
-    """
-    for folder in (journal.staging, journal.staging / _NEW, journal.staging / _OLD):
-        try:
-            found = folder.lstat()
-        except FileNotFoundError:
-            continue
-        if not stat.S_ISDIR(found.st_mode) or _is_link(folder):
-            raise NotADirectoryError(f"{folder}: is no folder")
 
 
 class InputFiles:
@@ -402,21 +632,6 @@ def _stat(path: Path, follow: bool = True) -> os.stat_result | None:
         return None
 
 
-def finish_killed_runs(folder: Path) -> None:
-    """Recover a folder before results in it are read; see `recover`.
-
-    Raises
-    ------
-    OutputError
-        When the files there are not of one run and cannot be made so.
-    """
-    if stuck := recover(folder):
-        raise OutputError(
-            f"{folder}: a run that was killed has put only some of its files in place, and they cannot be moved",
-            f"may the folder be written to, is one of them open elsewhere? the others are in {stuck[0]}",
-        )
-
-
 def sync(path: Path) -> None:
     """Wait until a file is on the disk, or all that is in a folder."""
     if path.is_dir():
@@ -428,46 +643,14 @@ def sync(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _move(journal: Journal, folder: Path) -> None:
-    """Do what a journal says; a move that fails puts everything back. May be repeated after a kill at any point."""
-    moves, staging = journal.moves, journal.staging
-    if moves is None or not staging.is_dir():
-        journal.clear()
+def sync_folder(folder: Path) -> None:
+    """Wait until the names in a folder are on the disk, where the system can say so."""
+    if os.name != "posix":
         return
-    (staging / _OLD).mkdir(exist_ok=True)
-    if moves.undo:
-        _move_back(staging, folder, moves)
-    else:
-        try:
-            _move_forward(staging, folder, moves)
-        except Exception:
-            moves = replace(moves, undo=True)
-            journal.write(moves)
-            _move_back(staging, folder, moves)
-            journal.clear()
-            raise
-    journal.clear()
-
-
-def _move_forward(staging: Path, folder: Path, moves: Moves) -> None:
-    new, old = staging / _NEW, staging / _OLD
-    last = [] if moves.last is None else [moves.last]
-    for name in (*last, *moves.remove):
-        if (name in moves.remove or os.path.lexists(new / name)) and os.path.lexists(folder / name):
-            os.replace(folder / name, old / name)
-    for name in (*moves.files, *last):
-        if os.path.lexists(new / name):
-            if os.path.lexists(folder / name):
-                os.replace(folder / name, old / name)
-            os.replace(new / name, folder / name)
-
-
-def _move_back(staging: Path, folder: Path, moves: Moves) -> None:
-    new, old = staging / _NEW, staging / _OLD
-    last = [] if moves.last is None else [moves.last]
-    for name in (*reversed(moves.files), *moves.remove, *last):
-        placed = name not in moves.remove and not os.path.lexists(new / name)
-        if placed and os.path.lexists(folder / name):
-            os.replace(folder / name, new / name)
-        if os.path.lexists(old / name):
-            os.replace(old / name, folder / name)
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    except OSError:
+        pass  # some network file systems refuse it for folders
+    finally:
+        os.close(number)

@@ -1,4 +1,4 @@
-"""Seals of files that this user's runs have written: a report of somebody else cannot have them.
+"""Seals of files and folders that this user's runs have made: those of somebody else cannot have them.
 
 A report lists the files of its run, and a later run removes some of these. A report that came with somebody's data may
 list any file. So each entry has a seal: a keyed checksum (HMAC) of the name and the content of the file. The key lies
@@ -12,14 +12,15 @@ import hashlib
 import hmac
 import os
 import secrets
+import stat
 from contextlib import suppress
 from pathlib import Path
-
-from accelsurf.io.set_journals import is_private, state_folder
 
 _KEY, _KEY_BYTES = "seal.key", 32
 #: A link is not followed, and a pipe not waited for.
 _PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+#: Only the user may write these, on systems that say who may.
+_OTHERS_MAY_WRITE = 0o022
 
 
 def seal(name: str, checksum: str) -> str:
@@ -32,8 +33,7 @@ def seal(name: str, checksum: str) -> str:
     checksum : str
         SHA-256 of its content.
     """
-    key = _key()
-    return "" if key is None else _sealed(key, name, checksum)
+    return signed(os.fsencode(name), checksum.encode())
 
 
 def is_sealed(name: str, checksum: str, given: object) -> bool:
@@ -46,35 +46,84 @@ def is_sealed(name: str, checksum: str, given: object) -> bool:
     given : object
         The seal, as it is read from a report: it may be anything.
     """
-    key = _key()
+    made = seal(name, checksum)
     return (
-        key is not None
+        bool(made)
         and isinstance(given, str)
-        and hmac.compare_digest(
-            _sealed(key, name, checksum).encode(), given.encode(errors="replace")
-        )
+        and hmac.compare_digest(made.encode(), given.encode(errors="replace"))
     )
 
 
-def _sealed(key: bytes, name: str, checksum: str) -> str:
-    return hmac.new(key, os.fsencode(name) + b"\0" + checksum.encode(), hashlib.sha256).hexdigest()
+def signed(*parts: bytes) -> str:
+    """Return a keyed checksum of some bytes, hexadecimal; empty where the user's state folder has no key.
 
-
-def _key() -> bytes | None:
-    """The user's key, made when it is first asked for; None where none can be kept."""
+    Parameters
+    ----------
+    *parts : bytes
+        Without a zero byte, which divides them.
+    """
     try:
-        path = state_folder().parent / _KEY
-        with suppress(FileNotFoundError):
-            return _read(path)
-        _make(path)
-        return _read(path)
+        return hmac.new(_key(), b"\0".join(parts), hashlib.sha256).hexdigest()
     except OSError:
-        return None
+        return ""
+
+
+def unavailable() -> str:
+    """Return why there is no key; empty where there is one."""
+    try:
+        _key()
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def state_folder() -> Path:
+    """Return the folder of the key, made if it is not there.
+
+    Raises
+    ------
+    OSError
+        When nothing can be written there, or others than the user can write there, too.
+    """
+    from platformdirs import user_state_path
+
+    try:
+        folder = user_state_path("accelsurf", appauthor=False)
+    except RuntimeError as error:
+        raise OSError(errno.ENOENT, str(error)) from error
+    if not folder.is_absolute():  # older versions say so in this way
+        raise OSError(errno.ENOENT, "the user has no home folder")
+    there = next(parent for parent in folder.parents if parent.exists())
+    if (
+        os.name == "posix" and os.geteuid() == 0 and there.stat().st_uid != 0
+    ):  # sudo: these would not be the user's
+        raise PermissionError(errno.EACCES, "it is the folder of another user", str(folder))
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    found = folder.lstat()
+    if not _is_private(found) or not stat.S_ISDIR(found.st_mode):
+        raise PermissionError(errno.EACCES, "others than the user may write there", str(folder))
+    return folder
+
+
+def _is_private(found: os.stat_result) -> bool:
+    """Test if a file is this user's, and nobody else may write it."""
+    if os.name != "posix":
+        return True
+    return found.st_uid == os.geteuid() and not found.st_mode & _OTHERS_MAY_WRITE
+
+
+def _key() -> bytes:
+    """The user's key, made when it is first asked for; an OSError where none can be kept."""
+    path = state_folder() / _KEY
+    with suppress(FileNotFoundError):
+        return _read(path)
+    _make(path)
+    return _read(path)
 
 
 def _read(path: Path) -> bytes:
     with open(os.open(path, os.O_RDONLY | _PLAIN), "rb") as file:
-        if not is_private(os.fstat(file.fileno())):
+        if not _is_private(os.fstat(file.fileno())):
             raise PermissionError(errno.EACCES, "others than the user may write it", str(path))
         key = file.read(_KEY_BYTES + 1)
     if len(key) != _KEY_BYTES:

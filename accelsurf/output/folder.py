@@ -1,30 +1,36 @@
-"""The folder of a run's files: is it writable, what may be replaced in it, and which files are inputs of the run.
+"""The folder of a run's files: where they go, what may be replaced there, and how they appear.
 
-Inputs are never replaced. Errors name the files as they will be called.
+`OutputFolder.plan` names the files, `OutputFolder.stage` refuses what may not be replaced and gives a hidden folder to
+write in, `OutputFolder.commit` puts all in place, the report last. Only files of these names are replaced, and of the
+others only those are removed that a report lists with the user's own seal. Inputs are never replaced. Nothing of a run
+is loaded here: a command knows its files, and can refuse, before anything is computed.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import tempfile
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Self
 
-from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.io import headers, is_stored
-from accelsurf.io.file_set import FileSet, InputFiles, open_set, refuse_links
-from accelsurf.output.result_sets import (
-    has_guests,
-    is_failure_report,
-    is_output,
-    outdated,
-    outdated_inputs,
-    report_name,
-)
+from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError, OutputError, UsageError
+from accelsurf.io import headers, is_stored, split_name
+from accelsurf.io.file_set import FileSet, InputFiles, is_unfinished, open_set, refuse_links
+from accelsurf.output import layouts
+from accelsurf.output.reports import FAILED, Report, has_guests, is_output, report_name
 from accelsurf.settings.coordinates import is_point_file
+from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, image_format
+from accelsurf.settings.mesh_formats import Shape, automatic_mesh_formats, ending_of, mesh_formats
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
+
+if TYPE_CHECKING:
+    from accelsurf.grid.geometry import Geometry
 
 #: Of a file's name, on the usual file systems.
 MAX_NAME_BYTES = 255
@@ -37,16 +43,386 @@ PLACES, FILE_KINDS = (
 _FILES = ("mask", "objects", "labels", "label_table")
 #: Endings of headers whose voxels may lie in another file.
 _DETACHED = (".mhd", ".mha", ".nhdr", ".hdr", ".img", ".hdr.gz", ".img.gz")
+#: Kinds of outputs of which each object has its own.
+EACH = ("surface", "contour")
 
 
-def refuse_existing(paths: dict[str, Path], overwrite: bool, inputs: Sequence[Path] = ()) -> None:
+@dataclass(frozen=True)
+class OutputFolder:
+    """Folder and names of the files of a run.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    name : str
+        First part of every file's name.
+    source : Path or None
+        The image; its ending is that of the label map.
+    overwrite : bool
+        True if existing outputs may be replaced, and an unfinished set be made anew.
+    resume : bool
+        True if the run goes on from the checkpoint of an earlier one.
+    has_checkpoint : bool
+        True if it may have one: a correction has none.
+    further : tuple of Path or None
+        Files that the command reads beside the image and the files that its settings name.
+    """
+
+    path: Path
+    name: str
+    source: Path | None = None
+    overwrite: bool = False
+    resume: bool = False
+    has_checkpoint: bool = True
+    further: tuple[Path | None, ...] = ()
+
+    @classmethod
+    def for_image(
+        cls, source: Path, path: Path, overwrite: bool = False, *further: Path | None
+    ) -> Self:
+        """Return the folder of outputs that have the name of an image; ``further`` files are read, too."""
+        return cls(path, headers.name_of(source), source, overwrite, further=further)
+
+    # ------------------------------------------------------------------------------------------------------ names
+
+    @property
+    def image(self) -> Path:
+        """The image, of a run that has one."""
+        assert self.source is not None
+        return self.source
+
+    @property
+    def report(self) -> Path:
+        """Path of the report."""
+        return self.path / report_name(self.name)
+
+    @property
+    def checkpoint(self) -> Path:
+        """Path of the state of the run while it goes on."""
+        return self.path / f"{self.name}_checkpoint.npz"
+
+    def label_format(self, config: RunConfig) -> str:
+        """Return the format of the label map: the one of the settings, else the input's, else nii.gz.
+
+        Examples
+        --------
+        >>> OutputFolder(Path("out"), "a", Path("a.tiff")).label_format(RunConfig())
+        'tif'
+        """
+        followed = image_format("" if self.source is None else split_name(self.source)[1])
+        if config.layout == "bids" and (followed is None or not followed.name.startswith("nii")):
+            followed = None  # BIDS has label maps in NIfTI
+        if followed is None or followed.write is None:
+            return config.format or DEFAULT_IMAGE_FORMAT
+        return config.format or followed.name
+
+    def names(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, str]:
+        """Return the name of every output by its kind, without the report; of all objects that of a single one.
+
+        Parameters
+        ----------
+        config : RunConfig
+        is_2d : bool or None
+            True if the image has one slice; None as long as that is not known: then all possible files.
+
+        Examples
+        --------
+        >>> found = OutputFolder(Path("out"), "a", Path("a.png")).names(RunConfig(), True)
+        >>> [name for kind, name in found.items() if kind.startswith("contour")]
+        ['a_contour.vtp', 'a_contour.csv']
+        """
+        labels = self.label_format(config)
+        files = {"labels": f"seg.{labels}"}
+        if is_2d is not True:
+            files |= _mesh_names(config, "surface")
+        if is_2d is not False:
+            files |= _mesh_names(config, "contour")
+        if config.save_sdf:
+            files["sdf"] = f"sdf.{IMAGE_FORMATS[labels].distances or labels}"
+        if config.has_ids:
+            files["objects"] = "objects.csv"
+        if keeps_state(config):
+            files |= {"state": "state.npz", "config": "run.toml"}
+        files |= {f"also-{name}": ending_of(name) for name in config.also if name != labels}
+        if labels in ("nii", "nii.gz") and (config.name or config.color or config.label_table):
+            files["also-itk-snap"] = ending_of("itk-snap")  # which ITK-SNAP reads beside a NIfTI
+        files |= {"trace": "trace.csv", "preview": "preview.png"}
+        files |= {"statistics": "statistics.csv", "statistics-json": "statistics.json"}
+        names = {kind: f"{self.name}_{last}" for kind, last in files.items()}
+        if config.layout == "plain":
+            return names
+        return layouts.renamed(config, self.image, self.name, names)
+
+    def plan(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, Path]:
+        """Return every output by kind, the report last; of several objects the meshes that exist already.
+
+        Parameters as of `names`.
+        """
+        names = self.names(config, is_2d)
+        planned = {
+            kind: self.path / name
+            for kind, name in names.items()
+            if not (config.has_ids and kind.startswith(EACH))
+        }
+        if config.has_ids:
+            planned |= {path.name: path for path in self._meshes_there(names)}
+        return planned | {"report": self.report}
+
+    def _meshes_there(self, names: Mapping[str, str]) -> list[Path]:
+        """Files in the folder that are named as the surface or contour of an object, of any id."""
+        parts = [names[kind].rpartition(".") for kind in names if kind.startswith(EACH)]
+        known = re.compile(
+            "|".join(rf"{re.escape(stem)}_[1-9][0-9]*\.{suffix}" for stem, _, suffix in parts)
+        )
+        files = self.path.iterdir() if self.path.is_dir() else ()
+        return sorted(path for path in files if known.fullmatch(path.name))
+
+    def laid_out(self, config: RunConfig) -> Self:
+        """Return the folder in the layout of the settings.
+
+        Raises
+        ------
+        UsageError
+            When the image cannot be in that layout.
+        """
+        layouts.check_layout(config, self.image, self.path, self.name)
+        return replace(self, path=layouts.folder_of(config, self.image, self.path))
+
+    def inputs(self, config: RunConfig | TrackConfig | None) -> list[Path]:
+        """Return all files that the command reads: none of them may be replaced."""
+        return inputs_of(self.source, config, *self.further)
+
+    # ------------------------------------------------------------------------------------------------ what is there
+
+    def refuse_left(self, *states: Path) -> None:
+        """Refuse to lose the state of a run that was stopped, in one of ``states``.
+
+        Raises
+        ------
+        OutputError
+            When one of them is there, and the run neither goes on from it nor replaces it.
+        """
+        left = next((path for path in states if path.exists()), None)
+        if left is not None and not (self.resume or self.overwrite):
+            raise OutputError(
+                f"{left}: is the state of a run that was stopped",
+                "add --resume to go on from it, or --overwrite to begin anew",
+            )
+
+    def resumed(self, planned: Iterable[Path]) -> Self:
+        """Return the folder to go on in: ``planned`` files of a run that was killed or failed may be replaced."""
+        report, known = Report(self.report), set[str]()
+        if report.document is not None and report.document["status"] != "ok":
+            known = {self.report.name, *report.own()}
+        is_free = is_unfinished(self.path, self.name) or all(
+            path.name in known for path in planned if os.path.lexists(path)
+        )
+        return replace(self, resume=True, overwrite=self.overwrite or is_free)
+
+    def holds_result(self, planned: Iterable[Path] = ()) -> bool:
+        """Test if the folder has files that a failed run must not replace: any but those of an earlier failure.
+
+        Parameters
+        ----------
+        planned : iterable of Path, optional
+            Files that may be written beside the report.
+        """
+        report = Report(self.report)
+        replaced = {self.report.name, *report.own()} if report.is_failure else set()
+        there = [path for path in {*planned, self.report} if os.path.lexists(path)]
+        return any(path.name not in replaced for path in there)
+
+    def beside_result(self, planned: Iterable[Path]) -> Self:
+        """Return the place of a failed run's files: this one, or where a result stands, beside it under other names."""
+        return replace(self, name=self.name + FAILED) if self.holds_result(planned) else self
+
+    # -------------------------------------------------------------------------------------------------- writing
+
+    @contextmanager
+    def stage(
+        self,
+        planned: Mapping[str, Path] | None = None,
+        inputs: Sequence[Path] = (),
+    ) -> Iterator[FileSet]:
+        """Make the folder, and give a hidden one to write in; see `accelsurf.io.file_set.open_set`.
+
+        Parameters
+        ----------
+        planned : mapping of str to Path, optional
+            All that may be written, by kind, as of `refuse_existing`.
+        inputs : sequence of Path, optional
+            Files that are read: none of them is replaced or removed.
+
+        Raises
+        ------
+        OutputError
+            When an output exists and may not be replaced, nothing can be written there, another run is writing files of
+            this name, or they are unfinished and may not be replaced.
+        """
+        make_writable(self.path)
+        with ExitStack() as stack:
+            try:
+                files = stack.enter_context(
+                    open_set(self.path, self.name, inputs=inputs, mend=self.overwrite)
+                )
+            except OSError as error:
+                reason = error.strerror or str(error)
+                raise OutputError(
+                    f"{self.path}: cannot be written to ({reason})", "choose another folder with -o"
+                ) from None
+            if planned is not None:
+                refuse_existing(planned, self.overwrite, inputs)
+            yield files
+
+    def commit(self, files: FileSet, failed: bool = False, gone: Sequence[str] = ()) -> None:
+        """Put staged files in place, the report last; outdated files of an earlier run are removed.
+
+        Parameters
+        ----------
+        files : FileSet
+        failed : bool
+            True if the run failed.
+        gone : sequence of str, optional
+            Further files that are removed.
+
+        Raises
+        ------
+        OutputError
+            When a file exists that may not be replaced: another program may have put it there while the run went on.
+        """
+        written = [path.name for path in files.staging.iterdir()]
+        if not (failed or self.overwrite):
+            refuse_existing(
+                {
+                    "report" if name == self.report.name else name: self.path / name
+                    for name in written
+                },
+                False,
+            )
+        last = self.report.name if self.report.name in written else None
+        files.commit(last, [*self.outdated(written, failed), *gone], mends=not failed)
+
+    def outdated(self, written: Collection[str], failed: bool) -> list[str]:
+        """Return the names of the files that go when those of a new run come; a warning names those that stay.
+
+        These are the files of the earlier report; of a run that did not fail also those of a failed one before it.
+        Without ``overwrite`` only reports go, and files that are named as of a failed run.
+        """
+        failures = self.path / report_name(self.name + FAILED)
+        reports = [Report(self.report)]
+        if not failed and (beside := Report(failures)).is_failure:
+            reports.append(beside)
+        gone, stays = [], []
+        for report in reports:
+            if report.document is not None:
+                files = report.unchanged(written)
+                gone += [*(file.name for file in files if file.is_own), report.path.name]
+                stays += [file.name for file in files if not file.is_own]
+        if not self.overwrite:
+            begins = f"{self.name.removesuffix(FAILED)}{FAILED}_", self.report.name
+            gone, stays = (
+                [name for name in names if name.startswith(begins)] for names in (gone, stays)
+            )
+        if stays := [name for name in stays if name not in gone]:
+            named = ", ".join(str(self.path / name) for name in stays[:3])
+            warnings.warn(
+                f"{named}{' and more' if len(stays) > 3 else ''}: the earlier report lists it, but no run of yours on "
+                "this machine wrote it, so it stays; remove it if it is not needed",
+                AccelsurfWarning,
+                stacklevel=2,
+            )
+        return [name for name in gone if name not in written]
+
+
+def _mesh_names(config: RunConfig, shape: Shape) -> dict[str, str]:
+    """Last parts of the names of surfaces or contours, by kind."""
+    wanted = automatic_mesh_formats(shape) if config.mesh == "auto" else config.mesh
+    return {f"{shape}-{kind}": f"{shape}.{kind}" for kind in wanted if kind in mesh_formats(shape)}
+
+
+def keeps_state(config: RunConfig) -> bool:
+    """Test if the state of a run is written, from which it can be refined, and the settings that repeat it.
+
+    Examples
+    --------
+    >>> keeps_state(RunConfig()), keeps_state(RunConfig(inside="point:1,2,3")), keeps_state(RunConfig(keep_state="yes"))
+    (False, True, True)
+    """
+    if config.keep_state != "auto":
+        return config.keep_state == "yes"
+    given = config.inside or config.outside or config.refine or config.labels
+    return bool(given) or _is_table_of_clicks(config.objects)
+
+
+def _is_table_of_clicks(objects: str | None) -> bool:
+    """Test if the objects begin as clicks; if a table cannot be read, the run reports the error."""
+    if objects is None or not objects.lower().endswith(".csv"):
+        return False
+    from accelsurf.clicks.tables import has_sides  # loads what a run needs
+
+    try:
+        return has_sides(objects)
+    except InputError:
+        return False
+
+
+def check_outputs(config: RunConfig, labels: str, geometry: Geometry) -> None:
+    """Refuse formats that cannot hold the results on this grid.
+
+    Raises
+    ------
+    UsageError
+        With those that can.
+    """
+    is_2d = geometry.slice_axis is not None
+    shape: Shape = "contour" if is_2d else "surface"
+    possible = mesh_formats(shape)
+    image = (
+        "an image of one slice, whose contours are written"
+        if is_2d
+        else "a volume, whose surface is written"
+    )
+    for kind in () if config.mesh == "auto" else config.mesh:
+        if kind not in possible:
+            raise UsageError(
+                f"mesh: {kind} was given for {image}, expected {', '.join(possible)}",
+                f"--mesh auto is {','.join(automatic_mesh_formats(shape))} for {'one slice' if is_2d else 'a volume'}",
+            )
+    for key in ("mesh_smooth", "mesh_faces", "mesh_error"):
+        if is_2d and getattr(config, key):
+            raise UsageError(
+                f"{key}: it was given for {image}", "leave it out: contours are written as they are"
+            )
+    if IMAGE_FORMATS[labels].only_2d and geometry.shape[0] > 1:
+        raise UsageError(
+            f"format: {labels} was given for {geometry.shape[0]} slices along z, expected one",
+            "use --format tif for a stack, or a volume format",
+        )
+
+
+def name_of(name: str, object_id: int) -> str:
+    """Return the name of a file for the object ``object_id``.
+
+    Examples
+    --------
+    >>> name_of("scan_surface.ply", 7)
+    'scan_surface_7.ply'
+    """
+    stem, _, suffix = name.rpartition(".")
+    return f"{stem}_{object_id}.{suffix}"
+
+
+def refuse_existing(
+    paths: Mapping[str, Path], overwrite: bool, inputs: Sequence[Path] = ()
+) -> None:
     """Refuse to start when an output exists already, or the folder cannot take one; make the folder.
 
     The report of a failed run does not count as existing: it has no result.
 
     Parameters
     ----------
-    paths : dict of str to Path
+    paths : mapping of str to Path
         All that may be written, by kind; what a standing ``report`` lists may be removed.
     overwrite : bool
     inputs : sequence of Path, optional
@@ -69,15 +445,16 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool, inputs: Sequence[Pa
     existing = [path for path in paths.values() if os.path.lexists(path)]
     read = InputFiles(inputs)
     read.refuse(existing)
-    if (report := paths.get("report")) is not None:
+    report = paths.get("report")
+    if report is not None:
         read.refuse(outdated_inputs(report, read))
-    results = [
-        path for path in existing if not (path == paths.get("report") and is_failure_report(path))
-    ]
+    results = [path for path in existing if not (path == report and Report(path).is_failure)]
     if results and not overwrite:
         more = f" and {len(results) - 1} more" if len(results) > 1 else ""
+        is_alone = report is not None and not report.exists()
+        why = ", without a report: a run may have been killed before it was complete"
         raise OutputError(
-            f"{results[0]}{more}: exists already",
+            f"{results[0]}{more}: exists already{why if is_alone else ''}",
             "choose another folder with -o, or add --overwrite",
         )
     for path in existing:
@@ -90,6 +467,15 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool, inputs: Sequence[Pa
             )
     for folder in {path.parent for path in paths.values()}:
         make_writable(folder)
+
+
+def outdated_inputs(report: Path, inputs: InputFiles) -> list[Path]:
+    """Return the inputs among the files that go with an earlier result; only their checksums are computed."""
+    found = Report(report)
+    others = {file.name for file in found.listed if inputs.at(report.parent / file.name) is None}
+    if others == {file.name for file in found.listed}:
+        return []
+    return [report.parent / name for name in found.own(others)]
 
 
 def refuse_folder(path: Path) -> None:
@@ -131,60 +517,6 @@ def make_writable(folder: Path) -> None:
         raise OutputError(
             f"{folder}: cannot be written to ({reason})", "choose another folder with -o"
         ) from None
-
-
-def commit(
-    files: FileSet, report: str, failed: bool, overwrite: bool, gone: Sequence[str] = ()
-) -> None:
-    """Put the staged files of a run in place, the report last; outdated files of an earlier run are removed.
-
-    Parameters
-    ----------
-    files : FileSet
-    report : str
-        Name of the report.
-    failed : bool
-        Whether the run failed.
-    overwrite : bool
-        Whether an earlier result may be replaced.
-    gone : sequence of str, optional
-        Further files that are removed.
-
-    Raises
-    ------
-    OutputError
-        When a file exists that may not be replaced: another program may have put it there while the run went on.
-    """
-    written = [path.name for path in files.staging.iterdir()]
-    if not (failed or overwrite):
-        refuse_existing(
-            {"report" if name == report else name: files.folder / name for name in written}, False
-        )
-    name = report.removesuffix(report_name(""))
-    files.commit(
-        last=report, remove=[*outdated(files.folder, name, written, failed, overwrite), *gone]
-    )
-
-
-@contextmanager
-def opened_set(folder: Path, name: str, inputs: Sequence[Path] = ()) -> Iterator[FileSet]:
-    """Make a folder, and prepare the files of a run in it; see `accelsurf.io.file_set.open_set`.
-
-    Raises
-    ------
-    OutputError
-        When nothing can be written there, or another run is writing files of this name.
-    """
-    make_writable(folder)
-    with ExitStack() as stack:
-        try:
-            files = stack.enter_context(open_set(folder, name, inputs=inputs))
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise OutputError(
-                f"{folder}: cannot be written to ({reason})", "choose another folder with -o"
-            ) from None
-        yield files
 
 
 @contextmanager
@@ -233,22 +565,19 @@ def named_files(given: RunConfig | TrackConfig) -> list[Path]:
 
 
 def inputs_of(
-    image: Path, config: RunConfig | TrackConfig | None, *further: Path | None
+    image: Path | None, config: RunConfig | TrackConfig | None, *further: Path | None
 ) -> list[Path]:
     """Return all files that a run reads: image, what its settings name, ``further`` files, and data files of headers.
 
     Parameters
     ----------
-    image : Path
+    image : Path, optional
     config : RunConfig or TrackConfig, optional
     *further : Path or None
         Files that the command reads beside: a reference, a configuration.
     """
-    named = [
-        image,
-        *(() if config is None else named_files(config)),
-        *(path for path in further if path is not None),
-    ]
+    given = () if config is None else named_files(config)
+    named = [path for path in (image, *given, *further) if path is not None]
     return [*named, *(data for path in named for data in _data_of(path))]
 
 

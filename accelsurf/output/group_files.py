@@ -21,11 +21,10 @@ from accelsurf.errors import InputError, OutputError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.window import Window
-from accelsurf.io.file_set import sync
+from accelsurf.io.file_set import is_staging, sync, sync_folder
 from accelsurf.io.files import read_json
-from accelsurf.io.set_journals import is_staging, sync_folder
-from accelsurf.output import names as output_names
 from accelsurf.output.document import describe_object, describe_window
+from accelsurf.output.folder import name_of
 from accelsurf.run.result import SegmentedObject
 
 _RECORD, _LABELS = "record.json", "labels.npz"
@@ -258,7 +257,7 @@ def _write_meshes(
         for kind, name in names.items()
         if kind.startswith(shape) and segmented.has_surface
     }
-    files = {kind: output_names.name_of(name, segmented.id) for kind, name in wanted.items()}
+    files = {kind: name_of(name, segmented.id) for kind, name in wanted.items()}
     for name in files.values():
         (segmented.surface if shape == "surface" else segmented.contours).write(
             staged / name, space

@@ -15,7 +15,7 @@ from pathlib import Path
 from accelsurf.errors import UsageError
 from accelsurf.io import split_name
 from accelsurf.io.files import write_bytes
-from accelsurf.output.result_sets import FAILED
+from accelsurf.output.reports import FAILED
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
 
@@ -202,7 +202,7 @@ def folder_of(config: RunConfig, source: Path, folder: Path) -> Path:
 
 def renamed(config: RunConfig, source: Path, name: str, names: dict[str, str]) -> dict[str, str]:
     """Names of the files by kind as a layout has them; those of a failed run beside a result stay as they are."""
-    if config.layout == "plain" or name.endswith(FAILED):
+    if name.endswith(FAILED):
         return names
     ending = names["labels"].removeprefix(f"{name}_seg")
     if config.layout == "nnunet":

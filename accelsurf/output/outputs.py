@@ -1,7 +1,7 @@
 """The files of a run, each written completely, from the result and the settings of the run.
 
-Meshes are smoothed, simplified, named and coloured as the settings say. `accelsurf.output.names` has the names of all
-files, `accelsurf.output.folder` the place.
+Meshes are smoothed, simplified, named and coloured as the settings say. `accelsurf.output.folder` has the names of
+all files, and the place.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import LABELS_KEY, shows_patient
 from accelsurf.measure.contours import Contours
 from accelsurf.output import layouts, tables
-from accelsurf.output import names as output_names
 from accelsurf.output.document import describe_objects
+from accelsurf.output.folder import EACH, name_of
 from accelsurf.output.label_files import given_labels, is_named, table_of
 from accelsurf.output.mesh_files import MeshNotes, is_shaped, shaped
 from accelsurf.output.pictures import preview
@@ -150,7 +150,7 @@ def _label_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]
 
 def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) -> Iterator[Writer]:
     """The writers of surfaces or contours, which are extracted here; of several objects those with a voxel."""
-    kinds = [kind for kind in names if kind.startswith(output_names.EACH)]
+    kinds = [kind for kind in names if kind.startswith(EACH)]
     if not kinds:
         return
     is_2d, space = result.geometry.slice_axis is not None, result.config.mesh_space
@@ -166,9 +166,7 @@ def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) ->
                 f"object {segmented.id}: {line}" if result.has_ids else line for line in warnings
             )
         for kind in kinds:
-            name = (
-                output_names.name_of(names[kind], segmented.id) if result.has_ids else names[kind]
-            )
+            name = name_of(names[kind], segmented.id) if result.has_ids else names[kind]
             if statistics is not None:
                 notes.statistics[name] = statistics
             yield kind.partition("-")[0], name, functools.partial(_write_mesh, mesh, space, label)

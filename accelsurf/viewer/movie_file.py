@@ -12,9 +12,9 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import StepRecord
 from accelsurf.image.volume import Volume
 from accelsurf.io.files import read_json
-from accelsurf.output import result_sets
 from accelsurf.output.given_image import GivenImage, settings_of
 from accelsurf.output.pictures.movies import MAX_SIDE, MIN_SIDE, Picture
+from accelsurf.output.reports import FAILED, Report, report_name
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
@@ -256,12 +256,12 @@ def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -
     from accelsurf.correct.restored import restored
     from accelsurf.correct.state_file import read_state
 
-    report = report_in(folder)
-    names = result_sets.names_of_outputs(report)
+    report = Report(report_in(folder))
+    names = report.names
     name = names.get("state", names.get("labels"))
     if name is None:
-        raise InputError(f"{report}: lists no result", "run segment again")
-    if name not in result_sets.unchanged_outputs(report, set(names.values()) - {name}):
+        raise InputError(f"{report.path}: lists no result", "run segment again")
+    if not report.unchanged(set(names.values()) - {name}):
         raise InputError(
             f"{folder / name}: is missing, or was changed since it was written", "run segment again"
         )
@@ -291,6 +291,4 @@ def report_in(folder: Path) -> Path:
 
 def _is_failure_beside(path: Path) -> bool:
     """Test if a report is that of a failed run beside a result."""
-    return path.name.endswith(
-        result_sets.report_name(result_sets.FAILED)
-    ) and result_sets.is_failure_report(path)
+    return path.name.endswith(report_name(FAILED)) and Report(path).is_failure

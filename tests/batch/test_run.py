@@ -13,7 +13,7 @@ from accelsurf.batch.outcome import CaseTask, Outcome
 from accelsurf.batch.run import Batch
 from accelsurf.batch.tables import Tables
 from accelsurf.errors import OutputError
-from accelsurf.output.folder import opened_set
+from accelsurf.output.folder import OutputFolder
 from accelsurf.settings.run_config import RunConfig
 from tests.support.batch_jobs import InlinePool
 
@@ -58,7 +58,7 @@ def lost(task, failure):
 
 def run(batch, folder, function):
     watching = Watching()
-    with opened_set(folder, "batch") as files:
+    with OutputFolder(folder, "batch").stage() as files:
         made = batch.tables(files)
         batch.run(InlinePool(function, 1, bytes=batch.admission.bytes), made, watching, lost, False)
     return made, watching
@@ -123,7 +123,7 @@ def test_one_batch_at_a_time_writes_the_tables_of_a_folder(batch, tmp_path):
     def again(task):
         with (
             pytest.raises(OutputError, match="another run is writing there"),
-            opened_set(Path(tmp_path), "batch"),
+            OutputFolder(Path(tmp_path), "batch").stage(),
         ):
             pytest.fail("two at once")
         return Outcome(task.case.id, "ok")

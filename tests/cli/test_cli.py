@@ -577,9 +577,10 @@ class Killed(BaseException):
     """Ends a run between two renames as a kill would: nothing is tidied up."""
 
 
-def test_readers_finish_the_moves_of_a_killed_run(scans, tmp_path, capsys, monkeypatch):
-    words = ("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--overwrite", "--max-steps")
-    assert run(*words, 1) == 0
+@pytest.mark.parametrize("how", ["--overwrite", "--resume"])
+def test_an_unfinished_set_is_named_and_made_anew(how, scans, tmp_path, capsys, monkeypatch):
+    words = ("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 3)
+    assert run(*words[:-1], 1) == 0
     before, moved, real = report_of(tmp_path), [], os.replace
 
     def replace(source, goal):
@@ -591,10 +592,22 @@ def test_readers_finish_the_moves_of_a_killed_run(scans, tmp_path, capsys, monke
 
     monkeypatch.setattr(os, "replace", replace)
     with pytest.raises(Killed):
-        run(*words, 3)
+        run(*words, "--overwrite")
     monkeypatch.undo()
     assert not (tmp_path / "ball_report.json").exists() and list(tmp_path.glob(".*"))
-    assert run("evaluate", tmp_path / "ball_seg.nii.gz", scans / "truth.nii.gz") == 0
+    left = {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")}
+    for reader in (
+        words,
+        ("evaluate", tmp_path / "ball_seg.nii.gz", scans / "truth.nii.gz"),
+        ("refine", tmp_path, "--inside", "point:1,2,3"),
+        ("movie", tmp_path, "-o", tmp_path / "a.png", "--preview"),
+    ):
+        capsys.readouterr()
+        assert run(*reader) == 7
+        said = capsys.readouterr().err
+        assert "ball: is unfinished" in said and "--overwrite" in said
+        assert {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")} == left
+    assert run(*words, how) == 0
     after = report_of(tmp_path)
     assert after["stop"]["steps"] == 3 and after["outputs"] != before["outputs"]
     for one in after["outputs"]:

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.cli.case import Place, exit_code_of_finished
+from accelsurf.cli.case import exit_code_of_finished
 from accelsurf.correct import state_file
 from accelsurf.errors import InputError
 from accelsurf.evolution import serialization
 from accelsurf.image.volume import Volume
 from accelsurf.io import sha256
-from accelsurf.output import result_sets
+from accelsurf.output.folder import OutputFolder
+from accelsurf.output.reports import Report
 from accelsurf.run import checkpoint as run_checkpoint
 from accelsurf.settings.run_config import RunConfig
 
@@ -360,7 +361,7 @@ def test_reports_that_somebody_has_changed_are_no_fault(value, scan, finished, t
     whole = json.loads((finished / "ball_report.json").read_text())
     state = (finished / "ball_state.npz").read_bytes()
     (folder / "ball_state.npz").write_bytes(state[:100])  # so that no correction begins
-    path, place = folder / "ball_report.json", Place(scan, folder, "ball", resume=True)
+    path, place = folder / "ball_report.json", OutputFolder(folder, "ball", scan, resume=True)
     for key in [*whole, *(("input", inner) for inner in whole["input"])]:
         report = json.loads(json.dumps(whole))
         if isinstance(key, tuple):
@@ -370,6 +371,7 @@ def test_reports_that_somebody_has_changed_are_no_fault(value, scan, finished, t
         path.write_text(json.dumps(report))
         assert run("refine", folder, "--inside", "point:8,8,7") == 3
         assert exit_code_of_finished(place, RunConfig(**whole["config"]), quiet=True) in (None, 0)
-        assert result_sets.is_failure_report(path) in (True, False)
-        assert isinstance(result_sets.outdated(folder, "ball", (), False), list)
+        assert Report(path).is_failure in (True, False)
+        assert isinstance(place.holds_result(), bool)
+        assert isinstance(place.resumed([path]), OutputFolder)
         capfd.readouterr()

@@ -308,22 +308,22 @@ def track_toml(given: Input, folder: Path) -> None:
 
 def report(given: Input, folder: Path) -> None:
     """A report with the state that it names, as ``refine``, ``batch --resume``, ``movie`` and ``view`` read it."""
-    from accelsurf.output import result_sets
+    from accelsurf.output.folder import OutputFolder
+    from accelsurf.output.reports import Report, had_settings
     from accelsurf.settings.run_config import RunConfig
     from accelsurf.viewer.movie_file import run_of_folder
 
     path = folder / "a_report.json"
-    document = result_sets.load_report(path)
-    if document is not None:
-        result_sets.is_failure_report(path)
-        result_sets.state_of(path)
-        result_sets.names_of_outputs(path)
-        result_sets.unchanged_outputs(path, ())
+    found = Report(path)
+    if found.document is not None:
+        assert found.is_failure in (True, False)
+        assert found.state is None or found.names
+        found.unchanged()
         with warnings.catch_warnings():
             # What no run of this machine wrote stays, with a warning.
             warnings.simplefilter("ignore", AccelsurfWarning)
-            result_sets.outdated(folder, "a", (), failed=False)
-        result_sets.had_settings(document, RunConfig())
+            OutputFolder(folder, "a", overwrite=True).outdated((), failed=False)
+        had_settings(found.document, RunConfig())
     elif _is_whole(path):
         raise Wrong("a report with status and outputs was not taken for one")
     with contextlib.chdir(folder):  # the image is named without its folder

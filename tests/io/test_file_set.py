@@ -1,4 +1,4 @@
-"""Sets of files at every point at which the process that writes them can be killed, and at every move that can fail."""
+"""Sets of files: a process that is killed at any point, a move that fails at any point, folders of somebody else."""
 
 import errno
 import hashlib
@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from accelsurf.errors import AccelsurfWarning, OutputError
-from accelsurf.io import file_set, set_journals
-from accelsurf.io.file_set import open_set, recover
+from accelsurf.io import file_set, seals
+from accelsurf.io.file_set import is_unfinished, open_set, recover, refuse_unfinished
 from accelsurf.io.files import write_bytes
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are forked")
@@ -35,11 +35,11 @@ CALLS = ("replace", "rename", "unlink", "rmdir", "mkdir", "fsync", "open")
 
 
 @pytest.fixture(autouse=True)
-def no_journal_stays(tmp_path_factory):
+def only_the_key_stays(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
-        assert os.listdir(set_journals.state_folder()) == []
+        assert set(os.listdir(seals.state_folder())) <= {"seal.key"}
 
 
 def report(files):
@@ -63,8 +63,8 @@ def filled(folder):
     return folder
 
 
-def write_new(folder):
-    with open_set(folder, "scan") as files:
+def write_new(folder, mend=False):
+    with open_set(folder, "scan", mend=mend) as files:
         for name, text in NEW.items():
             (files.staging / name).write_bytes(text)
         (files.staging / REPORT).write_bytes(report(NEW))
@@ -92,6 +92,7 @@ def dying_child(work, call):
     child = os.fork()
     if child == 0:
         left = [call]
+        seals.unavailable()  # the key is made
         for name in CALLS:
             setattr(os, name, counted(getattr(os, name), left))
         try:
@@ -101,24 +102,84 @@ def dying_child(work, call):
     return os.WIFSIGNALED(os.waitpid(child, 0)[1])
 
 
-def test_a_kill_at_any_point_leaves_all_old_or_all_new(tmp_path):
+def is_whole(found):
+    """Test if the files of a folder are those that its report names."""
+    names = json.loads(found[REPORT])
+    return {name: hashlib.sha256(found[name]).hexdigest() for name in names} == names
+
+
+def named_as_unfinished(folder):
+    """Test if readers and writers refuse an unfinished set, without any change, and say what to do."""
+    before = everything(folder)
+    for refused in (lambda: refuse_unfinished(folder), lambda: write_new(folder)):
+        with pytest.raises(OutputError, match="scan: is unfinished") as said:
+            refused()
+        assert "--overwrite" in said.value.hint
+    assert is_unfinished(folder, "scan") and everything(folder) == before
+    return True
+
+
+def test_a_kill_at_any_point_leaves_all_old_or_all_new_or_a_set_without_a_report(tmp_path):
     seen = set()
     for call in range(1000):
         folder = filled(tmp_path / str(call))
         if not dying_child(lambda folder=folder: write_new(folder), call):
             break
         found = content(folder)
-        if (
-            REPORT in found
-        ):  # where a report stands, its files are those that it names, without the next run
-            names = json.loads(found[REPORT])
-            assert {name: hashlib.sha256(found[name]).hexdigest() for name in names} == names, call
-        assert recover(folder) == []
-        assert content(folder) in (BEFORE, AFTER), call
-        assert not list(folder.glob(".*")), call
-        seen.add(REPORT in found)
-    assert call > 20 and seen == {True, False}  # the points between two renames are among them
+        if REPORT in found:  # without the next command
+            assert is_whole(found), call
+        if recover(folder):
+            assert REPORT not in found or found == BEFORE, call
+            assert content(folder) == found and named_as_unfinished(folder)
+            seen.add("unfinished")
+            write_new(folder, mend=True)
+        else:
+            assert {**content(folder), "scan_surface.ply": b""} in (
+                {**BEFORE, "scan_surface.ply": b""},
+                {**AFTER, "scan_surface.ply": b""},
+            ), call
+            seen.add("old" if content(folder) == BEFORE else "new")
+        assert not list(folder.glob(".*")) and not is_unfinished(folder, "scan"), call
+        after = content(folder)
+        assert is_whole(after) and after["other.txt"] == b"somebody's"
+    assert call > 20 and seen == {"old", "unfinished", "new"}
     assert content(folder) == AFTER
+
+
+def test_a_kill_while_an_unfinished_set_is_mended(tmp_path):
+    left = killed_in_mid_move(tmp_path / "first")
+    for call in range(1000):
+        folder = tmp_path / str(call)
+        killed_in_mid_move(tmp_path / f"parts {call}").parent.rename(folder)
+        killed = dying_child(lambda folder=folder: write_new(folder, mend=True), call)
+        found = content(folder)
+        if REPORT in found:
+            assert is_whole(found) and not recover(folder), call
+        else:
+            assert named_as_unfinished(folder), call
+        write_new(folder, mend=True)
+        assert content(folder) == AFTER and not list(folder.glob(".*")), call
+        if not killed:
+            break
+    assert call > 20 and left.is_dir()
+
+
+@pytest.mark.parametrize("how", ["a failed run", "an exception"])
+def test_an_unfinished_set_stays_so_where_a_run_that_might_mend_it_fails(how, tmp_path):
+    folder = killed_in_mid_move(tmp_path).parent
+    before = content(folder)
+    with pytest.raises(ZeroDivisionError), open_set(folder, "scan", mend=True) as files:
+        (files.staging / "scan_seg.nii").write_bytes(b"half")
+        if how == "an exception":
+            raise ZeroDivisionError
+        files.discard()
+        for name in ("scan_failed_report.json", "scan_failed_trace.csv"):
+            (files.staging / name).write_bytes(b"{}")
+        files.commit(last="scan_failed_report.json", mends=False)
+        raise ZeroDivisionError
+    failed = dict.fromkeys(("scan_failed_report.json", "scan_failed_trace.csv"), b"{}")
+    assert content(folder) == before | (failed if how == "a failed run" else {})
+    assert named_as_unfinished(folder)
 
 
 def failing_replace(monkeypatch, target):
@@ -126,50 +187,40 @@ def failing_replace(monkeypatch, target):
     real = os.replace
 
     def replace(source, goal):
-        if str(goal).endswith(target) and "/.scan" not in str(goal):
-            raise PermissionError(13, "Permission denied", str(goal))
+        if str(goal).endswith(target) and "/.scan" in str(source) and "/.scan" not in str(goal):
+            if "/new/" in str(source):
+                raise PermissionError(13, "Permission denied", str(goal))
         real(source, goal)
 
     monkeypatch.setattr(os, "replace", replace)
 
 
-@pytest.mark.parametrize("target", ["scan_seg.nii", "scan_surface.stl", "scan_trace.csv"])
+@pytest.mark.parametrize("target", ["scan_seg.nii", "scan_surface.stl", "scan_trace.csv", REPORT])
 def test_a_move_that_fails_puts_everything_back(target, tmp_path, monkeypatch):
     folder = filled(tmp_path / "out")
-    real = file_set._move_back
-
-    def move_back(*args):
-        monkeypatch.undo()
-        real(*args)
-
-    monkeypatch.setattr(file_set, "_move_back", move_back)
     failing_replace(monkeypatch, target)
     with pytest.raises(PermissionError):
         write_new(folder)
     assert content(folder) == BEFORE and not list(folder.glob(".*"))
 
 
-def test_a_kill_while_everything_is_put_back(tmp_path, monkeypatch):
+def test_a_kill_while_everything_is_put_back(tmp_path):
     def work(folder):
-        usual, real = os.replace, file_set._move_back
+        with pytest.MonkeyPatch.context() as patch:
+            failing_replace(patch, "scan_trace.csv")
+            write_new(folder)
 
-        def move_back(*args):
-            os.replace = usual
-            real(*args)
-
-        failing_replace(monkeypatch, "scan_trace.csv")
-        file_set._move_back = move_back
-        write_new(folder)
-
+    seen = set()
     for call in range(1000):
         folder = filled(tmp_path / str(call))
         killed = dying_child(lambda folder=folder: work(folder), call)
-        assert recover(folder) == []
-        assert content(folder) in (BEFORE, AFTER), call
-        assert not list(folder.glob(".*")), call
+        unfinished = bool(recover(folder))
+        assert unfinished or content(folder) == BEFORE, call
+        assert REPORT not in content(folder) or is_whole(content(folder)), call
+        seen.add(unfinished)
         if not killed:
             break
-    assert call > 30 and content(folder) == BEFORE
+    assert call > 20 and content(folder) == BEFORE and seen == {True, False}
 
 
 def test_what_a_living_process_writes_is_left_alone(tmp_path):
@@ -216,14 +267,14 @@ def test_long_names_have_a_short_hidden_folder(tmp_path):
     with open_set(tmp_path, name) as files:
         (files.staging / name).write_bytes(b"1")
         files.commit()
-    assert content(tmp_path) == {name: b"1"} and all(
-        len(os.fsencode(set_journals.staging_name(text, "0" * 16))) < 255
-        for text in (name, "a" * 255, "名" * 66)
-    )
+    assert content(tmp_path) == {name: b"1"}
+    for text in (name, "a" * 255, "名" * 66):
+        with open_set(tmp_path, text) as files:
+            assert len(os.fsencode(files.staging.parent.name)) < 255
 
 
 def test_file_systems_without_locks_take_files(tmp_path, monkeypatch):
-    """Whether a writer lives cannot be known there: sets are written as where no journal can be kept."""
+    """It cannot be known there if a writer lives: sets are written as where no key can be kept."""
     import fcntl
 
     def no_locks(number, operation):
@@ -242,27 +293,11 @@ def test_file_systems_without_locks_take_files(tmp_path, monkeypatch):
     assert content(tmp_path) == {"a": b"1", "b": b"2", "c": b"3"} and not list(tmp_path.glob(".*"))
 
 
-@pytest.mark.parametrize("when", ["at the beginning", "before files are moved"])
-def test_a_full_home_costs_no_result(when, tmp_path, monkeypatch):
-    real = set_journals.Journal.write
-
-    def write(journal, moves):
-        if (moves is None) == (when == "at the beginning"):
-            raise OSError(errno.ENOSPC, "No space left on device", "journal")
-        real(journal, moves)
-
-    folder = filled(tmp_path / "out")
-    monkeypatch.setattr(set_journals.Journal, "write", write)
-    with pytest.warns(AccelsurfWarning, match="No space left on device"):
-        write_new(folder)
-    assert content(folder) == AFTER and not list(folder.glob(".*"))
-
-
 @pytest.mark.parametrize("name", [".accelsurf", ".data.accelsurf", ".a.b.accelsurf"])
 def test_folders_that_are_called_like_the_program_are_folders(name, tmp_path):
     folder = filled(tmp_path / name)
-    with open_set(folder, "scan"):
-        assert list(set_journals.state_folder().glob("*.json"))
+    with open_set(folder, "scan") as files:
+        assert file_set._is_sealed(folder, files.staging.parent)
 
 
 def test_the_state_folder_of_another_user_is_not_made_by_root(tmp_path, monkeypatch):
@@ -279,18 +314,15 @@ def test_the_state_folder_of_another_user_is_not_made_by_root(tmp_path, monkeypa
     assert not list(home.iterdir()) and content(folder) == AFTER
 
 
-@pytest.mark.parametrize("part", ["accelsurf", "sets"])
-def test_a_state_folder_that_is_a_link_is_none(part, tmp_path, monkeypatch):
-    planted = tmp_path / "planted" / "sets"
-    planted.mkdir(parents=True)
-    state = tmp_path / "state"
-    link = state / "accelsurf" if part == "accelsurf" else state / "accelsurf" / "sets"
-    link.parent.mkdir(parents=True, mode=0o700)
-    link.symlink_to(planted.parent if part == "accelsurf" else planted)
+def test_a_state_folder_that_is_a_link_is_none(tmp_path, monkeypatch):
+    planted, state = tmp_path / "planted", tmp_path / "state"
+    planted.mkdir()
+    state.mkdir(mode=0o700)
+    (state / "accelsurf").symlink_to(planted)
     folder = filled(tmp_path / "out")
     with monkeypatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(state))
-        with pytest.warns(AccelsurfWarning, match="no journal can be kept"):
+        with pytest.warns(AccelsurfWarning, match="runs cannot be told apart"):
             write_new(folder)
     assert not list(planted.iterdir())
 
@@ -298,14 +330,14 @@ def test_a_state_folder_that_is_a_link_is_none(part, tmp_path, monkeypatch):
 @pytest.mark.parametrize("unique", [False, True])
 def test_a_process_that_only_looks_for_dead_ones_is_waited_for(unique, tmp_path, monkeypatch):
     """Between the making of a folder and its lock, another process may take it for that of a dead one."""
-    real = set_journals._try_lock
+    real = file_set._try_lock
     looked = []
 
     def try_lock(lock):
         looked.append(lock)
         return len(looked) > 2 and real(lock)
 
-    monkeypatch.setattr(set_journals, "_try_lock", try_lock)
+    monkeypatch.setattr(file_set, "_try_lock", try_lock)
     with open_set(tmp_path, "scan", unique=unique) as files:
         (files.staging / "a").write_bytes(b"1")
         files.commit()
@@ -371,7 +403,8 @@ PLANTS = [
 NAMES = [
     ".x.accelsurf",
     ".scan.accelsurf",
-    ".scan.0123456789abcdef.accelsurf",
+    ".scan.0123456789abcdef01234567.accelsurf",
+    ".scan.00000000" + "0" * 16 + ".accelsurf",
     "..accelsurf",
     ".a.b.c.accelsurf",
 ]
@@ -438,11 +471,13 @@ MID_MOVE = [0]
 
 def killed_in_mid_move(folder):
     """A folder whose set was put in place by half when its process was killed; the staging folder."""
+    folder.mkdir(exist_ok=True)
     for call in range(MID_MOVE[0], 1000):
         filled(folder / str(call))
         assert dying_child(lambda call=call: write_new(folder / str(call)), call)
-        if REPORT not in content(folder / str(call)):
+        if b"new labels" in content(folder / str(call)).values():
             MID_MOVE[0] = call
+            assert REPORT not in content(folder / str(call))
             return next((folder / str(call)).glob(".*"))
         recover(folder / str(call))
     raise AssertionError
@@ -451,20 +486,18 @@ def killed_in_mid_move(folder):
 @pytest.mark.parametrize("part", ["", "new", "old"])
 def test_a_link_in_place_of_a_staging_folder_is_not_followed(part, tmp_path):
     staging = killed_in_mid_move(tmp_path)
+    folder = staging.parent
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "scan_seg.nii").write_bytes(b"mine")
     (staging / part).rename(tmp_path / "kept")
     (staging / part).symlink_to(tmp_path / "elsewhere")
-    assert recover(staging.parent) == [staging]
-    with (
-        pytest.raises(OutputError, match="only some of its files"),
-        open_set(staging.parent, "scan"),
-    ):
-        pytest.fail("written over")
-    assert (tmp_path / "elsewhere" / "scan_seg.nii").read_bytes() == b"mine"
-    (staging / part).unlink()
-    (tmp_path / "kept").rename(staging / part)
-    assert recover(staging.parent) == [] and content(staging.parent) == AFTER
+    before = everything(tmp_path / "elsewhere")
+    with pytest.warns(AccelsurfWarning, match="not from a run of yours"):
+        assert recover(folder) == []
+    with pytest.warns(AccelsurfWarning):  # names it; nothing in it is used
+        write_new(folder)
+    assert content(folder).items() >= AFTER.items() - {("other.txt", b"")}
+    assert everything(tmp_path / "elsewhere") == before and (staging / part).is_symlink()
 
 
 def test_a_copy_of_a_folder_with_a_killed_run_is_not_that_folder(tmp_path):
@@ -475,105 +508,50 @@ def test_a_copy_of_a_folder_with_a_killed_run_is_not_that_folder(tmp_path):
     with pytest.warns(AccelsurfWarning, match="not from a run of yours"):
         assert recover(tmp_path / "copy") == []
     assert (tmp_path / "copy" / staging.name / "new").is_dir()
-    assert recover(staging.parent) == [] and content(staging.parent) == AFTER
+    assert recover(staging.parent) == [staging]
 
 
-@pytest.mark.parametrize(
-    "how", ["others may write it", "a link", "not a journal", "a name elsewhere"]
-)
-def test_a_journal_that_is_not_the_users_alone_is_no_journal(how, tmp_path):
+def test_a_staging_folder_of_another_user_or_of_another_set_is_left_alone(tmp_path, monkeypatch):
+    """The seal is of the key, of the output folder and of the name of the set: a renamed one has none."""
     staging = killed_in_mid_move(tmp_path)
-    (path,) = set_journals.state_folder().glob("*.json")
-    text = path.read_text()
-    if how == "others may write it":
-        path.chmod(0o666)
-    elif how == "a link":
-        path.rename(tmp_path / "journal")
-        path.symlink_to(tmp_path / "journal")
-    else:
-        path.write_text(
-            "[" * 9999 if how == "not a journal" else text.replace('"scan_trace.csv"', '"../x"')
-        )
-    before = everything(staging.parent)
+    folder = staging.parent
+    renamed = folder / staging.name.replace(".scan.", ".other.")
+    staging.rename(renamed)
+    before = everything(folder)
     with pytest.warns(AccelsurfWarning, match="not from a run of yours"):
-        assert recover(staging.parent) == []
-    assert everything(staging.parent) == before
+        assert recover(folder) == [] and not is_unfinished(folder, "other")
+    renamed.rename(staging)
+    with monkeypatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path / "other state"))
+        with pytest.warns(AccelsurfWarning, match="not from a run of yours"):
+            assert recover(folder) == []
+    assert recover(folder) == [staging] and len(everything(folder)) == len(before)
 
 
-#: What stands in a journal in place of a value.
-WRONG = (None, 7, True, 1e300, "", "x", "..", "a/b", "a" * 300, "\0", "\ud800", [], [None], [["x"]])
-WRONG += (["\0"], ["a" * 300], [".."], {}, {"a": 1})
-
-
-def wrong_value(draw, text):
-    found = json.loads(text)
-    where = draw.choice([found, found["moves"]])
-    where[draw.choice([*where, "more"])] = draw.choice([v for v in WRONG if v not in (None, [])])
-    return json.dumps(draw.choice([found, found, found, *WRONG])).encode()
-
-
-#: How the content of a journal is damaged.
-DAMAGE = {
-    "cut": lambda draw, text: text[: draw.randrange(len(text))].encode(),
-    "other values": wrong_value,
-    "other bytes": lambda draw, text: draw.randbytes(draw.choice([1, 100, 9000])),
-    "deep": lambda draw, text: b"[" * 100_000,
-    "digits": lambda draw, text: b"9" * 10_000,
-}
-#: What else stands in its place.
-INSTEAD = {
-    "a link to a device": lambda path, mine: path.symlink_to("/dev/zero"),
-    "a link to a file": lambda path, mine: path.symlink_to(mine),
-    "a link to itself": lambda path, mine: path.symlink_to(path),
-    "a pipe": lambda path, mine: os.mkfifo(path),
-    "a folder": lambda path, mine: (path.mkdir(), (path / "a").write_bytes(b"")),
-    "too much": lambda path, mine: os.truncate(os.open(path, os.O_CREAT | os.O_WRONLY), 1 << 40),
+#: What stands in the place of the key.
+NO_KEYS = {
+    "others may write it": lambda path, mine: path.chmod(0o666),
+    "a link": lambda path, mine: (path.rename(mine), path.symlink_to(mine)),
+    "a link to a device": lambda path, mine: (path.unlink(), path.symlink_to("/dev/zero")),
+    "a pipe": lambda path, mine: (path.unlink(), os.mkfifo(path, 0o600)),
+    "a folder": lambda path, mine: (path.unlink(), path.mkdir()),
+    "cut short": lambda path, mine: path.write_bytes(b"1"),
+    "too much": lambda path, mine: os.truncate(path, 1 << 40),
 }
 
 
-@pytest.mark.sampled(12)
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("how", [*DAMAGE, *INSTEAD])
-def test_a_damaged_journal_moves_nothing_and_stops_nothing(how, seed, tmp_path):
-    draw = random.Random(f"{how}{seed}")
+@pytest.mark.parametrize("how", NO_KEYS)
+def test_what_is_no_key_seals_nothing_and_stops_nothing(how, tmp_path):
     staging = killed_in_mid_move(tmp_path)
-    (mine := tmp_path / "mine").write_bytes(b"mine")
-    (path,) = set_journals.state_folder().glob("*.json")
-    if how in DAMAGE:
-        path.write_bytes(DAMAGE[how](draw, path.read_text()))
-    else:
-        path.unlink()
-        INSTEAD[how](path, mine)
-    folder, before = staging.parent, everything(tmp_path)
+    folder, key = staging.parent, seals.state_folder() / "seal.key"
+    NO_KEYS[how](key, tmp_path / "mine")
+    assert seals.signed(b"a") == "" and seals.unavailable()
     with warnings.catch_warnings(record=True):
         warnings.simplefilter("always")
         assert recover(folder) == []
-        assert everything(tmp_path) == before
-        write_bytes(folder / "new.txt", b"1")
-        with open_set(folder, "scan") as files:
-            (files.staging / "b").write_bytes(b"2")
-            (files.staging / "c").write_bytes(b"3")
-            files.commit(last="c")
-    written = {f"{folder.name}/{n}": c for n, c in {"new.txt": b"1", "b": b"2", "c": b"3"}.items()}
-    assert everything(tmp_path) == before | written
-    if how == "a folder":  # it is not the program's
-        (path / "a").unlink()
-        path.rmdir()
-
-
-def test_journals_of_folders_that_are_gone_are_forgotten(tmp_path):
-    import shutil
-
-    staging = killed_in_mid_move(tmp_path)
-    (tmp_path / "new").mkdir()  # before: else it could get the inode of the folder that goes
-    shutil.rmtree(staging.parent)
-    left = list(set_journals.state_folder().iterdir())
-    assert left
-    write_bytes(tmp_path / "new" / "a", b"1")
-    assert list(set_journals.state_folder().iterdir()) == left
-    for path in left:
-        os.utime(path, (0, path.stat().st_mtime - 86400 * 91))
-    write_bytes(tmp_path / "new" / "a", b"1")
+        write_new(folder)
+    assert content(folder).items() >= AFTER.items() and staging.is_dir()
+    key.rmdir() if how == "a folder" else key.unlink()
 
 
 def test_outputs_are_not_written_through_links(tmp_path, monkeypatch):
@@ -604,37 +582,41 @@ def test_links_of_the_system_are_followed(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("state", ["a file", "not to be written", "for all to write", "no home"])
-def test_without_a_place_for_journals_a_set_is_written_and_a_line_says_so(
+def test_without_a_place_for_a_key_a_set_is_written_and_a_line_says_so(
     state, tmp_path, monkeypatch
 ):
     place = tmp_path / "state"
     if state == "a file":
         place.write_bytes(b"1")
     elif state == "for all to write":
-        (place / "accelsurf" / "sets").mkdir(parents=True)
-        (place / "accelsurf" / "sets").chmod(0o777)
+        (place / "accelsurf").mkdir(parents=True)
+        (place / "accelsurf").chmod(0o777)
     folder = filled(tmp_path / "out")
+
+    def refused(path):
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
     with monkeypatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", "" if state == "no home" else str(place))
         if state == "not to be written":
-            patch.setattr(set_journals.os, "access", lambda *args: False)
+            patch.setattr(seals, "_make", refused)
         if state == "no home":
             patch.setattr(os.path, "expanduser", lambda path: path)
-        with pytest.warns(AccelsurfWarning, match="no journal can be kept"):
+        with pytest.warns(AccelsurfWarning, match="runs cannot be told apart"):
             write_new(folder)
-        write_bytes(folder / "other.txt", b"somebody's")  # a single file needs no journal
+        write_bytes(folder / "other.txt", b"somebody's")  # a single file needs none
     assert content(folder) == AFTER and not list(folder.glob(".*"))
 
 
 def test_an_output_folder_that_goes_away_is_an_error_of_its_name(tmp_path):
     import shutil
 
-    from accelsurf.output.folder import naming_final, opened_set
+    from accelsurf.output.folder import OutputFolder, naming_final
 
     folder = tmp_path / "out"
     with (
         pytest.raises(OutputError, match="out"),
-        opened_set(folder, "scan") as files,
+        OutputFolder(folder, "scan").stage() as files,
         naming_final(files),
     ):
         shutil.rmtree(folder)

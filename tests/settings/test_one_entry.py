@@ -25,7 +25,7 @@ from accelsurf.flows import Gradient
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers, meshes
-from accelsurf.output import names
+from accelsurf.output.folder import check_outputs
 from accelsurf.run.setup import choose_levels, window_reach
 from accelsurf.settings.catalogue import help_of
 from accelsurf.settings.energy_terms import TERMS, Number, TermSpec, examples
@@ -299,7 +299,7 @@ def test_a_mesh_that_holds_no_contours_is_refused_for_a_slice(toys):
     with pytest.raises(
         UsageError, match="toymesh was given for an image of one slice.*expected vtp, csv"
     ):
-        names.check_outputs(RunConfig(mesh="toymesh"), "toy", grid)
+        check_outputs(RunConfig(mesh="toymesh"), "toy", grid)
 
 
 # --------------------------------------------------------------------------------------------------- command line

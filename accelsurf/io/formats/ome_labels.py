@@ -99,7 +99,7 @@ def put(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:
     group = ome_zarr.parse_ome_zarr(image).folder / _GROUP
     try:
         group.mkdir(exist_ok=True)
-        with open_set(group, name) as files:
+        with open_set(group, name, mend=overwrite) as files:
             pyramid = ZarrPyramid(
                 files.staging / name,
                 labels.geometry,

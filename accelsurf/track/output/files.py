@@ -12,7 +12,7 @@ from typing import Literal, TypeVar
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import naming
-from accelsurf.output.result_sets import report_name
+from accelsurf.output.reports import report_name
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS
 from accelsurf.settings.mesh_formats import Shape, mesh_formats

@@ -25,9 +25,8 @@ from accelsurf.io.file_set import FileSet, refuse_links
 from accelsurf.io.files import write_bytes
 from accelsurf.measure import contours, surface_mesh
 from accelsurf.measure.surface_mesh import Surface
-from accelsurf.output import folder as output_folder
-from accelsurf.output import result_sets
 from accelsurf.output.document import describe_staged
+from accelsurf.output.folder import OutputFolder, naming_final
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.settings.registry import load
 from accelsurf.settings.track_fields import TRACK_FORMATS
@@ -92,13 +91,10 @@ class TrackOutputs:
     ) -> None:
         self.name, self.sequence, self.files = name, sequence, files or TrackFiles()
         self.files.check(sequence.geometry)
-        self._run, self._overwrite = run or TrackRun(), overwrite
+        self._run, self._place = run or TrackRun(), OutputFolder(folder, name, overwrite=overwrite)
         with ExitStack() as stack:
             self._set = stack.enter_context(
-                output_folder.opened_set(folder, name, self._run.inputs)
-            )
-            output_folder.refuse_existing(
-                self.files.paths(folder, name), overwrite, self._run.inputs
+                self._place.stage(self.files.paths(folder, name), self._run.inputs)
             )
             self._own_store = store is not None
             self._store = FrameStore(
@@ -129,7 +125,7 @@ class TrackOutputs:
         OutputError
             When it cannot be written.
         """
-        with output_folder.naming_final(self._set):
+        with naming_final(self._set):
             self._write_meshes(result)
             self._store.put(result)  # last: a frame that is there has its meshes
 
@@ -162,7 +158,7 @@ class TrackOutputs:
         OutputError
             When a file cannot be written; then all are as they were.
         """
-        with output_folder.naming_final(self._set):
+        with naming_final(self._set):
             rows = tuple(self._store.frame_row(number) for number in self.frames())
             tracks = TrackSet(self.name, self.sequence, rows, lineage, self._store)
             kinds = self._write_all(tracks)
@@ -175,9 +171,9 @@ class TrackOutputs:
                 warnings=warnings,
                 outputs=entries,
             )
-            report = result_sets.report_name(self.name)
-            write_bytes(self._set.staging / report, track_document.to_json(document).encode())
-            output_folder.commit(self._set, report, False, self._overwrite)
+            report = self._set.staging / self._place.report.name
+            write_bytes(report, track_document.to_json(document).encode())
+            self._place.commit(self._set)
         if self._own_store and status == "ok":
             with suppress(OutputError):  # somebody has put a file there
                 remove_store(self._store.folder)
@@ -322,8 +318,8 @@ def write_failure(
         When it cannot be written.
     """
     with (
-        output_folder.opened_set(folder, name, run.inputs) as staged,
-        output_folder.naming_final(staged),
+        OutputFolder(folder, name, overwrite=True).stage(inputs=run.inputs) as staged,
+        naming_final(staged),
     ):
         _write_failure(staged, name, files, error, source, run)
 
@@ -337,17 +333,15 @@ def _write_failure(
     run: TrackRun,
 ) -> None:
     """Write a report without a result, under another name where a result stands."""
-    folder = staged.folder
-    if result_sets.result_stands(folder, name, files.paths(folder, name).values()):
-        name += result_sets.FAILED
-        if result_sets.result_stands(folder, name, ()):
-            return  # the result of a sequence that has this name
+    place = OutputFolder(staged.folder, name)
+    target = place.beside_result(files.paths(staged.folder, name).values())
+    if target is not place and target.holds_result():
+        return  # the result of a sequence that has this name
     document = track_document.build(
         None, images=images, status="failed", exit_code=exit_code_of(error), run=run, error=error
     )
-    report = result_sets.report_name(name)
-    write_bytes(staged.staging / report, track_document.to_json(document).encode())
-    output_folder.commit(staged, report, True, False)
+    write_bytes(staged.staging / target.report.name, track_document.to_json(document).encode())
+    target.commit(staged, failed=True)
 
 
 def write_challenge(tracks: TrackSet, folder: Path) -> None:

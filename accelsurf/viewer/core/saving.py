@@ -8,16 +8,14 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from accelsurf import io
 from accelsurf.correct.finished import result_of
 from accelsurf.errors import UsageError, check_known
 from accelsurf.image.volume import Volume, voxels_sha256
 from accelsurf.io.file_set import FileSet, InputFiles
 from accelsurf.io.files import write_bytes
-from accelsurf.output import document, label_files, outputs, result_sets
-from accelsurf.output import folder as output_folder
-from accelsurf.output import names as output_names
-from accelsurf.output.folder import inputs_of, named_files
+from accelsurf.output import document, label_files, outputs
+from accelsurf.output.folder import OutputFolder, check_outputs, naming_final, refuse_existing
+from accelsurf.output.reports import Report
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
@@ -83,35 +81,32 @@ def save(
     empty = not result.labels.any() or bool(result.labels.all())
     if empty and set(what) & {"labels", "mesh"}:
         raise UsageError("there is no surface to save", "go back, or restart")
-    suffix = "" if source is None else io.split_name(source)[1]
-    labels = output_names.label_format(config, suffix)
-    output_names.check_outputs(config, labels, run.volume.geometry)
+    place = OutputFolder(folder, name, source, overwrite=True)
+    check_outputs(config, place.label_format(config), run.volume.geometry)
     label_files.check_label_settings(config, run.volume)
-    inputs = inputs_of(source, result.config) if source is not None else named_files(result.config)
-    with output_folder.opened_set(folder, name, inputs) as files:
-        what = _all_beside_report(folder / result_sets.report_name(name), what)
-        all_names = output_names.names(
-            config, labels, run.volume.geometry.slice_axis is not None
-        ).items()
-        names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
-        paths = _result_paths(result, folder, names)
+    inputs = place.inputs(config)
+    with place.stage(inputs=inputs) as files:
+        what = _all_beside_report(place.report, what)
+        plain, is_2d = config.replace(layout="plain"), run.volume.geometry.slice_axis is not None
+        names = {k: last for k, last in place.names(plain, is_2d).items() if _kind(k) in what}
+        planned = place.plan(plain, is_2d)
+        paths = {kind: path for kind, path in planned.items() if _kind(kind) in what}
         paths |= {"run": folder / f"{name}{RUN_FILE}"} if "run" in what else {}
-        paths |= {"report": folder / result_sets.report_name(name)} if "report" in what else {}
         InputFiles(inputs).refuse(paths.values())
         _check_paths(paths, replaceable)
-        with output_folder.naming_final(files):
-            return _write(files, paths, names, name, source, result, channels)
+        with naming_final(files):
+            return _write(files, paths, names, place, result, channels)
 
 
 def _all_beside_report(report: Path, what: Collection[str]) -> set[str]:
     """Return the kinds that are saved; beside a report also all that it lists, to show one state."""
-    if result_sets.load_report(report) is None or result_sets.is_failure_report(report):
+    found = Report(report)
+    if found.document is None or found.is_failure:
         return set(what)
-    listed = result_sets.names_of_outputs(report)
     return {
         *what,
         "report",
-        *("run" if kind == "config" else _kind(kind) for kind in listed),
+        *("run" if kind == "config" else _kind(kind) for kind in found.names),
     } & set(SAVED_KINDS)
 
 
@@ -119,43 +114,27 @@ def _write(
     files: FileSet,
     paths: Mapping[str, Path],
     names: Mapping[str, str],
-    name: str,
-    source: Path | None,
+    place: OutputFolder,
     result: Result,
     channels: Sequence[Volume],
 ) -> list[Path]:
     """Write all files at once; return them, the configuration first and the report last."""
-    kinds = {}
+    kinds, source = {}, place.source
     if "run" in paths:
         write_bytes(
             files.staging / paths["run"].name, _toml(paths["run"].name, result, source).encode()
         )
         kinds[paths["run"].name] = "run"
-    content = outputs.preview_content(result, outputs.outcome_title(name, result))
+    content = outputs.preview_content(result, outputs.outcome_title(place.name, result))
     has_image = source is not None and ("state" in names or "report" in paths)
     image = voxels_sha256([result.volume, *channels]) if has_image else None
     by_kind = outputs.write_result(result, files.staging, names, content, image=image)
     kinds |= {path.name: kind for kind, path in by_kind}
-    last = None
     if "report" in paths:
-        last = paths["report"].name
-        _write_report(files, last, kinds, source, result, image)
-        kinds[last] = "report"
-    written = [path.name for path in files.staging.iterdir()]
-    files.commit(last=last, remove=result_sets.outdated(files.folder, name, written, failed=False))
+        _write_report(files, place.report.name, kinds, source, result, image)
+        kinds[place.report.name] = "report"
+    place.commit(files)
     return [files.folder / written for written in kinds]
-
-
-def _result_paths(result: Result, folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
-    """The files of a result by kind; of meshes of several objects those that exist: they are replaced or removed."""
-    if not result.has_ids:
-        return {kind: folder / last for kind, last in names.items()}
-    paths = {
-        kind: folder / last
-        for kind, last in names.items()
-        if not kind.startswith(output_names.EACH)
-    }
-    return paths | {path.name: path for path in output_names.existing(folder, names)}
 
 
 def _check_paths(paths: dict[str, Path], replaceable: Collection[Path] | None) -> None:
@@ -165,8 +144,8 @@ def _check_paths(paths: dict[str, Path], replaceable: Collection[Path] | None) -
         for kind, path in paths.items()
         if replaceable is not None and path not in replaceable
     }
-    output_folder.refuse_existing(others, overwrite=False)
-    output_folder.refuse_existing(paths, overwrite=True)
+    refuse_existing(others, overwrite=False)
+    refuse_existing(paths, overwrite=True)
 
 
 def _write_report(
@@ -202,6 +181,7 @@ def _kind(output: str) -> str:
         "trace": "trace",
     }
     kinds |= {"preview": "picture", "run": "run", "state": "report", "config": ""}
+    kinds |= {"report": "report"}
     return kinds.get(output, "mesh")
 
 
