@@ -19,7 +19,6 @@ from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checkpoint import band_state, complete_state, psi_of
-from accelsurf.settings.budgets import MAX_PLATEAUS
 
 #: Steps that the speed is a mean over; parts of the peak below which a front may rest and above which it breaks
 #: through; part of the volume that it has grown by then.
@@ -28,6 +27,8 @@ WINDOW, SLOW, BURST, GROWTH = 5, 0.5, 0.04, 0.05
 STILL = 0.01
 #: A front without momentum is slow for this many steps: no rest.
 AFTER_RESTART = 10
+#: Rests that are kept, the first ones: each is a surface, and a run that passes more is no leak but a wrong threshold.
+MAX_PLATEAUS = 3
 #: Why a run ends at one.
 WHY = "it rested at step {}, before it broke through to something else"
 

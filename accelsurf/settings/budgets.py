@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 from accelsurf.errors import AccelsurfError, InputError
 
-#: So many plateaus of the front in a run are kept, and written as label maps.
-MAX_PLATEAUS = 3
 #: Memory for each byte of a mesh file while it is read: text becomes lists of Python's numbers.
 MESH_BYTES_PER_FILE_BYTE = 40
 

@@ -5,11 +5,10 @@ import pytest
 
 import accelsurf
 from accelsurf.evolution.records import StepFields
-from accelsurf.evolution.rests import Moment, fastest_place, watched
+from accelsurf.evolution.rests import MAX_PLATEAUS, Moment, fastest_place, watched
 from accelsurf.evolution.state import RestWatch
 from accelsurf.levelset import LevelSet, checkpoint_surface
 from accelsurf.levelset.checkpoint import psi_of
-from accelsurf.settings.budgets import MAX_PLATEAUS
 from tests.support.records import step_record
 
 

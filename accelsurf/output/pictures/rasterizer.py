@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.kernels import raster
+from accelsurf.output.pictures.kernels import raster
 
 Floats = NDArray[np.float64]
 
@@ -124,7 +124,7 @@ class _Depths(NamedTuple):
 def _fill(
     projected: Floats, triangles: NDArray[np.intp], fine: int
 ) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], Floats], _Depths]:
-    """The depth buffer, and of each pixel what is nearest; see `accelsurf.kernels.raster.fill_depths`."""
+    """The depth buffer, and of each pixel what is nearest; see `kernels.raster.fill_depths`."""
     levels = np.empty(len(triangles), np.int64)
     raster.sample_levels(projected, triangles, levels)
     order = np.argsort(levels, kind="stable")[

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.kernels import raster
+from accelsurf.output.pictures.kernels import raster
 
 SIZE = 24
 DEPTHS = (-3.0, 2.0**-20, 2.0**24)

@@ -1,0 +1,1 @@
+"""Compiled code of pictures: triangles become pixels."""
