@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.kernels.distance import distances_within
 from accelsurf.correct.finished import OnObjectStep
 from accelsurf.correct.region import NearRegion, near_bounds, signed_distance, united
 from accelsurf.energies import Energy
@@ -21,7 +22,6 @@ from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.clicks import Side
 from accelsurf.grid.geometry import axis_steps
-from accelsurf.kernels.distance import distances_within
 from accelsurf.kernels.grid import Band
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.run.evolving_object import leaked_stop

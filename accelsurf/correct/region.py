@@ -18,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.kernels.distance import distances_within
 from accelsurf.clicks.model.reach import depth_in_wrong
 from accelsurf.grid.boxes import Box, box_at, corner_of, enclosing, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import axis_steps
-from accelsurf.kernels.distance import distances_within
 
 #: Width of the rim: least numbers of voxels of the smallest spacing, and of the largest.
 _RIM_SMALLEST, _RIM_LARGEST = 6.0, 2.0

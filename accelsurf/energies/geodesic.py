@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from accelsurf.energies.front_samples import sample_at_front, slope_at_front
 from accelsurf.energies.image_energy import AreaTerm, ImageEnergy
 from accelsurf.errors import InputError
-from accelsurf.grid.geometry import axis_steps
-from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.levelset import LevelSet, dot
 
 #: Automatic contrast: the gradient that counts as a strong edge (percentile of all voxels), the part of it that
@@ -63,25 +59,15 @@ class Geodesic(ImageEnergy):
         return force
 
 
-def edge_indicator(
-    image: np.ndarray,
-    spacing: Sequence[float],
-    scale: float | None = None,
-    contrast: float | None = None,
-) -> np.ndarray:
-    """Edge indicator phi = 1/(1 + (|grad I_s|/K)^2): 1 where the image is flat, near 0 on its edges.
+def edge_indicator(gradient: np.ndarray, contrast: float | None = None) -> np.ndarray:
+    """Edge indicator phi = 1/(1 + (gradient/K)^2): 1 where an image is flat, near 0 on its edges.
 
     Parameters
     ----------
-    image : ndarray (nz, ny, nx)
-        Values in any unit.
-    spacing : sequence of 3 floats
-        (hz, hy, hx), mm.
-    scale : float, optional
-        s, mm: sigma of the Gaussian that the image is smoothed with first. By default the largest spacing, so that
-        edges are equally blurred along every axis.
+    gradient : ndarray (nz, ny, nx), float32
+        Magnitude of the gradient of a smoothed image, per mm, as `accelsurf.image.smoothing.gradient_magnitude` has it.
     contrast : float, optional
-        K, image units per mm. By default `edge_contrast` of the image's gradients.
+        K, as the gradient. By default `edge_contrast` of it.
 
     Returns
     -------
@@ -90,42 +76,19 @@ def edge_indicator(
     Raises
     ------
     InputError
-        When the image is flat at this scale, so that there is no edge.
+        When all gradients are 0, so that there is no edge.
 
     Examples
     --------
     >>> import numpy as np
-    >>> image = np.zeros((1, 9, 24))
-    >>> image[..., 12:] = 1
-    >>> phi = edge_indicator(image, (1, 1, 1))
+    >>> gradient = np.zeros((1, 9, 24), np.float32)
+    >>> gradient[..., 11:13] = 0.5
+    >>> phi = edge_indicator(gradient)
     >>> bool(phi[0, 4, 12] < 0.1), bool(phi[0, 4, 2] > 0.99)
     (True, True)
     """
-    gradient = gradient_magnitude(
-        image, spacing, max(axis_steps(image.shape, spacing)) if scale is None else scale
-    )
-    return edge_indicator_of(
-        gradient, edge_contrast(gradient) if contrast is None else float(contrast)
-    )
-
-
-def edge_indicator_of(gradient: np.ndarray, contrast: float) -> np.ndarray:
-    """Edge indicator 1/(1 + (gradient/contrast)^2) of a gradient's magnitude."""
-    return np.asarray(1.0 / (1.0 + (gradient / np.float32(contrast)) ** 2), np.float32)
-
-
-def gradient_magnitude(image: np.ndarray, spacing: Sequence[float], scale: float) -> np.ndarray:
-    """|grad I| (nz, ny, nx), float32, per mm, of the image smoothed by a Gaussian of ``scale`` mm.
-
-    Centred differences of the smoothed image, and not a filter of the Gaussian's derivative: that is wrong where the
-    Gaussian is narrower than a voxel, as it is across thick slices. An axis with one slice has no slope.
-    """
-    smooth = gaussian_mm(np.asarray(image, np.float32), spacing, scale)
-    total = np.zeros(image.shape, np.float32)
-    for axis, n in enumerate(image.shape):
-        if n > 1:
-            total += np.gradient(smooth, np.float32(spacing[axis]), axis=axis) ** 2
-    return np.sqrt(total)
+    half = np.float32(edge_contrast(gradient) if contrast is None else contrast)
+    return np.asarray(1.0 / (1.0 + (gradient / half) ** 2), np.float32)
 
 
 def edge_contrast(gradient: np.ndarray) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from accelsurf.energies import Energy
 from accelsurf.evolution import lowest, rests
 from accelsurf.evolution.convergence import Restart, StopRule, stalled, surface_is_gone
 from accelsurf.evolution.records import Reason, Step, StepFields, StepRecord, Stop, StopReason
-from accelsurf.evolution.setup import SolverSetup
+from accelsurf.evolution.setup import Measure, SolverSetup
 from accelsurf.evolution.state import COLUMNS, MASS_COLUMNS, Checkpoint, LoopState, Slowest
 from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.protocol import voxel_rates
@@ -21,7 +21,6 @@ from accelsurf.grid.boxes import Corner
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import LevelSet, Motion, checkpoint_surface, restore_surface
 from accelsurf.levelset.transfer import transfer_fields
-from accelsurf.settings.trace_columns import measured
 
 
 class Evolution:
@@ -57,6 +56,8 @@ class Evolution:
         First voxel of the surface's box on the level's grid.
     stop_at_rest : bool
         Whether to go back to where the front rested when it breaks through from there, and end.
+    measures : mapping of str to callable
+        Of (surface, energy, flow): what each record has under ``extra``.
     end : {"lowest", "present"}
         The state after the last of ``max_steps``: that of the lowest energy, or the present one.
 
@@ -89,6 +90,7 @@ class Evolution:
         self.corner: Corner = (0, 0, 0)
         self.stop_at_rest = False
         self.end = "lowest"
+        self.measures: Mapping[str, Measure] = {}
         self._stop_requested = False
         self._fields = fields
         self._initialized = False
@@ -119,6 +121,7 @@ class Evolution:
             fields,
         )
         made.corner, made.stop_at_rest, made.end = corner, setup.stop_at_rest, setup.end
+        made.measures = setup.measures
         return made
 
     def use(self, setup: SolverSetup, energy: Energy | None = None) -> None:
@@ -387,7 +390,10 @@ class Evolution:
             "volume_mm3": self.surface.volume(fraction),
             "area_mm2": float(area.sum()),
             "band_cells": self.surface.size,
-            "extra": measured(self.surface, self.energy, self.flow),
+            "extra": tuple(
+                (name, float(measure(self.surface, self.energy, self.flow)))
+                for name, measure in self.measures.items()
+            ),
         }
 
     def _advance(self, plan: StepPlan) -> int:

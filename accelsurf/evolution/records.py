@@ -68,7 +68,7 @@ class StepRecord(NamedTuple):
         True when the surface went back to that of the lowest potential before this step, at rest; in the last record,
         when that is where the run ended.
     extra : tuple of (str, float)
-        Name and value of the columns that were added to `accelsurf.settings.trace_columns.TRACE_COLUMNS`.
+        Name and value of each of the solver's ``measures``.
     """
 
     step: int

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
+from accelsurf.energies import Energy
 from accelsurf.evolution.convergence import Restart, StopRule
 from accelsurf.flows import Flow, StepLimits
+from accelsurf.levelset import LevelSet
 from accelsurf.levelset.extension import CLOSEST_POINT
+
+#: A number of (surface, energy, flow) at the beginning of a step, which changes none of them.
+Measure = Callable[[LevelSet, Energy, Flow], float]
 
 
 class SolverSetup(NamedTuple):
@@ -16,7 +22,7 @@ class SolverSetup(NamedTuple):
     each level; stop ``rule`` of the finest level, None to run to the last step; ``max_volume`` (mm3) of the leak guard
     or None; ``reach``, how far beyond the surface its energy sees the image, mm; ``stop_at_rest``, whether it ends
     where the front rested; ``extension`` of the level set; ``end``, "lowest" or "present", the state it ends with after
-    its last step.
+    its last step; ``measures``, numbers by name that each record has besides its own.
     """
 
     flow: Flow
@@ -29,3 +35,4 @@ class SolverSetup(NamedTuple):
     stop_at_rest: bool = False
     extension: str = CLOSEST_POINT
     end: str = "lowest"
+    measures: Mapping[str, Measure] = {}

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.kernels.blocks import sums_along
+from accelsurf.image.kernels.blocks import sums_along
 
 
 def coarsening(counts: Sequence[int], spacing: Sequence[float], most: int) -> tuple[int, int, int]:

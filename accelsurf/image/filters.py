@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, with_halo
+from accelsurf.image.kernels.smoothing import dilate
 from accelsurf.image.smoothing import gaussian_mm, gaussian_on_box
-from accelsurf.kernels.smoothing import dilate
 
 
 class ImageFilters(NamedTuple):

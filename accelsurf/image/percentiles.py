@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.kernels.statistics import count_high_bits, count_integers, count_low_bits
+from accelsurf.image.kernels.counts import count_high_bits, count_integers, count_low_bits
 
 #: Values of half of the bits of a float32.
 HALF = 1 << 16

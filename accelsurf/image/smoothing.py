@@ -1,4 +1,4 @@
-"""Gaussian smoothing with a width in mm."""
+"""Gaussian smoothing with a width in mm, and gradients of what is smoothed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, with_halo
-from accelsurf.kernels.smoothing import smooth_across_rows, smooth_rows
+from accelsurf.image.kernels.smoothing import smooth_across_rows, smooth_rows
 
 #: A Gaussian ends so many standard deviations from its middle; one narrower than this (voxels) does nothing.
 REACH, MIN_WIDTH = 4.0, 1e-15
@@ -58,6 +58,22 @@ def gaussian_mm(
     if widths[2] > MIN_WIDTH:
         smooth_rows(out, gaussian_weights(widths[2]), out)
     return out
+
+
+def gradient_magnitude(
+    image: NDArray[Any], spacing: Sequence[float], scale: float
+) -> NDArray[np.float32]:
+    """|grad I| (nz, ny, nx), float32, per mm, of the image smoothed by a Gaussian of ``scale`` mm.
+
+    Centred differences of the smoothed image, and not a filter of the Gaussian's derivative: that is wrong where the
+    Gaussian is narrower than a voxel, as it is across thick slices. An axis with one slice has no slope.
+    """
+    smooth = gaussian_mm(np.asarray(image, np.float32), spacing, scale)
+    total = np.zeros(image.shape, np.float32)
+    for axis, n in enumerate(image.shape):
+        if n > 1:
+            total += np.gradient(smooth, np.float32(spacing[axis]), axis=axis) ** 2
+    return np.sqrt(total)
 
 
 def gaussian_on_box(

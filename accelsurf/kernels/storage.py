@@ -14,6 +14,12 @@ import numba
 from numba.core import event
 
 
+def kernel_files() -> list[Path]:
+    """Return the files of compiled code: those of every folder of the package that is called kernels."""
+    package = Path(__file__).parents[1]
+    return sorted(package.rglob("kernels/**/*.py"))
+
+
 def _storage() -> Path | None:
     """Folder of the compiled kernels, named by the source of all of them; None where nothing can be written.
 
@@ -21,9 +27,7 @@ def _storage() -> Path | None:
     that it calls and that were compiled into it: after a change in one of those it would run the old code.
     """
     here = Path(__file__).parent
-    source = hashlib.sha256(
-        b"".join(path.read_bytes() for path in sorted(here.rglob("*.py")))
-    ).hexdigest()[:12]
+    source = hashlib.sha256(b"".join(path.read_bytes() for path in kernel_files())).hexdigest()[:12]
     given = os.environ.get("NUMBA_CACHE_DIR")
     home = os.path.expanduser("~")  # as it is for a user who has none
     others = () if home == "~" else (Path(home) / ".cache" / "accelsurf",)

@@ -24,9 +24,9 @@ from scipy import ndimage
 
 from accelsurf.grid.boxes import bounding_box, corner_of, slabs
 from accelsurf.grid.geometry import Geometry
+from accelsurf.image.kernels.smoothing import smooth_across_rows
 from accelsurf.image.noise import noise_of
 from accelsurf.image.smoothing import gaussian_mm, gaussian_weights
-from accelsurf.kernels.smoothing import smooth_across_rows
 from accelsurf.measure.diameters import longest_line
 from accelsurf.measure.surface_mesh import Surface, crossings
 

@@ -27,7 +27,7 @@ from accelsurf.energies import (
 )
 from accelsurf.energies.chan_vese import TENT
 from accelsurf.energies.geodesic import edge_contrast as strong_edge
-from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
+from accelsurf.energies.geodesic import edge_indicator
 from accelsurf.energies.likelihood import (
     TwoGaussians,
     TwoHistograms,
@@ -51,6 +51,7 @@ from accelsurf.flows import (
 )
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.image.noise import area_against_noise, noise_of
+from accelsurf.image.smoothing import gradient_magnitude
 from accelsurf.run.image_context import TermInputs
 from accelsurf.settings import budgets, energy_expression
 from accelsurf.settings.energy_terms import Values
@@ -258,7 +259,7 @@ def geodesic(inputs: TermInputs) -> Made:
     gradient = gradient_magnitude(image, spacing, scale)
     contrast = strong_edge(gradient) if isinstance(contrast, str) else float(contrast)
     used = {"scale": scale, "contrast": contrast, "balloon": balloon}
-    return Geodesic(edge_indicator_of(gradient, contrast), inputs.alpha, balloon), used
+    return Geodesic(edge_indicator(gradient, contrast), inputs.alpha, balloon), used
 
 
 def seeded(inputs: TermInputs) -> Made:

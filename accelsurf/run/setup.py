@@ -30,6 +30,7 @@ from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.flow_specs import AUTO, DESCENT, FLOWS, MOMENTUM, spec_of
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.trace_columns import added_measures
 from accelsurf.settings.wording import size_text
 from accelsurf.starts.objects import ObjectStart
 from accelsurf.starts.starts import CLICKS
@@ -123,6 +124,7 @@ def setup_of(settings: RunConfig, place: int, levels: int, geometry: Geometry) -
         settings.stop_at_rest,
         settings.extension,
         settings.end,
+        added_measures(),
     )
 
 

@@ -115,13 +115,11 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
 )
 
 
-def measured(surface: Any, energy: Any, flow: Any) -> tuple[tuple[str, float], ...]:
-    """Return name and value of the columns that are measured, for ``StepRecord.extra``."""
-    return tuple(
-        (name, float(column.value(surface, energy, flow)))
-        for name, column in TRACE_COLUMNS.items()
-        if column.value is not None
-    )
+def added_measures() -> dict[str, Callable[[Any, Any, Any], float]]:
+    """Return the functions of the columns that are measured in each step, by name, for `SolverSetup.measures`."""
+    return {
+        name: column.value for name, column in TRACE_COLUMNS.items() if column.value is not None
+    }
 
 
 def row_values(record: Any) -> dict[str, Any]:

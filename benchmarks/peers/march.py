@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from accelsurf.clicks.kernels.arrival import Tissue
 from accelsurf.clicks.model.fronts import times_from
-from accelsurf.kernels.arrival import Tissue
 from accelsurf.levelset import LevelSet
 from benchmarks.peers.measure import (
     Options,

@@ -80,7 +80,7 @@ def test_where_nothing_can_be_stored_it_says_what_to_do(compile_now, capsys, mon
 def test_a_kernel_that_is_stored_is_loaded_without_a_word(tmp_path):
     code = (
         "import numpy as np; from accelsurf.cli.options import Display; from accelsurf.cli.progress import Watcher\n"
-        "from accelsurf.kernels.statistics import count_high_bits\n"
+        "from accelsurf.image.kernels.counts import count_high_bits\n"
         "with Watcher(Display()).watch('scan', 1):\n"
         "    count_high_bits(np.zeros(3, np.uint32), np.zeros(65536, np.int64))\n"
     )

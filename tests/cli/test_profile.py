@@ -11,11 +11,16 @@ import pytest
 import accelsurf
 from accelsurf import kernels
 from accelsurf.cli import segment
+from accelsurf.clicks import kernels as click_kernels
+from accelsurf.image import kernels as image_kernels
 from accelsurf.kernels._jit import STAGE_OF_KERNEL, Stage
+from accelsurf.output.pictures import kernels as picture_kernels
 
+ROOMS = (kernels, image_kernels, click_kernels, picture_kernels)
 MODULES = {
     one.name.rsplit(".", 1)[1]: importlib.import_module(one.name)
-    for one in pkgutil.walk_packages(kernels.__path__, "accelsurf.kernels.")
+    for room in ROOMS
+    for one in pkgutil.walk_packages(room.__path__, f"{room.__name__}.")
 }
 
 
@@ -50,7 +55,7 @@ def kernels_handed_over(path):
     aliases = {
         (name.asname or name.name): name.name
         for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module == "accelsurf.kernels"
+        if isinstance(node, ast.ImportFrom) and node.module in {room.__name__ for room in ROOMS}
         for name in node.names
     }
     given = [arg for node in ast.walk(tree) if isinstance(node, ast.Call) for arg in node.args]

@@ -41,10 +41,10 @@ def is_kernel(node):
 
 
 def called_kernels():
-    """Kernels that modules outside of accelsurf.kernels name, by import or as an attribute of their module."""
+    """Kernels that modules which are none name, by import or as an attribute of their module."""
     defined = {
         f"accelsurf.{'.'.join(path.relative_to(PACKAGE).with_suffix('').parts)}.{node.name}"
-        for path in (PACKAGE / "kernels").rglob("*.py")
+        for path in storage.kernel_files()
         for node in ast.parse(path.read_text()).body
         if is_kernel(node)
     }

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.image.smoothing import gaussian_mm
+from accelsurf.image.smoothing import gaussian_mm, gradient_magnitude
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.7, 1.0, 1.3)])
@@ -57,3 +57,20 @@ def test_it_is_scipy_s_gaussian(shape, sigma):
     np.testing.assert_array_equal(
         gaussian_mm(np.asfortranarray(image), spacing, sigma), gaussian_mm(image, spacing, sigma)
     )
+
+
+def test_gradients_are_per_mm_at_any_scale():
+    """Of a ramp: exact inside, whatever the spacings, also for a Gaussian far narrower than a voxel."""
+    z, y, x = np.meshgrid(
+        np.arange(12) * 3.0, np.arange(30) * 1.0, np.arange(40) * 0.5, indexing="ij"
+    )
+    for scale in (0.3, 1.0):
+        got = gradient_magnitude(0.2 * z - 0.1 * y + 0.05 * x, (3.0, 1.0, 0.5), scale)
+        np.testing.assert_allclose(got[2:-2, 5:-5, 9:-9], np.sqrt(0.04 + 0.01 + 0.0025), rtol=1e-4)
+
+
+def test_a_single_slice_has_no_slope_across():
+    image = np.random.default_rng(1).normal(size=(1, 20, 22))
+    one = gradient_magnitude(image, (5.0, 1.0, 0.8), 1.5)
+    many = gradient_magnitude(np.repeat(image, 9, axis=0), (5.0, 1.0, 0.8), 1.5)
+    np.testing.assert_allclose(one[0], many[4], rtol=1e-5)

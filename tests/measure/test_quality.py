@@ -347,7 +347,7 @@ def test_nothing_left_and_one_slice():
 
 @pytest.mark.parametrize("shape", [(12, 14, 9), (1, 20, 13)])
 def test_gradients_of_some_voxels_are_those_of_all(shape):
-    from accelsurf.energies.geodesic import gradient_magnitude
+    from accelsurf.image.smoothing import gradient_magnitude
     from accelsurf.measure.quality import gradients
 
     image = np.random.default_rng(1).normal(size=shape).astype(np.float32)

@@ -7,7 +7,7 @@ import numpy as np
 
 
 def plain_cost(image, spacing, median, spread, edge, weights):
-    """Cost per mm (nz, ny, nx) of one channel, as `accelsurf.kernels.arrival.cost_at` has it."""
+    """Cost per mm (nz, ny, nx) of one channel, as `accelsurf.clicks.kernels.arrival.cost_at` has it."""
     parts = [np.gradient(image, h, axis=i) for i, h in enumerate(spacing) if image.shape[i] > 1]
     length = np.sqrt(sum(part.astype(np.float64) ** 2 for part in parts))
     base, w_edge, max_edge, w_far, free, max_far = weights

@@ -2,7 +2,7 @@
 
 A trip is recorded while it is made: every call of a function of accelsurf is seen (`sys.setprofile`). Compiled kernels
 are no calls that can be seen, so a trip ends where the first step of `Evolution` calls what calls the first kernel,
-`LevelSet.fraction_and_area`. ``accelsurf/kernels/`` does not count, nor does what a module does while it is imported.
+`LevelSet.fraction_and_area`. Folders called kernels do not count, nor does what a module does while it is imported.
 
     python -m tests.support.trips [WORD]
 
@@ -71,7 +71,7 @@ class Trip:
             return
         code = frame.f_code
         path = code.co_filename.removeprefix(ROOT)
-        if path == code.co_filename or path.startswith("kernels/") or _is_import(frame):
+        if path == code.co_filename or "kernels" in Path(path).parts or _is_import(frame):
             return
         self.called.add(path)
         if path not in self.files and self._counts(frame):

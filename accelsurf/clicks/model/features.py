@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.morphology import reconstruction
 
+from accelsurf.clicks.kernels.arrival import Tissue, shortest_paths
+from accelsurf.clicks.kernels.walker import walk
 from accelsurf.clicks.model.fronts import (
     COST,
     CROSS,
@@ -26,8 +28,6 @@ from accelsurf.clicks.model.fronts import (
 )
 from accelsurf.clicks.model.windows import DEEPER, Floats, Mask, Seed, Window
 from accelsurf.image.blocks import block_means
-from accelsurf.kernels.arrival import Tissue, shortest_paths
-from accelsurf.kernels.walker import walk
 
 Features = dict[str, NDArray[np.floating]]
 #: Smoothing before anything is learned, of the smallest side of a block; and of the wide maps, in blocks.

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.clicks.kernels.arrival import Medium, Sources, Tissue, march
 from accelsurf.clicks.model.windows import Floats, Mask, Spacing
 from accelsurf.grid.boxes import widened
 from accelsurf.grid.clicks import Click
-from accelsurf.kernels.arrival import Medium, Sources, Tissue, march
 from accelsurf.kernels.grid import Grid
 
 CROSS = ndimage.generate_binary_structure(3, 1)
-#: Cost per mm, see `accelsurf.kernels.arrival.cost_at`; gradients count in so many median ones.
+#: Cost per mm, see `accelsurf.clicks.kernels.arrival.cost_at`; gradients count in so many median ones.
 COST, EDGE = (0.02, 0.1, 50.0, 0.15, 2.0, 16.0), 6.0
 #: A click of fewer voxels learns from its neighbours too. A spread is at least so many median gradients per voxel, and
 #: at least this part of the range of the values.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from accelsurf.kernels.dense import layer
+from accelsurf.clicks.kernels.dense import layer
 
 Floats = NDArray[np.float32]
 #: Features are cut at so many standard deviations.

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.clicks.kernels.arrival import Sources, Tissue
 from accelsurf.clicks.model.fronts import learned, times_from
 from accelsurf.clicks.model.model import CLICKED, JUST, ClickModel
 from accelsurf.clicks.model.windows import Floats, Mask, Spacing
@@ -24,7 +25,6 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, connected_to, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.image.smoothing import gaussian_mm
-from accelsurf.kernels.arrival import Sources, Tissue
 
 #: Smoothing of the image before anything is learned from it, and of the shares of objects; of the smallest spacing.
 SMOOTHING, SHARES = 0.3, 0.7

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.kernels.distance import distances_within
+from accelsurf.clicks.kernels.distance import distances_within
 
 
 @pytest.mark.parametrize(

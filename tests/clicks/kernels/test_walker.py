@@ -4,7 +4,7 @@ import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import spsolve
 
-from accelsurf.kernels.walker import MIN_WEIGHT, walk
+from accelsurf.clicks.kernels.walker import MIN_WEIGHT, walk
 
 SHAPE = (4, 5, 7)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.image.blocks import block_means, on_voxels
-from accelsurf.kernels.blocks import sums_along
+from accelsurf.image.kernels.blocks import sums_along
 
 pytestmark = pytest.mark.nojit
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.image.filters import closed_mm, lines_of_ball
-from accelsurf.kernels.smoothing import dilate
+from accelsurf.image.kernels.smoothing import dilate
 
 
 def footprint(spacing, radius):

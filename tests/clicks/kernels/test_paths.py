@@ -4,7 +4,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from accelsurf.kernels.arrival import shortest_paths
+from accelsurf.clicks.kernels.arrival import shortest_paths
 
 SHAPE = (4, 6, 7)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.kernels.arrival import Medium, Sources, Tissue, bucket_width, march
+from accelsurf.clicks.kernels.arrival import Medium, Sources, Tissue, bucket_width, march
 from accelsurf.kernels.grid import Grid
 from tests.support.arrival import plain_cost, plain_times
 

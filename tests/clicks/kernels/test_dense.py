@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.kernels.dense import TILE, layer
+from accelsurf.clicks.kernels.dense import TILE, layer
 
 pytestmark = pytest.mark.nojit
 

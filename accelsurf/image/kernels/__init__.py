@@ -1,0 +1,1 @@
+"""Compiled code of images: smoothing, closing, sums of blocks, counts of values."""
