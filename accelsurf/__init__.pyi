@@ -1,4 +1,3 @@
-from .api.click_session import ClickSession as ClickSession
 from .api.segment import evolve as evolve
 from .api.segment import segment as segment
 from .api.segment import segment_clicks as segment_clicks
@@ -21,6 +20,7 @@ from .errors import UsageError as UsageError
 from .grid.clicks import Click as Click
 from .grid.geometry import Geometry as Geometry
 from .image.volume import Volume as Volume
+from .interact.interaction import Interaction as Interaction
 from .io import LazyVolume as LazyVolume
 from .io import open_volume as open_volume
 from .io import read as read

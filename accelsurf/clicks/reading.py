@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.point_files import has_own_columns, read_points
+from accelsurf.clicks.voxel_lists import click_of_voxels_text
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.boxes import (
     Box,
@@ -208,8 +209,8 @@ def read_clicks(
     Parameters
     ----------
     texts : iterable of str
-        ``point:X,Y,Z``, ``X,Y,Z`` alone, ``path:X,Y,Z,R;X,Y,Z,R;...``, ``stroke:FILE``, a file of points of another
-        program, or a start.
+        ``point:X,Y,Z``, ``X,Y,Z`` alone, ``path:X,Y,Z,R;X,Y,Z,R;...``, ``stroke:FILE``, ``voxels:...`` as
+        `voxels_text` writes them, a file of points of another program, or a start.
     side : {"inside", "outside"}
     volume : Volume
         The image.
@@ -245,6 +246,8 @@ def read_clicks(
             out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "path":
             out += _within(window, [_click_of_path(text, side, window.geometry, id)])
+        elif kind == "voxels":
+            out += _within(window, [click_of_voxels_text(text, side, window.geometry, id)])
         elif kind == "stroke":
             out += _stroke(text, rest, side, window, id)
         else:

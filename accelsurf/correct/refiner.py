@@ -44,7 +44,7 @@ from accelsurf.correct.region import (
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import Stop
-from accelsurf.grid.boxes import Box, box_at, counted_from, on_box, tightened
+from accelsurf.grid.boxes import Box, Corner, box_at, counted_from, on_box, tightened
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks, Side
 from accelsurf.grid.pyramid import Level
@@ -201,6 +201,11 @@ class Refiner:
     def clicks(self) -> Clicks:
         """All clicks so far, on the grid of the region of interest."""
         return self._objects.models.clicks
+
+    @property
+    def first(self) -> Corner:
+        """First voxel of the region of interest on the image's grid."""
+        return self._state.prepared.first
 
     @property
     def has_ids(self) -> bool:

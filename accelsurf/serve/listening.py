@@ -114,7 +114,7 @@ def serve(
 def warm_up() -> None:
     """Click into a small image, and correct it: compiled code and networks are then in memory."""
     places = (np.indices((24, 24, 24)) - 11.5) ** 2
-    session = accelsurf.ClickSession(np.asarray(places.sum(axis=0) < 64, np.float32))
+    object = accelsurf.Interaction(np.asarray(places.sum(axis=0) < 64, np.float32))
     inside, wrong = (slice(8, 12),) * 3, (slice(13, 16),) * 3
-    session.add([accelsurf.Click("inside", inside, np.ones((4, 4, 4), np.bool_))])
-    session.add([accelsurf.Click("outside", wrong, np.ones((3, 3, 3), np.bool_))])
+    object.add(inside=accelsurf.Click("inside", inside, np.ones((4, 4, 4), np.bool_)))
+    object.add(outside=accelsurf.Click("outside", wrong, np.ones((3, 3, 3), np.bool_)))

@@ -83,7 +83,7 @@ class ImageSession:
             volume.array,
             accelsurf.Geometry(grid.shape, grid.spacing, grid.origin, np.diag(flips)),
         )
-        self._object = accelsurf.ClickSession(volume, channels=others)
+        self._object = accelsurf.Interaction(volume, channels=others)
         self._changed: Box | None = None
         self._waiting = 0
 
@@ -123,7 +123,8 @@ class ImageSession:
             raise InputError(
                 f"labels of shape {labels.shape} were sent, expected the image's {self.shape}"
             )
-        self._object.start_from(np.ascontiguousarray(labels.transpose(self._axes)))
+        mask = np.ascontiguousarray(labels.transpose(self._axes)) != 0
+        self._object.start_from(mask)
         self._changed, self._waiting = None, 0
 
     def undo(self) -> bool:
@@ -153,7 +154,10 @@ class ImageSession:
             )
             for click in clicks
         ]
-        self._note(self._object.add(turned))
+        inside, outside = (
+            [click for click in turned if click.side == side] for side in ("inside", "outside")
+        )
+        self._note(self._object.add(inside, outside))
         self._waiting += 1
 
     def _note(self, changed: Box | None) -> None:

@@ -224,7 +224,7 @@ def test_every_function_takes_them():
     assert np.array_equal(accelsurf.segment_objects(image, mask, max_steps=0).labels, wanted.labels)
     assert np.array_equal(accelsurf.refine(image, labels=mask, islands="1ml").labels, wanted.labels)
     assert next(iter(accelsurf.evolve(image, mask=mask, start=mask))).surface.labels.any()
-    session = accelsurf.ClickSession(image, channels=[image])
+    session = accelsurf.Interaction(image, channels=[image])
     session.start_from(mask)
     assert np.array_equal(session.labels, wanted.labels)
 

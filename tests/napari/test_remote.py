@@ -82,9 +82,9 @@ def test_a_point_is_that_of_the_library_with_the_layers_scale(found):
             sum(((a - m) * h) ** 2 for a, m, h in zip(places, middle, spacing, strict=True))
             <= 4.0**2
         )
-        session = accelsurf.ClickSession(image, spacing=spacing)
-        session.add([accelsurf.Click("inside", tuple(slice(0, n) for n in image.shape), ball)])
-        return session.labels
+        found = accelsurf.Interaction(image, spacing=spacing)
+        found.add(accelsurf.Click("inside", tuple(slice(0, n) for n in image.shape), ball))
+        return found.labels
 
     assert truth[middle] and np.array_equal(found["point"], by_library(scale))
     assert not np.array_equal(found["point"], by_library((1.0, 1.0, 1.0)))

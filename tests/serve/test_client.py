@@ -91,18 +91,25 @@ class Viewer:
         return 2 * both / (np.count_nonzero(self.labels) + np.count_nonzero(self.truth))
 
 
-def library(viewer, masks):
-    """Labels by the library alone: clicks of masks on sides, with the first axis of one place first."""
+def library(viewer, masks, together=False):
+    """Labels by the library alone: clicks of masks on sides, with the first axis of one place first.
+
+    Each is a gesture of its own, or all are one.
+    """
     axes = (2, 0, 1) if viewer.image.shape[2] == 1 else (0, 1, 2)
     spacing = tuple(viewer.spacing[axis] for axis in axes)
-    session = accelsurf.ClickSession(
+    found = accelsurf.Interaction(
         np.ascontiguousarray(viewer.image.transpose(axes)), spacing=spacing
     )
+    clicks = []
     for side, mask in masks:
         turned = mask.transpose(axes)
         box = ndimage.find_objects(turned.astype(np.uint8))[0]
-        session.add([accelsurf.Click(side, box, np.ascontiguousarray(turned[box]))])
-    return session.labels.transpose(np.argsort(axes))
+        clicks.append(accelsurf.Click(side, box, np.ascontiguousarray(turned[box])))
+    for gesture in [clicks] if together else [[click] for click in clicks]:
+        sides = [[c for c in gesture if c.side == side] for side in ("inside", "outside")]
+        found.add(*sides)
+    return found.labels.transpose(np.argsort(axes))
 
 
 def ball(viewer, middle, radius):
@@ -165,7 +172,7 @@ def test_outlines(server, name, kind):
             crop = np.ones_like(crop)
         else:
             viewer.client.add_lasso_interaction(crop, True, interaction_bbox=box)
-        assert np.array_equal(viewer.labels, library(viewer, outlined(viewer, box, crop)))
+        assert np.array_equal(viewer.labels, library(viewer, outlined(viewer, box, crop), True))
         assert viewer.dice() > 0.7
         around = [slice(None)] * 3
         around[viewer.slice_axis] = slice(*box[viewer.slice_axis])

@@ -458,20 +458,30 @@ class Timeline:
         object_id = self._whose(where[0], object_id)
         if object_id is not None and object_id not in self.objects.ids:
             return self.objects.begin_object(object_id, side, where)
-        clicks: dict[str, Any] = {side: list(where), "object": object_id}
-        said = clicks_in_words(side, where, object_id)
-        is_final = all(reason in FINAL_REASONS for reason in self._reasons())
-        if self.run.stop is not None and (self.objects.is_beside(object_id) or not is_final):
-            (refinement,) = RunConfig(refine=[clicks]).refine
-            before, self._message = (
-                self._now(),
-                self.corrections.correct(self.run, refinement, said),
-            )
-            return self.log.add(before, said)
-        clicks["object"] = self.objects.of_run(object_id)
-        (edit,) = RunConfig(edit=[{"step": self.step_number, **clicks}]).edit
-        self._replace_edits((*self._edits_so_far(), edit), said)
-        self._message = said
+        clicks = {side: list(where), "object": object_id}
+        (refinement,), said = (
+            RunConfig(refine=[clicks]).refine,
+            clicks_in_words(side, where, object_id),
+        )
+        if self.run.stop is None and self.run.level > 0:  # a coarse surface is not corrected
+            return self.refine(clicks, said)
+        before, moved = self._now(), self.run.stop is None
+        if moved:
+            self._end_here()
+        try:
+            self._message = self.corrections.correct(self.run, refinement, said)
+        except AccelsurfError:
+            if moved:
+                self.run.restore(self._present)
+            raise
+        self.log.add(before, said)
+
+    def _end_here(self) -> None:
+        """End the run at the present step: a click corrects the surface that is seen."""
+        self.pause()
+        self.checkpoints.drop_after(self.step_number)
+        self.run.extend(self.step_number)
+        self.run.step()
 
     def reach_of(
         self, side: Side, where: tuple[str, ...], object_id: int | None = None

@@ -1,0 +1,1 @@
+"""Interaction: a person's gestures on the objects of an image, the same for every client."""

@@ -1,0 +1,165 @@
+"""One game through every client: the same gestures give the same labels, byte for byte."""
+
+import shutil
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import accelsurf
+from accelsurf import cli
+from accelsurf.clicks.reading import read_clicks
+from accelsurf.serve.session import ImageSession
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.session import Session
+
+SHAPE, SPACING = (20, 36, 40), (2.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Gesture:
+    """A click on a side, or without one the undoing of the last."""
+
+    side: str = ""
+    where: str = ""
+
+
+#: The press in the object, a cut, a stroke, a small cut, that taken back, and a ball at another place.
+GAME = (
+    Gesture("inside", "ball:14,17,18,3"),
+    Gesture("outside", "ball:27,17,18,2"),
+    Gesture("inside", "path:24,14,17,1.5;27,13,19,1.5"),
+    Gesture("outside", "ball:10,20,20,1"),
+    Gesture(),
+    Gesture("outside", "ball:14,25,18,2"),
+)
+
+
+@pytest.fixture(scope="module")
+def scan():
+    """Two touching ellipsoids of one brightness in noise, in slices of 2 mm."""
+    z, y, x = np.indices(SHAPE) * np.array(SPACING)[:, None, None, None]
+    first = ((x - 14) / 8) ** 2 + ((y - 17) / 9) ** 2 + ((z - 18) / 10) ** 2 < 1
+    second = ((x - 27) / 7) ** 2 + ((y - 17) / 6) ** 2 + ((z - 18) / 8) ** 2 < 1
+    image = 100.0 * (first | second) + np.random.default_rng(3).normal(0, 8, SHAPE)
+    return accelsurf.Volume.from_array(image.astype(np.float32), SPACING)
+
+
+def by_library(scan, game, folder):
+    results = []
+    for gesture in game:
+        if not gesture.side:
+            results.pop()
+        elif not results:
+            results.append(accelsurf.segment(scan, **{gesture.side: gesture.where}))
+        else:
+            results.append(accelsurf.refine(results[-1], **{gesture.side: gesture.where}))
+        yield results[-1].labels
+
+
+def by_interaction(scan, game, folder):
+    found = accelsurf.Interaction(scan)
+    for gesture in game:
+        found.add(**{gesture.side: gesture.where}) if gesture.side else found.undo()
+        yield found.labels
+
+
+def by_command_line(scan, game, folder):
+    image, out = folder / "scan.nii.gz", folder / "out"
+    accelsurf.write(scan, image)
+    for gesture in game:
+        if not gesture.side:  # a result in a folder is taken back by a copy of it
+            shutil.rmtree(out)
+            shutil.copytree(folder / "before", out)
+        elif not out.exists():
+            words = ["segment", image, f"--{gesture.side}", gesture.where, "-o", out]
+            assert cli.execute([str(word) for word in (*words, "--progress", "none")]) == 0
+        else:
+            shutil.rmtree(folder / "before", ignore_errors=True)
+            shutil.copytree(out, folder / "before")
+            words = ["refine", out, f"--{gesture.side}", gesture.where, "--overwrite"]
+            assert cli.execute([str(word) for word in (*words, "--progress", "none")]) == 0
+        yield accelsurf.read_labels(out / "scan_seg.nii.gz").array
+
+
+def by_server(scan, game, folder):
+    """Prompts of voxels, as a viewer sends the stroke of a brush."""
+    session, shown = ImageSession(scan.array[None], SPACING), np.zeros(SHAPE, np.uint8)
+    for gesture in game:
+        if gesture.side:
+            (click,) = read_clicks([gesture.where], gesture.side, scan)
+            mask = np.zeros(SHAPE, np.uint8)
+            mask[click.box] = click.mask
+            session.scribble(mask, None, gesture.side)
+        else:
+            session.undo()
+        answer = session.answer()
+        if answer is not None:
+            shown[answer.box] = answer.labels
+        yield shown
+
+
+def by_window(scan, game, folder):
+    """The session of window and page; a press begins a run, which plays to its end."""
+    with Session(scan, RunConfig()) as session:
+        for gesture in game:
+            done = (
+                session.add_click(gesture.side, gesture.where) if gesture.side else session.undo()
+            )
+            done.result(60)
+            assert session.wait(60)
+            session.save(folder, ("labels",), overwrite=True).result(60)
+            yield accelsurf.read_labels(folder / f"{session.name}_seg.nii.gz").array
+
+
+CLIENTS = (by_library, by_interaction, by_command_line, by_server, by_window)
+
+
+@pytest.fixture(scope="module")
+def played(scan):
+    return [labels.copy() for labels in by_interaction(scan, GAME, None)]
+
+
+@pytest.mark.parametrize("client", CLIENTS)
+def test_a_game_gives_the_same_labels_in_every_client(client, scan, played, tmp_path):
+    for number, labels in enumerate(client(scan, GAME, tmp_path)):
+        assert np.array_equal(labels > 0, played[number] > 0), f"gesture {number}"
+    # Each gesture shows: none of the game leaves the labels as they are.
+    assert all(not np.array_equal(a, b) for a, b in zip(played, played[1:], strict=False))
+
+
+def test_a_plug_in_of_napari_plays_the_same_game(scan, played):
+    widget = pytest.importorskip("accelsurf.napari.widget", reason="napari is not installed")
+    target = widget.Target(np.zeros(SHAPE, np.uint8), 1, False)
+    results, numbers = [], []
+    for number, gesture in enumerate(GAME):
+        if gesture.side and not gesture.where.startswith("ball:"):
+            break  # the plug-in has no strokes
+        x, y, z, radius = (float(v) for v in gesture.where.partition(":")[2].split(","))
+        place = np.array([z, y, x]) / SPACING
+        press = widget.Press(gesture.side, place, radius)
+        results.append(widget.answered(scan, target, results[-1] if results else None, press))
+        numbers.append(number)
+    for number, result in zip(numbers, results, strict=True):
+        assert np.array_equal(result.labels > 0, played[number] > 0)
+
+
+@pytest.mark.parametrize("steps", [1, 4, 9])
+def test_a_click_on_a_surface_that_moves_ends_the_run_and_corrects_it(scan, steps, tmp_path):
+    config = RunConfig(start="ball:14,17,18,3", energy="chan-vese", levels=1)
+    with Session(scan, config) as session:
+        session.play(steps).result(60)
+        assert session.wait(60)
+        session.add_click("outside", "ball:14,17,18,1").result(60)
+        assert session.wait(60)
+        status = session.status
+        assert status.step == steps and status.stop is not None and len(status.refinements) == 1
+        session.save(tmp_path, ("labels", "run"), overwrite=True).result(60)
+        shown = accelsurf.read_labels(tmp_path / f"{session.name}_seg.nii.gz").array
+        session.undo().result(60)
+        assert session.wait(60) and not session.status.refinements
+        session.single_step().result(60)  # it goes on from the surface that the click has changed
+        assert session.wait(60) and session.status.stop is None and session.status.step == steps + 1
+    (settings,) = tmp_path.glob("*.toml")
+    again = accelsurf.segment(scan, config=RunConfig.from_toml(settings))
+    assert np.array_equal(again.labels, shown)
