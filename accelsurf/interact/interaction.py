@@ -73,8 +73,8 @@ class Interaction:
     """Objects of an image by a person's gestures; every client of accelsurf plays them here.
 
     The first click inside segments an object as `accelsurf.segment` does; a later one corrects it as
-    `accelsurf.refine` does, at the cost of its neighbourhood. The same gestures give the same bytes in the command line,
-    the window, the server and the plug-in. Each can be undone.
+    `accelsurf.refine` does, at the cost of its neighbourhood. The same gestures give the same bytes in the command
+    line, the window, the server and the plug-in. Each can be undone.
 
     Parameters
     ----------

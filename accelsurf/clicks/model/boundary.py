@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.clicks.kernels.distance import distances_within
 from accelsurf.clicks.model.fronts import MIN_RANGE
 from accelsurf.clicks.model.network import Network
 from accelsurf.clicks.model.windows import Floats, Mask
 from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.image.blocks import block_means, on_voxels
 from accelsurf.image.smoothing import gaussian_mm
-from accelsurf.kernels.distance import distances_within
 
 #: Voxels are looked at up to this part of a block and so many voxels from the boundary.
 REACH, MORE = 0.75, 1.0
@@ -79,7 +79,7 @@ def features_near(
             _around(block_means(values, blocks))
             for values in (part, part * image, part * image * image)
         ]
-        weight = np.maximum(sums[0], 1e-6)
+        weight = np.maximum(sums[0], np.float32(1e-6))
         at_voxels = (on_voxels(part_sum / weight, blocks, image.shape) for part_sum in sums[1:])
         sides.append([values.ravel()[where] for values in at_voxels])
     (mean_in, square_in), (mean_out, square_out) = sides

@@ -261,8 +261,9 @@ class Session:
         """Say of voxels that they are in the object, or are not, as `--inside` takes them: balls, points, paths.
 
         Several at once are one correction, as `accelsurf refine` makes it: a run that goes on ends at the present step.
-        They take voxels that they contradict from earlier ones. Of several objects it is the one with this id, or else the one that is nearest to where the first begins. What is no place, lies
-        outside, or would leave nothing clicked inside is refused.
+        They take voxels that they contradict from earlier ones. Of several objects it is the one with this id, or else
+        the one that is nearest to where the first begins. What is no place, lies outside, or would leave nothing
+        clicked inside is refused.
         """
         texts = (where,) if isinstance(where, str) else tuple(where)
         return self._do(lambda timeline: timeline.add_click(side, texts, object_id))
