@@ -257,7 +257,7 @@ def evolve(
         yield from run
 
 
-def segment_objects(
+def segment_objects(  # noqa: PLR0913
     image: ImageLike,
     objects: ObjectsLike | ImageLike | None = None,
     *,

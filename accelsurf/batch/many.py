@@ -146,7 +146,7 @@ class _Watch:
         load(WARN)(f"warning: {text}")
 
 
-def segment_many(
+def segment_many(  # noqa: PLR0913
     cases: str | Path | Sequence[CaseLike],
     output: str | Path,
     *,

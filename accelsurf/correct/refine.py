@@ -17,7 +17,7 @@ from accelsurf.settings.corrections import corrections_in_order
 from accelsurf.settings.run_config import RunConfig
 
 
-def refine(
+def refine(  # noqa: PLR0913
     result: Result | ImageLike,
     *,
     labels: ImageLike | None = None,

@@ -66,7 +66,7 @@ class Evolution:
     The iteration can be abandoned at any time; the surface is always a valid one between two Steps.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         surface: LevelSet,
         energy: Energy,

@@ -33,7 +33,7 @@ _ROUNDING = 1e-3
 class ItkImage(Protocol):
     """An image of SimpleITK, as far as types can say it."""
 
-    def GetSpacing(self) -> tuple[float, ...]:
+    def GetSpacing(self) -> tuple[float, ...]:  # noqa: N802
         """Return the size of a voxel (x, y, z)."""
 
 

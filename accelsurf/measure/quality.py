@@ -73,7 +73,7 @@ class ValueRange(NamedTuple):
     high: float
 
 
-def assess(
+def assess(  # noqa: PLR0913
     labels: NDArray[np.uint8],
     image: Image,
     geometry: Geometry,
@@ -146,7 +146,7 @@ def _alike_note(found: Quality, labels: NDArray[np.uint8]) -> list[str]:
     ]
 
 
-def measured(
+def measured(  # noqa: PLR0913
     labels: NDArray[np.uint8],
     image: Image,
     geometry: Geometry,

@@ -55,7 +55,7 @@ PACKAGES = (
 )
 
 
-def build(
+def build(  # noqa: PLR0913
     *,
     status: Status,
     exit_code: int,

@@ -97,7 +97,7 @@ class Run:
         Duration of the preparation, s, and the clock (`time.perf_counter`) at its end.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         volume: Volume,
         config: RunConfig,

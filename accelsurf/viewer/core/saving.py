@@ -26,7 +26,7 @@ from accelsurf.viewer.core.status import SAVED_KINDS
 RUN_FILE = "_run.toml"
 
 
-def save(
+def save(  # noqa: PLR0913
     run: Run,
     folder: Path,
     name: str,
