@@ -7,7 +7,7 @@ from accelsurf.api.segment import segment
 from accelsurf.clicks.model import Scene, click_model
 from accelsurf.clicks.model.answers import LIKELIEST, OF_ALIKE, Answer
 from accelsurf.clicks.model.confidence import confidence_of
-from accelsurf.clicks.model.even import PEOPLES, as_people_click
+from accelsurf.clicks.model.even import PEOPLES, smaller_clicks
 from accelsurf.clicks.model.windows import inscribed_radius, seed_of
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import whole_box
@@ -96,10 +96,11 @@ def test_an_object_is_read_as_no_less_deep_than_the_click_in_it(radius, spacing)
     scene = Scene((np.zeros(shape, np.float32),), spacing)
     at = tuple(n // 2 for n in shape)
     seed = seed_of(clicked_balls.ball("inside", at, radius * step, shape, spacing), scene)
-    small = as_people_click(seed, scene)
-    assert small.radius < 0.9 * seed.radius
-    assert inscribed_radius(small, scene) > 0.9 * seed.radius  # balls of voxels
-    assert small.radius > 0.9 * PEOPLES * step
+    likely, *others = smaller_clicks(seed, scene)
+    assert likely.radius < 0.9 * seed.radius
+    assert inscribed_radius(likely, scene) > 0.9 * seed.radius  # balls of voxels
+    assert len(others) == (radius > 2 * PEOPLES)
+    assert min(each.radius for each in (likely, *others)) == pytest.approx(PEOPLES * step, rel=0.1)
 
 
 def test_a_usual_click_and_a_stated_size_are_not_ambiguous():
