@@ -133,7 +133,7 @@ def is_beyond_people(seed: Seed, scene: Scene) -> bool:
 def smaller_clicks(seed: Seed, scene: Scene) -> tuple[Seed, ...]:
     """Return clicks in the middle of a larger one: the least whose object is as deep as it is, and a person's largest.
 
-    The first is the likelier, as all of a click lies in its object. Where it is no larger than a person's, it is that.
+    All of a click lies in its object. Where the first is no larger than a person's, both are one.
     """
     largest = PEOPLES * scene.step
     radii = dict.fromkeys((max(largest, seed.radius / DEEPER), largest))

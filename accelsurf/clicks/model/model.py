@@ -283,9 +283,8 @@ def first_blocks(
 ) -> FirstBlocks:
     """Return an answer to the first click on blocks, which is what it shows but for its boundary; see `first_model`.
 
-    A click that is larger than people make them is read as smaller ones too. Where two of the answers differ by a
-    factor, that of the least click whose object is as deep as the whole click is the first, and the answer that differs
-    most from it is in place of a part of it.
+    A click that is larger than people make them is read as smaller ones too. The first of these whose answer is smaller
+    by a factor is taken, and the larger answer is in place of a part of it.
     """
     network = networks()["first"] if network is None else network
     read, noise, is_sure = as_large(seed, scene)
@@ -294,18 +293,13 @@ def first_blocks(
     is_ambiguous = False
     is_known = size_mm3 is not None or scene.sizes is not None or is_sure
     if not is_known and is_beyond_people(read, scene):
-        smaller = (_read(scene, each, None, None, network) for each in smaller_clicks(read, scene))
-        readings = [reading, *smaller]
-        volumes = [each.volume_mm3 for each in readings]
-        is_ambiguous = min(volumes) * FACTOR < max(volumes)
-        if is_ambiguous:
-            likely = readings[1]
-            times = [abs(np.log(volume / likely.volume_mm3)) for volume in volumes]
-            other = readings[int(np.argmax(times))]
-            by_number |= {
-                LIKELIEST: (likely, likely.answers[0]),
-                OF_PART: (other, other.answers[0]._replace(number=OF_PART)),
-            }
+        for smaller in smaller_clicks(read, scene):
+            small = _read(scene, smaller, None, None, network)
+            is_ambiguous = small.volume_mm3 * FACTOR < reading.volume_mm3
+            if is_ambiguous:
+                larger = reading.answers[0]._replace(number=OF_PART)
+                by_number |= {LIKELIEST: (small, small.answers[0]), OF_PART: (reading, larger)}
+                break
     number = answer if answer in by_number and answer != OF_ALIKE else LIKELIEST
     shown = {n: _shown(*by_number[n]) for n in by_number if n != OF_ALIKE}
     taken = by_number[number][0]
