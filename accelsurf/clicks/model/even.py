@@ -36,8 +36,7 @@ SURE = 1.1
 OF_IMAGE = 0.35
 #: A click is larger than people make them from so many of the smallest spacings on.
 BEYOND = 9.0
-#: It is read as one of so many too, whose radius still says something of the object's (`windows.LARGEST`), or as the
-#: smallest of which the object is as deep as the whole click: all of that lies in it.
+#: It is read as one of so many too, whose radius still says something of the object's (`windows.LARGEST`).
 PEOPLES = 7.0
 #: A shell is this much wider than the ball in it, and this part of a spacing at least.
 WIDER, MIN_WIDER = 1.15, 0.75
@@ -114,7 +113,7 @@ def as_large(seed: Seed, scene: Scene) -> AsRead:
     if (
         even is not None
         and _whole(scene) > even.radius >= FROM * scene.step
-        and _holds(even, seed, scene)
+        and not _is_longer(seed, even.radius, scene)
     ):
         noise, is_sure = even.noise, radius <= SURE * even.radius
         if radius < TOO_SMALL * even.radius:
@@ -131,9 +130,14 @@ def is_beyond_people(seed: Seed, scene: Scene) -> bool:
     return seed.radius > BEYOND * scene.step
 
 
-def as_people_click(seed: Seed, scene: Scene) -> Seed:
-    """Return a click in the middle of a larger one: as large as people's, or the least whose object holds it."""
-    return _ball(seed.core[0], max(PEOPLES * scene.step, seed.radius / DEEPER), seed, scene)
+def smaller_clicks(seed: Seed, scene: Scene) -> tuple[Seed, ...]:
+    """Return clicks in the middle of a larger one: the least whose object is as deep as it is, and a person's largest.
+
+    All of a click lies in its object. Where the first is no larger than a person's, both are one.
+    """
+    largest = PEOPLES * scene.step
+    radii = dict.fromkeys((max(largest, seed.radius / DEEPER), largest))
+    return tuple(_ball(seed.core[0], radius, seed, scene) for radius in radii)
 
 
 def dithered(values: Floats, noise: float) -> Floats:
@@ -250,11 +254,11 @@ def _is_like(part: _Values, known: _Values) -> bool:
     return True
 
 
-def _holds(even: EvenBall, seed: Seed, scene: Scene) -> bool:
-    """Test if all of a click lies in a ball: a longer stroke says more than that."""
+def _is_longer(seed: Seed, radius: float, scene: Scene) -> bool:
+    """Test if a click goes farther from its middle than a radius: such a stroke says more than a ball of it."""
     voxels = np.argwhere(seed.click.mask) + [side.start for side in seed.click.box]
-    apart = ((voxels - even.middle) * np.asarray(scene.spacing)) ** 2
-    return bool(apart.sum(axis=1).max() <= even.radius**2)
+    apart = ((voxels - seed.core[0]) * np.asarray(scene.spacing)) ** 2
+    return bool(apart.sum(axis=1).max() > radius**2)
 
 
 def _ball(middle: NDArray[np.float64], radius: float, seed: Seed, scene: Scene) -> Seed:

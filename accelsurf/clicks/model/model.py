@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from accelsurf.clicks.model.answers import LIKELIEST, OF_ALIKE, OF_PART, Answer, Levels, grown
 from accelsurf.clicks.model.boundary import at_boundary
-from accelsurf.clicks.model.even import as_large, as_people_click, dithered, is_beyond_people
+from accelsurf.clicks.model.even import as_large, dithered, is_beyond_people, smaller_clicks
 from accelsurf.clicks.model.features import Features, features_of_first, features_of_later
 from accelsurf.clicks.model.network import Network, networks
 from accelsurf.clicks.model.reach import (
@@ -249,7 +249,7 @@ class FirstBlocks(NamedTuple):
     others : dict of int to Shown
         The others that have a level, by number.
     is_ambiguous : bool
-        The click, read as large as it is and as a smaller one, gives objects that differ by a factor.
+        The click, read as large as it is and as smaller ones, gives objects that differ by a factor.
     """
 
     window: Window
@@ -283,8 +283,8 @@ def first_blocks(
 ) -> FirstBlocks:
     """Return an answer to the first click on blocks, which is what it shows but for its boundary; see `first_model`.
 
-    A click that is larger than people make them is read as a smaller one too. Where the two answers differ by a factor,
-    the smaller is the first, and the larger is in place of a part of it.
+    A click that is larger than people make them is read as smaller ones too. The first of these whose answer is smaller
+    by a factor is taken, and the larger answer is in place of a part of it.
     """
     network = networks()["first"] if network is None else network
     read, noise, is_sure = as_large(seed, scene)
@@ -293,11 +293,13 @@ def first_blocks(
     is_ambiguous = False
     is_known = size_mm3 is not None or scene.sizes is not None or is_sure
     if not is_known and is_beyond_people(read, scene):
-        small = _read(scene, as_people_click(read, scene), None, None, network)
-        is_ambiguous = small.volume_mm3 * FACTOR < reading.volume_mm3
-        if is_ambiguous:
-            larger = reading.answers[0]._replace(number=OF_PART)
-            by_number |= {LIKELIEST: (small, small.answers[0]), OF_PART: (reading, larger)}
+        for smaller in smaller_clicks(read, scene):
+            small = _read(scene, smaller, None, None, network)
+            is_ambiguous = small.volume_mm3 * FACTOR < reading.volume_mm3
+            if is_ambiguous:
+                larger = reading.answers[0]._replace(number=OF_PART)
+                by_number |= {LIKELIEST: (small, small.answers[0]), OF_PART: (reading, larger)}
+                break
     number = answer if answer in by_number and answer != OF_ALIKE else LIKELIEST
     shown = {n: _shown(*by_number[n]) for n in by_number if n != OF_ALIKE}
     taken = by_number[number][0]

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from accelsurf.api.segment import segment
 from accelsurf.clicks.model import Scene, click_model
 from accelsurf.clicks.model.answers import LIKELIEST, OF_ALIKE, Answer
 from accelsurf.clicks.model.confidence import confidence_of
-from accelsurf.clicks.model.even import PEOPLES, as_people_click
+from accelsurf.clicks.model.even import PEOPLES, smaller_clicks
 from accelsurf.clicks.model.windows import inscribed_radius, seed_of
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import whole_box
@@ -96,10 +97,19 @@ def test_an_object_is_read_as_no_less_deep_than_the_click_in_it(radius, spacing)
     scene = Scene((np.zeros(shape, np.float32),), spacing)
     at = tuple(n // 2 for n in shape)
     seed = seed_of(clicked_balls.ball("inside", at, radius * step, shape, spacing), scene)
-    small = as_people_click(seed, scene)
-    assert small.radius < 0.9 * seed.radius
-    assert inscribed_radius(small, scene) > 0.9 * seed.radius  # balls of voxels
-    assert small.radius > 0.9 * PEOPLES * step
+    likely, *others = smaller_clicks(seed, scene)
+    assert likely.radius < 0.9 * seed.radius
+    assert inscribed_radius(likely, scene) > 0.9 * seed.radius  # balls of voxels
+    assert len(others) == (radius > 2 * PEOPLES)
+    assert min(each.radius for each in (likely, *others)) == pytest.approx(PEOPLES * step, rel=0.1)
+
+
+@pytest.mark.parametrize("radius", [20.0, 24.0])
+def test_the_object_taken_is_as_deep_as_the_click_where_that_is_small_enough(radius):
+    """By this network an object is 1.6 times as deep as a click says; that of a person's largest click is 22 deep."""
+    found = model(radius * SPACING[1])
+    depth = ndimage.distance_transform_edt(found.inside[0]).max()
+    assert found.is_ambiguous and 1.3 * radius < depth < 1.8 * radius
 
 
 def test_a_usual_click_and_a_stated_size_are_not_ambiguous():
