@@ -143,12 +143,15 @@ def file_lines(outputs: Sequence[Mapping[str, Any]], report: Path, first_alone: 
     by_kind: dict[str, list[str]] = {}
     for output in outputs:
         by_kind.setdefault(output["kind"], []).append(output["path"])
+    by_kind["report"] = [str(report.absolute())]
     lines = []
     for kind, paths in by_kind.items():
         more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
         shown = [paths[0] + more] if first_alone else paths
-        lines += [f"  {kind:8} {path}" for path in shown]
-    return [*lines, f"  {'report':8} {report.absolute()}"]
+        # A rest is a word of the method: the file has the object before the surface went on through an edge.
+        word = "earlier" if kind.startswith("rest") else kind
+        lines += [f"  {word:10} {path}" for path in shown]
+    return lines
 
 
 def _ending(name: str, result: Result, seconds: float) -> list[str]:
@@ -157,7 +160,7 @@ def _ending(name: str, result: Result, seconds: float) -> list[str]:
         return [f"{name}: {stop.message}; up to {stop.steps} steps, {seconds:.1f} s"]
     if _stayed(result):
         return [
-            f"{name}: the first surface stays, {seconds:.1f} s ({stop.steps} steps, none better)"
+            f"{name}: the first surface stays, {seconds:.1f} s (none of {stop.steps} steps was better)"
         ]
     levels = f" on {len(result.levels)} levels" if len(result.levels) > 1 else ""
     return [
