@@ -268,4 +268,4 @@ def _around_measures(result: Result) -> list[str]:
             f"{' to '.join(ends)} {unit}{power if power > 1 else ''}" if ends else "cannot be told"
         )
         texts.append(f"{key.partition('_')[0]} {text}")
-    return [f"  95 %: {', '.join(texts)}"]
+    return [f"  95 % interval: {', '.join(texts)}"]
