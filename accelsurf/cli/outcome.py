@@ -143,15 +143,12 @@ def file_lines(outputs: Sequence[Mapping[str, Any]], report: Path, first_alone: 
     by_kind: dict[str, list[str]] = {}
     for output in outputs:
         by_kind.setdefault(output["kind"], []).append(output["path"])
-    by_kind["report"] = [str(report.absolute())]
     lines = []
     for kind, paths in by_kind.items():
         more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
         shown = [paths[0] + more] if first_alone else paths
-        # A rest is a word of the method: the file has the object before the surface went on through an edge.
-        word = "earlier" if kind.startswith("rest") else kind
-        lines += [f"  {word:10} {path}" for path in shown]
-    return lines
+        lines += [f"  {kind:10} {path}" for path in shown]
+    return [*lines, f"  {'report':10} {report.absolute()}"]
 
 
 def _ending(name: str, result: Result, seconds: float) -> list[str]:
