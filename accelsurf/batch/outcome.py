@@ -97,8 +97,6 @@ class Outcome:
     exit_code : int
         What `accelsurf segment` or `accelsurf track` would return.
     warnings : tuple of str
-    flow_why : str
-        Which flow the run had, and why; empty of a sequence.
     details : str
         The traceback of an error that is a bug.
     """
@@ -118,7 +116,6 @@ class Outcome:
     hint: str = ""
     exit_code: int = 0
     warnings: tuple[str, ...] = ()
-    flow_why: str = ""
     details: str = ""
 
 
@@ -167,7 +164,6 @@ def _of_run(report: Mapping[str, Any]) -> dict[str, Any]:
         "probability": _probability(report),
         "steps": report["stop"]["steps"],
         "seconds": report["seconds"]["total"],
-        "flow_why": (report["resolved_settings"] or {}).get("flow_why", ""),
     }
 
 

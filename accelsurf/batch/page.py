@@ -20,7 +20,7 @@ img { max-width: 100%; height: auto; }
 """
 #: What stands above the numbers of a case, in this order.
 _HEADS = {
-    "probability": "probability",
+    "probability": "likely to be good",
     "ml": "ml",
     "dice": "Dice",
     "objects": "objects",
@@ -102,8 +102,6 @@ def _section(number: int, outcome: Outcome) -> list[str]:
     if outcome.status == "failed":
         hint = f"<p>{escape(outcome.hint)}</p>" if outcome.hint else ""
         texts = [f'<p class="failed">{escape(outcome.reason)}</p>', hint]
-    if outcome.flow_why:
-        texts.append(f"<p>flow: {escape(outcome.flow_why)}</p>")
     texts += [f"<p>{escape(warning)}</p>" for warning in outcome.warnings]
     if outcome.picture:
         image = f'<img loading="lazy" alt="{escape(outcome.id)}" src="{quote(f"{outcome.folder}/{outcome.picture}")}">'

@@ -169,7 +169,7 @@ def _summary(report: object) -> dict[str, str]:
     if isinstance(volume, int | float):
         out["volume"] = size_text(volume, unit if unit in ("um", "nm") else "mm", 3)
     if isinstance(probability, int | float):
-        out["likely good"] = f"{probability:.0%}"
+        out["likely to be good"] = f"{probability:.0%}"
     warnings = quality.get("warnings")
     out["warning"] = "; ".join(map(str, warnings)) if isinstance(warnings, list) else None
     return {name: str(value) for name, value in out.items() if value}

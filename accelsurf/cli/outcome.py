@@ -147,8 +147,8 @@ def file_lines(outputs: Sequence[Mapping[str, Any]], report: Path, first_alone: 
     for kind, paths in by_kind.items():
         more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
         shown = [paths[0] + more] if first_alone else paths
-        lines += [f"  {kind:8} {path}" for path in shown]
-    return [*lines, f"  {'report':8} {report.absolute()}"]
+        lines += [f"  {kind:10} {path}" for path in shown]
+    return [*lines, f"  {'report':10} {report.absolute()}"]
 
 
 def _ending(name: str, result: Result, seconds: float) -> list[str]:
@@ -157,7 +157,7 @@ def _ending(name: str, result: Result, seconds: float) -> list[str]:
         return [f"{name}: {stop.message}; up to {stop.steps} steps, {seconds:.1f} s"]
     if _stayed(result):
         return [
-            f"{name}: the first surface stays, {seconds:.1f} s ({stop.steps} steps, none better)"
+            f"{name}: the first surface stays, {seconds:.1f} s (none of {stop.steps} steps was better)"
         ]
     levels = f" on {len(result.levels)} levels" if len(result.levels) > 1 else ""
     return [
@@ -265,4 +265,4 @@ def _around_measures(result: Result) -> list[str]:
             f"{' to '.join(ends)} {unit}{power if power > 1 else ''}" if ends else "cannot be told"
         )
         texts.append(f"{key.partition('_')[0]} {text}")
-    return [f"  95 %: {', '.join(texts)}"]
+    return [f"  95 % interval: {', '.join(texts)}"]

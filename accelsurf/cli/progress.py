@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 #: What the bar shows until the first step, when nothing else moves.
 PREPARING = "preparing"
 #: Said before the first kernel of a command is compiled: where kernels can be stored, and where they cannot.
-COMPILING = "note: compiling kernels that no command needed before (all: accelsurf warmup)"
+COMPILING = "note: compiling, once: up to a minute of the processor (all: accelsurf warmup)"
 #: Said where all are compiled.
 COMPILING_ALL = "compiling kernels, once: about a minute"
 COMPILING_ANEW = "note: compiling kernels, in each run: NUMBA_CACHE_DIR names a folder for them"

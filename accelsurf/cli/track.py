@@ -97,4 +97,5 @@ def _summary(case: TrackCase, done: Tracked) -> list[str]:
     lines += [f"  {count} {words.get(why, why)}" for why, count in ends.items()]
     if done.doubtful:
         lines.append(f"  these tracks cannot be trusted in {done.doubtful} of {done.frames} frames")
-    return [*lines, f"  {(case.place.path / case.place.name).absolute()}_tracks.csv"]
+    start = (case.place.path / case.place.name).absolute()
+    return [*lines, f"  tracks     {start}_tracks.csv", f"  preview    {start}_preview.png"]

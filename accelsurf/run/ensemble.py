@@ -282,4 +282,5 @@ def overall_stop(stops: Sequence[Stop]) -> Stop:
     left = next((reason for reason in good if counts[reason]), good[-1])
     message = ", ".join(f"{count} {reason}" for reason, count in sorted(counts.items()))
     steps, longest = max(stop.steps for stop in stops), max(stop.time for stop in stops)
-    return Stop(worst or left, steps, longest, f"of {len(stops)} objects {message}")
+    said = f"of {len(stops)} objects {message}" if len(stops) > 1 else f"1 object {stops[0].reason}"
+    return Stop(worst or left, steps, longest, said)

@@ -258,6 +258,7 @@ def test_the_page_shows_every_case_by_doubt_and_runs_no_script(inline, scans, tm
     )
     assert run(tmp_path / "cases.csv", "-o", tmp_path / "out", *START) == 9
     page = (tmp_path / "out" / "batch.html").read_text()
+    assert "flow:" not in page and "<th>likely to be good" in page
     assert "<script" not in page and "a&amp;b i" in page and "a&b" not in page
     rows = table(tmp_path / "out")
     by_doubt = sorted(("x' y", "100%"), key=lambda name: float(rows[name]["probability"]))

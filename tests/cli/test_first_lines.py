@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
+from accelsurf.cli.outcome import file_lines
 from accelsurf.image.volume import Volume
 
 
@@ -58,3 +59,13 @@ def test_a_run_that_ends_where_it_began_says_so(scans, tmp_path, capsys):
         rows = np.genfromtxt(tmp_path / name / f"{name}_trace.csv", delimiter=",", names=True)
         stayed = rows["returned"][-1] > 0 and rows["potential"][-1] == rows["potential"][0]
         assert ("the first surface stays" in out) == stayed
+
+
+@pytest.mark.parametrize("first_alone", [True, False])
+def test_files_stand_in_one_column(tmp_path, first_alone):
+    kinds = ("labels", "surface", "statistics", "statistics", "objects")
+    outputs = [{"kind": kind, "path": f"/{number}"} for number, kind in enumerate(kinds)]
+    lines = file_lines(outputs, tmp_path / "r_report.json", first_alone)
+    assert len(lines) == len(kinds) + 1 - first_alone
+    assert {line.index("/") for line in lines} == {13}
+    assert lines[-1].startswith("  report ")

@@ -103,7 +103,7 @@ def test_a_folder_of_results_is_summed_up(tmp_path, capsys):
         f"stopped\n  ended  by Ctrl-C\nworse\n{odd}"
     )
     assert (
-        all(said in text for said in ("scan.nii", "it moved", "1307.71 mm3", "93%"))
+        all(said in text for said in ("scan.nii", "it moved", "1308 mm3", "likely to be good  93%"))
         and "\x1b" not in text
     )
     assert cli.execute(["info", str(tmp_path), "--json"]) == 0

@@ -206,7 +206,7 @@ def test_the_command_prints_the_estimates_and_their_intervals(tmp_path):
         for value in (result.estimates.volume_mm3, *result.intervals.volume_mm3)
     ]
     assert measures.startswith(f"volume {best} mm3 ")
-    assert around.startswith(f"  95 %: volume {ends[0]} to {ends[1]} mm3, area ")
+    assert around.startswith(f"  95 % interval: volume {ends[0]} to {ends[1]} mm3, area ")
     assert around.endswith(" mm") and " diameter " in around
 
 

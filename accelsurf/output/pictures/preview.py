@@ -176,18 +176,14 @@ def draw_energies(
 ) -> None:
     """Draw the energy of a run and, on a second scale, its kinetic energy; triangles mark restarts.
 
-    A line below says how many steps of corrections are ``left_out``.
+    A line below says how many steps of corrections are ``left_out``: their energy is that of a part of the image, and
+    does not compare.
     """
     steps, values = energy_curve(history)
     first = min(steps, default=0)
     axes = canvas.axes(panel, (first, max([*steps, first + 1])), range_of(values))
     kinetic = [row.kinetic for row in history]
-    notes = ["step"]
-    if left_out:
-        notes = [
-            f"step; {left_out} steps of corrections are not drawn:",
-            "their energy is that of a box",
-        ]
+    notes = [f"step (without the {left_out} of corrections)" if left_out else "step"]
     if not any(kinetic):
         notes.append("no kinetic energy: the flow has no momentum")
     write_title(axes, "Energy and kinetic energy")

@@ -175,7 +175,7 @@ def uncertain_views(content: PreviewContent) -> list[SliceView]:
         )
         others = (*main_views(content), *click_views(content), *views)
         if all(round(place[view.plane]) != view.index for view in others):
-            views.append(SliceView(plane, round(place[plane]), "click next"))
+            views.append(SliceView(plane, round(place[plane]), "most doubtful place"))
     return views
 
 
@@ -189,7 +189,7 @@ def second_view(content: PreviewContent, is_flat: bool) -> SliceView | None:
     if content.next_clicks and not is_flat:
         place = displayed(content.next_clicks[0], geometry)
         views += [
-            SliceView(view.plane, round(place[view.plane]), "click next")
+            SliceView(view.plane, round(place[view.plane]), "most doubtful place")
             for view in main[::-1]
             if round(place[view.plane]) != view.index
         ]

@@ -143,8 +143,8 @@ def open_slice(
     """Draw the image of one slice with its frame into a panel, as large as fits; the panel's margins stay free."""
     shown = lay_slice(canvas, panel, image, view, ranges)
     up, (vertical, horizontal) = shown.up, IN_PLANE[view.plane]
-    words = view.why, plane_name(view.plane, image.anatomical), across_text(shown, image.unit)
-    write_title(shown.axes, ", ".join(word for word in words if word))
+    place = f"{plane_name(view.plane, image.anatomical)}, {across_text(shown, image.unit)}"
+    write_title(shown.axes, f"{place}: {view.why}" if view.why else place)
     tall = shown.axes.bbox.height > MIN_FOR_LABEL
     write_lengths(shown.axes, up.names[horizontal], up.names[vertical] if tall else "", image.unit)
     return shown

@@ -53,7 +53,7 @@ def require_display(meanwhile: Callable[[], None] = lambda: None) -> None:
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in screens):
         raise GraphicsError(
             "no screen was found: neither DISPLAY nor WAYLAND_DISPLAY is set",
-            "log in to a desktop or with ssh -X; accelsurf segment needs no screen",
+            "add --browser for a page, log in to a desktop or with ssh -X; accelsurf segment needs no screen",
         )
     # Qt ends the process when it cannot open a window, so another process tries it first.
     try:
