@@ -192,7 +192,7 @@ def _pairs(pred: str | None, ref: str | None, table: Path | None) -> tuple[list[
 
 def _try(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair; an error is noted and does not stop the others."""
-    from accelsurf.cli.interrupts import say
+    from accelsurf.cases.interrupts import say
     from accelsurf.errors import AccelsurfError
     from accelsurf.output.evaluation import CaseResult
 
@@ -239,7 +239,7 @@ def _check_asked(pred_file: LabelFile, pred: LabelMap, ref_file: LabelFile, ref:
     InputError
         With the labels that are there.
     """
-    from accelsurf.cli.interrupts import say
+    from accelsurf.cases.interrupts import say
 
     if ref.absent:
         raise InputError(
@@ -267,7 +267,7 @@ def _labels_in(side: LabelFile) -> str:
 def _read(side: LabelFile) -> Volume:
     """A label map; notes about its file are printed."""
     from accelsurf import io
-    from accelsurf.cli.interrupts import say
+    from accelsurf.cases.interrupts import say
 
     labels = io.read_labels(side.path, ids=side.ids)
     if note := labels.metadata.get(io.WARNING_KEY):

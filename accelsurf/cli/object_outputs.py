@@ -14,8 +14,8 @@ import numpy as np
 
 from accelsurf import io
 from accelsurf.batch.run import SOME_FAILED
-from accelsurf.cli.interrupts import Interrupts
-from accelsurf.cli.outcome import file_lines
+from accelsurf.cases.interrupts import Interrupts
+from accelsurf.cases.outcome import file_lines
 from accelsurf.errors import OutputError
 from accelsurf.io.files import write_bytes
 from accelsurf.output import document, folder, group_files, result_sets, tables
@@ -23,7 +23,7 @@ from accelsurf.output.document import describe_input, describe_staged
 from accelsurf.run.ensemble import overall_stop
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Place
+    from accelsurf.cases.case import Place
     from accelsurf.cli.options import Display
     from accelsurf.io.file_set import FileSet
     from accelsurf.large.windowed import LargeImage

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter, Token
 
-from accelsurf.cli.interrupts import Interrupts, resuming_command
+from accelsurf.cases.interrupts import Interrupts, resuming_command
 from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.settings.corrections import Correction, click_by_click, corrections_in_order
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Finished, Log, Place
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.case import Finished, Log, Place
+    from accelsurf.cases.watcher import Watcher
     from accelsurf.correct.refiner import Change
     from accelsurf.correct.state_file import StateFile
     from accelsurf.output.given_image import GivenImage
@@ -176,8 +176,8 @@ def refine(
             strict,
             display,
         )
-    from accelsurf.cli.case import Place, run_case
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.case import Place, run_case
+    from accelsurf.cases.watcher import Watcher
 
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
     folder = source.report.parent if output is None else output
@@ -208,8 +208,8 @@ def _mend(
     display: Display | None,
 ) -> int:
     """Mend a label map; the outputs are those of a run that begins with it."""
-    from accelsurf.cli.case import Place, run_case
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.case import Place, run_case
+    from accelsurf.cases.watcher import Watcher
     from accelsurf.settings.run_config import RunConfig
 
     if other is not None:
@@ -233,7 +233,7 @@ class _CorrectedRun:
         self._lines: list[str] = []
 
     def __call__(self, place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
-        from accelsurf.cli.case import read_image
+        from accelsurf.cases.case import read_image
         from accelsurf.correct.refiner import Refiner
         from accelsurf.correct.restored import restored
 
