@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.api.segment import segment
-from accelsurf.cli.outcome import shortcoming
+from accelsurf.cases.outcome import shortcoming
 from accelsurf.errors import AccelsurfError
 from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.image.volume import Volume

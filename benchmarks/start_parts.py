@@ -27,7 +27,7 @@ IMPORTS = {
     "SimpleITK": ("SimpleITK",),
     "Pillow": ("PIL.Image", "PIL.ImageDraw", "PIL.ImageFont"),
     "accelsurf": (
-        "accelsurf.cli.case",
+        "accelsurf.cases.case",
         "accelsurf.api.segment",
         "accelsurf.output.outputs",
         "accelsurf.io.itk",
@@ -47,7 +47,7 @@ FUNCTIONS = {
     "quality": ("accelsurf.run.result:assess",),
     "mesh": ("accelsurf.run.result:extract",),
     "picture": ("accelsurf.output.pictures.preview:preview_png",),
-    "files": ("accelsurf.cli.case:_write",),
+    "files": ("accelsurf.cases.case:_write",),
 }
 
 

@@ -26,8 +26,8 @@ LIMITS = {
 }
 #: Attributes that are set from outside of their class, as ``path attribute``, each with the reason.
 FROM_OUTSIDE = {
-    "accelsurf/cli/interrupts.py warnings.showwarning": "the hook of Python's library for warnings",
-    "accelsurf/cli/interrupts.py again.daemon": "threading.Timer takes no such argument",
+    "accelsurf/cases/interrupts.py warnings.showwarning": "the hook of Python's library for warnings",
+    "accelsurf/cases/interrupts.py again.daemon": "threading.Timer takes no such argument",
     "accelsurf/evolution/loop.py made.corner": "the class's own second constructor",
     "accelsurf/evolution/loop.py made.stop_at_rest": "the class's own second constructor",
     "accelsurf/evolution/loop.py made.end": "the class's own second constructor",

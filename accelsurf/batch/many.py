@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
@@ -18,22 +19,15 @@ from accelsurf.batch.outcome import CaseTask, Outcome
 from accelsurf.batch.pool import Pool
 from accelsurf.batch.run import Batch, refuse_results, task_of
 from accelsurf.batch.tables import Tables
-from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.batch.worker import lost_outcome, make_pool
+from accelsurf.errors import AccelsurfError, AccelsurfWarning, UsageError
 from accelsurf.io.file_set import FileSet
 from accelsurf.output.folder import OutputFolder
-from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.api.options import ManyOptions
 
-#: What the command gives, which lies above this room, as a case does what the command does: the workers of a batch, the
-#: line of a lost case, a warning on stderr.
-MAKE_POOL, LOST_OUTCOME = (
-    "accelsurf.cli.batch_case:make_pool",
-    "accelsurf.cli.batch_case:lost_outcome",
-)
-WARN = "accelsurf.cli.interrupts:say"
 #: What a case may be: a path, or a mapping with ``image`` and, if wanted, ``id``, ``reference`` and settings.
 CaseLike = str | Path | Mapping[str, Any]
 
@@ -107,7 +101,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
         tables = self._work.tables(files)
         try:
             self._work.run(
-                self._pool, tables, _Watch(self._futures, tables), load(LOST_OUTCOME), self._resume
+                self._pool, tables, _Watch(self._futures, tables), lost_outcome, self._resume
             )
         except BaseException:
             self._work.end_early(self._pool, tables, 1)
@@ -143,7 +137,7 @@ class _Watch:
         self._futures[outcome.id].set_result(outcome)
 
     def warned(self, text: str) -> None:
-        load(WARN)(f"warning: {text}")
+        warnings.warn(text, AccelsurfWarning, stacklevel=2)
 
 
 def segment_many(  # noqa: PLR0913
@@ -205,7 +199,7 @@ def segment_many(  # noqa: PLR0913
     work = Batch.planned(tasks, limits, None, words, sys.argv)
     if not (overwrite or resume):
         refuse_results(folder, work)
-    return SegmentedMany(work, load(MAKE_POOL)(work, limits), folder, resume)
+    return SegmentedMany(work, make_pool(work, limits), folder, resume)
 
 
 def _cases(given: str | Path | Sequence[CaseLike]) -> tuple[list[Case], str]:

@@ -127,7 +127,7 @@ class _Worker:
         """Hand a job over; its time begins now, or when the worker has got ready."""
         self.job, self.began = job, time.monotonic()
         with suppress(OSError):  # it has died: the next look at it finds that
-            self.connection.send((job.payload,))
+            self.connection.send(job.payload)
 
     def get_ready(self) -> None:
         """Begin the time of its first job."""
@@ -181,7 +181,6 @@ class LocalPool:
         self._bytes: float = math.inf if bytes is None else bytes
         self._waiting: deque[Job] = deque()
         self._workers: list[_Worker] = []
-        self._leaving: list[_Worker] = []
         self._stillborn = 0
         self._heard_bell, self._bell = multiprocessing.get_context("spawn").Pipe(duplex=False)
 
@@ -227,12 +226,11 @@ class LocalPool:
         """End all workers at once, those at work too."""
         self._bell.close()
         self._heard_bell.close()
-        workers = [*self._workers, *self._leaving]
-        for worker in workers:
+        for worker in self._workers:
             worker.process.kill()
-        for worker in workers:
+        for worker in self._workers:
             worker.kill()
-        self._workers, self._leaving = [], []
+        self._workers = []
         self._waiting.clear()
 
     def _started(self) -> Iterator[Started]:
@@ -275,7 +273,6 @@ class LocalPool:
         for worker in busy:
             yield from self._heard(worker)
         yield from self._too_large([worker for worker in busy if worker.job is not None])
-        self._leaving = [worker for worker in self._leaving if worker.process.is_alive()]
 
     def _patience(self, busy: list[_Worker]) -> float | None:
         """Seconds until something has to be looked at."""
@@ -315,9 +312,7 @@ class LocalPool:
         if worker.jobs_done >= JOBS_PER_WORKER or (
             failure is not None and failure.kind == "memory"
         ):
-            with suppress(OSError):
-                worker.connection.send(None)  # it ends by itself
-            self._leaving.append(worker)
+            worker.kill()
             self._workers.remove(worker)
         return ended
 
@@ -412,7 +407,7 @@ def serve(
     Parameters
     ----------
     connection : Connection
-        Gives payloads, and None at the end.
+        Gives payloads.
     function : callable
         Of a payload; makes the result.
     prepare : callable, optional
@@ -424,8 +419,8 @@ def serve(
         if prepare is not None:
             prepare()
         connection.send(READY)
-        while (job := connection.recv()) is not None:
-            _send(connection, run_job(function, job[0]))
+        while True:
+            _send(connection, run_job(function, connection.recv()))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return  # nobody is there any more
     except KeyboardInterrupt:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, NoReturn
 
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
-from accelsurf.cli.interrupts import (
+from accelsurf.cases.interrupts import (
+    INTERRUPTED,
     MAX_ERROR,
     MAX_HINT,
     Interrupts,
@@ -30,8 +31,6 @@ from accelsurf.version import __version__
 
 if TYPE_CHECKING:
     from cyclopts.help.protocols import HelpFormatter
-
-INTERRUPTED = 130
 
 #: Letters of a name that an error shows.
 _SHOWN_LETTERS = 60

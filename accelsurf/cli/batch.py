@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 from accelsurf.batch.case import Case
-from accelsurf.cli.interrupts import Interrupts, resuming_command, say
+from accelsurf.cases.interrupts import Interrupts, resuming_command, say
 from accelsurf.cli.options import (
     FILES,
     Display,
@@ -238,7 +238,7 @@ def _print_plan(work: Batch, scheduler: str | None) -> int:
     """Print what each case needs and what would run at once; some failed where one cannot be run."""
     from accelsurf.batch.admission import plan_rows
     from accelsurf.batch.run import SOME_FAILED
-    from accelsurf.cli.interrupts import MAX_ERROR, printable
+    from accelsurf.cases.interrupts import MAX_ERROR, printable
     from accelsurf.cli.progress import table
     from accelsurf.run.memory import bytes_text
 
@@ -272,8 +272,8 @@ def _run(
     given: list[Path],
 ) -> Tables:
     """Run the cases; files of an earlier batch are refused before anything is computed, ``given`` files always."""
+    from accelsurf.batch import worker
     from accelsurf.batch.run import refuse_results
-    from accelsurf.cli import batch_case
     from accelsurf.cli.progress import BatchProgress
     from accelsurf.io.file_set import uninterrupted
     from accelsurf.output.folder import OutputFolder
@@ -282,16 +282,16 @@ def _run(
     with OutputFolder(folder, work.names.set, overwrite=True).stage() as files:
         if not (overwrite or resume):
             refuse_results(folder, work)
-        batch_case.refuse_inputs_of(work.tasks, [folder / name for name in work.names.all], given)
+        worker.refuse_inputs_of(work.tasks, [folder / name for name in work.names.all], given)
         if not display.quiet:
             say(_at_once(work, limits.scheduler))
         if limits.scheduler is None and work.tasks:
             _compile_before_workers(display)
-        pool = batch_case.make_pool(work, limits)
+        pool = worker.make_pool(work, limits)
         tables = work.tables(files)
         with BatchProgress(display, len(work.tasks)) as progress:
             try:
-                work.run(pool, tables, progress, batch_case.lost_outcome, resume)
+                work.run(pool, tables, progress, worker.lost_outcome, resume)
             except BaseException as error:
                 if isinstance(error, KeyboardInterrupt) and work.running:
                     say(
@@ -312,7 +312,7 @@ def _run(
 
 def _compile_before_workers(display: Display) -> None:
     """Compile all kernels where they are not stored, once, and not in each worker; say where they cannot be stored."""
-    from accelsurf.cli.progress import COMPILING_ANEW
+    from accelsurf.cases.watcher import COMPILING_ANEW
     from accelsurf.cli.warmup import compile_all, is_complete
     from accelsurf.kernels import storage
 

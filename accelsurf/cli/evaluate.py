@@ -98,12 +98,12 @@ def evaluate(
     sides = [side for pair in found for side in (pair.pred, pair.ref) if side is not None]
     _refuse_input_as_table(table, [pairs, names, *(side.path for side in sides)])
     results = [(_try if many else _result)(pair, requested) for pair in found]
-    from accelsurf.output.evaluation import document, table_csv
+    from accelsurf.output.evaluation import document, table_csv, table_rows
 
     _put(
         table,
         as_json,
-        lambda: table_csv(results, known),
+        lambda: table_csv(table_rows(results, known)),
         lambda: document(results, known) if many else _one_pair(results[0], known),
         lambda: _show(results, known, many),
     )
@@ -192,7 +192,7 @@ def _pairs(pred: str | None, ref: str | None, table: Path | None) -> tuple[list[
 
 def _try(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair; an error is noted and does not stop the others."""
-    from accelsurf.cli.interrupts import say
+    from accelsurf.cases.interrupts import say
     from accelsurf.errors import AccelsurfError
     from accelsurf.output.evaluation import CaseResult
 
@@ -239,7 +239,7 @@ def _check_asked(pred_file: LabelFile, pred: LabelMap, ref_file: LabelFile, ref:
     InputError
         With the labels that are there.
     """
-    from accelsurf.cli.interrupts import say
+    from accelsurf.cases.interrupts import say
 
     if ref.absent:
         raise InputError(
@@ -267,7 +267,7 @@ def _labels_in(side: LabelFile) -> str:
 def _read(side: LabelFile) -> Volume:
     """A label map; notes about its file are printed."""
     from accelsurf import io
-    from accelsurf.cli.interrupts import say
+    from accelsurf.cases.interrupts import say
 
     labels = io.read_labels(side.path, ids=side.ids)
     if note := labels.metadata.get(io.WARNING_KEY):
@@ -341,34 +341,15 @@ def _print_values(values: Mapping[str, float | int | None], notes: Iterable[str]
 
 def _print_table(results: list[CaseResult], names: LabelTable, many: bool) -> None:
     from accelsurf.cli.progress import table
-    from accelsurf.output.evaluation import label_entry, label_name, notes, printed_rows, summaries
+    from accelsurf.output.evaluation import notes, printed_rows, table_rows
 
-    named = any(label_name(found, names) for result in results for found in result.agreements)
-    head, rows, said = (
-        (("case",) if many else ()) + ("label",) + (("name",) if named else ()),
-        [],
-        [],
-    )
+    print(table(*printed_rows(table_rows(results, names), many)))
     for result in results:
         where = f"{result.case}: " if many else ""
-        for found in result.agreements:
-            entry = label_entry(found, names)
-            rows.append((_cells(result.case, entry, named, many), found.values()))
-            said += [f"note: {where}{line}" for line in notes(found)]
-    for summary in summaries(results, names) if many else ():
-        for which in ("mean", "median", "count"):
-            rows.append((_cells(which, summary, named, many), summary[which]))
-    print(table(*printed_rows(rows, head)))
-    for line in said:
-        print(line)
-    failed = sum(bool(result.failure) for result in results)
+        for line in (line for found in result.agreements for line in notes(found)):
+            print(f"note: {where}{line}")
     if many:
-        print(f"{len(results)} cases, {failed} failed")
-
-
-def _cells(case: str, entry: dict[str, Any], named: bool, many: bool) -> tuple[str, ...]:
-    label = "all" if entry["label"] is None else str(entry["label"])
-    return ((case,) if many else ()) + (label,) + ((entry["name"] or "-",) if named else ())
+        print(f"{len(results)} cases, {sum(bool(result.failure) for result in results)} failed")
 
 
 def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: str | None) -> int:

@@ -140,7 +140,7 @@ def _lengths(mm: Sequence[float], unit: str) -> str:
 
 def _show_results(reports: Sequence[Path], as_json: bool) -> None:
     """Print what the results of a folder are, by their reports."""
-    from accelsurf.cli.interrupts import MAX_HINT, printable
+    from accelsurf.cases.interrupts import MAX_HINT, printable
     from accelsurf.io.files import read_json
     from accelsurf.output.document import to_json
 

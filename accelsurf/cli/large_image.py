@@ -15,8 +15,8 @@ from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Compute, Log
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.case import Compute, Log
+    from accelsurf.cases.watcher import Watcher
     from accelsurf.image.volume import Volume
     from accelsurf.io.lazy_volume import LazyVolume
     from accelsurf.large.windowed import LargeImage
@@ -174,7 +174,7 @@ def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
     """
 
     def compute(place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log) -> Result:
-        from accelsurf.cli.case import check_formats, evolve_at
+        from accelsurf.cases.case import check_formats, evolve_at
 
         read = image.channels[
             : len(image.channels) - len(config.channel)
@@ -193,7 +193,7 @@ def _in_windows(image: LargeImage) -> Compute:
     """The computation of a case in windows of its image."""
 
     def compute(place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log) -> Result:
-        from accelsurf.cli.case import state_of
+        from accelsurf.cases.case import state_of
         from accelsurf.large.windowed import segment_in_windows
 
         log.note_grid(image.geometry)

@@ -109,7 +109,7 @@ def look(
 
 def _say_notes(volumes: list[Volume], source: Path) -> None:
     """Print the warnings about the files of an image."""
-    from accelsurf.cli.interrupts import say
+    from accelsurf.cases.interrupts import say
     from accelsurf.io.headers import WARNING_KEY, size_question
 
     notes = [volume.metadata.get(WARNING_KEY, "") for volume in volumes]

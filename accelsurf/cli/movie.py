@@ -26,7 +26,7 @@ from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.wording import shown
 
 if TYPE_CHECKING:
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.watcher import Watcher
     from accelsurf.evolution.records import Stop
     from accelsurf.output.given_image import GivenImage
     from accelsurf.run.result import Result
@@ -112,7 +112,7 @@ def movie(
     preview
         Write one PNG of the last step, or of the result in a folder, instead of a movie.
     """
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.watcher import Watcher
     from accelsurf.io.headers import name_of
     from accelsurf.output.folder import inputs_of, refuse_existing
     from accelsurf.output.pictures import movies

@@ -14,8 +14,8 @@ import numpy as np
 
 from accelsurf import io
 from accelsurf.batch.run import SOME_FAILED
-from accelsurf.cli.interrupts import Interrupts
-from accelsurf.cli.outcome import file_lines
+from accelsurf.cases.interrupts import Interrupts
+from accelsurf.cases.outcome import file_lines
 from accelsurf.errors import OutputError
 from accelsurf.io.files import write_bytes
 from accelsurf.output import document, group_files, tables

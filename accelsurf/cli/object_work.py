@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from accelsurf.batch.pool import Ended, Job, Pool
+from accelsurf.cases.interrupts import Interrupts, resuming_command
 from accelsurf.cli import large_image
-from accelsurf.cli.interrupts import Interrupts, resuming_command
 from accelsurf.cli.large_image import ObjectOptions
 from accelsurf.cli.object_outputs import ObjectsDone, write_outputs
 from accelsurf.cli.options import Display

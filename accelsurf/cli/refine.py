@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter, Token
 
-from accelsurf.cli.interrupts import Interrupts, resuming_command
+from accelsurf.cases.interrupts import Interrupts, resuming_command
 from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.settings.corrections import Correction, click_by_click, corrections_in_order
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Finished, Log
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.case import Finished, Log
+    from accelsurf.cases.watcher import Watcher
     from accelsurf.correct.refiner import Change
     from accelsurf.correct.state_file import StateFile
     from accelsurf.output.folder import OutputFolder
@@ -178,8 +178,8 @@ def refine(
             strict,
             display,
         )
-    from accelsurf.cli.case import run_case
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.case import run_case
+    from accelsurf.cases.watcher import Watcher
     from accelsurf.output.folder import OutputFolder
 
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
@@ -211,8 +211,8 @@ def _mend(
     display: Display | None,
 ) -> int:
     """Mend a label map; the outputs are those of a run that begins with it."""
-    from accelsurf.cli.case import run_case
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.case import run_case
+    from accelsurf.cases.watcher import Watcher
     from accelsurf.output.folder import OutputFolder
     from accelsurf.settings.run_config import RunConfig
 
@@ -239,7 +239,7 @@ class _CorrectedRun:
     def __call__(
         self, place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log
     ) -> Result:
-        from accelsurf.cli.case import read_image
+        from accelsurf.cases.case import read_image
         from accelsurf.correct.refiner import Refiner
         from accelsurf.correct.restored import restored
 

@@ -23,7 +23,7 @@ from accelsurf.cli.options import (
 from accelsurf.errors import AccelsurfError, UsageError
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Compute, Finished
+    from accelsurf.cases.case import Compute, Finished
     from accelsurf.output.folder import OutputFolder
     from accelsurf.settings.run_config import RunConfig
 
@@ -72,7 +72,7 @@ def segment(
     if dump_config:
         print(run_config(settings, config).to_toml(), end="")
         return 0
-    from accelsurf.cli.case import report_failure
+    from accelsurf.cases.case import report_failure
     from accelsurf.cli.large_image import choose_computation, fits, large_image, with_level
     from accelsurf.output.folder import OutputFolder
 
@@ -107,11 +107,11 @@ def _run(
     profile: bool,
 ) -> int:
     """Run a case, or go on with it."""
-    from accelsurf.cli.case import run_case
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.case import run_case
+    from accelsurf.cases.watcher import Watcher
 
     if resume:
-        from accelsurf.cli.case import exit_code_of_finished
+        from accelsurf.cases.case import exit_code_of_finished
 
         if (code := exit_code_of_finished(place, run, display.quiet)) is not None:
             return code

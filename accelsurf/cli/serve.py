@@ -67,7 +67,7 @@ def serve(
         raise UsageError(f"idle_timeout: {idle_timeout:g} was given, expected 1 to 1000000 seconds")
     if not 0 <= port <= 65535:
         raise UsageError(f"port: {port} was given, expected 0 to 65535")
-    from accelsurf.cli.interrupts import Interrupts, default_handling
+    from accelsurf.cases.interrupts import Interrupts, default_handling
     from accelsurf.serve.app import Limits
     from accelsurf.serve.listening import serve as listen
     from accelsurf.serve.log import Log

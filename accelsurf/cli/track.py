@@ -14,7 +14,7 @@ from accelsurf.cli.track_options import FrameSettings, TrackSettings, track_conf
 from accelsurf.settings.file_formats import input_help
 
 if TYPE_CHECKING:
-    from accelsurf.cli.track_case import TrackCase, Tracked
+    from accelsurf.cases.track_case import TrackCase, Tracked
 
 SequenceFile = Annotated[
     Path | None,
@@ -65,8 +65,8 @@ def track(
     if dump_config:
         print(wanted.to_toml(), end="")
         return 0
-    from accelsurf.cli.progress import Watcher
-    from accelsurf.cli.track_case import TrackCase, run_track_case
+    from accelsurf.cases.track_case import TrackCase, run_track_case
+    from accelsurf.cases.watcher import Watcher
     from accelsurf.output.folder import OutputFolder
 
     display = display or Display()
@@ -76,7 +76,7 @@ def track(
         replace(OutputFolder.for_image(source, folder, overwrite, config), resume=resume), wanted
     )
     if resume:
-        from accelsurf.cli.case import exit_code_of_finished
+        from accelsurf.cases.case import exit_code_of_finished
 
         if (code := exit_code_of_finished(case.place, wanted, display.quiet)) is not None:
             return code

@@ -450,7 +450,7 @@ def ending(
     """Let window or page end itself when a signal comes, see `Interrupts.calling`; then end its sessions, and say what
     is kept.
     """
-    from accelsurf.cli.interrupts import Interrupts
+    from accelsurf.cases.interrupts import Interrupts
 
     def hear() -> None:
         opening.hurry()

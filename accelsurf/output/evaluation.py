@@ -22,6 +22,8 @@ _PRINTED = (
     ("mean mm", "mean_surface_distance_mm"),
 )
 _DICE_AT = "surface_dice_"
+#: First columns of a table in CSV.
+_FIRST = ("row", "case", "pred", "ref", "status", "failure", "label", "name")
 
 
 @dataclass(frozen=True)
@@ -108,15 +110,11 @@ def document(results: Sequence[CaseResult], names: LabelTable) -> dict[str, Any]
     return {"counts": counts, "summary": summaries(results, names), "cases": cases}
 
 
-def table_csv(results: Sequence[CaseResult], names: LabelTable) -> str:
-    """CSV text: a row for each case and label; with several cases also their mean, median and count for each label.
+def table_rows(results: Sequence[CaseResult], names: LabelTable) -> list[dict[str, Any]]:
+    """Rows of a table: one for each case and label; with several cases also their mean, median and count.
 
-    The column ``row`` says which: case, mean, median or count. What is not defined is empty.
+    The entry ``row`` says which: case, mean, median or count. An entry that is not defined is None, or is not there.
     """
-    numbers = dict.fromkeys(
-        name for result in results for found in result.agreements for name in found.values()
-    )
-    columns = ["row", "case", "pred", "ref", "status", "failure", "label", "name", *numbers]
     rows: list[dict[str, Any]] = []
     for result in results:
         of_case = {"row": "case", "case": result.case, "pred": result.pred, "ref": result.ref}
@@ -124,33 +122,47 @@ def table_csv(results: Sequence[CaseResult], names: LabelTable) -> str:
             rows.append({**of_case, "status": "failed", "failure": result.failure})
         for agreement in result.agreements:
             rows.append({**of_case, "status": "ok", **label_entry(agreement, names)})
-    if len(results) > 1:
-        for summary in summaries(results, names):
-            for row in ("mean", "median", "count"):
-                rows.append(
-                    {"row": row, "label": summary["label"], "name": summary["name"], **summary[row]}
-                )
+    for summary in summaries(results, names) if len(results) > 1 else ():
+        for row in ("mean", "median", "count"):
+            rows.append(
+                {"row": row, "label": summary["label"], "name": summary["name"], **summary[row]}
+            )
+    return rows
+
+
+def table_csv(rows: Sequence[dict[str, Any]]) -> str:
+    """CSV text of `table_rows`; an entry that is not defined is empty."""
+    columns = list(dict.fromkeys([*_FIRST, *(name for row in rows for name in row)]))
     return table_text(columns, ([row.get(column) for column in columns] for row in rows))
 
 
 def printed_rows(
-    entries: Sequence[tuple[tuple[str, ...], dict[str, float | None]]], first: tuple[str, ...]
+    rows: Sequence[dict[str, Any]], many: bool
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Header and rows of a table on the screen.
 
     Parameters
     ----------
-    entries : sequence of (tuple of str, dict)
-        The first cells of each row, and its numbers.
-    first : tuple of str
-        Headings of the first cells.
+    rows : sequence of dict
+        From `table_rows`; cases that have failed are left out.
+    many : bool
+        Whether cases have names.
     """
-    dice_at = dict.fromkeys(
-        name for _, values in entries for name in values if name.startswith(_DICE_AT)
-    )
+    rows = [row for row in rows if "label" in row]
+    first = ["case"] * many + ["label"] + ["name"] * any(row["name"] for row in rows)
+    dice_at = dict.fromkeys(name for row in rows for name in row if name.startswith(_DICE_AT))
     shown = [*_PRINTED, *((f"sd {name.removeprefix(_DICE_AT)}", name) for name in dice_at)]
-    rows = [(*cells, *(_text(values.get(name)) for _, name in shown)) for cells, values in entries]
-    return (*first, *(heading for heading, _ in shown)), rows
+    cells = []
+    for row in rows:
+        said = {
+            "case": row.get("case", row["row"]),
+            "label": "all" if row["label"] is None else str(row["label"]),
+            "name": row["name"] or "-",
+        }
+        cells.append(
+            (*(said[name] for name in first), *(_text(row.get(name)) for _, name in shown))
+        )
+    return (*first, *(heading for heading, _ in shown)), cells
 
 
 def _text(value: float | None) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.evolution.records import Step
-from accelsurf.grid.boxes import Box, Corner, widened
+from accelsurf.grid.boxes import Box, Corner
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
 from accelsurf.kernels.statistics import sums_by_cube
@@ -201,6 +201,11 @@ def nearest_inside(
     spacing : sequence of float
         (hz, hy, hx) in mm.
 
+    Returns
+    -------
+    (z, y, x) or None
+        None where the object is more than a cube away: it has left the place again.
+
     Examples
     --------
     >>> nearest_inside((0.0, 2.5, 7.5), (np.arange(40).reshape(1, 5, 8) == 22).__getitem__, (1, 5, 8), (1.0, 1.0, 1.0))
@@ -208,24 +213,14 @@ def nearest_inside(
     """
     if place is None:
         return None
-    voxel = tuple(min(max(round(at), 0), n - 1) for at, n in zip(place, shape, strict=True))
-    at, reach = (
-        (
-            slice(voxel[0], voxel[0] + 1),
-            slice(voxel[1], voxel[1] + 1),
-            slice(voxel[2], voxel[2] + 1),
-        ),
-        0.0,
+    around = tuple(
+        slice(max(math.floor(at) - BLOCK, 0), min(math.ceil(at) + BLOCK + 1, n))
+        for at, n in zip(place, shape, strict=True)
     )
-    while True:
-        reach = 2.0 * reach or BLOCK * max(spacing)
-        box = widened(at, shape, [math.ceil(reach / h) for h in spacing])
-        found = np.argwhere(inside(box)) + [part.start for part in box]
-        away = (((found - place) * np.asarray(spacing)) ** 2).sum(axis=1)
-        is_whole = box == widened(at, shape, shape)
-        if is_whole and not away.size:
-            return None
-        # Beyond the box lies nothing nearer than its reach, but for a voxel.
-        if away.size and (is_whole or away.min() <= (reach - max(spacing)) ** 2):
-            z, y, x = (float(i) for i in found[int(np.argmin(away))])
-            return z, y, x
+    box: Box = (around[0], around[1], around[2])
+    found = np.argwhere(inside(box)) + [part.start for part in box]
+    if not found.size:
+        return None
+    away = (((found - place) * np.asarray(spacing)) ** 2).sum(axis=1)
+    z, y, x = (float(i) for i in found[int(np.argmin(away))])
+    return z, y, x

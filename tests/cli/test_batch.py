@@ -18,7 +18,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.batch import pool as pools
-from accelsurf.cli import case
+from accelsurf.cases import case
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.output.pictures import preview

@@ -10,9 +10,9 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.batch import pool as pools
+from accelsurf.batch import worker
 from accelsurf.batch.outcome import CaseTask
 from accelsurf.batch.pool import Failure
-from accelsurf.cli import batch_case
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.track.track import Tracking
@@ -216,7 +216,7 @@ def test_a_case_whose_worker_is_gone_has_a_report(films: Path, tmp_path: Path) -
     from accelsurf.settings.track_config import TrackConfig
 
     task = CaseTask(Case("slow", films / "slow"), tmp_path / "slow", TrackConfig())
-    outcome = batch_case.lost_outcome(task, Failure("timeout", "did not end within 1 s"))
+    outcome = worker.lost_outcome(task, Failure("timeout", "did not end within 1 s"))
     assert (outcome.status, outcome.reason) == ("failed", "did not end within 1 s")
     report = json.loads((tmp_path / "slow" / "slow_report.json").read_text())
     assert (report["kind"], report["status"], report["error"]["message"]) == (

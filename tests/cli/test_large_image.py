@@ -152,7 +152,7 @@ def test_a_run_in_parts_reads_no_byte_for_a_checksum(scans, tmp_path, monkeypatc
     pytest.importorskip("zarr")
     hashed = []
     for name in (
-        "accelsurf.cli.case.sha256",
+        "accelsurf.cases.case.sha256",
         "accelsurf.output.reports.sha256",
         "accelsurf.io.sha256",
     ):

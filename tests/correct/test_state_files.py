@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.cli.case import exit_code_of_finished
+from accelsurf.cases.case import exit_code_of_finished
 from accelsurf.correct import state_file
 from accelsurf.errors import InputError
 from accelsurf.evolution import serialization

@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf import segment
-from accelsurf.cli.outcome import summary_lines
+from accelsurf.cases.outcome import summary_lines
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.intervals import EdgeMeasures, edge_measures, estimates
 from accelsurf.output import tables

@@ -5,7 +5,7 @@ import pytest
 
 from accelsurf.api.segment import segment, segment_objects
 from accelsurf.correct.refine import refine
-from accelsurf.run.late_growth import nearest_inside
+from accelsurf.run.late_growth import BLOCK, nearest_inside
 
 
 def dumbbell():
@@ -62,23 +62,24 @@ def test_it_is_on_a_thin_object_too_and_goes_with_what_a_correction_takes_away()
     assert refine(result, outside=f"ball:{at},4").late_leakage is None
 
 
-def test_the_nearest_voxel_is_found_however_far_it_is():
-    labels = np.zeros((9, 40, 50), np.uint8)
-    labels[8, 2, 3] = labels[0, 39, 49] = 2
-    inside = (labels > 0).__getitem__
-    assert nearest_inside((2.5, 20.0, 20.0), inside, labels.shape, (1.0, 1.0, 1.0)) == (
-        8.0,
-        2.0,
-        3.0,
-    )
-    assert nearest_inside((2.5, 20.0, 20.0), inside, labels.shape, (9.0, 1.0, 1.0)) == (
-        0.0,
-        39.0,
-        49.0,
-    )
+@pytest.mark.parametrize("seed", range(4))
+def test_nearest_inside_is_the_nearest_voxel_of_a_cube_around(seed):
+    rng = np.random.default_rng(seed)
+    labels = rng.random((9, 30, 40)) < 0.01
+    place, spacing = tuple(rng.uniform(0, np.array(labels.shape) - 1)), (3.0, 1.0, 1.0)
+    voxels = np.argwhere(labels)
+    voxels = voxels[(np.abs(voxels - place) <= BLOCK).all(axis=1)]
+    found = nearest_inside(place, labels.__getitem__, labels.shape, spacing)
+    assert labels[tuple(int(at) for at in found)]
+    least = np.linalg.norm((voxels - place) * spacing, axis=1).min()
+    assert np.linalg.norm((np.array(found) - place) * spacing) <= least + 1e-9
+
+
+def test_nearest_inside_of_an_object_that_has_left_the_place_is_none():
+    labels = np.zeros((9, 40, 50), bool)
+    labels[8, 2, 3] = True
     assert (
-        nearest_inside((2.5, 20.0, 20.0), (labels > 9).__getitem__, labels.shape, (1.0, 1.0, 1.0))
-        is None
+        nearest_inside((2.5, 20.0, 20.0), labels.__getitem__, labels.shape, (1.0, 1.0, 1.0)) is None
     )
 
 

@@ -108,7 +108,8 @@ def preview_png(content: PreviewContent) -> bytes:
     for view, panel in panels.items():
         if view is not None:
             draw_slice(canvas, panel, content, view, ranges, window)
-    energies = below[1]._replace(right=below[1].right - 24, bottom=below[1].top + LOW)
+    last = below[1] if more else below[2]
+    energies = below[1]._replace(right=last.right - 24, bottom=below[1].top + LOW)
     draw_energies(canvas, energies, content.history, content.steps_left_out)
     write_window(canvas, window, content.geometry)
     return canvas.png()

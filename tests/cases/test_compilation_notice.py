@@ -9,9 +9,8 @@ import numba
 import numpy as np
 import pytest
 
-from accelsurf.cli import progress
+from accelsurf.cases.watcher import COMPILING, COMPILING_ANEW, Watcher
 from accelsurf.cli.options import Display
-from accelsurf.cli.progress import COMPILING, COMPILING_ANEW, Watcher
 from accelsurf.kernels import storage
 from accelsurf.kernels._jit import kernel
 
@@ -73,13 +72,13 @@ def test_where_nothing_can_be_stored_it_says_what_to_do(compile_now, capsys, mon
     monkeypatch.setattr(storage, "STORAGE", None)
     with Watcher(Display()).watch("scan", 10):
         compile_now()
-    assert capsys.readouterr().err == f"{progress.COMPILING_ANEW}\n"
+    assert capsys.readouterr().err == f"{COMPILING_ANEW}\n"
 
 
 @pytest.mark.slow
 def test_a_kernel_that_is_stored_is_loaded_without_a_word(tmp_path):
     code = (
-        "import numpy as np; from accelsurf.cli.options import Display; from accelsurf.cli.progress import Watcher\n"
+        "import numpy as np; from accelsurf.cli.options import Display; from accelsurf.cases.watcher import Watcher\n"
         "from accelsurf.image.kernels.counts import count_high_bits\n"
         "with Watcher(Display()).watch('scan', 1):\n"
         "    count_high_bits(np.zeros(3, np.uint32), np.zeros(65536, np.int64))\n"

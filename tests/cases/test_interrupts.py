@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from accelsurf.cli.interrupts import Interrupts, default_handling
+from accelsurf.cases.interrupts import Interrupts, default_handling
 
 
 @pytest.fixture

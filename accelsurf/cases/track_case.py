@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from accelsurf.cli.case import (
+from accelsurf.cases.case import (
     note_result,
     note_state,
     say_warnings,
@@ -22,7 +22,7 @@ from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.output.folder import OutputFolder, refuse_folder
 
 if TYPE_CHECKING:
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.watcher import Watcher
     from accelsurf.settings.track_config import TrackConfig
     from accelsurf.track.output.document import TrackRun
     from accelsurf.track.output.files import TrackFiles

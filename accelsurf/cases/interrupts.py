@@ -22,6 +22,8 @@ from typing import Any
 from accelsurf.errors import AccelsurfWarning
 from accelsurf.settings.wording import escaped
 
+#: Exit code after Ctrl-C.
+INTERRUPTED = 130
 #: Signals that end a program on request; their exit code is 128 more than their number.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _AGAIN_SECONDS = 0.05
@@ -208,9 +210,10 @@ def resuming_command() -> str:
 
 
 def say(line: str) -> None:
-    """Write a line to stderr also where print cannot: in a signal handler, or when nobody reads it."""
+    """Write a line to stderr also where a stream cannot: in a signal handler, or when nobody reads it."""
     try:
-        print(line, file=sys.stderr, flush=True)
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
     except RuntimeError:  # the main program is writing to it at this moment
         with suppress(OSError):
             os.write(2, f"{line}\n".encode(errors="replace"))

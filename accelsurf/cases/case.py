@@ -15,9 +15,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from accelsurf.cli import INTERRUPTED
-from accelsurf.cli.interrupts import Interrupts, resuming_command, say
-from accelsurf.cli.outcome import shortcoming, summary_lines
+from accelsurf.cases.interrupts import INTERRUPTED, Interrupts, resuming_command, say
+from accelsurf.cases.outcome import shortcoming, summary_lines
 from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
 from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes, written_at
@@ -32,7 +31,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
-    from accelsurf.cli.progress import Watcher
+    from accelsurf.cases.watcher import Watcher
     from accelsurf.grid.geometry import Geometry
     from accelsurf.image.volume import Volume
     from accelsurf.io.file_set import FileSet

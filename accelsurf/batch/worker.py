@@ -1,4 +1,4 @@
-"""One case of ``accelsurf batch`` in a worker process, run as ``segment`` or ``track`` runs it; its line in the tables.
+"""A case of a batch in a worker process, run as ``segment`` or ``track`` runs it, and its line in the tables.
 
 A case starts in `run_one`, which gives `run_case` all that it needs: also the state of a run that was ended.
 """
@@ -12,16 +12,15 @@ from collections.abc import Iterable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from accelsurf.batch import records
 from accelsurf.batch.outcome import CaseTask, Outcome, outcome_of_report
 from accelsurf.batch.pool import Failure
-from accelsurf.cli import track_case
-from accelsurf.cli.case import check_reference, report_failure, run_case
-from accelsurf.cli.interrupts import WorkerInterrupts
-from accelsurf.cli.options import Display
-from accelsurf.cli.progress import Watcher
+from accelsurf.cases import track_case
+from accelsurf.cases.case import check_reference, report_failure, run_case
+from accelsurf.cases.interrupts import WorkerInterrupts
+from accelsurf.cases.watcher import ProgressKind, Watcher
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import channels, read_labels
 from accelsurf.io.file_set import InputFiles
@@ -182,6 +181,13 @@ def make_pool(work: Batch, limits: Limits) -> Pool:
     )
 
 
+class _Silent(NamedTuple):
+    """Display of a worker: what it says is in the tables."""
+
+    quiet: bool = True
+    progress: ProgressKind | None = "none"
+
+
 class LostCaseError(AccelsurfError):
     """The process of a case is gone, or was ended."""
 
@@ -189,7 +195,7 @@ class LostCaseError(AccelsurfError):
 
 
 def _run(task: CaseTask) -> Outcome:
-    watcher = Watcher(Display(quiet=True, progress="none"))
+    watcher = Watcher(_Silent())
     if isinstance(task.config, TrackConfig):
         track_case.run_track_case(track_case.TrackCase(place_of(task), task.config), watcher)
         return _concluded(task, task.folder / report_name(task.case.id))
