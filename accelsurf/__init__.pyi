@@ -33,7 +33,7 @@ from .measure.contours import Contours as Contours
 from .measure.metrics import evaluate as evaluate
 from .measure.surface_mesh import Surface as Surface
 from .output.document import report_of as report_of
-from .output.result_sets import load_report as load_report
+from .output.reports import load_report as load_report
 from .phantoms.recipes import Phantom as Phantom
 from .phantoms.recipes import phantom as phantom
 from .run.checkpoint import RunCheckpoint as RunCheckpoint
