@@ -124,9 +124,7 @@ class FileSet:
         self.folder, self._claim, self._left, self._inputs = folder, claim, left, inputs
         self._mends = claim.is_unfinished
         self.committed = False
-        shutil.rmtree(
-            self.staging, ignore_errors=True
-        )  # of a run that was killed before it began to move files
+        shutil.rmtree(self.staging, ignore_errors=True)  # of a run that was killed
         os.mkdir(self.staging)
 
     @property
@@ -142,9 +140,8 @@ class FileSet:
     def discard(self) -> None:
         """Remove the staging files."""
         shutil.rmtree(self.staging, ignore_errors=True)
-        with suppress(
-            FileNotFoundError
-        ):  # somebody has removed the output folder: what is written next says so
+        # Where somebody has removed the output folder, the next file that is written says so.
+        with suppress(FileNotFoundError):
             self.staging.mkdir(exist_ok=True)
 
     def commit(
@@ -182,9 +179,8 @@ class FileSet:
             if self._mends and mends:
                 self._begin_again()
             if len(everything) == 1 and not gone and not self._has_folder(everything[0]):
-                os.replace(
-                    self.staging / everything[0], self.folder / everything[0]
-                )  # all or nothing by itself
+                # All or nothing by itself.
+                os.replace(self.staging / everything[0], self.folder / everything[0])
             else:
                 self._exchange(names, last, gone)
             self.committed = True
@@ -227,14 +223,14 @@ class FileSet:
             move(self.staging / name, self.folder / name)
 
         sync_folder(self.staging)
-        self.committed = True  # from here on files are not to be removed, whatever happens
         old.mkdir(exist_ok=True)
+        self.committed = True  # from here on files are not to be removed, whatever happens
         try:
             if last is not None and os.path.lexists(self.folder / last):
                 take(last)
                 sync_folder(
                     self.folder
-                )  # also after a power cut no old report stands beside new files
+                )  # so that a power cut leaves no old report beside new files
             for name in names:
                 put(name)
             for name in gone:
