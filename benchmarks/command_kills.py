@@ -2,8 +2,9 @@
 
 Each trial begins with the files of an earlier result and ends the command that replaces them by SIGKILL, SIGINT or
 SIGTERM. The next command looks at the folder. Then the files must be all old or all new, byte for byte, and nothing may
-be left beside them. Every few trials the command is given once more: it must end with the files of one that was never
-ended.
+be left beside them; or the next command says that they are unfinished, no report stands, and the same command with
+--overwrite must end with the new files. Every few trials the command is given once more: it must end with the files of
+one that was never ended.
 """
 
 from __future__ import annotations
@@ -112,14 +113,19 @@ def finished(words: list[str]) -> str:
     return "" if program.returncode == 0 else f"exit {program.returncode}: {error[-300:]}"
 
 
-def look_at(folder: Path) -> None:
-    """Give the next command that reads results there: it finishes what a killed one has begun, or takes it back."""
+def look_at(folder: Path) -> bool:
+    """Give the next command that reads results there; return whether it calls the files unfinished.
+
+    It removes new files that a killed one has left, and changes nothing where some of them are in place.
+    """
     absent = str(folder / "absent.nii")
-    subprocess.run(
+    said = subprocess.run(
         [sys.executable, "-m", "accelsurf", "evaluate", absent, absent],
         capture_output=True,
         timeout=600,
+        text=True,
     )
+    return "is unfinished" in said.stderr and "--overwrite" in said.stderr
 
 
 def content(folder: Path) -> dict[str, str]:
@@ -199,7 +205,7 @@ class Trial:
             moment = chance.uniform(0.0, 1.05 * self.seconds)
             wait_until(program, lambda: False, moment)
             return f"after {moment:.3f} s"
-        wait_until(program, lambda: any(out.glob(".*/new/*")), 60.0)
+        wait_until(program, lambda: any(out.glob(".*/*/*")), 60.0)
         moment = chance.uniform(0.0, WRITING_SECONDS)
         wait_until(program, lambda: False, moment)
         return f"{moment:.4f} s after the first draft"
@@ -208,7 +214,11 @@ class Trial:
         faults = []
         if left(out, False):
             counts["left to the next command"] += 1
-            look_at(out)
+            if look_at(out):
+                counts["named as unfinished"] += 1
+                if list(out.glob("*_report.json")) and content(out) != self.old:
+                    faults.append("unfinished, and a report stands")
+                faults += _problem(finished([*self.command.new(out), "--overwrite"]))
         found = content(out)
         if found not in (self.old, self.new):
             faults.append(f"neither the old files nor the new ones: {difference(found, self.old)}")
@@ -261,6 +271,11 @@ def trials(folder: Path, counts: Mapping[str, int], seed: int) -> dict[str, Any]
         told = {"runs": count, "seconds_of_a_run": round(seconds, 2)}
         every[name] = {**told, **dict(sorted(found.items())), "faults": faults}
     return every
+
+
+def _problem(ended: str) -> list[str]:
+    """How a command that mends ended wrongly, if it did."""
+    return [f"mended: {ended}"] if ended else []
 
 
 def _refuse(ended: str) -> None:

@@ -11,8 +11,9 @@ change from run to run, so that old and new files differ, and so do their names.
 * batch: the same for batches of several workers: all processes, the parent, or one worker (`benchmarks.batch_kills`).
 * refine, track, movie: signals to commands that replace an earlier result (`benchmarks.command_kills`).
 
-After each the files must be those that one report names, by their checksums: all old or all new. Whatever is hidden
-must go with the next run. ``python -m benchmarks.kills --help`` lists the options; the table in
+After each the files must be those that one report names, by their checksums: all old or all new. Or no report stands:
+then the next command says that the files are unfinished, and the next run with ``--overwrite`` makes all of them anew.
+Whatever is hidden must go with the next run. ``python -m benchmarks.kills --help`` lists the options; the table in
 docs/how-to/files-of-a-run.md says what is promised.
 """
 
@@ -144,7 +145,7 @@ class Bench:
 
     def wait_for_drafts(self, program: subprocess.Popen[str]) -> None:
         """Wait until a run writes its first file, or ends."""
-        while program.poll() is None and not any(self.results.glob(".*/new/*")):
+        while program.poll() is None and not any(self.results.glob(".*/*/*")):
             time.sleep(0.002)
 
     def wait(self, program: subprocess.Popen[str]) -> str:
@@ -159,9 +160,7 @@ class Bench:
         if part == "first draft":
             self.wait_for_drafts(program)
         elif part == "last draft":
-            while program.poll() is None and not any(
-                self.results.glob(f".*/new/{NAME}_report.json")
-            ):
+            while program.poll() is None and not any(self.results.glob(f".*/*/{NAME}_report.json")):
                 time.sleep(0.0002)
         time.sleep(moment)
         return f"{moment:.4f} s after the {part}"
@@ -202,11 +201,11 @@ def kill(bench: Bench, outcome: Outcome) -> None:
     moment = bench.wait(program)
     program.kill()
     program.communicate()
-    if not bench.report():
-        outcome.count("killed between two renames, finished by the next reader")
     if bench.hidden():
         outcome.count("left to the next command")
-        command_kills.look_at(bench.results)
+        if command_kills.look_at(bench.results):
+            outcome.count("killed between two renames, named as unfinished")
+            bench.finish()
         if left := bench.hidden():
             outcome.faults.append(
                 f"kill {moment}: left after the next command: {', '.join(map(str, left))}"

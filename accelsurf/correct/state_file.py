@@ -8,28 +8,22 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop, without_costs
-from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.grid.boxes import Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level
-from accelsurf.io.files import bytes_within
+from accelsurf.io import states
 from accelsurf.measure.likely import Plateau
 from accelsurf.run.result import BoxMask, Result
 from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.version import __version__
 
-#: Version of the file; raised when its content changes.
-VERSION = 4
 _AGAIN = "run accelsurf segment again with --keep-state yes"
 _LEVEL = 1  # of zlib: more takes longer and saves little
 
@@ -163,8 +157,7 @@ def state_bytes(result: Result, image: str) -> bytes:
         tuple(result.warnings),
         result.late_leakage,
     )
-    header = {"accelsurf": __version__, "state": VERSION}
-    return to_bytes((header, state), TYPES)
+    return states.to_bytes(state, TYPES)
 
 
 def read_state(path: Path) -> StateFile:
@@ -175,38 +168,14 @@ def read_state(path: Path) -> StateFile:
     InputError
         When the file cannot be read, is damaged or of another kind, or is larger than its image allows.
     """
-    content = bytes_within(path, budgets.STATE_FILE)
-    try:
-        header, state = from_bytes(content, TYPES)
-        if not isinstance(header, dict) or not isinstance(state, StateFile):
-            raise ValueError("not the state of a finished run")
-        if header.get("state") != VERSION:
-            raise InputError(
-                f"{path}: a state of version {header.get('state')}, expected {VERSION}", _AGAIN
-            )
-        _check(state)
-        return state._replace(config=RunConfig(**state.config))
-    except InputError as error:
-        if error.message.startswith(str(path)):
-            raise
-        raise InputError(
-            f"{path}: {error.message.replace('checkpoint', 'state')}", _AGAIN
-        ) from None
-    except (AccelsurfError, ValueError, TypeError, KeyError) as error:
-        raise InputError(f"{path}: the state is damaged ({error})", _AGAIN) from None
+    return states.read_state(path, StateFile, TYPES, _checked, _AGAIN)
 
 
-def _check(state: StateFile) -> None:
-    """Refuse a state whose parts do not fit together."""
+def _checked(state: StateFile) -> StateFile:
+    """The state with its settings made again; a ValueError where its parts do not fit together."""
     shape = state.shape
-    if (
-        len(shape) != 3
-        or not all(isinstance(n, int) and 0 < n < 2**31 for n in shape)
-        or not state.objects
-    ):
+    if not all(0 < n < 2**31 for n in shape) or not state.objects:
         raise ValueError("its grid has no size")
-    if not isinstance(state.image, str) or not isinstance(state.config, Mapping):
-        raise ValueError("it names no image")
     for segmented in state.objects:
         corner, box = segmented.surface.corner, segmented.surface.in_band.shape
         if len(box) != 3 or any(
@@ -217,6 +186,7 @@ def _check(state: StateFile) -> None:
             raise ValueError(f"the probability of object {segmented.id} is not one")
         if not segmented.history:
             raise ValueError(f"object {segmented.id} has no history")
+    return state._replace(config=RunConfig(**state.config))
 
 
 def _packed_surface(psi: NDArray[np.float32], corner: Corner) -> SurfaceFile:

@@ -124,9 +124,7 @@ class FileSet:
         self.folder, self._claim, self._left, self._inputs = folder, claim, left, inputs
         self._mends = claim.is_unfinished
         self.committed = False
-        shutil.rmtree(
-            self.staging, ignore_errors=True
-        )  # of a run that was killed before it began to move files
+        shutil.rmtree(self.staging, ignore_errors=True)  # of a run that was killed
         os.mkdir(self.staging)
 
     @property
@@ -134,12 +132,16 @@ class FileSet:
         """The folder in which the files are written, under their final names."""
         return self._claim.folder / (_AGAIN if self._mends else _NEW)
 
+    @property
+    def earlier(self) -> tuple[Path, ...]:
+        """Folders with what a killed run has left of an unfinished set, with its reports, old and new."""
+        return (self._claim.folder / _NEW, self._claim.folder / _OLD) if self._mends else ()
+
     def discard(self) -> None:
         """Remove the staging files."""
         shutil.rmtree(self.staging, ignore_errors=True)
-        with suppress(
-            FileNotFoundError
-        ):  # somebody has removed the output folder: what is written next says so
+        # Where somebody has removed the output folder, the next file that is written says so.
+        with suppress(FileNotFoundError):
             self.staging.mkdir(exist_ok=True)
 
     def commit(
@@ -177,9 +179,8 @@ class FileSet:
             if self._mends and mends:
                 self._begin_again()
             if len(everything) == 1 and not gone and not self._has_folder(everything[0]):
-                os.replace(
-                    self.staging / everything[0], self.folder / everything[0]
-                )  # all or nothing by itself
+                # All or nothing by itself.
+                os.replace(self.staging / everything[0], self.folder / everything[0])
             else:
                 self._exchange(names, last, gone)
             self.committed = True
@@ -211,29 +212,32 @@ class FileSet:
             os.replace(source, goal)
             moved.append((source, goal))
 
-        def put(name: str) -> None:
+        def take(name: str) -> None:
+            if (old / name).is_dir():  # of a run that was killed: a folder is not replaced
+                shutil.rmtree(old / name, ignore_errors=True)
             if os.path.lexists(self.folder / name):
                 move(self.folder / name, old / name)
+
+        def put(name: str) -> None:
+            take(name)
             move(self.staging / name, self.folder / name)
 
         sync_folder(self.staging)
-        self.committed = True  # from here on files are not to be removed, whatever happens
         old.mkdir(exist_ok=True)
-        for path in old.iterdir():  # of a run that was killed
-            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+        self.committed = True  # from here on files are not to be removed, whatever happens
         try:
             if last is not None and os.path.lexists(self.folder / last):
-                move(self.folder / last, old / last)
+                take(last)
                 sync_folder(
                     self.folder
-                )  # also after a power cut no old report stands beside new files
+                )  # so that a power cut leaves no old report beside new files
             for name in names:
                 put(name)
+            for name in gone:
+                take(name)
             if last is not None:
                 sync_folder(self.folder)
                 put(last)
-            for name in gone:
-                move(self.folder / name, old / name)
         except Exception:
             for source, goal in reversed(moved):
                 os.replace(goal, source)

@@ -301,16 +301,21 @@ class OutputFolder:
                 False,
             )
         last = self.report.name if self.report.name in written else None
-        files.commit(last, [*self.outdated(written, failed), *gone], mends=not failed)
+        earlier = [Report(folder / self.report.name, self.path) for folder in files.earlier]
+        outdated = self.outdated(written, failed, earlier)
+        files.commit(last, [*outdated, *gone], mends=not failed)
 
-    def outdated(self, written: Collection[str], failed: bool) -> list[str]:
+    def outdated(
+        self, written: Collection[str], failed: bool, earlier: Iterable[Report] = ()
+    ) -> list[str]:
         """Return the names of the files that go when those of a new run come; a warning names those that stay.
 
-        These are the files of the earlier report; of a run that did not fail also those of a failed one before it.
-        Without ``overwrite`` only reports go, and files that are named as of a failed run.
+        These are the files of the report there, and of the ``earlier`` ones that a killed run has left; of a run that
+        did not fail also those of a failed one before it. Without ``overwrite`` only reports go, and files that are
+        named as of a failed run.
         """
         failures = self.path / report_name(self.name + FAILED)
-        reports = [Report(self.report)]
+        reports = [Report(self.report), *earlier]
         if not failed and (beside := Report(failures)).is_failure:
             reports.append(beside)
         gone, stays = [], []

@@ -10,9 +10,8 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,34 +20,31 @@ from accelsurf.errors import InputError, OutputError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.window import Window
+from accelsurf.io import states
 from accelsurf.io.file_set import is_staging, sync, sync_folder
-from accelsurf.io.files import read_json
 from accelsurf.output.document import describe_object, describe_window
 from accelsurf.output.folder import name_of
 from accelsurf.run.result import SegmentedObject
 
-_RECORD, _LABELS = "record.json", "labels.npz"
+_RECORD = "record.npz"
 _DRAFT = ".draft-"
 #: Names of a group's folder, of one that was not complete when its process was killed, and of a mesh.
 _FOLDER = re.compile(r"group-[0-9]+-[0-9a-f]{16}|\.draft-[a-z0-9_]{8}")
 _MESH = r"[^/\\]+_(surface|contour)_{id}\.[a-z0-9.]+"
-_FILE = re.compile(rf"{re.escape(_RECORD)}|{re.escape(_LABELS)}|{_MESH.format(id='[0-9]+')}")
+_FILE = re.compile(rf"{re.escape(_RECORD)}|{_MESH.format(id='[0-9]+')}")
 
 
-@dataclass(frozen=True, eq=False)
-class GroupRecord:
-    """Results of a group, as they were read from its folder.
+class GroupRecord(NamedTuple):
+    """Results of a group.
 
     Attributes
     ----------
-    folder : Path
-        Where its meshes lie, under their final names.
     near : tuple of int
         Ids of objects that begin where one of the group came to; then there is nothing else.
     rows : list of dict
         As of `accelsurf.output.document.describe_object`.
-    boxes : list of tuple of slice
-        Part of the whole grid that each object has.
+    sides : ndarray (n, 3, 2) of int64
+        First voxel, and the voxel after the last, of the part of the whole grid that each object has.
     low, high : ndarray (n, 3) of int64
         As of `accelsurf.large.group_run.GroupResult`.
     stops : list of Stop
@@ -56,28 +52,45 @@ class GroupRecord:
         Of each object: name of the file by kind.
     report_entries : dict
         ``energy``, ``resolved_settings``, ``warnings``, ``window``.
+    packed : list of ndarray of uint8
+        Bits of the mask of each object; read from the file when they are asked for.
+    place : str
+        The ``folder`` where file and meshes lie, under their final names; empty in the file.
     """
 
-    folder: Path
     near: tuple[int, ...]
     rows: list[dict[str, Any]]
-    boxes: list[Box]
+    sides: NDArray[np.int64]
     low: NDArray[np.int64]
     high: NDArray[np.int64]
     stops: list[Stop]
     meshes: list[dict[str, str]]
     report_entries: dict[str, Any]
+    packed: list[NDArray[np.uint8]]
+    place: str = ""
+
+    @property
+    def folder(self) -> Path:
+        """Where its files lie."""
+        return Path(self.place)
+
+    @property
+    def boxes(self) -> list[Box]:
+        """Part of the whole grid that each object has."""
+        return [(slice(*z), slice(*y), slice(*x)) for z, y, x in self.sides.tolist()]
 
     def masks(self) -> list[NDArray[np.bool_]]:
         """Return the mask of each object, on its box."""
-        shapes = [tuple(side.stop - side.start for side in box) for box in self.boxes]
-        with np.load(self.folder / _LABELS, allow_pickle=False) as packed:
-            return [
-                np.unpackbits(packed[str(row["id"])], count=math.prod(shape))
-                .reshape(shape)
-                .view(np.bool_)
-                for row, shape in zip(self.rows, shapes, strict=True)
-            ]
+        packed = _read(self.folder).packed
+        shapes = (self.sides[:, :, 1] - self.sides[:, :, 0]).tolist()
+        return [
+            np.unpackbits(bits, count=math.prod(shape)).reshape(shape).view(np.bool_)
+            for bits, shape in zip(packed, shapes, strict=True)
+        ]
+
+
+#: The types in a record, by the names under which they are written.
+TYPES: dict[str, type] = {kind.__name__: kind for kind in (GroupRecord, Stop)}
 
 
 class FinishedGroup(Protocol):
@@ -139,57 +152,48 @@ def write_group(
     OutputError
         When a mesh cannot be written; OSError when something else cannot.
     """
+    objects = result.objects
+    facts = {key: getattr(result, key) for key in ("energy", "resolved_settings", "warnings")}
     with _staged(folder) as staged:
-        meshes = [_write_meshes(staged, segmented, names, space) for segmented in result.objects]
-        packed = {str(segmented.id): np.packbits(segmented.labels) for segmented in result.objects}
-        np.savez(staged / _LABELS, **packed)  # type: ignore[arg-type]
-        _write_record(
-            staged,
-            {
-                "near": [],
-                "rows": [describe_object(segmented) for segmented in result.objects],
-                "boxes": [
-                    [[side.start, side.stop] for side in segmented.box]
-                    for segmented in result.objects
-                ],
-                "low": result.low.tolist(),
-                "high": result.high.tolist(),
-                "stops": [list(segmented.stop) for segmented in result.objects],
-                "meshes": meshes,
-                "facts": {
-                    **{
-                        key: getattr(result, key)
-                        for key in ("energy", "resolved_settings", "warnings")
-                    },
-                    "window": describe_window(result.window),
-                },
-            },
+        record = GroupRecord(
+            (),
+            _plain([describe_object(segmented) for segmented in objects]),
+            np.array(
+                [[[side.start, side.stop] for side in each.box] for each in objects], np.int64
+            ),
+            np.asarray(result.low, np.int64),
+            np.asarray(result.high, np.int64),
+            [segmented.stop for segmented in objects],
+            [_write_meshes(staged, segmented, names, space) for segmented in objects],
+            _plain({**facts, "window": describe_window(result.window)}),
+            [np.packbits(segmented.labels) for segmented in objects],
         )
+        states.write_state(staged / _RECORD, record, TYPES)
 
 
 def write_near(folder: Path, ids: Sequence[int]) -> None:
     """Write that a group came to where others begin, by their ids; parameters as of `write_group`."""
+    places = np.empty((0, 3), np.int64)
+    record = GroupRecord(
+        tuple(ids), [], np.empty((0, 3, 2), np.int64), places, places, [], [], {}, []
+    )
     with _staged(folder) as staged:
-        _write_record(staged, {"near": list(ids)})
+        states.write_state(staged / _RECORD, record, TYPES)
 
 
 def read_group(folder: Path) -> GroupRecord | None:
     """Return what a group has left; None where there is nothing, or something that is none of ours."""
     try:
-        found = read_json(folder / _RECORD)
-        if found["near"]:
-            nothing = np.empty((0, 3), np.int64)
-            return GroupRecord(folder, tuple(found["near"]), [], [], nothing, nothing, [], [], {})
-        boxes: list[Box] = [(slice(*z), slice(*y), slice(*x)) for z, y, x in found["boxes"]]
-        low, high = np.array(found["low"], np.int64), np.array(found["high"], np.int64)
-        stops = [Stop(*stop) for stop in found["stops"]]
-        if not _are_meshes(folder, found["rows"], found["meshes"]):
+        record = _read(folder)
+        if not record.near and not _are_meshes(folder, record.rows, record.meshes):
             return None
-        return GroupRecord(
-            folder, (), found["rows"], boxes, low, high, stops, found["meshes"], found["facts"]
-        )
     except (InputError, ValueError, KeyError, TypeError):
         return None
+    return record._replace(place=str(folder), packed=[])
+
+
+def _read(folder: Path) -> GroupRecord:
+    return states.read_state(folder / _RECORD, GroupRecord, TYPES, lambda record: record)
 
 
 def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str, str]]) -> bool:
@@ -265,11 +269,6 @@ def _write_meshes(
     return files
 
 
-def _write_record(staged: Path, record: dict[str, Any]) -> None:
-    (staged / _RECORD).write_text(json.dumps(record, default=_plain), encoding="utf-8")
-
-
 def _plain(value: Any) -> Any:
-    if isinstance(value, (np.generic, np.ndarray)):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} in the record of a group")
+    """A value as it is read from JSON: numbers of numpy as those of Python."""
+    return json.loads(json.dumps(value, default=lambda number: number.tolist()))

@@ -78,17 +78,20 @@ class Report:
     Parameters
     ----------
     path : Path
-        It may have been moved with its folder: the files that it lists are looked for beside it.
+        It may have been moved with its folder.
+    folder : Path, optional
+        Where the files that it lists are looked for; beside it by default.
 
     Attributes
     ----------
-    path : Path
+    path, folder : Path
     document : dict or None
         As of `load_report`.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.document = path, load_report(path)
+    def __init__(self, path: Path, folder: Path | None = None) -> None:
+        self.path, self.folder = path, path.parent if folder is None else folder
+        self.document = load_report(path)
 
     @property
     def is_failure(self) -> bool:
@@ -148,7 +151,7 @@ class Report:
         return [file.name for file in self.unchanged(besides) if file.is_own]
 
     def _is_unchanged(self, file: ListedFile) -> bool:
-        path, case = self.path.parent / file.name, self.path.name.removesuffix(report_name(""))
+        path, case = self.folder / file.name, self.path.name.removesuffix(report_name(""))
         try:
             return (
                 is_named_as_output(file.name, case)

@@ -11,10 +11,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from accelsurf.errors import AccelsurfError, InputError
+from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepFields, StepRecord, Stop
-from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.evolution.state import (
     Checkpoint,
     EnergyBudget,
@@ -27,13 +26,12 @@ from accelsurf.evolution.state import (
 from accelsurf.flows import EnergyRates
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
-from accelsurf.io.files import bytes_within, write_bytes
+from accelsurf.io.states import read_state, write_state
 from accelsurf.kernels.storage import compiler_version, processor_name
 from accelsurf.levelset import Snapshot, SurfaceState
 from accelsurf.run.evolving_object import ObjectCheckpoint
 from accelsurf.run.late_growth import GrowthState
 from accelsurf.run.preprocessing import PreprocessedInput
-from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
 from accelsurf.version import __version__
@@ -112,6 +110,13 @@ class CheckpointHeader(NamedTuple):
     window: tuple[int, ...] | None = None
 
 
+class SavedRun(NamedTuple):
+    """A checkpoint as it is written, with the ``header`` that says of which run; settings are plain values there."""
+
+    header: CheckpointHeader
+    state: RunCheckpoint
+
+
 #: The types in a checkpoint, by the names under which they are written.
 TYPES: dict[str, type] = {
     kind.__name__: kind
@@ -129,6 +134,7 @@ TYPES: dict[str, type] = {
         ObjectCheckpoint,
         RestWatch,
         RunCheckpoint,
+        SavedRun,
         Slowest,
         Snapshot,
         StepFields,
@@ -197,10 +203,10 @@ def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: Checkpo
     )
     settings: Any = checkpoint.settings.model_dump(mode="json")
     state = checkpoint._replace(objects=objects, settings=settings)
-    write_bytes(Path(path), to_bytes((header, state), TYPES))
+    write_state(Path(path), SavedRun(header, state), TYPES)
 
 
-def read_checkpoint(path: str | Path) -> tuple[CheckpointHeader, RunCheckpoint]:
+def read_checkpoint(path: str | Path) -> SavedRun:
     """Read a checkpoint of any run.
 
     Raises
@@ -208,30 +214,16 @@ def read_checkpoint(path: str | Path) -> tuple[CheckpointHeader, RunCheckpoint]:
     InputError
         When the file cannot be read or is damaged.
     """
-    content = bytes_within(path, budgets.STATE_FILE)
-    try:
-        header, state = from_bytes(content, TYPES)
-        if not isinstance(header, CheckpointHeader) or not isinstance(state, RunCheckpoint):
-            raise ValueError("not the state of a run")
-        _check_header(header)
-        return header, RunCheckpoint(*state._replace(settings=RunConfig(**state.settings)))  # type: ignore[arg-type]
-    except InputError as error:
-        raise InputError(f"{path}: {error.message}", _BEGIN) from None
-    except (AccelsurfError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: the checkpoint is damaged ({error})", _BEGIN) from None
+    return read_state(Path(path), SavedRun, TYPES, _checked, _BEGIN)
 
 
-def _check_header(header: CheckpointHeader) -> None:
-    texts = header.versions if isinstance(header.versions, dict) else {"": None}
-    if not all(isinstance(text, str) for text in (header.run, *texts, *texts.values())):
-        raise ValueError("it does not say of which run it is")
-    if not isinstance(header.settings, dict):
-        raise ValueError("it has no settings")
-    window = header.window
-    if window is not None and not (
-        len(window) == 7 and all(isinstance(n, int) and n >= 0 for n in window)
-    ):
+def _checked(saved: SavedRun) -> SavedRun:
+    """The checkpoint with its settings made again; a ValueError where they or the window are not valid."""
+    window = saved.header.window
+    if window is not None and not (len(window) == 7 and min(window) >= 0):
         raise ValueError("its window is not valid")
+    settings: Any = saved.state.settings
+    return saved._replace(state=saved.state._replace(settings=RunConfig(**settings)))
 
 
 def load_checkpoint(path: str | Path, run: Source) -> RunCheckpoint:

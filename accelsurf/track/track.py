@@ -17,17 +17,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
-from accelsurf.evolution.serialization import from_bytes, to_bytes
+from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
-from accelsurf.io import read_sequence
-from accelsurf.io.files import bytes_within, write_bytes
+from accelsurf.io import read_sequence, states
 from accelsurf.io.library_images import ImageLike, VolumeSequence, from_library
 from accelsurf.levelset import Workers
 from accelsurf.run.checkpoint import FREE, digest_of, versions
 from accelsurf.run.setup import EnergyLike, ObjectsLike, seeded, thread_count
-from accelsurf.settings import budgets
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.wording import shown
 from accelsurf.track.appearance import Appearance
@@ -44,8 +41,6 @@ if TYPE_CHECKING:
 
 #: Voxels along each axis of the frames that warm up kernels, and the radius of the ball in them.
 WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
-#: Version of the state file; raised when its content changes.
-VERSION = 4
 _BEGIN = "begin anew without --resume, with --overwrite"
 
 
@@ -342,7 +337,7 @@ class Tracking:
         """Write the state after a frame."""
         if self._path is None or self.interrupted:
             return
-        write_state(self._path, self._state(), self._header)
+        states.write_state(self._path, SavedTracking(self._header, self._state()), TYPES)
 
     @cached_property
     def _header(self) -> Header:
@@ -468,11 +463,8 @@ def _warmup_frame(shift: float) -> Volume:
 
 
 class Header(NamedTuple):
-    """Header of a state: ``version`` of the file, ``versions`` of what the numbers depend on, ``digest`` of
-    the sequence, and ``settings``.
-    """
+    """Header of a state: ``versions`` of what the numbers depend on, ``digest`` of the sequence, and ``settings``."""
 
-    version: int
     versions: dict[str, str]
     digest: str
     settings: dict[str, Any]
@@ -510,9 +502,25 @@ class TrackState(NamedTuple):
     doubtful: tuple[int, ...]
 
 
+class SavedTracking(NamedTuple):
+    """A tracking as it is written: its ``state`` after a frame, with the ``header`` that says of which one."""
+
+    header: Header
+    state: TrackState
+
+
 TYPES: dict[str, type] = {
     kind.__name__: kind
-    for kind in (Appearance, Header, Measured, Profile, SurfacePiece, TrackState, Trust)
+    for kind in (
+        Appearance,
+        Header,
+        Measured,
+        Profile,
+        SavedTracking,
+        SurfacePiece,
+        TrackState,
+        Trust,
+    )
 }
 
 
@@ -532,42 +540,18 @@ def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Hea
     )
     run = config.run.model_dump(mode="json", exclude=set(FREE))
     tracking = config.model_dump(mode="json", exclude={"run"})
-    return Header(VERSION, versions(), sha.hexdigest(), {**run, **tracking, "meshes": meshes})
+    return Header(versions(), sha.hexdigest(), {**run, **tracking, "meshes": meshes})
 
 
-def write_state(path: Path, state: TrackState, header: Header) -> None:
-    """Write a state, completely or not at all.
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
-    """
-    write_bytes(path, to_bytes((header, state), TYPES))
-
-
-def read_state(path: Path) -> tuple[Header, TrackState]:
+def read_state(path: Path) -> SavedTracking:
     """Read a state of any tracking.
 
     Raises
     ------
     InputError
-        When the file cannot be read or is damaged.
+        When the file cannot be read, is damaged or of another version.
     """
-    content = bytes_within(path, budgets.STATE_FILE)
-    try:
-        header, state = from_bytes(content, TYPES)
-        if (
-            not isinstance(header, Header)
-            or not isinstance(state, TrackState)
-            or header.version != VERSION
-        ):
-            raise ValueError("not the state of a tracking of this version")
-        return header, state
-    except InputError as error:
-        raise InputError(f"{path}: {error.message}", _BEGIN) from None
-    except (AccelsurfError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: the state is damaged ({error})", _BEGIN) from None
+    return states.read_state(path, SavedTracking, TYPES, lambda saved: saved, _BEGIN)
 
 
 def refuse_another(path: Path, header: Header, expected: Header) -> None:

@@ -579,8 +579,10 @@ class Killed(BaseException):
 
 @pytest.mark.parametrize("how", ["--overwrite", "--resume"])
 def test_an_unfinished_set_is_named_and_made_anew(how, scans, tmp_path, capsys, monkeypatch):
+    """The three runs have other formats: what the first two have written goes by their own sealed reports."""
     words = ("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 3)
-    assert run(*words[:-1], 1) == 0
+    (tmp_path / "ball_notes.txt").write_text("mine")
+    assert run(*words[:-1], 1, "--format", "nrrd", "--mesh", "stl") == 0
     before, moved, real = report_of(tmp_path), [], os.replace
 
     def replace(source, goal):
@@ -592,13 +594,13 @@ def test_an_unfinished_set_is_named_and_made_anew(how, scans, tmp_path, capsys, 
 
     monkeypatch.setattr(os, "replace", replace)
     with pytest.raises(Killed):
-        run(*words, "--overwrite")
+        run(*words, "--overwrite", "--format", "mha")
     monkeypatch.undo()
     assert not (tmp_path / "ball_report.json").exists() and list(tmp_path.glob(".*"))
     left = {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")}
     for reader in (
         words,
-        ("evaluate", tmp_path / "ball_seg.nii.gz", scans / "truth.nii.gz"),
+        ("evaluate", tmp_path / "ball_preview.png", scans / "truth.nii.gz"),
         ("refine", tmp_path, "--inside", "point:1,2,3"),
         ("movie", tmp_path, "-o", tmp_path / "a.png", "--preview"),
     ):
@@ -612,7 +614,9 @@ def test_an_unfinished_set_is_named_and_made_anew(how, scans, tmp_path, capsys, 
     assert after["stop"]["steps"] == 3 and after["outputs"] != before["outputs"]
     for one in after["outputs"]:
         assert io.sha256(one["path"]) == one["sha256"]
-    assert not list(tmp_path.glob(".*"))
+    listed = {os.path.basename(one["path"]) for one in after["outputs"]}
+    left = {path.name for path in tmp_path.iterdir()} - listed
+    assert left == {"ball_report.json", "ball_notes.txt"}
 
 
 def test_a_file_that_appears_while_the_run_goes_on_is_not_replaced(

@@ -135,7 +135,7 @@ def test_what_was_done_before_an_interrupt_is_not_done_again(folder, tmp_path, r
     assert segment(folder, "out", "--jobs", "1", out=tmp_path) == 7
     assert "--resume" in capsys.readouterr().err and done == []
     (damaged,) = (tmp_path / "out" / ".big_objects").glob("group-9-*")
-    (damaged / "record.json").write_text('{"near": []')
+    (damaged / "record.npz").write_bytes(b"PK")
     assert segment(folder, "out", "--resume", "--jobs", "1", out=tmp_path) == 0
     assert done == [(9,), (31, 32)]
     assert_as_in_memory(folder, tmp_path / "out")

@@ -462,6 +462,7 @@ def test_a_folder_in_the_place_of_a_state_is_a_documented_error(received, capfd)
 
 @pytest.mark.parametrize("plant", ["a link", "a name elsewhere", "a name of another image"])
 def test_a_record_of_a_group_that_was_planted_brings_no_file(plant, tmp_path):
+    from accelsurf.io import states
     from accelsurf.output import group_files
 
     folder = tmp_path / ".scan_objects" / "group-1-0123"
@@ -476,15 +477,19 @@ def test_a_record_of_a_group_that_was_planted_brings_no_file(plant, tmp_path):
     (tmp_path / "bashrc").write_bytes(b"mine")
     if plant != "a name elsewhere":
         (real / name).write_bytes(b"evil")
-    record = {
-        "near": [],
-        "rows": [{"id": 1}],
-        "boxes": [[[0, 1]] * 3],
-        "low": [[0] * 3],
-        "high": [[1] * 3],
-    }
-    record |= {"stops": [], "meshes": [{"surface-ply": name}], "facts": {}}
-    (real / "record.json").write_text(json.dumps(record))
+    places = np.zeros((1, 3), np.int64)
+    record = group_files.GroupRecord(
+        (),
+        [{"id": 1}],
+        np.zeros((1, 3, 2), np.int64),
+        places,
+        places,
+        [],
+        [{"surface-ply": name}],
+        {},
+        [],
+    )
+    states.write_state(real / "record.npz", record, group_files.TYPES)
     if plant == "a link":
         folder.symlink_to(real)
     assert group_files.read_group(folder) is None

@@ -15,8 +15,8 @@ from accelsurf import cli, io
 from accelsurf.correct import state_file
 from accelsurf.correct.state_file import read_state, state_bytes, surface_of
 from accelsurf.errors import InputError
-from accelsurf.evolution.serialization import to_bytes
 from accelsurf.image.volume import Volume
+from accelsurf.io import states
 from accelsurf.settings.run_config import RunConfig
 
 CLICK = ("--outside", "point:21,14,12vox")
@@ -274,19 +274,17 @@ def test_a_state_of_another_version_or_size_is_refused(finished, tmp_path, monke
     state = read_state(finished / "ball_state.npz")
     state = state._replace(config=state.config.model_dump(mode="json"))
     path = tmp_path / "ball_state.npz"
-    path.write_bytes(to_bytes(({"accelsurf": "9", "state": 99}, state), state_file.TYPES))
-    with pytest.raises(InputError, match="version 99, expected 3"):
+    with monkeypatch.context() as old:
+        old.setattr(states, "FORMAT", 99)
+        states.write_state(path, state, state_file.TYPES)
+    with pytest.raises(InputError, match="another version of accelsurf was given .format 99"):
         read_state(path)
-    path.write_bytes(
-        to_bytes(({"state": state_file.VERSION}, state._replace(shape=(4, 4, 4))), state_file.TYPES)
-    )
+    states.write_state(path, state._replace(shape=(4, 4, 4)), state_file.TYPES)
     with pytest.raises(InputError, match="beyond the image"):
         read_state(path)
     bomb = state.objects[0].surface.values._replace(shape=(1 << 40,))
     one = state.objects[0]._replace(surface=state.objects[0].surface._replace(values=bomb))
-    path.write_bytes(
-        to_bytes(({"state": state_file.VERSION}, state._replace(objects=(one,))), state_file.TYPES)
-    )
+    states.write_state(path, state._replace(objects=(one,)), state_file.TYPES)
     with pytest.raises((InputError, ValueError)):
         surface_of(read_state(path).objects[0])
 

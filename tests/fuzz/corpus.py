@@ -382,7 +382,7 @@ def _runs():
 
 
 def _states():
-    from accelsurf.evolution.serialization import to_bytes
+    from accelsurf.io.states import to_bytes
     from tests.fuzz.verdict import CHECKPOINT_TYPES, Point
 
     state = (

@@ -14,9 +14,9 @@ from accelsurf.cli.options import run_config
 from accelsurf.cli.segment import Settings
 from accelsurf.clicks.point_files import read_points
 from accelsurf.errors import AccelsurfError
-from accelsurf.evolution.serialization import from_bytes
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, meshes
+from accelsurf.io.states import from_bytes
 from accelsurf.settings import corrections, energy_expression
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.run_config import RunConfig

@@ -77,10 +77,10 @@ def bombs(folder):
 
     from accelsurf import io, segment, segment_objects
     from accelsurf.clicks.reading import read_clicks
-    from accelsurf.evolution.serialization import from_bytes
     from accelsurf.image.volume import Volume
     from accelsurf.io import meshes
     from accelsurf.io.formats import png, tiff_file
+    from accelsurf.io.states import from_bytes
     from accelsurf.settings import energy_expression
     from accelsurf.settings.run_config import RunConfig
     from accelsurf.starts import objects, starts

@@ -134,14 +134,10 @@ def test_a_kill_at_any_point_leaves_all_old_or_all_new_or_a_set_without_a_report
             seen.add("unfinished")
             write_new(folder, mend=True)
         else:
-            assert {**content(folder), "scan_surface.ply": b""} in (
-                {**BEFORE, "scan_surface.ply": b""},
-                {**AFTER, "scan_surface.ply": b""},
-            ), call
+            assert content(folder) in (BEFORE, AFTER), call
             seen.add("old" if content(folder) == BEFORE else "new")
         assert not list(folder.glob(".*")) and not is_unfinished(folder, "scan"), call
-        after = content(folder)
-        assert is_whole(after) and after["other.txt"] == b"somebody's"
+        assert content(folder) in (BEFORE, AFTER), call
     assert call > 20 and seen == {"old", "unfinished", "new"}
     assert content(folder) == AFTER
 

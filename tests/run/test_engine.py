@@ -15,10 +15,10 @@ from accelsurf.api.segment import result_of, segment, segment_objects
 from accelsurf.cli import execute
 from accelsurf.energies import ChanVese
 from accelsurf.errors import GeometryError, InputError, UsageError
-from accelsurf.evolution import serialization
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.io import states
 from accelsurf.measure.metrics import dice
 from accelsurf.run import checkpoint
 from accelsurf.run.checkpoint import checkpoint_header, load_checkpoint, save_checkpoint
@@ -332,7 +332,7 @@ def test_a_checkpoint_of_another_version_is_refused(pair, tmp_path, monkeypatch)
     with Run(volume, RunConfig(max_steps=5), objects=starts) as run:
         run.step()
         with monkeypatch.context() as old:
-            old.setattr(serialization, "FORMAT", 1)
+            old.setattr(states, "FORMAT", 1)
             save_checkpoint(path, run.checkpoint(), checkpoint_header(run))
         with pytest.raises(InputError, match="format 1, expected"):
             load_checkpoint(path, run)

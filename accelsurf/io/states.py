@@ -1,7 +1,9 @@
-"""States as bytes: nested tuples, dictionaries and named records of numbers and arrays, exact to the last bit.
+"""States of runs, results and trackings in one container: numpy's .npz with a description in JSON.
 
-Nothing that is read can run code: only types that the caller names are made, and arrays hold no objects. What is read
-has the digest that was written with it, and each field of a record the type that the record declares.
+A state is a record: nested tuples, dictionaries and further records of numbers and arrays, exact to the last bit.
+Nothing that is read can run code: only types that the caller names are made, and arrays hold no objects. A state that
+is read has the digest that was written with it, and each field of a record has the type that the record declares.
+States of other versions are refused.
 """
 
 from __future__ import annotations
@@ -13,17 +15,22 @@ import json
 import math
 import types as kinds
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from numbers import Integral, Real
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from accelsurf.errors import InputError
+from accelsurf.errors import AccelsurfError, InputError
+from accelsurf.io.files import bytes_within, write_bytes
+from accelsurf.settings import budgets
 
-#: Version of the format; raised when it changes, or the fields of a record or the state of a flow do.
+T = TypeVar("T")
+#: Version of the format; raised when it changes, or the meaning of a field of a state does.
 FORMAT = 4
+_AGAIN = "run from the start again"
 _TREE = "tree"
 _END = ".npy"
 #: What a field of a plain type may hold.
@@ -34,6 +41,57 @@ _PLAIN: dict[Any, Any] = {
     str: str,
     type(None): type(None),
 }
+
+
+def write_state(path: Path, state: Any, types: Mapping[str, type]) -> None:
+    """Write a state, completely or not at all; parameters as of `to_bytes`.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    TypeError
+        When the state contains anything else than `to_bytes` takes.
+    """
+    write_bytes(path, to_bytes(state, types))
+
+
+def read_state(
+    path: Path,
+    kind: type[T],
+    types: Mapping[str, type],
+    checked: Callable[[T], T],
+    hint: str = _AGAIN,
+) -> T:
+    """Read a state that `write_state` wrote.
+
+    Parameters
+    ----------
+    path : Path
+    kind : type
+        Of the state, one of ``types``.
+    types : mapping of str to type
+        As of `to_bytes`.
+    checked : callable
+        Returns the state, or raises a ValueError where its parts do not fit together.
+    hint : str, optional
+        What to do where it is refused.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, is damaged, of another kind or of another version.
+    """
+    content = bytes_within(path, budgets.STATE_FILE)
+    try:
+        state = from_bytes(content, types)
+        if not isinstance(state, kind):
+            raise ValueError(f"it is no {kind.__name__}")
+        return checked(state)
+    except InputError as error:
+        raise InputError(f"{path}: {error.message}", hint) from None
+    except (AccelsurfError, ValueError, TypeError, KeyError) as error:
+        raise InputError(f"{path}: the state is damaged ({error})", hint) from None
 
 
 def to_bytes(value: Any, types: Mapping[str, type]) -> bytes:
@@ -83,25 +141,21 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
         about = json.loads(tree.tobytes().decode())
         found, layout = about["format"], about["records"]
     except Exception as error:  # whatever zipfile, numpy and json make of damaged bytes
-        raise InputError(
-            f"the checkpoint is damaged ({error})", "run from the start again"
-        ) from None
+        raise InputError(f"the state is damaged ({error})", _AGAIN) from None
     if found != FORMAT:
-        what = f"a checkpoint of another version of accelsurf was given (format {found}, expected {FORMAT})"
-        raise InputError(what, "run from the start again")
-    if layout != _layout(types):
-        raise InputError(
-            "a checkpoint of another version of accelsurf was given", "run from the start again"
+        what = (
+            f"a state of another version of accelsurf was given (format {found}, expected {FORMAT})"
         )
+        raise InputError(what, _AGAIN)
+    if layout != _layout(types):
+        raise InputError("a state of another version of accelsurf was given", _AGAIN)
     if about.get("digest") != _digest(about.get("state"), arrays):
-        what = "the checkpoint is damaged (its checksum does not fit its content)"
-        raise InputError(what, "run from the start again")
+        what = "the state is damaged (its checksum does not fit its content)"
+        raise InputError(what, _AGAIN)
     try:
         return _decode(about["state"], arrays, types)
     except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise InputError(
-            f"the checkpoint is damaged ({error})", "run from the start again"
-        ) from None
+        raise InputError(f"the state is damaged ({error})", _AGAIN) from None
 
 
 def _arrays(content: bytes) -> dict[str, np.ndarray]:
