@@ -196,7 +196,7 @@ class TiffReader:
 
     @cached_property
     def is_imagej(self) -> bool:
-        """Whether ImageJ has written the file: a table of colours, or that 0 is shown white, is for the display alone.
+        """Test if ImageJ has written the file: its table of colours, or 0 shown as white, is for the display alone.
 
         ImageJ measures the stored numbers whatever table is chosen. Where another program writes a palette, the numbers
         are places in it and say nothing by themselves.
@@ -754,7 +754,7 @@ def parse_tiff(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
             sizes = _level_sizes(reader, first)
             level = checked_level(options.level, sizes)
             counted = reader.directories if stack.counts_all else shown
-            parts, stack = _parts(path, reader, counted, stack, level)
+            parts, stack = _pages_of_files(path, reader, counted, stack, level)
         spacing, metadata = _spacing(stack, options)
         grids = _grids(stack, sizes, spacing)
     except (ArithmeticError, LookupError, TypeError, ValueError, struct.error) as error:
@@ -796,7 +796,7 @@ def _level_sizes(reader: TiffReader, first: tifffile.TiffPage) -> list[tuple[int
     return sizes
 
 
-def _parts(
+def _pages_of_files(
     path: Path,
     reader: TiffReader,
     counted: Sequence[Directory],
@@ -817,12 +817,12 @@ def _parts(
             headers.check_data_file(path, other)
             with other.open("rb") as file:
                 further = TiffReader(file)
-                part = _part(other, further, further.directories, wanted.tolist(), level)
+                part = _pages_of_file(other, further, further.directories, wanted.tolist(), level)
         elif len(counted) == 1 < len(wanted) and not stack.counts_all:
-            part = _part(path, reader, counted, [0], level)
+            part = _pages_of_file(path, reader, counted, [0], level)
             part = _repeated(part, len(wanted), path.stat().st_size)
         else:
-            part = _part(path, reader, counted, wanted.tolist(), level)
+            part = _pages_of_file(path, reader, counted, wanted.tolist(), level)
         new_pages[mine], new_files[mine] = places, len(parts)
         parts.append(part)
     if len({(part.shape[1:], part.kind.stored) for part in parts}) > 1:
@@ -830,7 +830,7 @@ def _parts(
     return tuple(parts), replace(stack, pages=new_pages, file_numbers=new_files)
 
 
-def _part(
+def _pages_of_file(
     path: Path, reader: TiffReader, counted: Sequence[Directory], wanted: list[int], level: int
 ) -> TiffPart:
     """Some pages of a file.

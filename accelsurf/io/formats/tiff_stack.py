@@ -353,7 +353,7 @@ def _ome_stack(text: str, pages: int, samples: int) -> TiffStack:
 def _ome_times(
     root: ElementTree.Element, pixels: ElementTree.Element, count: int
 ) -> FrameTimes | None:
-    """Read the times of a number of time points, where each has its own time, and they rise."""
+    """Read the times of a number of time points, where each has a time, and they rise."""
     for note in root.iterfind(".//{*}CommentAnnotation"):
         if note.get("Namespace") == TIMES_KEY and (text := "".join(note.itertext())).strip():
             return FrameTimes.from_text(text, count)
@@ -369,14 +369,14 @@ def _ome_times(
 
 
 class _Places(NamedTuple):
-    """Where the pages of an OME-TIFF are: names of files, and the number of file and page by (t, c, z)."""
+    """Places of the pages of an OME-TIFF: names of files, and the number of file and page by (t, c, z)."""
 
     names: tuple[str, ...]
     files: NDArray[np.int64]
     pages: NDArray[np.int64]
 
 
-def _assigned(pixels: ElementTree.Element, sizes: dict[str, int], own: str) -> _Places:
+def _assigned(pixels: ElementTree.Element, sizes: dict[str, int], uuid_here: str) -> _Places:
     """Places of the pages by the TiffData elements; of a page that none has, the number is -1."""
     order = pixels.get("DimensionOrder", "XYZCT")[2:]
     if sorted(order) != ["C", "T", "Z"]:
@@ -388,7 +388,7 @@ def _assigned(pixels: ElementTree.Element, sizes: dict[str, int], own: str) -> _
     for part in pixels.findall("{*}TiffData") or [ElementTree.Element("TiffData")]:
         uuid = part.find("{*}UUID")
         name = "" if uuid is None else uuid.get("FileName", "")
-        if uuid is not None and own and (uuid.text or "").strip() == own:
+        if uuid is not None and uuid_here and (uuid.text or "").strip() == uuid_here:
             name = ""
         begin = sum(int(part.get(f"First{axis}", 0)) * steps[axis] for axis in "TCZ")
         page = int(part.get("IFD", 0))
