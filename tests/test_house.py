@@ -35,7 +35,7 @@ FROM_OUTSIDE = {
     "accelsurf/io/dicom/pixels.py dataset.file_meta": "pydicom's way to write an element",
     "accelsurf/io/dicom/writing_tools.py element.value": "pydicom's way to write an element",
     "accelsurf/io/formats/surface_files.py logger.disabled": "the switch of Python's library for loggers",
-    "accelsurf/io/formats/tiff_pages.py page.compression": "tifffile unpacks by this field of its page",
+    "accelsurf/io/formats/tiff.py page.compression": "tifffile unpacks by this field of its page",
     "accelsurf/napari/widget.py layer.selected_label": "napari's way to select a label",
 }
 

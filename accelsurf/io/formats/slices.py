@@ -20,7 +20,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming
-from accelsurf.io.formats.tiff_image import TiffImage
+from accelsurf.io.formats.tiff import TiffImage
 from accelsurf.io.headers import UNIT_KEY, WARNING_KEY, with_given_unit, with_warnings
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StackedVoxels, StoreLayout
 from accelsurf.io.memory import check_memory
@@ -150,10 +150,10 @@ def parse_slices(path: Path, options: ReadOptions = AS_IT_IS) -> SliceFolder:
     spacing: tuple[float, ...]
     if options.spacing is not None:
         spacing = options.spacing[::-1]
-    elif isinstance(first, TiffImage) and first.stack.unit and first.stack.is_depth_known:
-        spacing = first.stack.spacing
+    elif isinstance(first, TiffImage) and first.stack.lengths.is_depth_known:
+        spacing = first.stack.lengths.spacing
     else:
-        plane = first.stack.spacing[1:] if isinstance(first, TiffImage) else (1.0, 1.0)
+        plane = first.stack.lengths.spacing[1:] if isinstance(first, TiffImage) else (1.0, 1.0)
         spacing = (1.0, *plane)
         text = " x ".join(f"{h:.6g}" for h in spacing[::-1])
         notes.append(

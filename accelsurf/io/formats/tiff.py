@@ -1,722 +1,1043 @@
-"""The pages of a TIFF: what their directories claim, and whether it is all there.
+"""TIFF images: stacks, hyperstacks of ImageJ, OME-TIFF also of several files, pyramids; one or more channels at a time.
 
-tifffile returns a stack that was cut short without its last slices, and ignores tags that are damaged. So the
-directories are always read here first; tifffile unpacks the pages.
+tifffile reads and unpacks the pages. It drops a tag that is damaged, ends a stack where the next page is damaged, cuts
+off what is too much in a strip and fills up what is missing, all in silence or with a line in a log. So the entries of
+each page are compared with the file before tifffile reads them, and its strips before and after they are unpacked.
 """
 
 from __future__ import annotations
 
+import itertools
+import logging
+import math
 import os
 import struct
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from io import BytesIO
 from pathlib import Path
+from threading import get_ident
 from typing import Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
+import tifffile
 from numpy.typing import NDArray
+from PIL.TiffImagePlugin import TiffImageFile
 
 from accelsurf.errors import InputError
+from accelsurf.grid.boxes import Box, whole_box
+from accelsurf.grid.geometry import Geometry
+from accelsurf.image.volume import Volume
+from accelsurf.io import headers, itk
+from accelsurf.io.channels import selected, single, to_grey
+from accelsurf.io.files import file_version, library_named, one_line
 from accelsurf.io.formats.png import TRUNCATED_HINT
+from accelsurf.io.formats.raw_voxels import CHANGED, RawLayout, RawVoxels
+from accelsurf.io.formats.tiff_stack import IMAGEJ, TiffStack, description_of, stack_of
+from accelsurf.io.headers import FRAME_KEY, UNIT_KEY, FrameTimes, with_given_unit, with_warnings
+from accelsurf.io.lazy_volume import (
+    ChunkCache,
+    LazyVolume,
+    Opening,
+    StackedVoxels,
+    StoreLayout,
+    VoxelSource,
+    checked_level,
+)
+from accelsurf.io.memory import check_memory
 from accelsurf.settings import budgets
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
-SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = (
-    254,
-    256,
-    257,
-    258,
-    259,
-    262,
-    270,
-)
-STRIPS, ORIENTATION, SAMPLES, ROWS, STRIP_BYTES, X_RES, Y_RES, PLANAR = (
-    273,
-    274,
-    277,
-    278,
-    279,
-    282,
-    283,
-    284,
-)
-RES_UNIT, TILE_WIDTH, TILE_HEIGHT, TILES, TILE_BYTES, FORMAT = 296, 322, 323, 324, 325, 339
-FILL_ORDER, PREDICTOR, SUB_PAGES, EXTRA = 266, 317, 330, 338
-_NAMES = {
-    1: "BYTE",
-    2: "ASCII",
-    3: "SHORT",
-    4: "LONG",
-    5: "RATIONAL",
-    7: "UNDEFINED",
-    13: "IFD",
-    16: "LONG8",
-    18: "IFD8",
-}
-_TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 7: "s", 13: "I", 16: "Q", 18: "Q"}
-#: Types of values: whole numbers, of any length, as TIFF 6.0 asks of readers; offsets; texts; fractions.
-_WHOLE, _OFFSET, _TEXT, _FRACTION = (1, 3, 4, 16), (3, 4, 13, 16, 18), (1, 2, 7), (5,)
+Spacing = tuple[float, float, float]
+_SUBFILE, _WIDTH, _HEIGHT, _PHOTOMETRIC, _ORIENTATION = 254, 256, 257, 262, 274
+_BITS, _EXTRA, _FORMAT = 258, 338, 339
+_STRIPS, _STRIP_BYTES, _TILES, _TILE_BYTES = 273, 279, 324, 325
+#: Types of values: whole numbers of any length but bytes, which tifffile leaves as they are.
+_WHOLE = (3, 4, 16)
+_OFFSET = (3, 4, 13, 16, 18)
+_TEXT = (1, 2, 7)
+_FRACTION = (5,)
+#: Types that BigTIFF alone has.
 _OF_BIG_TIFF = (16, 18)
-MAX_SAMPLES, ANY = (1 << 16) - 1, 1 << 62
+_MAX_SAMPLES = (1 << 16) - 1
+_MAX_LEVELS = 32
+_ANY = 1 << 62
+#: Entries of a directory, as in tifffile.
 _MAX_ENTRIES = 4096
-Page = dict[int, tuple[Any, ...]]
-_PLAIN_HINT = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
-_PALETTE_HINT = "save it as grey if its numbers are labels or values, as RGB if its colours count"
-_MAX_TILE_EDGE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
-_DIRECTORY_BYTES = 186  # about
-DEFLATE = (8, 32946)
-LZW, PACKBITS = 5, 32773
-_RATIOS = {LZW: budgets.LZW, PACKBITS: budgets.PACKBITS, **dict.fromkeys(DEFLATE, budgets.DEFLATE)}
-_NO_PREDICTOR = (1, PACKBITS)  # packings whose bytes are no differences
-_FIRST_BYTE = 8  # after which strips and directories begin
-#: Types of values that are written: bits and sample format (1 unsigned, 2 signed, 3 floating point).
-STORED = {
-    **{
-        "uint8": (8, 1),
-        "uint16": (16, 1),
-        "uint32": (32, 1),
-        "int8": (8, 2),
-        "int16": (16, 2),
-        "int32": (32, 2),
-    },
-    "float32": (32, 3),
-}
-#: Types of values by bits and sample format.
-_KINDS = {kind: name for name, kind in STORED.items()} | {
-    **{(1, 1): "uint8", (64, 1): "uint64", (64, 2): "int64", (16, 3): "float16", (64, 3): "float64"}
-}
 
 
 class TagRule(NamedTuple):
-    """Types and number of values that a tag may have: libraries ignore one that they do not understand.
+    """Types of the values of a tag, by their numbers in TIFF, and the largest number of values."""
 
-    Attributes
-    ----------
-    name : str
-        Of the tag.
-    types : tuple of int
-        Of its values, by their numbers in TIFF.
-    most : int
-        The largest number of values.
-    """
-
-    name: str
-    types: tuple[int, ...] = _WHOLE
-    most: int = 1
+    types: tuple[int, ...]
+    most: int
 
 
-#: The description of the first page of a file of ImageJ begins so.
-IMAGEJ = "ImageJ="
-#: The photometric interpretation of colours that a table in the file has.
+#: The tags that say what the voxels are and where they lie.
+_RULES = {
+    **dict.fromkeys((_SUBFILE, _WIDTH, _HEIGHT, _PHOTOMETRIC, _ORIENTATION), TagRule(_WHOLE, 1)),
+    # Compression, order of bits, values of a pixel, rows of a strip, planes, unit of the resolution, predictor, tiles.
+    **dict.fromkeys((259, 266, 277, 278, 284, 296, 317, 322, 323), TagRule(_WHOLE, 1)),
+    **dict.fromkeys((_BITS, _EXTRA, _FORMAT), TagRule(_WHOLE, _MAX_SAMPLES)),
+    **dict.fromkeys((_STRIPS, _TILES), TagRule(_OFFSET, _ANY)),
+    **dict.fromkeys((_STRIP_BYTES, _TILE_BYTES), TagRule(_WHOLE, _ANY)),
+    **dict.fromkeys((282, 283), TagRule(_FRACTION, 1)),
+    270: TagRule(_TEXT, _ANY),
+    330: TagRule(_OFFSET, _MAX_LEVELS),
+}
+_DAMAGED = ("the TIFF header is cut short or damaged", TRUNCATED_HINT)
 _PALETTE = 3
-#: The tags that are read.
-RULES = {
-    SUBFILE: TagRule("NewSubfileType"),
-    WIDTH: TagRule("ImageWidth"),
-    HEIGHT: TagRule("ImageLength"),
-    BITS: TagRule("BitsPerSample", most=MAX_SAMPLES),
-    COMPRESSION: TagRule("Compression"),
-    PHOTOMETRIC: TagRule("PhotometricInterpretation"),
-    FILL_ORDER: TagRule("FillOrder"),
-    DESCRIPTION: TagRule("ImageDescription", _TEXT, ANY),
-    STRIPS: TagRule("StripOffsets", _OFFSET, ANY),
-    ORIENTATION: TagRule("Orientation"),
-    SAMPLES: TagRule("SamplesPerPixel"),
-    ROWS: TagRule("RowsPerStrip"),
-    STRIP_BYTES: TagRule("StripByteCounts", _WHOLE, ANY),
-    X_RES: TagRule("XResolution", _FRACTION),
-    Y_RES: TagRule("YResolution", _FRACTION),
-    PLANAR: TagRule("PlanarConfiguration"),
-    RES_UNIT: TagRule("ResolutionUnit"),
-    PREDICTOR: TagRule("Predictor"),
-    TILE_WIDTH: TagRule("TileWidth"),
-    TILE_HEIGHT: TagRule("TileLength"),
-    TILES: TagRule("TileOffsets", _OFFSET, ANY),
-    TILE_BYTES: TagRule("TileByteCounts", _WHOLE, ANY),
-    SUB_PAGES: TagRule("SubIFDs", _OFFSET, 32),
-    EXTRA: TagRule("ExtraSamples", most=MAX_SAMPLES),
-    FORMAT: TagRule("SampleFormat", most=MAX_SAMPLES),
+_RGB = 2
+_PLAIN_HINT = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
+_PALETTE_HINT = "save it as grey if its numbers are labels or values, as RGB if its colours count"
+#: Along an edge: a tile is held in memory, whatever the size of the image.
+_MAX_TILE_EDGE = 1 << 12
+#: Bytes of the entries of a small file: they may be more than its voxels.
+_SLACK = 1 << 16
+_NONE, _LZW, _PACKBITS, _DEFLATE = 1, 5, 32773, (8, 32946)
+_RATIOS = {
+    _LZW: budgets.LZW,
+    _PACKBITS: budgets.PACKBITS,
+    **dict.fromkeys(_DEFLATE, budgets.DEFLATE),
+}
+#: Packings of bytes, whose length tells nothing of the image: LZMA and Zstandard by both numbers among them.
+_STREAMS = (_NONE, _LZW, _PACKBITS, *_DEFLATE, 34925, 34926, 50000)
+#: The first byte that is no part of the head of the file.
+_FIRST_BYTE = 8
+_VALUE_BYTES = {
+    kind: struct.calcsize("=" + code) for kind, code in tifffile.TIFF.DATA_FORMATS.items()
+}
+_FORMATS = {
+    b"II*\0": tifffile.TIFF.CLASSIC_LE,
+    b"MM\0*": tifffile.TIFF.CLASSIC_BE,
+    b"II+\0": tifffile.TIFF.BIG_LE,
+    b"MM\0+": tifffile.TIFF.BIG_BE,
 }
 
 
-class TiffForm(NamedTuple):
-    """Byte order and widths of the numbers of a file.
-
-    Attributes
-    ----------
-    order : str
-        Byte order.
-    word, counter : str
-        Codes of an offset and of a number of entries, as of `struct`.
-    entry_bytes : int
-        Length of an entry.
-    first : int
-        Where the first directory begins.
-    size : int
-        Bytes of the file.
-    """
-
-    order: Literal["<", ">"]
-    word: str
-    counter: str
-    entry_bytes: int
-    first: int
-    size: int
+# ------------------------------------------------------------------------------------------------ pages of a file
 
 
 class Directory(NamedTuple):
-    """A directory.
+    """Place of a page, whether it is a reduced copy of another, and its size."""
+
+    at: int
+    is_reduced: bool
+    height: int
+    width: int
+
+
+class PageKind(NamedTuple):
+    """Properties that the pages of a stack share.
 
     Attributes
     ----------
-    page : Page
-        The values by tag.
-    following : int
-        Where the next directory begins; 0 where there is none.
-    spent : int
-        Bytes of the values of this one and of those before.
-    length : int
-        Bytes of the directory itself.
+    height, width : int
+    stored : numpy.dtype or None
+        Of the values of a grey page, with the byte order of the file; None for a colour.
+    samples : int
+        Values of a pixel.
+    pixel_bytes : int
+        Bytes that a pixel takes in memory, with all its values.
+    layout : tuple of int
+        Numbers of the packing, and of the order of rows, planes and values.
     """
 
-    page: Page
-    following: int
-    spent: int
-    length: int
+    height: int
+    width: int
+    stored: np.dtype[Any] | None
+    samples: int
+    pixel_bytes: int
+    layout: tuple[int, ...]
 
 
-def read_form(file: BinaryIO) -> TiffForm:
-    """Read the first bytes of a file.
+class TiffReader:
+    """The pages of an open file, compared with its bytes.
+
+    Parameters
+    ----------
+    file : binary file
 
     Raises
     ------
     InputError
         When it is no TIFF; struct.error when it ends too early.
     """
-    size = file.seek(0, os.SEEK_END)
-    file.seek(0)
-    start = file.read(16)
-    order: Literal["<", ">"] = "<" if start[:2] == b"II" else ">"
-    version = (
-        struct.unpack(order + "H", start[2:4])[0]
-        if start[:2] in (b"II", b"MM") and len(start) >= 4
-        else 0
-    )
-    if version not in (42, 43):
-        raise InputError(
-            "this is not a TIFF image: it does not start as one", hint="is it the right file?"
-        )
-    big = version == 43
-    word, count, entry = ("Q", "Q", 20) if big else ("I", "H", 12)
-    first = struct.unpack_from(order + word, start, 8 if big else 4)[0]
-    return TiffForm(order, word, count, entry, first, size)
 
-
-class Directories(NamedTuple):
-    """Directories of an open file.
-
-    Attributes
-    ----------
-    file : binary file
-    form : TiffForm
-        Of its numbers.
-    pages : mapping of int to Page
-        Where each directory begins, and its tags.
-    """
-
-    file: BinaryIO
-    form: TiffForm
-    pages: Mapping[int, Page]
-
-
-def read_pages(file: BinaryIO) -> Directories:
-    """Read the directories of a file, one after the other.
-
-    Raises
-    ------
-    InputError
-        When it is no TIFF or its pages run in a circle; ValueError or struct.error when it is damaged.
-    """
-    form = read_form(file)
-    at, spent, length = form.first, 0, 0
-    pages: dict[int, Page] = {}
-    while at:
-        if at in pages:
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._size = file.seek(0, os.SEEK_END)
+        file.seek(0)
+        form = _FORMATS.get(file.read(4))
+        if form is None:
             raise InputError(
-                "the TIFF is damaged: its last page points back to an earlier one",
-                hint=TRUNCATED_HINT,
+                "this is not a TIFF image: it does not start as one", hint="is it the right file?"
             )
-        found = read_directory(file, form, at, spent)
-        # Directories may not lie upon one another: there could be one for nearly each byte of the file.
-        spent, length = found.spent, length + found.length
-        budgets.TIFF_TAGS.check(length, "the directories of the TIFF, which overlap", form.size)
-        if WIDTH not in found.page or HEIGHT not in found.page:
-            raise ValueError
-        pages[at] = found.page
-        at = found.following
-    first: Page = next(iter(pages.values()), {})
-    if str(first.get(DESCRIPTION, ("",))[0]).startswith(IMAGEJ):
-        pages = {at: _without_colours(page) for at, page in pages.items()}
-    return Directories(file, form, pages)
+        self._form = form
+        file.seek(8 if form.is_bigtiff else 4)
+        self._first = self._unpacked(form.offsetformat)
+        self._spent = self._stored = 0
+        self._known: set[int] = set()
 
+    def _unpacked(self, code: str) -> int:
+        """The next number of the file."""
+        return int(struct.unpack(code, self._file.read(struct.calcsize(code)))[0])
 
-def _without_colours(page: Page) -> Page:
-    """A page of ImageJ as grey: its table of colours, or that it shows 0 as white, is for the display alone.
-
-    ImageJ measures the stored numbers whatever table is chosen. Where another program writes a palette, the numbers
-    are places in it and say nothing by themselves.
-    """
-    is_of_numbers = page.get(BITS, (1,))[0] >= 8 and page.get(SAMPLES, (1,))[0] == 1
-    is_shown_otherwise = page.get(PHOTOMETRIC, (1,))[0] in (0, _PALETTE)
-    return {**page, PHOTOMETRIC: (1,)} if is_of_numbers and is_shown_otherwise else page
-
-
-def read_directory(file: BinaryIO, form: TiffForm, at: int, spent: int = 0) -> Directory:
-    """Read one directory.
-
-    Parameters
-    ----------
-    file : binary file
-    form : TiffForm
-        How it is written.
-    at : int
-        Where the directory begins.
-    spent : int
-        Bytes of the values of directories before: pages may name the same bytes again and again.
-
-    Raises
-    ------
-    InputError
-        When a tag is not as it has to be, or the values take more bytes than the file has; ValueError or struct.error
-        when it is damaged.
-    """
-    order, word, entry = form.order, form.word, form.entry_bytes
-    file.seek(at)
-    (count,) = struct.unpack(order + form.counter, file.read(struct.calcsize(form.counter)))
-    if count > _MAX_ENTRIES:
-        raise ValueError
-    raw = file.read(count * entry)
-    (following,) = struct.unpack(order + word, file.read(struct.calcsize(word)))
-    length = file.tell() - at
-    page: Page = {}
-    for place in range(0, count * entry, entry):
-        tag, kind, n = struct.unpack_from(order + "HH" + word, raw, place)
-        if (rule := RULES.get(tag)) is None:
-            continue
-        if tag in page:  # libraries do not agree which of the two counts
-            raise ValueError
-        field = raw[place + 4 + struct.calcsize(word) : place + entry]
-        _check(rule, kind, n, field)
-        spent += n * struct.calcsize("=" + _TYPES[kind])
-        budgets.TIFF_TAGS.check(spent, "the entries of the TIFF", form.size + (1 << 16))
-        page[tag] = _values(file, order, tag, kind, n, field)
-    return Directory(page, following, spent, length)
-
-
-def _check(rule: TagRule, kind: int, count: int, field: bytes) -> None:
-    """Refuse an entry whose type or number of values are not those of its tag, or not those that were written.
-
-    Raises
-    ------
-    InputError
-        With both.
-    """
-    is_known = (
-        kind in rule.types
-        and 0 < count <= rule.most
-        and (kind not in _OF_BIG_TIFF or len(field) == 8)
-    )
-    size = struct.calcsize("=" + _TYPES[kind]) * count if is_known else 0
-    # What an entry does not fill is zero: other bytes are of a longer value.
-    if not is_known or (size < len(field) and rule.types != _TEXT and any(field[size:])):
-        most = f"at most {rule.most} " if rule.most < ANY else ""
-        raise InputError(
-            f"the tag {rule.name} of the TIFF is damaged: {count} value{'s' if count > 1 else ''} of type "
-            f"{_NAMES.get(kind, kind)}, {most}of type {' or '.join(_NAMES[known] for known in rule.types)} expected",
-            TRUNCATED_HINT,
+    @cached_property
+    def _library(self) -> tifffile.TiffFile:
+        """The file as tifffile reads it, without the pages of further files, or such as makers of microscopes mean."""
+        self._file.seek(0)
+        return tifffile.TiffFile(
+            self._file, _multifile=False, is_lsm=False, is_ndpi=False, is_scanimage=False
         )
 
+    @cached_property
+    def is_imagej(self) -> bool:
+        """Test if ImageJ has written the file: its table of colours, or 0 shown as white, is for the display alone.
 
-def _values(
-    file: BinaryIO, order: str, tag: int, kind: int, count: int, field: bytes
-) -> tuple[Any, ...]:
-    """The values of an entry, in the entry itself or where it points; of a text also whether its end mark is there."""
-    code = "s" if RULES[tag].types == _TEXT else _TYPES[kind]
-    size = struct.calcsize(order + code) * count
-    if size > len(field):
-        file.seek(struct.unpack(order + ("Q" if len(field) == 8 else "I"), field)[0])
-        field = file.read(size)
-    if code == "s":
-        text, mark, _ = field[:count].partition(b"\0")
-        return _decoded(text), bool(mark)
-    return struct.unpack(f"{order}{count * len(code)}{code[0]}", field[:size])
+        ImageJ measures the stored numbers whatever table is chosen. Where another program writes a palette, the numbers
+        are places in it and say nothing by themselves.
+        """
+        return description_of(self.page(self._first)).text.startswith(IMAGEJ)
 
+    @cached_property
+    def directories(self) -> list[Directory]:
+        """All of the chain.
 
-def _decoded(text: bytes) -> str:
-    """A text in UTF-8; one that is none is in Latin-1, as ImageJ writes it: its micro sign is one byte."""
-    try:
-        return text.decode()
-    except UnicodeDecodeError:
-        return text.decode("latin-1")
+        Raises
+        ------
+        InputError
+            When the chain is a circle, or entries are damaged; ValueError or struct.error when it is cut short.
+        """
+        found: list[Directory] = []
+        at = self._first
+        while at:
+            if at in self._known:
+                raise InputError(
+                    "the TIFF is damaged: its last page points back to an earlier one",
+                    hint=TRUNCATED_HINT,
+                )
+            values = self._entries(at)
+            if not {_HEIGHT, _WIDTH} <= set(values):
+                raise ValueError(f"page {len(found) + 1} has no size")
+            is_reduced = bool(values.get(_SUBFILE, 0) & 1)
+            found.append(Directory(at, is_reduced, values[_HEIGHT], values[_WIDTH]))
+            at = self._unpacked(self._form.offsetformat)
+        return found
 
+    def _entries(self, at: int) -> dict[int, int]:
+        """Values of tags that have one, of a directory in which nothing is that tifffile would drop.
 
-def strips_of(page: Page) -> NDArray[np.int64]:
-    """Offset and length of the strips or tiles of a page.
+        Raises
+        ------
+        InputError
+            When a tag is not as it has to be, or the values take more bytes than the file has: pages may name the same
+            bytes again and again, and tifffile loads them all.
+        """
+        form, size = self._form, self._form.tagsize
+        self._file.seek(at)
+        count = self._unpacked(form.tagnoformat)
+        if count > _MAX_ENTRIES:
+            raise ValueError(f"{count} entries of a page")
+        raw = self._file.read(count * size)
+        order: Literal["little", "big"] = "little" if form.byteorder == "<" else "big"
+        values: dict[int, int] = {}
+        tags: set[int] = set()
+        for place in range(0, count * size, size):
+            tag, kind, n, field = struct.unpack_from(
+                form.tagformat1 + form.tagformat2[1:], raw, place
+            )
+            length = n * _VALUE_BYTES.get(kind, 0)
+            begin = int.from_bytes(field, order) if length > len(field) else _FIRST_BYTE
+            is_within = _FIRST_BYTE <= begin <= self._size - length
+            if tag in tifffile.TIFF.TAG_LOAD and is_within:
+                self._spent += length
+            if (rule := _RULES.get(tag)) is None:
+                continue
+            # What an entry does not fill is zero: other bytes are of a longer value.
+            is_short = rule.types != _TEXT and any(field[length:])
+            is_known = kind in rule.types and (kind not in _OF_BIG_TIFF or form.is_bigtiff)
+            if tag in tags or not is_known or not 0 < n <= rule.most or is_short or not is_within:
+                raise InputError(
+                    f"the tag {tifffile.TIFF.TAGS[tag]} of the TIFF is damaged, or there twice: "
+                    f"{n} values of type {kind}",
+                    TRUNCATED_HINT,
+                )
+            tags.add(tag)
+            if length <= len(field):
+                values[tag] = int.from_bytes(field[:length], order)
+        if at not in self._known:
+            # Directories may not lie upon one another: there could be one for nearly each byte of the file.
+            self._spent += len(raw) + form.tagnosize
+            budgets.TIFF_TAGS.check(self._spent, "the entries of the TIFF", self._size + _SLACK)
+        self._known.add(at)
+        return values
 
-    Raises
-    ------
-    InputError
-        When they overlap.
-    """
-    offsets, lengths = (TILES, TILE_BYTES) if TILES in page else (STRIPS, STRIP_BYTES)
-    strips = np.stack(
-        [np.array(page[offsets], np.int64), np.array(page[lengths], np.int64)], axis=1
-    )
-    ordered = strips[np.argsort(strips[:, 0], kind="stable")]
-    if (ordered[1:, 0] - ordered[:-1, 0] < ordered[:-1, 1]).any():
-        raise InputError("strips or tiles of a page of the TIFF overlap", TRUNCATED_HINT)
-    return strips
+    def page(self, at: int) -> tifffile.TiffPage:
+        """The page whose directory begins at a byte, as tifffile reads it.
 
+        Raises
+        ------
+        InputError
+            As for `directories`, and when tifffile cannot read it.
+        """
+        if at not in self._known:
+            self._entries(at)
+        with heard(), library_named(*_DAMAGED):
+            self._library.filehandle.seek(at)
+            return tifffile.TiffPage(self._library, index=0)
 
-@dataclass(frozen=True, eq=False)
-class TiffHeader:
-    """Claims of the directories of a TIFF, and the check that all of it is there.
+    def kind_of(self, page: tifffile.TiffPage) -> PageKind:
+        """The properties of a page that can be read.
 
-    Attributes
-    ----------
-    data : Path
-        The file.
-    shape : tuple of int
-        (pages, rows, columns).
-    pixel_bytes : int
-        Bytes that a pixel takes in memory, with all its colours.
-    strip_bytes : ndarray (m,) of int64
-        Bytes of each of the strips or tiles of a page when unpacked.
-    strips : ndarray (n, 2) of int64
-        Offset and length of the strips or tiles.
-    compression : int
-        Compression, by its number.
-    directories : ndarray (n,) of int64
-        Where the directories of the pages begin.
-    stored : numpy.dtype or None
-        Of the values of a grey image, with the byte order of the file; None for a colour.
-    planes : ndarray (n,) of int64 or None
-        Where the rows of each page begin, if they lie one after the other as they are.
-    ends : ndarray (n,) of int64
-        How many of the strips belong to the pages up to each.
-    is_white_zero : bool
-        Of black and white.
-    sample : int or None
-        Which value of each pixel is read, where it has several that are no colour.
-    """
-
-    data: Path
-    shape: tuple[int, int, int]
-    pixel_bytes: int
-    strip_bytes: NDArray[np.int64]
-    strips: NDArray[np.int64]
-    compression: int
-    directories: NDArray[np.int64]
-    stored: np.dtype[Any] | None
-    planes: NDArray[np.int64] | None
-    ends: NDArray[np.int64]
-    is_white_zero: bool = False
-    sample: int | None = None
-
-    @property
-    def unpacked_bytes(self) -> int:
-        """Bytes of all rows when unpacked; of pages in tiles, with what goes beyond the image."""
-        return int(self.strip_bytes.sum()) * self.shape[0]
-
-    def select_pages(self, pages: Sequence[int], sample: int | None = None) -> TiffHeader:
-        """Return the header of some of the pages, in an order."""
-        starts = np.concatenate([[0], self.ends[:-1]])
-        strips = [self.strips[starts[page] : self.ends[page]] for page in pages]
-        _, ny, nx = self.shape
-        return replace(
-            self,
-            shape=(len(pages), ny, nx),
-            strips=np.concatenate(strips),
-            ends=np.cumsum([len(places) for places in strips], dtype=np.int64),
-            directories=self.directories[list(pages)],
-            sample=sample,
-            planes=None if self.planes is None else self.planes[list(pages)],
+        Raises
+        ------
+        InputError
+            When it does not give one number for each value of a pixel.
+        """
+        colour = int(page.photometric)
+        if self.is_imagej and page.bitspersample >= 8 and page.samplesperpixel == 1:
+            colour = 1 if colour in (0, _PALETTE) else colour
+        if wrong := _unfaithful(page, colour):
+            raise InputError(
+                f"a TIFF with {wrong} given, which cannot be read faithfully",
+                _PALETTE_HINT if colour == _PALETTE else _PLAIN_HINT,
+            )
+        _check_packing(page)
+        bits, samples = int(page.bitspersample), page.samplesperpixel
+        is_grey = colour != _RGB
+        stored = np.dtype("u1" if bits == 1 else page.dtype).newbyteorder(self._form.byteorder)
+        layout = (
+            page.rowsperstrip,
+            page.tilelength,
+            page.tilewidth,
+            page.compression,
+            page.predictor,
+            page.planarconfig,
+            colour,
+            *page.extrasamples,
+        )
+        return PageKind(
+            page.imagelength,
+            page.imagewidth,
+            stored if is_grey else None,
+            samples if is_grey else 1,
+            max(1, bits * samples // 8),
+            tuple(map(int, layout)),
         )
 
-    def check_places(self) -> None:
-        """Refuse a TIFF whose strips lie beyond its end, or upon one another.
+    def check_places(self, page: tifffile.TiffPage) -> None:
+        """Refuse a page whose strips or tiles lie beyond the file, upon one another, or hold other numbers of bytes.
 
         Raises
         ------
         InputError
             With what is missing.
         """
-        size = self.data.stat().st_size
-        offsets, lengths = self.strips[:, 0], self.strips[:, 1]
+        expected = math.prod(page.chunked)
+        for tile, strip in ((_TILES, _STRIPS), (_TILE_BYTES, _STRIP_BYTES)):
+            tag = page.tags.get(tile) or page.tags[strip]
+            if tag.count != expected:
+                raise InputError(
+                    f"the TIFF has {tag.count} strips or tiles for {page.imagewidth} x {page.imagelength} pixels, "
+                    f"{expected} expected",
+                    TRUNCATED_HINT,
+                )
+        offsets, lengths = np.array([page.dataoffsets, page.databytecounts], np.int64)
         # No sum of the two is taken that 64 bits do not hold.
-        if (
-            wrong := (offsets < _FIRST_BYTE)
-            | (lengths <= 0)
-            | (offsets > size)
-            | (lengths > size - offsets)
-        ).any():
-            offset, length = self.strips[int(wrong.argmax())].tolist()
+        is_wrong = (offsets < _FIRST_BYTE) | (offsets > self._size) | (lengths <= 0)
+        is_wrong |= lengths > self._size - offsets
+        if is_wrong.any():
+            first = int(is_wrong.argmax())
             raise InputError(
-                f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
-                hint=TRUNCATED_HINT,
+                f"the header announces {lengths[first]} bytes of voxels at byte {offsets[first]}, the file has "
+                f"{self._size} bytes",
+                TRUNCATED_HINT,
             )
-        stored = sum(lengths.tolist())
-        budgets.TIFF_STRIPS.check(stored, "the strips of the TIFF overlap", size + _DIRECTORY_BYTES)
-        if ratio := _RATIOS.get(self.compression):
-            ratio.check(self.unpacked_bytes, "the header announces voxels", stored)
-        if self.compression == 1 and (lengths != np.tile(self.strip_bytes, self.shape[0])).any():
+        order = offsets.argsort(kind="stable")
+        if (np.diff(offsets[order]) < lengths[order][:-1]).any():
+            raise InputError("strips or tiles of a page of the TIFF overlap", TRUNCATED_HINT)
+        stored, announced = int(lengths.sum()), _announced_bytes(page)
+        self._stored += stored
+        budgets.TIFF_STRIPS.check(self._stored, "the strips of the TIFF overlap", self._size)
+        if ratio := _RATIOS.get(page.compression):
+            ratio.check(int(announced.sum()), "the header announces voxels", stored)
+        if page.compression == _NONE and (lengths != announced).any():
             raise InputError(
-                f"the header announces {self.unpacked_bytes} bytes of voxels, the file holds {stored}",
+                f"the header announces {announced.sum()} bytes of voxels, the file holds {stored}",
                 TRUNCATED_HINT,
             )
 
 
-def header_of(
-    path: Path, form: TiffForm, pages: Mapping[int, Page], repeats: int = 1
-) -> TiffHeader:
-    """Collect the claims of the directories of like pages.
+def _unfaithful(page: tifffile.TiffPage, colour: int) -> str:
+    """Name the property of a page by which its numbers are not those of the image; empty where there is none."""
+    bits, form, samples = page.bitspersample, page.sampleformat, page.samplesperpixel
+    packing, extra = page.compression, page.extrasamples
+    is_grey = colour in (0, 1)
+    counts = {page.tags[tag].count for tag in (_BITS, _FORMAT) if tag in page.tags}
+    is_number = page.dtype is not None and (form in (1, 2, 3) if bits in (8, 16, 32, 64) else False)
+    form_name = {1: "unsigned", 2: "signed", 3: "floating-point"}.get(form, "complex")
+    is_difference = page.predictor == 2 and packing not in (_NONE, _PACKBITS)
+    kinds = (
+        (_PHOTOMETRIC not in page.tags, "no word on whether 0 is black or white"),
+        (samples < 1, "no value in a pixel"),
+        (colour == _PALETTE, "colours from a palette"),
+        (
+            not is_grey and (colour != _RGB or samples not in (3, 4)),
+            f"{samples} channels of colour kind {colour}",
+        ),
+        (not counts <= {1, samples}, f"{samples} values in a pixel, and other numbers of types"),
+        (not is_number and (bits, form) != (1, 1), f"{bits}-bit {form_name} values"),
+        (not is_grey and (form != 1 or bits not in (8, 16)), f"{bits}-bit {form_name} colours"),
+        (colour == 0 and (bits, samples) != (1, 1), "values that grow towards black"),
+        (
+            page.tags.valueof(_ORIENTATION, 1) != 1,
+            "rows and columns turned by its orientation tag",
+        ),
+        (page.fillorder != 1, "the bits of each byte in the other order"),
+        (
+            page.predictor != 1 and not is_difference,
+            f"differences (predictor number {page.predictor}) of {bits}-bit values, packed by number {packing},",
+        ),
+        (page.planarconfig not in (1, 2), f"planes of kind {page.planarconfig}"),
+        (
+            _EXTRA in page.tags
+            and (len(extra) != samples - (1 if is_grey else 3) or max(extra) > 2),
+            f"{samples} values in a pixel, {len(extra)} of them beside grey or colour,",
+        ),
+        (page.planarconfig != 1 and not is_grey, "colour channels one after the other"),
+        (page.imagedepth != 1 or page.tiledepth != 1, "several slices in a page"),
+        (
+            max(page.tilewidth, page.tilelength) > _MAX_TILE_EDGE,
+            f"tiles of {page.tilewidth} x {page.tilelength}",
+        ),
+    )
+    return next((text for is_so, text in kinds if is_so), "")
+
+
+def _check_packing(page: tifffile.TiffPage) -> None:
+    """Refuse a packing that is not known here.
+
+    Raises
+    ------
+    InputError
+        With the package that has it, perhaps.
+    """
+    try:
+        if page.compression != _LZW:
+            tifffile.TIFF.DECOMPRESSORS[page.compression]
+    except KeyError as error:
+        raise InputError(
+            f"this packing of a TIFF is not known without the package imagecodecs ({error.args[0]})",
+            'install it: pip install "accelsurf[tiff]"',
+        ) from None
+
+
+def _announced_bytes(page: tifffile.TiffPage) -> NDArray[np.int64]:
+    """Bytes of each strip or tile of a page when it is unpacked; of a tile, with what goes beyond the image."""
+    wide, high = page.tilewidth, page.tilelength
+    if not page.is_tiled:
+        wide, high = page.imagewidth, page.rowsperstrip
+    is_together = page.planarconfig == 1
+    bits = page.bitspersample * (page.samplesperpixel if is_together else 1)
+    row = (wide * bits + 7) // 8
+    planes = 1 if is_together else page.samplesperpixel
+    down, across = -(-page.imagelength // high), -(-page.imagewidth // wide)
+    found = np.full((planes, down, across), high * row, np.int64)
+    if not page.is_tiled:
+        found[:, -1] = (page.imagelength - (down - 1) * high) * row
+    return found.ravel()
+
+
+@contextmanager
+def heard() -> Iterator[list[str]]:
+    """Take the lines that tifffile logs in this thread; they go nowhere else."""
+    said: list[str] = []
+
+    def collect(record: logging.LogRecord) -> bool:
+        if record.thread != get_ident():
+            return True
+        said.append(" ".join(record.getMessage().split())[:200])
+        return False
+
+    logger = logging.getLogger("tifffile")
+    logger.addFilter(collect)
+    try:
+        yield said
+    finally:
+        logger.removeFilter(collect)
+
+
+# ------------------------------------------------------------------------------------------------ voxels of pages
+
+
+@dataclass(frozen=True, eq=False)
+class TiffPart:
+    """Like pages of a file.
+
+    Attributes
+    ----------
+    data : Path
+        The file.
+    kind : PageKind
+    directories : ndarray (n,) of int64
+        Where the directories of the pages begin.
+    planes : ndarray (n,) of int64 or None
+        Where the rows of each page begin, if they lie one after the other as they are.
+    faults : dict of int to InputError
+        Why pages, by their places among these, cannot be read; the others can.
+    sample : int
+        Which value of each pixel is read, where it has several that are no colour.
+    """
+
+    data: Path
+    kind: PageKind
+    directories: NDArray[np.int64]
+    planes: NDArray[np.int64] | None
+    faults: Mapping[int, InputError]
+    sample: int = 0
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(pages, rows, columns)."""
+        return len(self.directories), self.kind.height, self.kind.width
+
+    def select_pages(self, pages: Sequence[int], sample: int = 0) -> TiffPart:
+        """Return some of the pages, in an order.
+
+        Raises
+        ------
+        InputError
+            When the strips of one are not all there.
+        """
+        for page in pages:
+            if page in self.faults:
+                raise self.faults[page]
+        planes = None if self.planes is None else self.planes[list(pages)]
+        directories = self.directories[list(pages)]
+        return replace(self, directories=directories, planes=planes, faults={}, sample=sample)
+
+
+class TiffPages:
+    """The pages of a stack, unpacked one by one.
+
+    Parameters
+    ----------
+    part : TiffPart
+    cache_bytes : int
+        Of unpacked pages that are held.
+    """
+
+    def __init__(self, part: TiffPart, cache_bytes: int) -> None:
+        self._part = part
+        stored = part.kind.stored
+        self.dtype = np.dtype(np.uint8) if stored is None else stored.newbyteorder("=")
+        self._cache = ChunkCache(cache_bytes)
+        self._version = file_version(part.data.stat())
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes of the pages that were read so far, unpacked."""
+        return self._cache.bytes_made
+
+    def read(self, box: Box) -> NDArray[Any]:
+        """Return the values in a box, of colours with these along a last axis; see `accelsurf.io.LazyVolume.read`.
+
+        Raises
+        ------
+        InputError
+            When a page is damaged, or the file has changed since it was opened; OSError when it is gone.
+        """
+        values: NDArray[Any] | None = None
+        with self._part.data.open("rb") as file:
+            if file_version(os.fstat(file.fileno())) != self._version:
+                raise InputError(*CHANGED)
+            reader = TiffReader(file)
+            for z in range(box[0].start, box[0].stop):
+                page = self._cache.get(z, partial(self._values, reader, z))[box[1:]]
+                if values is None:
+                    values = np.empty([box[0].stop - box[0].start, *page.shape], page.dtype)
+                values[z - box[0].start] = page
+        assert values is not None
+        return values
+
+    def _values(self, reader: TiffReader, z: int) -> NDArray[Any]:
+        """Return the values of a page: (ny, nx), of a colour (ny, nx, 3 or 4).
+
+        Raises
+        ------
+        InputError
+            When it cannot be unpacked, or holds other numbers of bytes than its tags announce.
+        """
+        kind = self._part.kind
+        with library_named(f"page {z + 1} is damaged", TRUNCATED_HINT):
+            page = reader.page(int(self._part.directories[z]))
+            with heard() as said:
+                found = _unpacked_page(page)
+            if said:
+                raise ValueError(said[0])
+            if found.dtype == bool:  # black and white, by the lowest and the highest grey
+                found = np.where(found == (page.photometric == 0), np.uint8(0), np.uint8(255))
+            if found.ndim == 3 and kind.stored is not None:
+                # Values of a pixel lie together, or each has a plane of its own.
+                found = np.moveaxis(found, -1, 0) if page.planarconfig == 1 else found
+                found = found[self._part.sample]
+            found = found.astype(found.dtype.newbyteorder("="), copy=False)
+            is_expected = kind.stored is None or (found.dtype, found.ndim) == (self.dtype, 2)
+            if not is_expected or found.shape[:2] != self._part.shape[1:]:
+                raise ValueError(f"it is read as {found.dtype} {found.shape}")
+        return found
+
+
+def _unpacked_page(page: tifffile.TiffPage) -> NDArray[Any]:
+    """The values of a page, as tifffile shapes them."""
+    if page.compression not in _STREAMS:
+        return page.asarray(maxworkers=1)
+    contents = []
+    for offset, length in zip(page.dataoffsets, page.databytecounts, strict=True):
+        page.parent.filehandle.seek(offset)
+        contents.append(page.parent.filehandle.read(length))
+    if page.compression != _LZW:
+        return _joined(page, contents)
+    # libtiff prints about damages, and goes on. It unpacks what is announced and does not tell whether more follows: of
+    # the first and the last strip it is asked for one byte more.
+    ends = {contents[n]: int(_announced_bytes(page)[n]) for n in (0, -1)}
+    longer = partial(_longer_lzw, ends)
+    if itk.listened(longer, refuses=False):
+        raise ValueError("a strip holds more bytes of voxels than its tags announce")
+    return itk.listened(partial(_joined, page, contents))
+
+
+def _joined(page: tifffile.TiffPage, contents: list[bytes]) -> NDArray[Any]:
+    """Unpack the strips or tiles of a page one by one, and join them."""
+    compression, announced = page.compression, _announced_bytes(page).tolist()
+    page.compression = tifffile.COMPRESSION.NONE  # tifffile shall place what is unpacked already
+    out = np.zeros(page.shaped, page.dtype)
+    for number, (packed, count) in enumerate(zip(contents, announced, strict=True)):
+        values, index, shape = page.decode(_unpacked(compression, packed, count), number)
+        assert values is not None
+        sample, z, y, x, _ = index
+        some = out[sample, z : z + shape[0], y : y + shape[1], x : x + shape[2]]
+        some[...] = values[: some.shape[0], : some.shape[1], : some.shape[2]]
+    return out.reshape(page.shape)
+
+
+def _unpacked(compression: int, content: bytes, announced: int) -> bytes:
+    """Unpack a strip or tile to the bytes that the tags announce.
+
+    Raises
+    ------
+    ValueError
+        When it holds other numbers of them; zlib.error and others when it is damaged.
+    """
+    if compression in _DEFLATE:
+        found = zlib.decompressobj().decompress(content, announced + 1)
+    elif compression == _LZW:
+        found = _unpacked_lzw(content, announced)
+    else:
+        found = tifffile.TIFF.DECOMPRESSORS[compression](content)
+    if len(found) != announced:
+        raise ValueError(
+            f"a strip or tile holds {len(found)} bytes of voxels or more, its tags announce {announced}"
+        )
+    return found
+
+
+def _unpacked_lzw(content: bytes, announced: int) -> bytes:
+    """Unpack LZW by way of libtiff, which Pillow has, as a grey image of one row: tifffile needs imagecodecs for it."""
+    # 1 word each: width, height, bits, compression, 0 is black, place, values of a pixel, rows, length.
+    tags = {256: announced, 257: 1, 258: 8, 259: _LZW, 262: 1, 273: 8, 277: 1, 278: 1}
+    tags[279] = len(content)
+    start = 8 + len(content) + len(content) % 2
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items())
+    directory = struct.pack("<H", len(tags)) + entries + bytes(4)
+    head = struct.pack("<2sHI", b"II", 42, start) + content.ljust(start - 8, b"\0")
+    try:
+        with TiffImageFile(BytesIO(head + directory)) as image:
+            return image.tobytes()
+    except OSError as error:
+        raise ValueError(
+            f"the LZW codes of a strip or tile are damaged, or end before {announced} bytes of voxels"
+        ) from error
+
+
+def _longer_lzw(ends: dict[bytes, int]) -> bool:
+    """Test if one of some strips holds more bytes than announced."""
+    for packed, announced in ends.items():
+        try:
+            _unpacked_lzw(packed, announced + 1)
+        except ValueError:
+            continue
+        return True
+    return False
+
+
+# ---------------------------------------------------------------------------------------------------- the image
+
+
+@dataclass(frozen=True, eq=False)
+class TiffImage:
+    """Claims of a TIFF.
+
+    Attributes
+    ----------
+    data : Path
+        The file.
+    stack : TiffStack
+        Which page is what; its numbers are those of the pages in ``parts``.
+    parts : tuple of TiffPart
+        Of each file, the pages that are used, at the level that is read.
+    grids : tuple of Geometry
+        Of the levels, finest first.
+    level : int
+        Which of them is read.
+    metadata : dict of str to str
+        As in `Volume`.
+    options : ReadOptions
+        Which channel and time point is read.
+    """
+
+    data: Path
+    stack: TiffStack
+    parts: tuple[TiffPart, ...]
+    grids: tuple[Geometry, ...]
+    level: int
+    metadata: dict[str, str]
+    options: ReadOptions
+
+    @property
+    def channels(self) -> int:
+        """Number of them."""
+        return self.stack.channels * self.parts[0].kind.samples
+
+    @property
+    def time_points(self) -> int:
+        """Number of them."""
+        return self.stack.time_points
+
+    @property
+    def frame_times(self) -> FrameTimes | None:
+        """When they are; None where the file does not say it."""
+        return self.stack.frame_times
+
+    @property
+    def geometry(self) -> Geometry:
+        """The grid of the level that is read."""
+        return self.grids[self.level]
+
+    @property
+    def values(self) -> int:
+        """Number of values that are read, those of all channels together."""
+        places = selected(self.channels, self.stack.time_points, self.options)
+        return len(places) * math.prod(self.geometry.shape)
+
+
+def parse_tiff(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
+    """Read the directories of a TIFF (also BigTIFF), and of the files that belong to it.
+
+    Raises
+    ------
+    InputError
+        When it is none, is damaged, its pages differ, or it is of a kind that is not read.
+    UsageError
+        When there is no such level.
+    """
+    try:
+        with path.open("rb") as file:
+            reader = TiffReader(file)
+            shown = _without_thumbnails(reader.directories)
+            first = reader.page(shown[0].at)
+            stack = stack_of(first, len(shown), reader.kind_of(first).samples)
+            sizes = _level_sizes(reader, first)
+            level = checked_level(options.level, sizes)
+            counted = reader.directories if stack.counts_all else shown
+            parts, stack = _pages_of_files(path, reader, counted, stack, level)
+        spacing, metadata = _spacing(stack, options)
+        grids = _grids(stack, sizes, spacing)
+    except (ArithmeticError, LookupError, TypeError, ValueError, struct.error) as error:
+        reason, hint = _DAMAGED
+        raise InputError(f"{reason} ({one_line(error)})", hint) from error
+    return TiffImage(path, stack, parts, grids, level, metadata, options)
+
+
+def _without_thumbnails(directories: Sequence[Directory]) -> list[Directory]:
+    """The pages that are not smaller versions of others.
+
+    Raises
+    ------
+    InputError
+        When there is none, or one is called smaller and is not.
+    """
+    shown = [page for page in directories if not page.is_reduced]
+    if not shown:
+        raise InputError("the TIFF holds no page", hint=TRUNCATED_HINT)
+    full = shown[0].height * shown[0].width
+    for number, page in enumerate(directories, 1):
+        if page.is_reduced and page.height * page.width >= full:
+            raise InputError(
+                f"page {number} of the TIFF is marked as a reduced copy of another, but is as large as the first page",
+                "save the stack again, without this mark (NewSubfileType)",
+            )
+    return shown
+
+
+def _level_sizes(reader: TiffReader, first: tifffile.TiffPage) -> list[tuple[int, int]]:
+    """Rows and columns of the levels, by the directories below that of the first page."""
+    sizes = [(first.imagelength, first.imagewidth)]
+    for at in first.subifds or ():
+        page = reader.page(int(at))
+        height, width = page.imagelength, page.imagewidth
+        if not (0 < height <= sizes[-1][0] and 0 < width <= sizes[-1][1]):
+            return sizes[:1]  # it is no pyramid
+        sizes.append((height, width))
+    return sizes
+
+
+def _pages_of_files(
+    path: Path,
+    reader: TiffReader,
+    counted: Sequence[Directory],
+    stack: TiffStack,
+    level: int,
+) -> tuple[tuple[TiffPart, ...], TiffStack]:
+    """The pages of each file at a level, and the stack with their numbers."""
+    numbers = np.zeros_like(stack.pages) if stack.file_numbers is None else stack.file_numbers
+    new_pages, new_files = np.empty_like(stack.pages), np.empty_like(stack.pages)
+    parts: list[TiffPart] = []
+    for number, name in enumerate(stack.files):
+        mine = numbers == number
+        if not mine.any():
+            continue
+        wanted, places = np.unique(stack.pages[mine], return_inverse=True)
+        if number:
+            other = path.parent / name
+            headers.check_data_file(path, other)
+            with other.open("rb") as file:
+                further = TiffReader(file)
+                part = _pages_of_file(other, further, further.directories, wanted.tolist(), level)
+        elif len(counted) == 1 < len(wanted) and not stack.counts_all:
+            part = _pages_of_file(path, reader, counted, [0], level)
+            part = _repeated(part, len(wanted), path.stat().st_size)
+        else:
+            part = _pages_of_file(path, reader, counted, wanted.tolist(), level)
+        new_pages[mine], new_files[mine] = places, len(parts)
+        parts.append(part)
+    if len({(part.shape[1:], part.kind.stored) for part in parts}) > 1:
+        raise InputError("the files of the OME-TIFF differ in size or type", "export them again")
+    return tuple(parts), replace(stack, pages=new_pages, file_numbers=new_files)
+
+
+def _pages_of_file(
+    path: Path, reader: TiffReader, counted: Sequence[Directory], wanted: list[int], level: int
+) -> TiffPart:
+    """Some pages of a file.
+
+    Raises
+    ------
+    InputError
+        When they are not there, or differ.
+    """
+    if wanted[-1] >= len(counted):
+        raise InputError(
+            f"page {wanted[-1] + 1} of the TIFF is announced, and it has {len(counted)}",
+            TRUNCATED_HINT,
+        )
+    first: PageKind | None = None
+    directories, planes = [], []
+    faults: dict[int, InputError] = {}
+    for place, number in enumerate(wanted):
+        page = reader.page(counted[number].at)
+        if level:
+            page = reader.page(int((page.subifds or ())[level - 1]))
+        kind = reader.kind_of(page)
+        if first is None:
+            first = kind
+        if kind != first:
+            raise InputError(
+                f"page {number + 1} of the TIFF differs from the first in size or type, like slices expected",
+                hint="extract the page, or the pages of one size, first",
+            )
+        try:
+            reader.check_places(page)
+        except InputError as error:
+            faults[place] = error.with_traceback(None)
+        directories.append(page.offset)
+        if page.is_final and kind.samples == 1 and kind.stored is not None:
+            planes.append(page.dataoffsets[0])
+    assert first is not None
+    if len(set(directories)) < len(wanted):
+        raise InputError("pages of the TIFF share a directory of a level", TRUNCATED_HINT)
+    is_plain = len(planes) == len(wanted)
+    places = np.array(planes, np.int64) if is_plain else None
+    return TiffPart(path, first, np.array(directories, np.int64), places, faults)
+
+
+def _repeated(part: TiffPart, count: int, size: int) -> TiffPart:
+    """The pages of ImageJ that follow the rows of the only directory of a file of a size.
+
+    Raises
+    ------
+    InputError
+        When they are not there.
+    """
+    if part.planes is None:
+        raise InputError(
+            f"the TIFF announces {count} images and has 1 page", "save a page for each slice"
+        )
+    first = int(part.planes[0])
+    page_bytes = part.kind.height * part.kind.width * part.kind.pixel_bytes
+    if first + count * page_bytes > size:
+        raise InputError(
+            f"the TIFF announces {count} images, that is {count * page_bytes} bytes of voxels, and has {size} bytes",
+            TRUNCATED_HINT,
+        )
+    planes = first + np.arange(count, dtype=np.int64) * page_bytes
+    directories = part.directories.repeat(count)
+    return replace(part, directories=directories, planes=planes)
+
+
+def _spacing(stack: TiffStack, options: ReadOptions) -> tuple[Spacing, dict[str, str]]:
+    """The size of a voxel (z, y, x), mm, and what is said of the image."""
+    notes = []
+    said = stack.lengths
+    spacing, reason = said.spacing, f" ({said.reason})" if said.reason else ""
+    text = " x ".join(f"{h:.6g}" for h in spacing[::-1])
+    if options.spacing is not None:
+        x, y, z = options.spacing
+        known = (spacing[0] if said.is_depth_known else z, *spacing[1:])
+        if said.unit and not np.allclose(known, (z, y, x), rtol=1e-4, atol=0):
+            found = " x ".join(f"{h:.6g}" for h in known[::-1])
+            notes.append(
+                f"the voxels are {x:.6g} x {y:.6g} x {z:.6g} mm, as given; the file says {found} mm"
+            )
+        spacing = (z, y, x)
+    elif stack.pages.shape[2] > 1 and not said.is_depth_known:
+        lacking = "how far apart its slices are" if said.unit else "how large a voxel is"
+        notes.append(f"the TIFF does not say {lacking}{reason}: 1 mm is taken; give --spacing")
+    elif reason:
+        notes.append(
+            f"a length in the TIFF is negative, zero or unknown{reason}: voxels of {text} mm are taken; if that is "
+            "wrong, give --spacing"
+        )
+    metadata = with_warnings({}, *notes)
+    if said.unit in ("nm", "um"):
+        metadata[UNIT_KEY] = said.unit
+    metadata = with_given_unit(metadata, options)
+    if stack.seconds is not None:
+        metadata[FRAME_KEY] = repr(stack.seconds)
+    return spacing, metadata
+
+
+def _grids(
+    stack: TiffStack, sizes: Sequence[tuple[int, int]], spacing: Spacing
+) -> tuple[Geometry, ...]:
+    """The grids of the levels, which all cover the same rectangle."""
+    depth, (height, width) = stack.pages.shape[2], sizes[0]
+    hz, hy, hx = spacing
+    out = []
+    for rows, columns in sizes:
+        fy, fx = height / rows, width / columns
+        origin = (0.5 * (fx - 1) * hx, 0.5 * (fy - 1) * hy, 0.0)
+        out.append(Geometry((depth, rows, columns), (hz, hy * fy, hx * fx), origin))
+    return tuple(out)
+
+
+def open_tiff(path: Path, header: TiffImage, opening: Opening) -> LazyVolume:
+    """Open one channel of a grey image, to be read box by box.
 
     Parameters
     ----------
     path : Path
         The file.
-    form : TiffForm
-        How it is written.
-    pages : mapping of int to Page
-        Where each begins, and its tags.
-    repeats : int
-        How many pages follow the rows of the only directory, its own among them.
+    header : TiffImage
+        What it claims.
+    opening : Opening
+        How many bytes of unpacked pages are held.
 
     Raises
     ------
     InputError
-        When the pages differ, or are of a kind that is not read; LookupError, ValueError and others when the tags are
-        damaged.
+        When it is a colour image, or has several channels or time points of which none was named.
     """
-    listed = list(pages.values())
-    first = _page_kind(listed[0])
-    _check_kind(listed[0])
-    for number, page in enumerate(listed[1:], 2):
-        if _page_kind(page) != first:
-            raise InputError(
-                f"page {number} of the TIFF differs from the first in size or type, like slices expected",
-                hint="extract the page, or the pages of one size, first",
-            )
-    page = listed[0]
-    width, height, bits = int(page[WIDTH][0]), int(page[HEIGHT][0]), sum(_bits(page))
-    compression = int(page.get(COMPRESSION, (1,))[0])
-    strips = [strips_of(page) for page in listed]
-    stored, pixel = _stored_type(page, form.order), max(1, bits // 8)
-    is_plain = (
-        stored is not None
-        and len(_bits(page)) == 1
-        and bits > 1
-        and compression == 1
-        and TILES not in page
-    )
-    page_bytes = height * width * bits // 8
-    planes, places = (
-        _planes(strips, page_bytes) if is_plain else None,
-        np.array(list(pages), np.int64),
-    )
-    if repeats > 1:
-        if planes is None:
-            raise InputError(
-                f"the TIFF announces {repeats} images and has 1 page", "save a page for each slice"
-            )
-        if int(planes[0]) + repeats * page_bytes > form.size:
-            raise InputError(
-                f"the TIFF announces {repeats} images, that is {repeats * page_bytes} bytes of voxels, and has "
-                f"{form.size} bytes",
-                TRUNCATED_HINT,
-            )
-        planes, places = (
-            planes[0] + np.arange(repeats, dtype=np.int64) * page_bytes,
-            places.repeat(repeats),
-        )
-        strips = [np.stack([planes, np.full(repeats, page_bytes)], axis=1)]
-    ends = (
-        np.cumsum([len(some) for some in strips], dtype=np.int64)
-        if repeats == 1
-        else np.arange(1, repeats + 1)
-    )
-    strip_bytes = (
-        np.array([page_bytes]) if planes is not None else _strip_bytes(page, width, height, strips)
-    )
-    return TiffHeader(
-        path,
-        (len(places), height, width),
-        pixel,
-        strip_bytes,
-        np.concatenate(strips),
-        compression,
-        places,
-        stored,
-        planes,
-        ends,
-        page.get(PHOTOMETRIC, (1,))[0] == 0,
-    )
+    place = single(header.channels, header.time_points, header.options)
+    return _opened(path, header, *place, opening.cache_bytes)
 
 
-def _stored_type(page: Page, order: Literal["<", ">"]) -> np.dtype[Any] | None:
-    """Type of the values of a grey page; of black and white that which ITK gives. None for a colour."""
-    bits = _bits(page)
-    if page.get(PHOTOMETRIC, (1,))[0] not in (0, 1):
-        return None
-    return np.dtype(_KINDS[bits[0], _format(page)]).newbyteorder(order)
-
-
-def _planes(strips: Sequence[NDArray[np.int64]], page_bytes: int) -> NDArray[np.int64] | None:
-    """Bytes at which the pages begin, if the strips of each follow one another; None if not."""
-    for some in strips:
-        if some[:, 1].sum() != page_bytes or (some.sum(axis=1)[:-1] != some[1:, 0]).any():
-            return None
-    return np.array([some[0, 0] for some in strips], np.int64)
-
-
-def _strip_bytes(
-    page: Page, width: int, height: int, strips: Sequence[NDArray[np.int64]]
-) -> NDArray[np.int64]:
-    """Bytes of each strip or tile of a page when it is unpacked; of a tile, with what goes beyond the image.
-
-    Raises
-    ------
-    InputError
-        When a page has more or fewer of them than its size and theirs give.
-    """
-    bits = _bits(page)
-    planes = len(bits) if page.get(PLANAR, (1,))[0] == 2 else 1
-    bits_together = sum(bits) // planes
-    wide, high = (
-        (width, _rows(page))
-        if TILES not in page
-        else (int(page[TILE_WIDTH][0]), int(page[TILE_HEIGHT][0]))
-    )
-    if min(wide, high) < 1:
-        raise ValueError
-    down, across = -(-height // high), -(-width // wide)
-    for some in strips:
-        if len(some) != planes * down * across:
-            raise InputError(
-                f"the TIFF has {len(some)} strips or tiles for {width} x {height} pixels, {planes * down * across} "
-                "expected",
-                TRUNCATED_HINT,
-            )
-    found = np.full((planes, down, across), high * ((wide * bits_together + 7) // 8), np.int64)
-    if TILES not in page:
-        found[:, -1] = (height - (down - 1) * high) * ((wide * bits_together + 7) // 8)
-    return found.ravel()
-
-
-def _rows(page: Page) -> int:
-    """Rows of a strip."""
-    return min(int(page.get(ROWS, page[HEIGHT])[0]), int(page[HEIGHT][0]))
-
-
-def _bits(page: Page) -> tuple[int, ...]:
-    """Bits of each value of a pixel."""
-    return sample_values(page, BITS)
-
-
-def _format(page: Page) -> int:
-    """Sample format of all values of a pixel; 0 where they have several."""
-    found = set(sample_values(page, FORMAT))
-    return found.pop() if len(found) == 1 else 0
-
-
-def sample_values(page: Page, tag: int) -> tuple[int, ...]:
-    """Values of a tag that has one for each value of a pixel, or one for all.
-
-    Raises
-    ------
-    InputError
-        When there are other numbers of them.
-    """
-    samples, values = int(page.get(SAMPLES, (1,))[0]), page.get(tag, (1,))
-    if not 0 < samples <= MAX_SAMPLES or len(values) not in (1, samples):
-        raise InputError(
-            f"the TIFF has {samples} values in a pixel, and {len(values)} values of the tag {RULES[tag].name}",
-            TRUNCATED_HINT,
-        )
-    return tuple(values) if len(values) == samples else (int(values[0]),) * samples
-
-
-def _page_kind(page: Page) -> tuple[Any, ...]:
-    """Key that the pages of a stack share."""
-    keys = (COMPRESSION, PHOTOMETRIC, ORIENTATION, PLANAR, PREDICTOR, FILL_ORDER)
-    tags = tuple(page.get(key, (1,))[0] for key in keys)
-    tile = page.get(TILE_WIDTH), page.get(TILE_HEIGHT), TILES in page
-    return (
-        page[WIDTH][0],
-        page[HEIGHT][0],
-        _rows(page),
-        _bits(page),
-        _format(page),
-        page.get(EXTRA),
-        *tags,
-        *tile,
-    )
-
-
-def samples_of(page: Page) -> int:
-    """Number of values of a pixel that are channels: 1 for a colour."""
-    return len(_bits(page)) if page.get(PHOTOMETRIC, (1,))[0] in (0, 1) else 1
-
-
-def _check_kind(page: Page) -> None:
-    """Refuse pages that do not give one number for each value of a pixel.
-
-    Raises
-    ------
-    InputError
-        With what they hold.
-    """
-    bits, form, colour = _bits(page), _format(page), page.get(PHOTOMETRIC, (1,))[0]
-    tiled, compression, predictor = (
-        TILES in page,
-        page.get(COMPRESSION, (1,))[0],
-        page.get(PREDICTOR, (1,))[0],
-    )
-    grey = colour in (0, 1)
-    wrong = ""
-    if not (page[WIDTH][0] and page[HEIGHT][0]):
-        raise ValueError
-    if PHOTOMETRIC not in page:
-        wrong = "no word on whether 0 is black or white"
-    elif colour == _PALETTE:
-        wrong = "colours from a palette"
-    elif not grey and (colour != 2 or len(bits) not in (3, 4)):
-        wrong = f"{len(bits)} channels of colour kind {colour}"
-    elif (
-        len(set(bits)) > 1
-        or (bits[0], form) not in _KINDS
-        or (not grey and (form != 1 or bits[0] not in (8, 16)))
+def _opened(path: Path, image: TiffImage, t: int, c: int, cache_bytes: int) -> LazyVolume:
+    """A channel at a time point."""
+    channel, sample = divmod(c, image.parts[0].kind.samples)
+    pages = image.stack.pages[t, channel].tolist()
+    assert image.stack.file_numbers is not None
+    numbers = image.stack.file_numbers[t, channel].tolist()
+    sources, depths, is_packed = [], [], False
+    for number, group in itertools.groupby(
+        zip(numbers, pages, strict=True), key=lambda pair: pair[0]
     ):
-        wrong = f"{bits[0]}-bit {({1: 'unsigned', 2: 'signed', 3: 'floating-point'}).get(form, 'complex')} values"
-    elif colour == 0 and bits != (1,):
-        wrong = "values that grow towards black"
-    elif page.get(ORIENTATION, (1,))[0] != 1:
-        wrong = "rows and columns turned by its orientation tag"
-    elif page.get(FILL_ORDER, (1,))[0] != 1:
-        wrong = "the bits of each byte in the other order"
-    elif predictor not in (1, 2) or (predictor == 2 and compression in _NO_PREDICTOR):
-        wrong = f"differences (predictor number {predictor}) of {bits[0]}-bit values, packed by number {compression},"
-    elif page.get(PLANAR, (1,))[0] not in (1, 2):
-        wrong = f"planes of kind {page[PLANAR][0]}"
-    elif EXTRA in page and (
-        len(page[EXTRA]) != len(bits) - (1 if grey else 3) or max(page[EXTRA]) > 2
-    ):
-        wrong = f"{len(bits)} values in a pixel, {len(page[EXTRA])} of them beside grey or colour,"
-    elif page.get(PLANAR, (1,))[0] != 1 and not grey:
-        wrong = "colour channels one after the other"
-    elif tiled and max(page[TILE_WIDTH][0], page[TILE_HEIGHT][0]) > _MAX_TILE_EDGE:
-        wrong = f"tiles of {page[TILE_WIDTH][0]} x {page[TILE_HEIGHT][0]}"
-    if wrong:
+        part = image.parts[number].select_pages([page for _, page in group], sample)
+        sources.append(_source(part, cache_bytes))
+        depths.append(part.shape[0])
+        is_packed = is_packed or part.planes is None
+    voxels: VoxelSource = sources[0] if len(sources) == 1 else StackedVoxels(sources, depths)
+    chunks = (1, *image.geometry.shape[1:]) if is_packed else None
+    layout = StoreLayout(image.grids, chunks, image.channels, image.time_points, image.level)
+    return LazyVolume(voxels, image.geometry, dict(image.metadata), path, layout)
+
+
+def _source(part: TiffPart, cache_bytes: int) -> VoxelSource:
+    """The voxels of some pages of a file.
+
+    Raises
+    ------
+    InputError
+        When they have colours.
+    """
+    if part.kind.stored is None:
         raise InputError(
-            f"a TIFF with {wrong} given, which cannot be read faithfully",
-            _PALETTE_HINT if colour == _PALETTE else _PLAIN_HINT,
+            "a colour TIFF given: whether its three colours are the same everywhere is not known before all is read",
+            "save it as grey",
         )
+    if part.planes is not None:
+        return RawVoxels(RawLayout(part.data, 0, part.kind.stored, part.shape, part.planes))
+    return TiffPages(part, cache_bytes)
+
+
+def read_tiff(path: Path, header: TiffImage, available: int) -> Volume:
+    """Read an image of one channel, or the channel that was asked for.
+
+    Raises
+    ------
+    InputError
+        When the file is larger than the memory, or has several channels or time points.
+    """
+    place = single(header.channels, header.time_points, header.options)
+    return _read(path, header, place, available, 1)
+
+
+def read_tiff_channels(path: Path, header: TiffImage, available: int) -> list[Volume]:
+    """Read the channels of an image, or the one that was asked for.
+
+    Raises
+    ------
+    InputError
+        As `read_tiff`, and for more than `accelsurf.io.channels.MAX_CHANNELS` channels.
+    """
+    places = selected(header.channels, header.time_points, header.options)
+    return [_read(path, header, place, available, len(places)) for place in places]
+
+
+def _read(
+    path: Path, image: TiffImage, place: tuple[int, int], available: int, count: int
+) -> Volume:
+    """A channel at a time point, whole."""
+    part, grid = image.parts[0], image.geometry
+    check_memory(grid.shape[::-1], part.kind.pixel_bytes * count, available)
+    if part.kind.stored is None and len(image.parts) == 1:
+        t, c = place
+        pages = TiffPages(part.select_pages(image.stack.pages[t, c].tolist()), 0)
+        array, note = to_grey(pages.read(whole_box(grid.shape)))
+        return Volume(array, grid, with_warnings(image.metadata, note), path)
+    lazy = _opened(path, image, *place, 0)
+    return Volume(lazy.voxels.read(whole_box(lazy.shape)), lazy.geometry, lazy.metadata, path)

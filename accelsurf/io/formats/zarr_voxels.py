@@ -1,7 +1,7 @@
 """Arrays of a Zarr, read chunk by chunk. The only place that imports zarr for reading; it is an extra.
 
-zarr reads and checks the metadata; the chunks are unpacked by `zarr_files`, which compares them with what they
-announce.
+zarr reads and checks the metadata, and unpacks the chunks one by one, after `zarr_files` has compared them with what
+they announce.
 
 A chunk that is not in the store has the fill value: so says Zarr, and stores of label maps consist of little else. A
 store that accelsurf has written says which chunks it had, so that one that is missing is a fault. In others those that
@@ -201,35 +201,28 @@ class ZarrVoxels:
 
     def _chunk(self, place: tuple[int, ...]) -> NDArray[Any]:
         """The voxels of a chunk, as far as the grid goes."""
-        widths, shape = self._files.chunk.shape, self._array.shape
-        whole = [
-            0 if n is None else n // width for n, width in zip(self._index, widths, strict=True)
-        ]
-        inside: list[Any] = [
-            None if n is None else n % width for n, width in zip(self._index, widths, strict=True)
-        ]
+        widths, shape = self._files.chunk_shape, self._array.shape
+        index = zip(self._index, widths, strict=True)
+        whole = [0 if n is None else n // width for n, width in index]
+        inside: list[Any] = list(self._index)
         for axis, at in zip(self._order, place[self._flat :], strict=True):
             whole[axis] = at
-            inside[axis] = slice(0, min(widths[axis], int(shape[axis]) - at * widths[axis]))
-        found = self._unpacked(tuple(whole))
-        if found is None:
-            found = np.broadcast_to(self._fill_value, widths)
-        found = found[tuple(inside)]
+            inside[axis] = slice(at * widths[axis], min((at + 1) * widths[axis], int(shape[axis])))
+        found = self._unpacked(tuple(whole), tuple(inside))
         # The axes that are left are those of space in the order of the array.
         found = found.transpose(np.argsort(np.argsort(self._order)))
         return np.array(found.reshape((1,) * self._flat + found.shape), self.dtype, order="C")
 
-    def _unpacked(self, place: tuple[int, ...]) -> NDArray[Any] | None:
-        """The values of a chunk; None where the store has none."""
+    def _unpacked(self, place: tuple[int, ...], inside: tuple[Any, ...]) -> NDArray[Any]:
+        """The values of a part of a chunk; the fill value where the store has none."""
         try:
-            packed = self._files.read(place)
+            self._files.check(place)
         except FileNotFoundError:
             self._check_missing(place)
-            return None
         except ValueError as error:
             raise self._damage(place, error) from error
         try:
-            return None if packed is None else self._files.chunk.decode(packed)
+            return np.asarray(self._array[inside])
         except MemoryError:
             raise
         except Exception as error:  # each codec raises errors of its own, bz2 those of the system

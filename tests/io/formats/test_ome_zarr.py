@@ -272,19 +272,6 @@ def test_a_damaged_chunk_is_named_and_never_zeros(tmp_path, damage):
     refused(path, "is damaged", lazy)
 
 
-def test_a_damaged_shard_is_an_error(tmp_path):
-    group = zarr.open_group(make_store(tmp_path / "a.zarr", [], "zyx", [((1.0,) * 3,)]), mode="a")
-    array = np.random.default_rng(0).integers(1, 99, (8, 8, 8)).astype("u2")
-    group.create_array(
-        "0", shape=array.shape, dtype=array.dtype, chunks=(2, 2, 2), shards=(8, 8, 8)
-    )[:] = array
-    path = tmp_path / "a.zarr"
-    np.testing.assert_array_equal(io.read(path).array, array)
-    shard = path / "0" / "c" / "0" / "0" / "0"
-    shard.write_bytes(shard.read_bytes()[:-50])
-    refused(path, "is damaged")
-
-
 def test_a_store_that_goes_away_or_changes_is_an_error(tmp_path):
     path, array = written(tmp_path)
     lazy = io.open_volume(path, cache_bytes=0)
@@ -565,20 +552,6 @@ def test_links_out_of_a_store_are_not_followed(tmp_path, what, version):
     assert np.array_equal(
         io.open_volume(tmp_path / "link.zarr").read(whole_box(array.shape)), array
     )
-
-
-def test_a_link_in_a_shard_is_not_followed(tmp_path):
-    path = make_store(tmp_path / "a.zarr", [np.ones((4, 4, 4), np.uint8)], "zyx", [((1, 1, 1),)])
-    group = zarr.open_group(path, mode="a")
-    del group["0"]
-    group.create_array("0", data=np.ones((8, 8, 8), np.uint8), chunks=(2, 2, 2), shards=(4, 4, 4))
-    shard = path / "0/c/1/1/0"
-    shard.rename(tmp_path / "elsewhere")
-    shard.symlink_to(tmp_path / "elsewhere")
-    lazy = io.open_volume(path)
-    assert lazy.read((slice(0, 4), slice(0, 8), slice(0, 8))).all()
-    with pytest.raises(InputError, match="outside of the store"):
-        lazy.read((slice(6, 8), slice(6, 8), slice(2, 4)))
 
 
 def test_levels_of_other_axes_than_the_image_are_refused(tmp_path):

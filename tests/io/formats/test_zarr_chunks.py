@@ -1,9 +1,9 @@
 """Chunks of a Zarr that are cut, lengthened, emptied or taken away, for every codec: refused, or read as they were."""
 
+import json
 import re
 import shutil
 import warnings
-import zlib
 from pathlib import Path
 
 import numcodecs
@@ -51,6 +51,9 @@ def packings() -> list:
         numcodecs.Zstd(3, checksum=True),
         numcodecs.GZip(),
         numcodecs.Zlib(),
+        numcodecs.LZ4(),
+        numcodecs.LZMA(),
+        numcodecs.BZ2(),
         None,
     ):
         made.append((f"2 {codec}", 2, {"compressors": codec}))
@@ -63,6 +66,8 @@ def packings() -> list:
         None,
     ):
         made.append((f"3 {codec}", 3, {"compressors": codec}))
+    shuffled = {"filters": numcodecs.Shuffle(2), "compressors": numcodecs.Zstd()}
+    made.append(("2 shuffle zstd", 2, shuffled))
     made.append(("3 zstd crc32c", 3, {"compressors": [ZstdCodec(), Crc32cCodec()]}))
     made.append(("3 big", 3, {"compressors": None, "serializer": BytesCodec(endian="big")}))
     turned = zarr.codecs.TransposeCodec(order=(2, 0, 1))
@@ -159,8 +164,8 @@ def test_no_cut_or_lengthened_chunk_gives_other_values(tmp_path, version, option
         else:
             np.testing.assert_array_equal(found, array)
             read.append(len(changed) - len(raw))
-    # What is read although it was changed is a shard with something behind its chunks, which its index does not name.
-    assert not read or (min(read) > 0 and "serializer" in options), read
+    # A chunk that is read although it was changed has something behind its values, which no codec reads.
+    assert not read or min(read) > 0, read
 
 
 @pytest.mark.parametrize("cut", [1, 2, 3, 4, 5, 700])
@@ -218,36 +223,35 @@ def test_chunks_are_those_that_zarr_reads(tmp_path, seed):
     np.testing.assert_array_equal(lazy.read(whole_box(lazy.shape)), expected)
 
 
-def test_a_chunk_that_unpacks_to_more_costs_no_memory(tmp_path):
+def test_a_chunk_that_unpacks_to_more_is_refused(tmp_path):
+    """Before it is unpacked where its head says it."""
     array = np.ones(SHAPE, np.uint8)
     bomb = bytes(1 << 22)
-    for name, codec, packed in (
-        ("gzip", numcodecs.GZip(), numcodecs.GZip().encode(bomb)),
-        ("zlib", numcodecs.Zlib(), zlib.compress(bomb)),
-        ("zstd", numcodecs.Zstd(), numcodecs.Zstd().encode(bomb)),
-        ("blosc", numcodecs.Blosc(), numcodecs.Blosc().encode(bomb)),
+    for name, codec, words in (
+        ("gzip", numcodecs.GZip(), "is damaged"),
+        ("zlib", numcodecs.Zlib(), "is damaged"),
+        ("zstd", numcodecs.Zstd(), r"damaged \(4194304 bytes .*, at most 4\d\d\d expected"),
+        ("blosc", numcodecs.Blosc(), r"damaged \(4194304 bytes .*, at most 4\d\d\d expected"),
     ):
         path = store(tmp_path / f"{name}.zarr", array, 2, {"compressors": codec})
-        chunk_file(path).write_bytes(packed)
-        with pytest.raises(
-            InputError,
-            match=r"damaged \((\d+ bytes .*, at most 4\d\d\d expected|\d+ bytes are there)",
-        ):
+        chunk_file(path).write_bytes(codec.encode(bomb))
+        with pytest.raises(InputError, match=words):
             io.read(path)
 
 
 def test_codecs_that_are_not_known_are_refused_by_name(tmp_path):
-    for number, packing in enumerate(
-        (
-            {"compressors": None, "filters": numcodecs.Base64()},
-            {"compressors": numcodecs.LZ4()},
-            {"compressors": numcodecs.LZMA()},
-            {"filters": numcodecs.Shuffle(2), "compressors": numcodecs.Zstd()},
-        )
+    """Pickle runs the code that a chunk holds."""
+    for role, codec in (
+        ("filters", numcodecs.Base64()),
+        ("filters", numcodecs.Delta("u1")),
+        ("compressor", numcodecs.Pickle()),
     ):
-        path = store(tmp_path / f"{number}.zarr", image("u1", 9), 2, packing)
+        path = store(tmp_path / f"{codec.codec_id}.zarr", np.ones(SHAPE, "u1"), 2, {})
+        said = json.loads((path / "0/.zarray").read_text())
+        said[role] = [codec.get_config()] if role == "filters" else codec.get_config()
+        (path / "0/.zarray").write_text(json.dumps(said))
         with pytest.raises(
-            InputError, match=r"chunks packed with the codec \w+ given, one of blosc, zstd"
+            InputError, match=rf"packed with the codec {codec.codec_id} given, one of|pickle"
         ) as caught:
             io.open_volume(path)
         assert caught.value.hint
@@ -353,13 +357,14 @@ def test_files_are_listed_once_however_often_the_image_is_opened_again(tmp_path,
     assert len(calls) == 1
 
 
-def test_folders_that_cannot_be_looked_into_are_an_error_with_the_name_of_the_image(tmp_path):
+def test_a_folder_that_cannot_be_read_is_an_error_with_the_name_of_the_image(tmp_path):
     path = make_store(tmp_path / "a.zarr", [image("u1")], "zyx", [((1.0,) * 3,)])
     lazy = io.open_volume(path)
     shutil.rmtree(path / "0/c/0")
     (path / "0/c/0").write_text("a file")
+    assert "6 of 12 chunks" in lazy.metadata[io.WARNING_KEY]
     with pytest.raises(InputError, match=r"a\.zarr: cannot be read \(Not a directory"):
-        lazy.metadata  # noqa: B018
+        lazy.read(whole_box(lazy.shape))
 
 
 def test_a_shard_says_by_itself_what_was_left_out(tmp_path):
