@@ -21,12 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
-from accelsurf.grid.geometry import Geometry
 from accelsurf.io.channels import MAX_CHANNELS
 from accelsurf.io.formats.deflate import GZIP_START, first_bytes
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
-from accelsurf.io.headers import TIMES_KEY, check_data_file, single_precision, split_name
+from accelsurf.io.headers import (
+    FRAME_KEY,
+    TIMES_KEY,
+    UNIT_KEY,
+    check_data_file,
+    single_precision,
+    split_name,
+    with_warnings,
+)
 from accelsurf.io.scaling import scaled, scaled_type
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions, check_readable
@@ -65,6 +72,8 @@ _VECTORS = frozenset((1004, 1005, 1006, 1007, 2003, 2004))
 _SECONDS = {8: 1.0, 16: 1e-3, 24: 1e-6}
 #: A slope this near to 1 is 1, rounded by who wrote it: two steps of single precision.
 _SLOPE_ROUNDING = 3e-7
+#: The code of a unit of length in a header.
+_MICRON = 3
 _NOT_REAL = {
     32: "complex",
     1792: "complex",
@@ -172,11 +181,6 @@ class NiftiHeader:
             return scaled(stored, self.slope, self.intercept, self.value_type)
         return stored.astype(self.value_type, copy=False)
 
-    @property
-    def claimed_bytes(self) -> int:
-        """Bytes from the start of the file to the end of the voxels, as the header would have it."""
-        return self.data_offset + math.prod(self.size) * self.voxel_type.itemsize
-
 
 @dataclass(frozen=True, kw_only=True)
 class NiftiFile(RawHeader):
@@ -199,9 +203,29 @@ class NiftiFile(RawHeader):
         return self.nifti.are_channels_guessed
 
     @property
-    def geometry(self) -> Geometry:
-        """The grid of a volume."""
-        return self.nifti.grid.geometry()
+    def is_scaled(self) -> bool:
+        """True if stored numbers stand for others."""
+        return (self.nifti.slope, self.nifti.intercept) != (1.0, 0.0)
+
+    def scaled(self, stored: NDArray[Any]) -> NDArray[Any]:
+        """Return the values that stored numbers stand for."""
+        return self.nifti.values(stored)
+
+    @property
+    def volume_metadata(self) -> dict[str, str]:
+        """The fields of the header, and a warning when qform and sform disagree."""
+        fields, notes = self.nifti, [self.nifti.grid.check_agreement(self.geometry)]
+        if fields.are_channels_guessed and self.asked.channel_index is None:
+            notes.append(
+                f"the {fields.volumes} volumes of the file are taken for channels: its header says nothing of time or "
+                "vectors; --channel-index N takes one of them"
+            )
+        said = with_warnings(self.metadata, *notes)
+        if fields.grid.units & 7 == _MICRON:
+            said[UNIT_KEY] = "um"
+        if self.time_points > 1 and self.seconds:
+            said[FRAME_KEY] = repr(self.seconds)
+        return said
 
     def _number(self, time: int, channel: int) -> int:
         return channel * self.nifti.time_points + time
@@ -266,13 +290,12 @@ def _file_of(
         header = replace(header, says_time=True)
     header.grid.check_forms()
     return NiftiFile(
-        voxels,
-        0,
-        encoding,
-        header.claimed_bytes,
+        data=voxels,
+        geometry=header.grid.geometry(),
+        stored=header.voxel_type,
+        encoding=encoding,
         skip=header.data_offset,
         metadata={METADATA_KEY: header.grid.fields},
-        numbers=math.prod(header.size),
         channels=header.channels,
         time_points=header.time_points,
         seconds=header.seconds,
