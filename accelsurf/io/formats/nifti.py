@@ -167,17 +167,22 @@ class NiftiHeader:
         return guessed and self.size[3] <= MAX_CHANNELS
 
     @property
+    def is_scaled(self) -> bool:
+        """True if stored numbers stand for others."""
+        return (self.slope, self.intercept) != (1.0, 0.0)
+
+    @property
     def value_type(self) -> np.dtype[Any]:
         """Type of the values: that of the voxels, a float that holds them when whole numbers are scaled."""
         stored = self.voxel_type.newbyteorder("=")
-        if (self.slope, self.intercept) == (1.0, 0.0):
+        if not self.is_scaled:
             return stored
         needed = scaled_type(self.slope, self.intercept)
         return np.promote_types(stored, needed) if stored.kind == "f" else needed
 
     def values(self, stored: NDArray[Any]) -> NDArray[Any]:
         """Return the values that stored numbers stand for, of ``value_type``."""
-        if (self.slope, self.intercept) != (1.0, 0.0):
+        if self.is_scaled:
             return scaled(stored, self.slope, self.intercept, self.value_type)
         return stored.astype(self.value_type, copy=False)
 
@@ -205,7 +210,7 @@ class NiftiFile(RawHeader):
     @property
     def is_scaled(self) -> bool:
         """True if stored numbers stand for others."""
-        return (self.nifti.slope, self.nifti.intercept) != (1.0, 0.0)
+        return self.nifti.is_scaled
 
     def scaled(self, stored: NDArray[Any]) -> NDArray[Any]:
         """Return the values that stored numbers stand for."""
@@ -449,7 +454,8 @@ def parse_header(raw: bytes, is_pair: bool = False) -> NiftiHeader:
             f"the file has only {len(raw)} bytes, a NIfTI header alone has {HEADER_BYTES[version]}",
             hint="the file is truncated or is not an image: copy or export it again",
         )
-    (at, magic), (_, other) = (magics[version] for magics in _by_pair(is_pair))
+    magics = (_PAIR_MAGIC, _MAGIC) if is_pair else (_MAGIC, _PAIR_MAGIC)
+    (at, magic), (_, other) = (kinds[version] for kinds in magics)
     if order and raw[at : at + len(magic)] != magic:
         _refuse_other(raw[at : at + len(magic)] == other, is_pair, version)
     if not order or raw[at : at + len(magic)] != magic:
@@ -501,11 +507,6 @@ def parse_header(raw: bytes, is_pair: bool = False) -> NiftiHeader:
     place = size, header.get_data_dtype(), offset
     is_vector = int(header["intent_code"]) in _VECTORS
     return NiftiHeader(version, *place, *_scaling(header), grid, is_vector, *_time_step(header))
-
-
-def _by_pair(is_pair: bool) -> tuple[dict[int, tuple[int, bytes]], dict[int, tuple[int, bytes]]]:
-    """Places of the marks of a file or a pair, and those of the other kind."""
-    return (_PAIR_MAGIC, _MAGIC) if is_pair else (_MAGIC, _PAIR_MAGIC)
 
 
 def _refuse_other(is_other: bool, is_pair: bool, version: int) -> None:
