@@ -17,7 +17,6 @@ import numpy as np
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io import itk
 from accelsurf.io.files import library_named
 from accelsurf.io.formats.raw_header import ListedHeader, RawHeader
 from accelsurf.io.formats.text_header import check_units, data_file, header_lines
@@ -235,4 +234,6 @@ def _is_true(fields: Mapping[str, str], key: str, default: str = "False") -> boo
 
 def write_metaimage(volume: Volume, path: Path) -> None:
     """Write a MetaImage, compressed; for .mhd the voxels go to a .zraw file beside it."""
+    from accelsurf.io import itk
+
     itk.save(volume, path, "MetaImageIO", compress=True)

@@ -19,7 +19,6 @@ from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.boxes import bounding_box, whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io import itk
 from accelsurf.io.files import library_named
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
 from accelsurf.io.formats.text_header import check_units, data_file, header_lines
@@ -60,6 +59,12 @@ _TO_LPS = {
 #: Fields with an entry for each axis.
 _BY_AXIS = ("sizes", "spacings", "space directions", "kinds", "axis mins", "centerings")
 _REQUIRED = {"type", "dimension", "sizes", "encoding"}
+#: Names of all fields, without blanks; keys of others are written with :=, so that another name is a damaged one.
+_KNOWN = _REQUIRED | set(
+    "endian content number blocksize sampleunits min max oldmin oldmax datafile lineskip byteskip space spacedimension "
+    "spaceunits spaceorigin spacedirections measurementframe spacings thicknesses axismins axismaxs centers centerings "
+    "labels units kinds".split()
+)
 #: Lines in which Python would take for a number a text that is none to other programs.
 _ODD_NUMBER = re.compile(
     r"(sizes|dimension|.* ?skip|spacings|space (o|di)|axis ?m).*(_|[^\0-\x7f])"
@@ -125,9 +130,11 @@ def _fields(lines: Sequence[str]) -> dict[str, Any]:
 
     said = [line for line in lines[1:] if line.strip() and not line.startswith("#")]
     if odd := [line for line in said if ":" not in line or _ODD_NUMBER.match(line)]:
-        raise ValueError(odd[0][:80])
+        raise ValueError(repr(odd[0][:80]))
     split = [line.partition(":") for line in said]
     named = [(_SYNONYMS.get(name.lower(), name.lower()), *rest) for name, *rest in split]
+    if unknown := {name for name, *_ in named if name.replace(" ", "") not in _KNOWN}:
+        raise ValueError(f"unknown field {min(unknown)[:80]!r}")
     if missing := _REQUIRED - {name for name, *_ in named}:
         raise ValueError(f"{', '.join(sorted(missing))} missing")
     # pynrrd takes a blank within a vector for the end of it.
@@ -287,6 +294,8 @@ def is_nrrd_anatomical(metadata: Mapping[str, str]) -> bool:
 
 def write_nrrd(volume: Volume, path: Path) -> None:
     """Write an NRRD, compressed, with the lines that placed the volume when it was read."""
+    from accelsurf.io import itk
+
     itk.save(volume, path, _ITK_NAME, compress=True)
     if (lines := volume.metadata.get(NRRD_KEY)) is not None:
         # Metadata may have come from another grid than the volume has now: the header alone is tried first.
@@ -328,6 +337,8 @@ def write_segmentation(labels: Volume, entries: list[LabelEntry], path: Path) ->
     path : Path
         Ends in .seg.nrrd.
     """
+    from accelsurf.io import itk
+
     keys = {
         "Segmentation_SourceRepresentation": "Binary labelmap",
         "Segmentation_MasterRepresentation": "Binary labelmap",

@@ -60,6 +60,7 @@ def test_nrrd_axes(tmp_path, changes, words):
         {"spacings": "1_0 1 1"},
         {"spacings": "\u0661 1 1"},
         {"byte_skip": "1_0"},
+        {"spacings": None, "spacinfs": "1 2 3"},
         {"space_directions": "(1,0,0) (0,1,0)"},
     ],
 )
