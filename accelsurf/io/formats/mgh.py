@@ -10,7 +10,7 @@ import numpy as np
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import MAX_ORIGIN, Geometry
 from accelsurf.io.files import library_named
-from accelsurf.io.formats.deflate import first_bytes
+from accelsurf.io.formats.deflate import GZIP_START, first_bytes
 from accelsurf.io.formats.raw_header import RawHeader
 from accelsurf.io.headers import with_warnings
 
@@ -42,6 +42,11 @@ def parse_mgh(path: Path) -> RawHeader:
     """
     is_packed = path.suffix.lower() == ".mgz"
     with path.open("rb") as file:
+        if is_packed and file.read(2) != GZIP_START:
+            raise InputError(
+                "this is not an MGZ: it is not gzip-compressed", "is it the right file?"
+            )
+        file.seek(0)
         begin = first_bytes(file, _MGH_HEADER) if is_packed else file.read(_MGH_HEADER)
     head, has_place = _mgh_header(begin)
     shape, code = tuple(int(n) for n in head["dims"]), int(head["type"])
