@@ -77,7 +77,7 @@ def into_image(result: Result, image: Path, overwrite: bool) -> None:
 
 def seg_nrrd(result: Result, table: LabelTable, path: Path) -> None:
     """Write a segmentation of 3D Slicer."""
-    from accelsurf.io.formats.nrrd_metaimage import write_segmentation
+    from accelsurf.io.formats.nrrd import write_segmentation
 
     write_segmentation(result.labels_volume(), entries_of(result, table), path)
 

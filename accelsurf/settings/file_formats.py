@@ -118,31 +118,31 @@ _FORMATS, _SEQUENCES = "accelsurf.io.formats", "accelsurf.io.sequences"
 #: Options of formats that may hold several channels and time points.
 _PARTS = ("channel_index", "time_index", "channels_from_time")
 
-#: Shared by formats that the same library reads.
+#: Shared by formats that are read alike.
 _NIFTI: dict[str, Any] = {
-    "read": f"{_FORMATS}.nifti_volumes:read_nifti",
+    "read": f"{_FORMATS}.raw_header:read_raw",
     "write_frames": "accelsurf.io.sequences.nifti_frames:write_frames",
     "options": _PARTS,
     "sequence": f"{_SEQUENCES}.packed:PackedFrames",
-    "read_channels": f"{_FORMATS}.nifti_volumes:read_nifti_channels",
+    "read_channels": f"{_FORMATS}.raw_header:read_raw_channels",
     "is_anatomical": f"{_FORMATS}.nifti_grid:is_nifti_anatomical",
 }
-_ITK: dict[str, Any] = {
-    "read": f"{_FORMATS}.itk_volumes:read_by_itk",
+_RAW: dict[str, Any] = {
+    "read": f"{_FORMATS}.raw_header:read_raw",
     "options": _PARTS,
     "sequence": f"{_SEQUENCES}.packed:PackedFrames",
-    "read_channels": f"{_FORMATS}.itk_volumes:read_channels_by_itk",
-    "open": f"{_FORMATS}.itk_volumes:open_raw",
+    "read_channels": f"{_FORMATS}.raw_header:read_raw_channels",
+    "open": f"{_FORMATS}.raw_header:open_raw",
 }
 _NRRD: dict[str, Any] = {
-    "parse": f"{_FORMATS}.nrrd_metaimage:parse_nrrd",
-    "is_anatomical": f"{_FORMATS}.nrrd_metaimage:is_nrrd_anatomical",
-    **_ITK,
+    "parse": f"{_FORMATS}.nrrd:parse_nrrd",
+    "is_anatomical": f"{_FORMATS}.nrrd:is_nrrd_anatomical",
+    **_RAW,
 }
 _METAIMAGE: dict[str, Any] = {
-    "parse": f"{_FORMATS}.nrrd_metaimage:parse_metaimage",
-    "write": f"{_FORMATS}.itk_volumes:write_metaimage",
-    **_ITK,
+    "parse": f"{_FORMATS}.metaimage:parse_metaimage",
+    "write": f"{_FORMATS}.metaimage:write_metaimage",
+    **_RAW,
 }
 
 IMAGE_FORMATS: Registry[ImageFormat] = Registry(
@@ -161,7 +161,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         (".nii",),
         parse=f"{_FORMATS}.nifti:read_plain_header",
         write=f"{_FORMATS}.nifti_volumes:write_nifti",
-        open=f"{_FORMATS}.nifti_volumes:open_nifti",
+        open=f"{_FORMATS}.raw_header:open_raw",
         store=f"{_FORMATS}.nifti_volumes:store_nifti",
         **_NIFTI,
     ),
@@ -177,7 +177,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         "nrrd",
         "NRRD; written compressed",
         (".nrrd",),
-        write=f"{_FORMATS}.itk_volumes:write_nrrd",
+        write=f"{_FORMATS}.nrrd:write_nrrd",
         **_NRRD,
     ),
     ImageFormat("nhdr", "NRRD, a header that names its data file; read only", (".nhdr",), **_NRRD),
@@ -251,7 +251,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         "MGH and MGZ of FreeSurfer; read only",
         (".mgz", ".mgh"),
         f"{_FORMATS}.mgh:parse_mgh",
-        f"{_FORMATS}.mgh:read_mgh",
+        f"{_FORMATS}.raw_header:read_raw",
         is_anatomical=f"{_FORMATS}.mgh:is_mgh_anatomical",
     ),
     ImageFormat(
@@ -270,10 +270,10 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         "an array of numpy, (z, y, x) or (t, z, y, x), without its grid",
         (".npy",),
         f"{_FORMATS}.numpy_arrays:parse_npy",
-        f"{_FORMATS}.numpy_arrays:read_array",
+        f"{_FORMATS}.raw_header:read_raw",
         f"{_FORMATS}.numpy_arrays:write_npy",
         ("spacing", "time_index"),
-        open=f"{_FORMATS}.numpy_arrays:open_npy",
+        open=f"{_FORMATS}.raw_header:open_raw",
         keeps="none",
     ),
 )

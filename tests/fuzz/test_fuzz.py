@@ -226,28 +226,27 @@ def test_a_voxel_offset_below_one_of_a_nifti(tmp_path):
             "image",
             ".nrrd",
             (b"sizes: 6 5 4", b"sizes: 6 5 4\nkinds: domain domain " + b"1" * 5000),
-            "field of 50",
+            "2 axes are of space",
         ),
-        ("image", ".nrrd", (b"type: short", b"type: short" + b" " * 5000), "field of 50"),
-        ("image", ".nrrd", (b"spacings: 1 2 3", b"spacings: 1 2_0 3"), "3 finite numbers"),
+        ("image", ".nrrd", (b"spacings: 1 2 3", b"spacings: 1 2_0 3"), "damaged .*1 2_0 3"),
         (
             "image",
             ".mha",
             (b"ElementSpacing = 1 2 3", b"ElementSpacing = 1 2 3\nElementSpacing = 1 1 1"),
-            "twice",
+            "two values for ElementSpacing",
         ),
-        ("image", ".nrrd", (b"spacings: 1 2 3", b"spacings: 1 1e300 3"), "at most"),
+        ("image", ".nrrd", (b"spacings: 1 2 3", b"spacings: 1 1e300 3"), "1e-09 to"),
         ("image", ".mha", (b"MSB = False\nElementSp", b"MSB = \nElementSp"), "no value for"),
         (
             "image",
             ".mha",
             (b"MSB = False\nElementSp", b"MSB = False\nCompressedDataSize =\nElementSp"),
-            "damaged",
+            "CompressedDataSize = , finite numbers",
         ),
     ],
 )
 def test_headers_that_libraries_read_in_another_way(tmp_path, kind, name, change, words):
-    """Long fields ended the process; of keys said twice each library took another; 2_0 is 20 for Python alone."""
+    """Of keys said twice each library took another; 2_0 is 20 for Python alone."""
     one = next(
         g for g in corpus.seeds() if (g.kind, g.suffix) == (kind, name) and change[0] in g.content
     )

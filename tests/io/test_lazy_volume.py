@@ -75,18 +75,18 @@ def test_an_array_is_read_like_a_file_and_not_shared():
     assert lazy.bytes_read == got.nbytes
 
 
-def test_rows_far_apart_are_read_one_by_one_and_near_ones_together(tmp_path):
+def test_bytes_that_were_read_are_those_of_the_boxes(tmp_path):
     array = np.arange(3 * 4 * 9000, dtype=np.uint16).reshape(3, 4, 9000)
     path = tmp_path / "wide.nii"
     io.write(Volume.from_array(array), path)
     lazy = io.open_volume(path)
     far = (slice(1, 3), slice(0, 4), slice(500, 600))
     np.testing.assert_array_equal(lazy.read(far), array[far])
-    assert lazy.bytes_read == 2 * 4 * 100 * 2
+    assert lazy.bytes_read == array[far].nbytes
     near = (slice(0, 3), slice(1, 4), slice(1000, 9000))
     before = lazy.bytes_read
     np.testing.assert_array_equal(lazy.read(near), array[near])
-    assert lazy.bytes_read - before == 3 * (2 * 9000 + 8000) * 2
+    assert lazy.bytes_read - before == array[near].nbytes
 
 
 @pytest.mark.parametrize("suffix", [".nii", ".tif", ".ome.zarr"])

@@ -40,29 +40,24 @@ def inflate(
     InputError
         When the stream is damaged (its checksum counts), ends early, or holds more than it should.
     """
-    stream, started = (
-        zlib.decompressobj(47),
-        False,
-    )  # 47: either kind, recognized by its first bytes
-    unpacked = 0
+    stream = zlib.decompressobj(47)  # either kind, recognized by its first bytes
+    beyond = -math.inf if claimed is None else -claimed
     try:
         for chunk in _chunks(file, limit):
             while chunk:
-                if started and stream.eof:
+                if stream.eof:
                     # Another member may follow the first; padding or anything else is ignored.
                     if chunk[:2] != GZIP_START:
                         return
                     stream = zlib.decompressobj(47)
-                started = True
                 # Beyond what is announced in small pieces: no more of it is unpacked than is needed to refuse it.
-                most = (
-                    _PIECE
-                    if claimed is None
-                    else min(_PIECE, max(claimed - unpacked, _PIECE_BEYOND))
-                )
-                piece = stream.decompress(chunk, most)
-                unpacked += len(piece)
-                check_unpacked(unpacked, claimed)
+                piece = stream.decompress(chunk, int(min(_PIECE, max(-beyond, _PIECE_BEYOND))))
+                beyond += len(piece)
+                if beyond > 0:
+                    announced = (
+                        f"the header announces {claimed} bytes, the packed voxels go on beyond them"
+                    )
+                    budgets.SLACK.check(int(beyond), announced)
                 yield piece
                 chunk = stream.unconsumed_tail or stream.unused_data
     except zlib.error as error:
@@ -71,19 +66,6 @@ def inflate(
         ) from error
     if not stream.eof:
         raise InputError("the compressed voxels end before their end mark", hint=TRUNCATED_HINT)
-
-
-def check_unpacked(unpacked: int, claimed: int | None) -> None:
-    """Refuse a stream that goes on after the bytes that a header announces, before it is unpacked further.
-
-    Raises
-    ------
-    InputError
-        With both numbers.
-    """
-    if claimed is not None:
-        what = f"the header announces {claimed} bytes, the packed voxels go on beyond them"
-        budgets.SLACK.check(unpacked - claimed, what)
 
 
 def _chunks(file: BinaryIO, limit: int | None) -> Iterator[bytes]:

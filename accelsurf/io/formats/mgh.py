@@ -1,23 +1,18 @@
-"""MGH and MGZ of FreeSurfer, read: the header by nibabel, the voxels as they lie."""
+"""MGH and MGZ of FreeSurfer, read only: nibabel takes the header apart."""
 
 from __future__ import annotations
 
-import gzip
-import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import MAX_ORIGIN, Geometry
-from accelsurf.image.volume import Volume
 from accelsurf.io.files import library_named
-from accelsurf.io.formats.deflate import TRUNCATED_HINT
+from accelsurf.io.formats.deflate import GZIP_START, first_bytes
+from accelsurf.io.formats.raw_header import RawHeader
 from accelsurf.io.headers import with_warnings
-from accelsurf.io.memory import check_memory
-from accelsurf.settings import budgets
 
 _MGH_HEADER, _MGH_VERSION = 284, b"\0\0\0\1"
 #: From RAS, as FreeSurfer has it, to LPS.
@@ -37,30 +32,7 @@ _AGAIN = "copy or export it again"
 _UNIT_TOLERANCE = 1e-3
 
 
-@dataclass(frozen=True, eq=False)
-class VolumeHeader:
-    """Claims of a header.
-
-    Attributes
-    ----------
-    geometry : Geometry
-    dtype : numpy.dtype
-        Of the values as they are given.
-    has_place : bool
-        Whether it says where the volume lies.
-    """
-
-    geometry: Geometry
-    dtype: np.dtype[Any]
-    has_place: bool
-
-    @property
-    def values(self) -> int:
-        """Number of voxels."""
-        return math.prod(self.geometry.shape)
-
-
-def parse_mgh(path: Path) -> VolumeHeader:
+def parse_mgh(path: Path) -> RawHeader:
     """Read the header of an MGH or MGZ.
 
     Raises
@@ -68,11 +40,18 @@ def parse_mgh(path: Path) -> VolumeHeader:
     InputError
         When it is none, or has several frames.
     """
-    head, has_place = _mgh_header(path)
+    is_packed = path.suffix.lower() == ".mgz"
+    with path.open("rb") as file:
+        if is_packed and file.read(2) != GZIP_START:
+            raise InputError(
+                "this is not an MGZ: it is not gzip-compressed", "is it the right file?"
+            )
+        file.seek(0)
+        begin = first_bytes(file, _MGH_HEADER) if is_packed else file.read(_MGH_HEADER)
+    head, has_place = _mgh_header(begin)
     shape, code = tuple(int(n) for n in head["dims"]), int(head["type"])
     if min(shape) < 1:
         raise InputError(f"a header of shape {shape} given, a volume expected", _AGAIN)
-    budgets.AXIS.check(max(shape), "an axis of the image")
     if shape[3] > 1:
         raise InputError(
             f"a volume of {shape[3]} frames given, one expected", "extract one frame first"
@@ -81,17 +60,14 @@ def parse_mgh(path: Path) -> VolumeHeader:
         known = ", ".join(f"{number} ({name})" for number, name in _MGH_TYPES.items())
         hint = "convert it first: mri_convert -odt float IN OUT"
         raise InputError(f"an MGH of type {code} given, {known} expected", hint)
-    header = VolumeHeader(_mgh_geometry(head, shape), np.dtype(_MGH_TYPES[code]), has_place)
-    needed = header.values * header.dtype.itemsize
-    present = max(path.stat().st_size - (0 if _is_packed(path) else _MGH_HEADER), 0)
-    if _is_packed(path):
-        budgets.DEFLATE.check(needed, "the header announces voxels", present)
-    elif present < needed:
-        raise InputError(
-            f"the header announces {needed} bytes of voxels, the file holds {present}",
-            TRUNCATED_HINT,
-        )
-    return header
+    return RawHeader(
+        data=path,
+        geometry=_mgh_geometry(head, shape),
+        stored=np.dtype(_MGH_TYPES[code]).newbyteorder(">"),
+        encoding="deflate" if is_packed else "raw",
+        skip=_MGH_HEADER,
+        metadata=with_warnings({"mgh": "scanner"}, "" if has_place else _NO_PLACE),
+    )
 
 
 def _mgh_geometry(head: Any, shape: tuple[int, ...]) -> Geometry:
@@ -119,49 +95,15 @@ def _mgh_geometry(head: Any, shape: tuple[int, ...]) -> Geometry:
     )
 
 
-def read_mgh(path: Path, header: VolumeHeader, available: int) -> Volume:
-    """Read an MGH or MGZ.
-
-    Raises
-    ------
-    InputError
-        When it is damaged, or larger than the memory.
-    """
-    check_memory(header.geometry.size, 2 * header.dtype.itemsize, available)
-    with library_named("the voxels are incomplete or damaged", _AGAIN):
-        with _opened(path) as file:
-            file.seek(_MGH_HEADER)
-            content = file.read(header.values * header.dtype.itemsize)
-        stored = np.frombuffer(content, header.dtype.newbyteorder(">")).reshape(
-            header.geometry.shape
-        )
-    metadata = with_warnings({"mgh": "scanner"}, "" if header.has_place else _NO_PLACE)
-    return Volume(stored.astype(header.dtype), header.geometry, metadata, path)
-
-
 def is_mgh_anatomical(metadata: dict[str, str]) -> bool:
     """True if the axes of the world are a patient's: FreeSurfer's are."""
     return "mgh" in metadata
 
 
-def _opened(path: Path) -> IO[bytes]:
-    """The file, unpacked where its name says that it is packed."""
-    return gzip.open(path) if _is_packed(path) else path.open("rb")  # type: ignore[return-value]
-
-
-def _is_packed(path: Path) -> bool:
-    return path.suffix.lower() == ".mgz"
-
-
-def _mgh_header(path: Path) -> tuple[Any, bool]:
+def _mgh_header(begin: bytes) -> tuple[Any, bool]:
     """The header by nibabel, which would repair it and print about that; and whether it says where the volume lies."""
     from nibabel.freesurfer.mghformat import MGHHeader
 
-    with (
-        library_named("this is not an MGH file, or damaged", "is it the right file?"),
-        _opened(path) as file,
-    ):
-        begin = file.read(_MGH_HEADER)
     if begin[: len(_MGH_VERSION)] != _MGH_VERSION:
         raise InputError("this is not an MGH file", "is it the right one?")
     with library_named("the header is damaged", _AGAIN):

@@ -21,12 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
-from accelsurf.grid.geometry import Geometry
 from accelsurf.io.channels import MAX_CHANNELS
 from accelsurf.io.formats.deflate import GZIP_START, first_bytes
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
-from accelsurf.io.headers import TIMES_KEY, check_data_file, single_precision, split_name
+from accelsurf.io.headers import (
+    FRAME_KEY,
+    TIMES_KEY,
+    UNIT_KEY,
+    check_data_file,
+    single_precision,
+    split_name,
+    with_warnings,
+)
 from accelsurf.io.scaling import scaled, scaled_type
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions, check_readable
@@ -65,6 +72,8 @@ _VECTORS = frozenset((1004, 1005, 1006, 1007, 2003, 2004))
 _SECONDS = {8: 1.0, 16: 1e-3, 24: 1e-6}
 #: A slope this near to 1 is 1, rounded by who wrote it: two steps of single precision.
 _SLOPE_ROUNDING = 3e-7
+#: The code of a unit of length in a header.
+_MICRON = 3
 _NOT_REAL = {
     32: "complex",
     1792: "complex",
@@ -158,24 +167,24 @@ class NiftiHeader:
         return guessed and self.size[3] <= MAX_CHANNELS
 
     @property
+    def is_scaled(self) -> bool:
+        """True if stored numbers stand for others."""
+        return (self.slope, self.intercept) != (1.0, 0.0)
+
+    @property
     def value_type(self) -> np.dtype[Any]:
         """Type of the values: that of the voxels, a float that holds them when whole numbers are scaled."""
         stored = self.voxel_type.newbyteorder("=")
-        if (self.slope, self.intercept) == (1.0, 0.0):
+        if not self.is_scaled:
             return stored
         needed = scaled_type(self.slope, self.intercept)
         return np.promote_types(stored, needed) if stored.kind == "f" else needed
 
     def values(self, stored: NDArray[Any]) -> NDArray[Any]:
         """Return the values that stored numbers stand for, of ``value_type``."""
-        if (self.slope, self.intercept) != (1.0, 0.0):
+        if self.is_scaled:
             return scaled(stored, self.slope, self.intercept, self.value_type)
         return stored.astype(self.value_type, copy=False)
-
-    @property
-    def claimed_bytes(self) -> int:
-        """Bytes from the start of the file to the end of the voxels, as the header would have it."""
-        return self.data_offset + math.prod(self.size) * self.voxel_type.itemsize
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,9 +208,29 @@ class NiftiFile(RawHeader):
         return self.nifti.are_channels_guessed
 
     @property
-    def geometry(self) -> Geometry:
-        """The grid of a volume."""
-        return self.nifti.grid.geometry()
+    def is_scaled(self) -> bool:
+        """True if stored numbers stand for others."""
+        return self.nifti.is_scaled
+
+    def scaled(self, stored: NDArray[Any]) -> NDArray[Any]:
+        """Return the values that stored numbers stand for."""
+        return self.nifti.values(stored)
+
+    @property
+    def volume_metadata(self) -> dict[str, str]:
+        """The fields of the header, and a warning when qform and sform disagree."""
+        fields, notes = self.nifti, [self.nifti.grid.check_agreement(self.geometry)]
+        if fields.are_channels_guessed and self.asked.channel_index is None:
+            notes.append(
+                f"the {fields.volumes} volumes of the file are taken for channels: its header says nothing of time or "
+                "vectors; --channel-index N takes one of them"
+            )
+        said = with_warnings(self.metadata, *notes)
+        if fields.grid.units & 7 == _MICRON:
+            said[UNIT_KEY] = "um"
+        if self.time_points > 1 and self.seconds:
+            said[FRAME_KEY] = repr(self.seconds)
+        return said
 
     def _number(self, time: int, channel: int) -> int:
         return channel * self.nifti.time_points + time
@@ -266,13 +295,12 @@ def _file_of(
         header = replace(header, says_time=True)
     header.grid.check_forms()
     return NiftiFile(
-        voxels,
-        0,
-        encoding,
-        header.claimed_bytes,
+        data=voxels,
+        geometry=header.grid.geometry(),
+        stored=header.voxel_type,
+        encoding=encoding,
         skip=header.data_offset,
         metadata={METADATA_KEY: header.grid.fields},
-        numbers=math.prod(header.size),
         channels=header.channels,
         time_points=header.time_points,
         seconds=header.seconds,
@@ -426,7 +454,8 @@ def parse_header(raw: bytes, is_pair: bool = False) -> NiftiHeader:
             f"the file has only {len(raw)} bytes, a NIfTI header alone has {HEADER_BYTES[version]}",
             hint="the file is truncated or is not an image: copy or export it again",
         )
-    (at, magic), (_, other) = (magics[version] for magics in _by_pair(is_pair))
+    magics = (_PAIR_MAGIC, _MAGIC) if is_pair else (_MAGIC, _PAIR_MAGIC)
+    (at, magic), (_, other) = (kinds[version] for kinds in magics)
     if order and raw[at : at + len(magic)] != magic:
         _refuse_other(raw[at : at + len(magic)] == other, is_pair, version)
     if not order or raw[at : at + len(magic)] != magic:
@@ -478,11 +507,6 @@ def parse_header(raw: bytes, is_pair: bool = False) -> NiftiHeader:
     place = size, header.get_data_dtype(), offset
     is_vector = int(header["intent_code"]) in _VECTORS
     return NiftiHeader(version, *place, *_scaling(header), grid, is_vector, *_time_step(header))
-
-
-def _by_pair(is_pair: bool) -> tuple[dict[int, tuple[int, bytes]], dict[int, tuple[int, bytes]]]:
-    """Places of the marks of a file or a pair, and those of the other kind."""
-    return (_PAIR_MAGIC, _MAGIC) if is_pair else (_MAGIC, _PAIR_MAGIC)
 
 
 def _refuse_other(is_other: bool, is_pair: bool, version: int) -> None:

@@ -10,7 +10,7 @@ that do not know it read the file as any other.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from gzip import GzipFile
 from pathlib import Path
@@ -27,122 +27,13 @@ from accelsurf.image.volume import Volume
 from accelsurf.io.formats import nifti, nifti_grid
 from accelsurf.io.formats.deflate import gzip_writer
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels, write_box
-from accelsurf.io.headers import (
-    FRAME_KEY,
-    LABELS_KEY,
-    UNIT_KEY,
-    FrameTimes,
-    with_warnings,
-)
-from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
-from accelsurf.io.memory import check_memory
+from accelsurf.io.headers import LABELS_KEY, FrameTimes
 from accelsurf.settings.labels import LabelTable
 
 #: Voxels along an axis of a NIfTI-1: its sizes are 16-bit numbers.
 MAX_AXIS = 2**15 - 1
 _RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _CODE = 30
-#: The code of a unit of length in a header.
-_MICRON = 3
-
-
-def read_nifti(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
-    """Read a file of one volume.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header : NiftiFile
-        What its header claims.
-    available : int
-        Bytes of memory.
-
-    Raises
-    ------
-    InputError
-        When the file holds several volumes, is incomplete or larger than the memory; GeometryError when its header
-        contradicts itself.
-    """
-    return _read(path, header, [header.single()], available)[0]
-
-
-def read_nifti_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
-    """Read the volumes of a file, which follow one another in it.
-
-    Raises
-    ------
-    InputError
-        As `read_nifti`, and for more than `accelsurf.io.channels.MAX_CHANNELS` of them.
-    """
-    return _read(path, header, header.selected(), available)
-
-
-def _read(
-    path: Path, header: nifti.NiftiFile, numbers: Sequence[int], available: int
-) -> list[Volume]:
-    """Read some volumes of a file."""
-    fields, span = header.nifti, max(numbers) - min(numbers) + 1
-    # The voxels as they are stored and as they are given may be in memory at the same time.
-    is_changed = (
-        (fields.slope, fields.intercept) != (1.0, 0.0) or not fields.voxel_type.isnative or span > 1
-    )
-    check_memory(
-        fields.size[:3],
-        span * fields.voxel_type.itemsize + 8 * is_changed * len(numbers),
-        available,
-    )
-    geometry = fields.grid.geometry()
-    metadata = _metadata(header, geometry)
-    arrays = header.volumes(fields.voxel_type, geometry.shape, numbers)
-    return [
-        Volume(np.ascontiguousarray(fields.values(array)), geometry, dict(metadata), path)
-        for array in arrays
-    ]
-
-
-def _metadata(header: nifti.NiftiFile, geometry: Geometry) -> dict[str, str]:
-    """The metadata of a volume: fields of its header, and a warning when qform and sform disagree."""
-    fields, notes = header.nifti, [header.nifti.grid.check_agreement(geometry)]
-    if fields.are_channels_guessed and header.asked.channel_index is None:
-        notes.append(
-            f"the {fields.volumes} volumes of the file are taken for channels: its header says nothing of time or "
-            "vectors; --channel-index N takes one of them"
-        )
-    said = with_warnings(header.metadata, *notes)
-    if fields.grid.units & 7 == _MICRON:
-        said[UNIT_KEY] = "um"
-    return (
-        said | {FRAME_KEY: repr(fields.seconds)}
-        if fields.seconds and fields.time_points > 1
-        else said
-    )
-
-
-def open_nifti(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVolume:
-    """Open an uncompressed file of one volume, to be read box by box.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header : NiftiFile
-        What its header claims.
-    opening : Opening
-        Has no more to say here.
-
-    Raises
-    ------
-    InputError
-        As `read_nifti`.
-    """
-    fields = header.nifti
-    number, (nx, ny, nz) = header.single(), fields.size[:3]
-    offset = fields.data_offset + number * nx * ny * nz * fields.voxel_type.itemsize
-    voxels = RawVoxels(RawLayout(path, offset, fields.voxel_type, (nz, ny, nx)), fields.values)
-    geometry = fields.grid.geometry()
-    layout = StoreLayout((geometry,), None, fields.channels, fields.time_points)
-    return LazyVolume(voxels, geometry, _metadata(header, geometry), path, layout)
 
 
 def write_nifti(volume: Volume, path: Path) -> None:

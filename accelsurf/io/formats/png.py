@@ -7,12 +7,15 @@ its axes.
 from __future__ import annotations
 
 import io
+import itertools
 import math
+import os
 import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +27,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.channels import to_grey
 from accelsurf.io.files import library_named
+from accelsurf.io.formats.deflate import inflate
 from accelsurf.io.headers import with_given_unit, with_warnings
 from accelsurf.io.memory import check_memory
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
@@ -142,41 +146,41 @@ def read_png(path: Path, header: PngHeader, available: int) -> Volume:
     return Volume(array[None], header.geometry, metadata, path)
 
 
-def _pixel(path: Path) -> tuple[float, float]:
-    """The size of a pixel (x, y), mm, where ITK writes it, before the rows; else 1."""
-    scale = b""
+class _Part(NamedTuple):
+    """A part of a PNG: its name, and its content."""
+
+    name: bytes
+    content: bytes
+
+
+def _parts(path: Path) -> Iterator[_Part]:
+    """Yield the parts of a PNG before its end; what follows is no part, whatever length it names."""
     with path.open("rb") as file:
         file.seek(len(_START))
-        while len(start := file.read(8)) == 8:
-            length, name = struct.unpack(">I4s", start)
-            if name in (b"IDAT", b"IEND"):
-                break
-            after = file.tell() + length + 4
-            scale = file.read(min(length, 64)) if name == b"sCAL" else scale
-            file.seek(after)
+        while len(start := file.read(8)) == 8 and start[4:] != b"IEND":
+            (length,) = struct.unpack(">I", start[:4])
+            yield _Part(start[4:], file.read(min(length, path.stat().st_size)))
+            file.seek(4, os.SEEK_CUR)
+
+
+def _pixel(path: Path) -> tuple[float, float]:
+    """The size of a pixel (x, y), mm, where ITK writes it, before the rows; else 1."""
+    before = itertools.takewhile(lambda part: part.name != b"IDAT", _parts(path))
+    scales = [part.content for part in before if part.name == b"sCAL"]
     try:
-        x, y = (float(word) for word in scale[1:].split(b"\0"))
-    except ValueError:
+        x, y = (float(word) for word in scales[-1][1:].split(b"\0"))
+    except (ValueError, IndexError):
         return 1.0, 1.0
     return (x, y) if min(x, y) > 0 and math.isfinite(x) and math.isfinite(y) else (1.0, 1.0)
 
 
 def _check_rows(header: PngHeader) -> None:
     """Refuse a PNG of fewer rows than its header announces."""
-    unpack, present = zlib.decompressobj(), 0
-    with header.data.open("rb") as file:
-        file.seek(len(_START))
-        while len(start := file.read(8)) == 8 and present <= header.row_bytes:
-            length, name = struct.unpack(">I4s", start)
-            if name == b"IEND":
-                break  # what follows is no part, whatever length it names
-            body = file.read(length + 4)[:length]
-            while name == b"IDAT" and body and present <= header.row_bytes:
-                present += len(unpack.decompress(body, 1 << 20))
-                body = unpack.unconsumed_tail
+    packed = b"".join(part.content for part in _parts(header.data) if part.name == b"IDAT")
+    present = sum(map(len, inflate(io.BytesIO(packed), None, header.row_bytes)))
     if present != header.row_bytes:
         raise InputError(
-            f"the header announces {header.row_bytes} bytes of rows, {present} or more are there",
+            f"the header announces {header.row_bytes} bytes of rows, {present} are there",
             TRUNCATED_HINT,
         )
 

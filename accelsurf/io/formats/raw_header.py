@@ -1,6 +1,7 @@
-"""Claims of the header of a volume format about its voxels, and the check that they are there.
+"""Volumes whose voxels lie in a file one after the other, plain or packed as a whole: NIfTI, NRRD, MetaImage, MGH, npy.
 
-Readers return zeros or garbage for missing voxels; the size is checked before anything is read or allocated.
+A header claims where they are; that they are there is checked before anything is read or allocated. numpy takes plain
+voxels, zlib unpacks the others to their end, which verifies their checksum.
 """
 
 from __future__ import annotations
@@ -15,17 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.image.volume import Volume
 from accelsurf.io.channels import selected, single
 from accelsurf.io.formats.deflate import TRUNCATED_HINT, inflate
-from accelsurf.io.headers import FrameTimes
+from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels, native
+from accelsurf.io.headers import FRAME_KEY, FrameTimes
+from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
+from accelsurf.io.memory import check_memory
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 Encoding = Literal["raw", "deflate"]
-ByteOrder = Literal["<", ">"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RawHeader:
     """Claims of a header.
 
@@ -33,24 +38,20 @@ class RawHeader:
     ----------
     data : Path
         File that holds the voxels.
+    geometry : Geometry
+        The grid of a volume.
+    stored : numpy.dtype
+        Of the values in the file, with its byte order.
     offset : int
-        Bytes in it before the stream of voxels, which is perhaps compressed.
+        Bytes in the file before the stream of voxels, which is perhaps compressed.
     encoding : str
         "raw", or "deflate" (gzip or zlib).
-    claimed_bytes : int
-        Bytes expected from there on, after decompression.
-    itk_name : str
-        The format, as ITK names the class that reads it; empty where it does not.
     skip : int
         Bytes of the unpacked stream before the voxels.
     stored_bytes : int or None
-        Bytes of compressed voxels, where the header says so: the reader will take these and no more.
+        Bytes of compressed voxels, where the header says so: no more are read.
     metadata : dict of str to str
         Header fields to give back on writing.
-    numbers : int
-        Numbers expected, all channels together.
-    order : str
-        Byte order of the voxels.
     channels, time_points : int
         How many of them there are.
     seconds : float or None
@@ -64,21 +65,25 @@ class RawHeader:
     """
 
     data: Path
-    offset: int
-    encoding: Encoding
-    claimed_bytes: int
-    itk_name: str = ""
+    geometry: Geometry
+    stored: np.dtype[Any]
+    offset: int = 0
+    encoding: Encoding = "raw"
     skip: int = 0
     stored_bytes: int | None = None
     metadata: dict[str, str] = field(default_factory=dict)
-    numbers: int = 0
-    order: ByteOrder = "<"
     channels: int = 1
     time_points: int = 1
     seconds: float | None = None
     is_interleaved: bool = False
     asked: ReadOptions = AS_IT_IS
     times_text: str = ""
+
+    @property
+    def claimed_bytes(self) -> int:
+        """Bytes of the unpacked stream from its start to the end of the voxels."""
+        numbers = math.prod(self.geometry.shape) * self.channels * self.time_points
+        return self.skip + numbers * self.stored.itemsize
 
     @property
     def frame_times(self) -> FrameTimes | None:
@@ -96,12 +101,32 @@ class RawHeader:
     @property
     def values(self) -> int:
         """Number of values that are read, those of all channels together."""
-        return self.numbers // (self.channels * self.time_points) * len(self.selected())
+        return math.prod(self.geometry.shape) * len(self.selected())
+
+    @property
+    def volume_metadata(self) -> dict[str, str]:
+        """Metadata of a volume that is read."""
+        seconds = {} if self.seconds is None else {FRAME_KEY: repr(self.seconds)}
+        return self.metadata | seconds
 
     @property
     def are_channels_guessed(self) -> bool:
         """True if a few volumes are taken for channels because nothing is said of time."""
         return False
+
+    @property
+    def has_boxes(self) -> bool:
+        """True if any box of a volume can be read by itself."""
+        return self.encoding == "raw" and not self.is_interleaved
+
+    @property
+    def is_scaled(self) -> bool:
+        """True if stored numbers stand for others."""
+        return False
+
+    def scaled(self, stored: NDArray[Any]) -> NDArray[Any]:
+        """Return the values that stored numbers stand for, in this machine's byte order."""
+        return native(stored)
 
     def selected(self) -> list[int]:
         """Numbers of the components or volumes that are read as channels.
@@ -136,6 +161,7 @@ class RawHeader:
         InputError
             With both numbers.
         """
+        budgets.AXIS.check(max(self.geometry.shape), "an axis of the image")
         budgets.AXIS.check(
             self.channels * self.time_points, "the channels and time points of the image"
         )
@@ -159,17 +185,11 @@ class RawHeader:
                 hint=TRUNCATED_HINT,
             )
 
-    def volumes(
-        self, stored: np.dtype[Any], shape: tuple[int, int, int], numbers: Sequence[int]
-    ) -> list[NDArray[Any]]:
-        """Read some of the components or volumes; what is packed is unpacked to its end, which verifies its checksum.
+    def volumes(self, numbers: Sequence[int]) -> list[NDArray[Any]]:
+        """Read some of the components or volumes, as they are stored.
 
         Parameters
         ----------
-        stored : dtype
-            Type of the values in the file.
-        shape : tuple of int
-            Voxels (nz, ny, nx) of a volume.
         numbers : sequence of int
             Which, in the order of the file.
 
@@ -180,48 +200,32 @@ class RawHeader:
         Raises
         ------
         InputError
-            When the file holds less than its header claims.
+            When the file holds less than its header claims, or is damaged.
         """
-        if not self.is_interleaved:
-            first, size = min(numbers), math.prod(shape)
-            several = self._values(stored, first * size, (max(numbers) + 1 - first) * size).reshape(
-                -1, *shape
-            )
-            return [several[number - first] for number in numbers]
-        # Planes, unless they are packed: then all is unpacked once.
-        depth, every = 1 if self.encoding == "raw" else shape[0], self.channels * self.time_points
-        found = [np.empty(shape, stored) for _ in numbers]
-        size = depth * shape[1] * shape[2] * every
-        for z in range(0, shape[0], depth):
-            part = self._values(stored, z // depth * size, size).reshape(depth, *shape[1:], every)
-            for array, number in zip(found, numbers, strict=True):
-                array[z : z + depth] = part[..., number]
-        return found
+        shape, size = self.geometry.shape, math.prod(self.geometry.shape)
+        if self.is_interleaved:
+            each = self.channels * self.time_points
+            every = self._values(0, size * each).reshape(*shape, each)
+            return [every[..., number] for number in numbers]
+        first = min(numbers)
+        several = self._values(first * size, (max(numbers) + 1 - first) * size).reshape(-1, *shape)
+        return [several[number - first] for number in numbers]
 
-    def _values(self, stored: np.dtype[Any], begin: int, count: int) -> NDArray[Any]:
+    def _values(self, first: int, count: int) -> NDArray[Any]:
         """Some values in the order of the file."""
-        values = np.empty(count, stored)
-        raw, skip = memoryview(values.view(np.uint8).data), self.skip + begin * stored.itemsize
+        begin = self.skip + first * self.stored.itemsize
+        if self.encoding == "raw":
+            return values_at(self.data, self.stored, self.offset + begin, count)
+        values = np.empty(count, self.stored)
+        raw, present, filled = memoryview(values.view(np.uint8).data), 0, 0
         with self.data.open("rb") as stream:
-            if self.encoding == "raw":
-                stream.seek(self.offset + skip)
-                at = stream.readinto(raw)
-            else:
-                at, present = 0, 0
-                stream.seek(self.offset)
-                for piece in inflate(stream, self.stored_bytes, self.claimed_bytes):
-                    some = memoryview(piece)[skip : skip + len(raw) - at]
-                    raw[at : at + len(some)] = some
-                    at, skip, present = (
-                        at + len(some),
-                        max(skip - len(piece), 0),
-                        present + len(piece),
-                    )
-                self.check_present(present)
-        if at < len(raw):
-            raise InputError(
-                f"{len(raw)} bytes of voxels announced, {at} read", hint=TRUNCATED_HINT
-            )
+            stream.seek(self.offset)
+            for piece in inflate(stream, self.stored_bytes, self.claimed_bytes):
+                some = memoryview(piece)[max(begin - present, 0) :][: len(raw) - filled]
+                raw[filled : filled + len(some)] = some
+                filled += len(some)
+                present += len(piece)
+        self.check_present(present)
         return values
 
 
@@ -233,17 +237,17 @@ class ListedHeader(RawHeader):
     ----------
     parts : tuple of Path
         The files in their order.
-    skipped : int
+    bytes_before : int
         Bytes in each before its voxels; below 0 the voxels are its last bytes.
     """
 
     parts: tuple[Path, ...]
-    skipped: int = 0
+    bytes_before: int = 0
 
     @property
-    def part_bytes(self) -> int:
-        """Bytes of voxels in each file."""
-        return self.claimed_bytes // len(self.parts)
+    def has_boxes(self) -> bool:
+        """False."""
+        return False
 
     def check_claims(self) -> None:
         """Refuse a list whose files hold less than the header claims.
@@ -253,34 +257,117 @@ class ListedHeader(RawHeader):
         InputError
             With the first of them.
         """
+        part_bytes = self.claimed_bytes // len(self.parts)
         for part in self.parts:
-            present = part.stat().st_size - max(self.skipped, 0)
-            if present < self.part_bytes:
+            present = part.stat().st_size - max(self.bytes_before, 0)
+            if present < part_bytes:
                 raise InputError(
-                    f"the header announces {self.part_bytes} bytes of voxels in {part.name}, "
+                    f"the header announces {part_bytes} bytes of voxels in {part.name}, "
                     f"it holds {max(present, 0)}",
                     hint=TRUNCATED_HINT,
                 )
 
-    def _values(self, stored: np.dtype[Any], begin: int, count: int) -> NDArray[Any]:
-        values = np.empty(count, stored)
-        raw, first, size = (
-            memoryview(values.view(np.uint8).data),
-            begin * stored.itemsize,
-            self.part_bytes,
+    def _values(self, first: int, count: int) -> NDArray[Any]:
+        values = np.empty(self.claimed_bytes // self.stored.itemsize, self.stored)
+        for target, part in zip(values.reshape(len(self.parts), -1), self.parts, strict=True):
+            begin = self.bytes_before
+            if begin < 0:
+                begin = part.stat().st_size - target.nbytes
+            target[:] = values_at(part, self.stored, begin, len(target))
+        return values[first : first + count]
+
+
+def values_at(path: Path, stored: np.dtype[Any], offset: int, count: int) -> NDArray[Any]:
+    """Read plain values from a place in a file.
+
+    Raises
+    ------
+    InputError
+        When the file ends before the last of them.
+    """
+    values = np.fromfile(path, stored, count, offset=offset)
+    if len(values) < count:
+        raise InputError(
+            f"{count} values expected at byte {offset}, {len(values)} read", TRUNCATED_HINT
         )
-        at = 0
-        while at < len(raw):
-            number, skip = divmod(first + at, size)
-            with self.parts[number].open("rb") as stream:
-                before = (
-                    self.skipped if self.skipped >= 0 else self.parts[number].stat().st_size - size
-                )
-                stream.seek(before + skip)
-                read = stream.readinto(raw[at : at + size - skip])
-            if not read:
-                raise InputError(
-                    f"{len(raw)} bytes of voxels announced, {at} read", hint=TRUNCATED_HINT
-                )
-            at += read
-        return values
+    return values
+
+
+def read_raw(path: Path, header: RawHeader, available: int) -> Volume:
+    """Read a volume.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : RawHeader
+        What its header claims.
+    available : int
+        Bytes of memory.
+
+    Raises
+    ------
+    InputError
+        When the file holds several volumes and none is asked for, is damaged, or larger than the memory; GeometryError
+        when its header contradicts itself.
+    """
+    return _read(path, header, [header.single()], available)[0]
+
+
+def read_raw_channels(path: Path, header: RawHeader, available: int) -> list[Volume]:
+    """Read the components or volumes of a file that are read as channels; one volume of an ordinary image.
+
+    Raises
+    ------
+    InputError
+        As `read_raw`, and for more than `accelsurf.io.channels.MAX_CHANNELS` of them.
+    """
+    return _read(path, header, header.selected(), available)
+
+
+def _read(path: Path, header: RawHeader, numbers: Sequence[int], available: int) -> list[Volume]:
+    """Read some of the components or volumes."""
+    metadata = header.volume_metadata
+    every = header.channels * header.time_points
+    span = every if header.is_interleaved else max(numbers) + 1 - min(numbers)
+    # Voxels as they are stored and as they are given may be in memory at the same time.
+    given = 8 if header.is_scaled else header.stored.itemsize
+    is_changed = header.is_scaled or not header.stored.isnative or span > 1
+    needed = span * header.stored.itemsize + given * is_changed * len(numbers)
+    check_memory(header.geometry.size, needed, available)
+    arrays = header.volumes(numbers)
+    return [
+        Volume(np.ascontiguousarray(header.scaled(array)), header.geometry, dict(metadata), path)
+        for array in arrays
+    ]
+
+
+def open_raw(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
+    """Open a volume whose voxels are stored as they are, to be read box by box.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : RawHeader
+        What its header claims.
+    opening : Opening
+        Has no more to say here.
+
+    Raises
+    ------
+    InputError
+        When the voxels are packed, or as `read_raw`.
+    """
+    number, geometry = header.single(), header.geometry
+    if not header.has_boxes:
+        raise InputError(
+            "the voxels are packed, in several files, have several values, or run along z first: a box of them cannot "
+            "be read by itself",
+            "convert the image to OME-Zarr, or save it uncompressed, in C order",
+        )
+    before = number * math.prod(geometry.shape) * header.stored.itemsize
+    begin = header.offset + header.skip + before
+    voxels = RawVoxels(RawLayout(header.data, begin, header.stored, geometry.shape), header.scaled)
+    layout = StoreLayout((geometry,), None, header.channels, header.time_points)
+    return LazyVolume(voxels, geometry, header.volume_metadata, path, layout)

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import Any, BinaryIO
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,6 @@ from accelsurf.grid.boxes import Box
 from accelsurf.io.files import file_version
 from accelsurf.io.formats.deflate import TRUNCATED_HINT
 
-#: Rows that lie so near in the file are read with what is between them: a disk gives no less than that.
-_MAX_GAP_BYTES = 4096
-#: Bytes that are read at once with gaps between rows.
-_BLOCK_BYTES = 1 << 22
 #: Message and hint where a file is not the one that was opened.
 CHANGED = (
     "the file has changed since it was opened",
@@ -85,7 +81,7 @@ class RawVoxels:
     dtype : numpy.dtype
         Of the values.
     bytes_read : int
-        Bytes that were read from the file so far.
+        Bytes of the voxels that were read so far.
 
     Raises
     ------
@@ -120,37 +116,16 @@ class RawVoxels:
         """
         stored = np.empty([s.stop - s.start for s in box], self.layout.stored)
         # Opened anew each time: a file that is gone or replaced is noticed, and nothing is left open.
-        with self.layout.path.open("rb", buffering=0) as file:
+        with self.layout.path.open("rb") as file:
             if file_version(os.fstat(file.fileno())) != self._version:
                 raise InputError(*CHANGED)
-            count = sum(
-                self._read_plane(file, z, box, stored[z - box[0].start]) for z in _range(box[0])
-            )
+            for part in _parts(self.layout, box, stored):
+                file.seek(part.offset)
+                if file.readinto(part.raw) < len(part.raw):
+                    raise InputError(*CHANGED)
         with self._lock:
-            self.bytes_read += count
+            self.bytes_read += stored.nbytes
         return np.ascontiguousarray(self._values(stored))
-
-    def _read_plane(self, file: BinaryIO, z: int, box: Box, plane: NDArray[Any]) -> int:
-        """Read the rows of a box in one plane; the bytes that were read."""
-        nx = self.layout.shape[2]
-        item = self.layout.stored.itemsize
-        rows, columns = plane.shape
-        gap = (nx - columns) * item
-        at = self.layout.plane(z) + (box[1].start * nx + box[2].start) * item
-        if gap == 0:
-            return _fill(file, at, plane)
-        if gap > _MAX_GAP_BYTES:
-            return sum(_fill(file, at + row * nx * item, plane[row]) for row in range(rows))
-        count, step = 0, max(1, _BLOCK_BYTES // (nx * item))
-        for first in range(0, rows, step):
-            some = min(step, rows - first)
-            block = np.empty(
-                some * nx - (nx - columns), self.layout.stored
-            )  # to the end of the last row
-            count += _fill(file, at + first * nx * item, block)
-            for row in range(some):
-                plane[first + row] = block[row * nx : row * nx + columns]
-        return count
 
 
 def write_box(layout: RawLayout, box: Box, array: NDArray[Any]) -> None:
@@ -165,49 +140,29 @@ def write_box(layout: RawLayout, box: Box, array: NDArray[Any]) -> None:
     array : ndarray, shape of the box
         Of the type of the layout.
     """
-    nx = layout.shape[2]
-    stored = np.ascontiguousarray(array, layout.stored)
-    item = layout.stored.itemsize
-    with layout.path.open("r+b", buffering=0) as file:
-        for plane, z in zip(stored, _range(box[0]), strict=True):
-            at = layout.plane(z) + (box[1].start * nx + box[2].start) * item
-            if plane.shape[1] == nx:
-                _put(file, at, plane)
-            else:
-                for row, values in enumerate(plane):
-                    _put(file, at + row * nx * item, values)
+    with layout.path.open("r+b") as file:
+        for part in _parts(layout, box, np.ascontiguousarray(array, layout.stored)):
+            file.seek(part.offset)
+            file.write(part.raw)
 
 
-def _put(file: BinaryIO, offset: int, array: NDArray[Any]) -> None:
-    """Write the bytes of a contiguous array at an offset."""
-    raw = memoryview(array.reshape(-1).view(np.uint8).data)
-    file.seek(offset)
-    at = 0
-    while at < len(raw):
-        at += file.write(
-            raw[at:]
-        )  # less than all where the disk is nearly full; the next call then says so
+class _Part(NamedTuple):
+    """Bytes of an array that lie together in the file, and where."""
+
+    offset: int
+    raw: memoryview
+
+
+def _parts(layout: RawLayout, box: Box, array: NDArray[Any]) -> Iterator[_Part]:
+    """Yield the parts of the contiguous array of a box: planes of whole rows, else rows."""
+    nx, item = layout.shape[2], layout.stored.itemsize
+    for plane, z in zip(array, range(box[0].start, box[0].stop), strict=True):
+        at = layout.plane(z) + (box[1].start * nx + box[2].start) * item
+        for row, values in enumerate([plane] if plane.shape[1] == nx else plane):
+            raw = memoryview(values.reshape(-1).view(np.uint8).data)
+            yield _Part(at + row * nx * item, raw)
 
 
 def native(stored: NDArray[Any]) -> NDArray[Any]:
     """The same numbers in this machine's byte order."""
     return stored.astype(stored.dtype.newbyteorder("="), copy=False)
-
-
-def _range(along: slice) -> range:
-    return range(along.start, along.stop)
-
-
-def _fill(file: BinaryIO, offset: int, array: NDArray[Any]) -> int:
-    """Fill a contiguous array with the bytes from an offset on; their number."""
-    raw = memoryview(array.reshape(-1).view(np.uint8).data)
-    file.seek(offset)
-    at = 0
-    while at < len(raw):
-        count = file.readinto(raw[at:])  # type: ignore[attr-defined]
-        if not count:
-            raise InputError(
-                f"{len(raw)} bytes of voxels expected at byte {offset}, {at} read", TRUNCATED_HINT
-            )
-        at += count
-    return at

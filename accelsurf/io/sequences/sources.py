@@ -17,7 +17,7 @@ from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
-from accelsurf.io import headers, itk
+from accelsurf.io import headers
 from accelsurf.io.channels import read_volumes
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.slices import ordered
@@ -98,7 +98,7 @@ class FileFrames(FileSequence):
         self.form, self.header = headers.parse(path, options)
         count = int(getattr(self.header, "time_points", 1))
         times = getattr(self.header, "frame_times", None) or FrameTimes.regular(count, None)
-        self.place(geometry_of(path, self.header), times, getattr(self.header, "notes", ()))
+        self.place(self.header.geometry, times, getattr(self.header, "notes", ()))
 
     @property
     def frame_values(self) -> int:
@@ -165,7 +165,7 @@ class FrameFolder(FileSequence):
                         f"{header.time_points} time points are in it, a frame expected",
                         "give the file alone",
                     )
-                here = geometry_of(file, header)
+                here = header.geometry
             geometry = geometry or here
             if difference := geometry.difference(here):
                 raise InputError(
@@ -197,12 +197,6 @@ def with_time(header: Any, number: int) -> Any:
     if getattr(header, "time_points", 1) == 1:
         return header
     return replace(header, **{name: replace(getattr(header, name), time_index=number)})
-
-
-def geometry_of(path: Path, header: Any) -> Geometry:
-    """The grid that a header describes."""
-    found: Geometry | None = getattr(header, "geometry", None)
-    return itk.geometry_of(itk.open_reader(path, header.itk_name)) if found is None else found
 
 
 def holds_frames(path: Path) -> bool:

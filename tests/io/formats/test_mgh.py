@@ -1,5 +1,7 @@
 """MGH is read where another program has put them."""
 
+import gzip
+
 import nibabel
 import numpy as np
 import pytest
@@ -49,6 +51,17 @@ def test_mgh_whose_axes_have_another_length_than_1_is_refused(seed, tmp_path):
     io.read(tmp_path / "a.mgh")
     with pytest.raises(InputError, match="have no length of 1, or voxels no positive size"):
         io.read(tmp_path / "b.mgh")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_packed_mgh_whose_voxels_are_damaged_is_refused(seed, tmp_path):
+    """Unpacked they are numbers like others: the checksum at the end of the stream tells."""
+    image = nibabel.MGHImage(VALUES.astype(np.int32), np.eye(4))
+    content = bytearray(gzip.compress(image.to_bytes(), 0))
+    content[len(content) // 2 + seed] ^= 1 << seed
+    (tmp_path / "a.mgz").write_bytes(content)
+    with pytest.raises(InputError, match="damaged"):
+        io.read(tmp_path / "a.mgz")
 
 
 @pytest.mark.parametrize(

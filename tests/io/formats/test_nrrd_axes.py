@@ -1,6 +1,7 @@
 """The fourth axis of an NRRD: which it is, what lies along it, and its times; detached headers."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -56,17 +57,23 @@ def test_an_axis_at_the_end_is_time(tmp_path, name):
 
 
 @pytest.mark.parametrize("kind", ["time", "???", "domain", "space", "none"])
-def test_a_time_axis_without_a_direction_is_named_with_the_remedy(tmp_path, kind):
-    path = saved(tmp_path, "a.nrrd", header(3, kind), voxels(3))
-    for read in (io.read, io.read_sequence, io.open_volume):
-        with pytest.raises(InputError, match="a 4D NRRD of 3 volumes given") as caught:
-            read(path)
-        assert "--time-index" in caught.value.hint and "track" in caught.value.hint
-    content = path.read_bytes()
-    path.write_bytes(
-        content.replace(f" {kind}\nendian".encode(), b" list\nendian")
-    )  # as the hint says
-    check_frames(path)
+def test_a_last_axis_without_a_direction_is_time(tmp_path, kind):
+    check_frames(saved(tmp_path, "a.nrrd", header(3, kind), voxels(3)))
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        "list vector domain domain",
+        "list domain domain list",
+        "domain list",
+        "complex domain domain domain",
+    ],
+)
+def test_kinds_that_leave_no_three_axes_of_space_are_refused(tmp_path, kinds):
+    text = re.sub("kinds: .*", f"kinds: {kinds}", header(3, "list", directions=False))
+    with pytest.raises(InputError, match="of which 2 axes are of space|complex|damaged"):
+        io.read(saved(tmp_path, "a.nrrd", text, voxels(3)), options=ReadOptions(time_index=0))
 
 
 @pytest.mark.parametrize("name", ["a.nrrd", "a.nhdr", "a.seq.nrrd"])

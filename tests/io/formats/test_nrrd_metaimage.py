@@ -5,10 +5,12 @@ import zlib
 
 import numpy as np
 import pytest
+import SimpleITK as sitk
 
 from accelsurf import io
 from accelsurf.errors import GeometryError
 from accelsurf.image.volume import Volume
+from accelsurf.io.itk import volume_of
 from tests.support.text_headers import VALUES, refuse, text_header
 
 
@@ -25,26 +27,19 @@ def silence(capfd):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"spacings": "0 1 1"}, r"spacing \(x,y,z\) = \(0, 1, 1\), positive"),
-        ({"spacings": "-1 1 1"}, r"spacing \(x,y,z\) = \(-1, 1, 1\), positive"),
-        ({"spacings": "nan 1 1"}, "spacings = nan 1 1, 3 finite numbers"),
-        ({"spacings": "1 1"}, "spacings = 1 1, 3 finite numbers"),
+        ({"spacings": "0 1 1"}, r"spacing \(hz, hy, hx\) = .* three positive numbers"),
+        ({"spacings": "-1 1 1"}, r"spacing \(hz, hy, hx\) = .* three positive numbers"),
+        ({"spacings": "nan 1 1"}, "finite numbers"),
         (
             {
                 "spacings": None,
                 "space": "left-posterior-superior",
                 "space_directions": "(0,0,0) (0,1,0) (0,0,1)",
             },
-            r"spacing \(x,y,z\) = \(0, 1, 1\), positive",
+            r"spacing \(hz, hy, hx\) = .* three positive numbers",
         ),
-        (
-            {
-                "spacings": None,
-                "space": "left-posterior-superior",
-                "space_directions": "none (0,1,0) (0,0,1)",
-            },
-            "space directions = .*9 finite numbers",
-        ),
+        ({"space": "left-posterior-superior"}, "space directions None"),
+        ({"space": "upwards", "space_directions": "(1,0,0) (0,1,0) (0,0,1)"}, "'upwards'"),
     ],
 )
 def test_nrrd_axes(tmp_path, changes, words):
@@ -61,6 +56,12 @@ def test_nrrd_axes(tmp_path, changes, words):
         {"sizes": "6 0 4"},
         {"sizes": "6 x 4"},
         {"encoding": None},
+        {"spacings": "1 1"},
+        {"spacings": "1_0 1 1"},
+        {"spacings": "\u0661 1 1"},
+        {"byte_skip": "1_0"},
+        {"spacings": None, "spacinfs": "1 2 3"},
+        {"space_directions": "(1,0,0) (0,1,0)"},
     ],
 )
 def test_nrrd_damaged_header(tmp_path, changes):
@@ -134,15 +135,69 @@ def test_nrrd_units(tmp_path, key):
             refuse(tmp_path / "a.nrrd", f"lengths in {unit}, mm expected")
 
 
+@pytest.mark.parametrize("suffix", [".nrrd", ".mha"])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_grid_is_where_itk_places_it(tmp_path, suffix, seed):
+    draw = np.random.default_rng(seed)
+    image = sitk.GetImageFromArray(VALUES)
+    image.SetSpacing(draw.uniform(0.2, 3.0, 3).tolist())
+    image.SetOrigin(draw.normal(size=3).tolist())
+    image.SetDirection(np.linalg.qr(draw.normal(size=(3, 3)))[0].ravel().tolist())
+    path = tmp_path / f"a{suffix}"
+    sitk.WriteImage(image, str(path), useCompression=bool(seed % 2))
+    if suffix == ".nrrd":
+        space = draw.choice(["left-anterior-superior", "RAS", "3D-right-handed", "scanner-xyz"])
+        content = path.read_bytes().replace(
+            b"space: left-posterior-superior", f"space: {space}".encode()
+        )
+        path.write_bytes(content)
+    found, other = io.read(path), sitk.ReadImage(str(path))
+    np.testing.assert_array_equal(found.array, sitk.GetArrayFromImage(other))
+    assert found.geometry.matches(volume_of(other).geometry, 1e-9)
+
+
+def test_a_space_with_time_has_the_axes_of_its_patient(tmp_path):
+    """ITK takes those of right-anterior-superior-time for LPS: left and right would be exchanged."""
+    place = {
+        "dimension": "4",
+        "sizes": "6 5 4 1",
+        "spacings": None,
+        "space": "right-anterior-superior-time",
+        "space_directions": "(1,0,0,0) (0,2,0,0) (0,0,3,0) (0,0,0,5)",
+        "space_origin": "(7,8,9,0)",
+    }
+    (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", **place) + VALUES.tobytes())
+    found = io.read(tmp_path / "a.nrrd").geometry
+    assert found.origin == (-7.0, -8.0, 9.0) and np.diag(found.direction).tolist() == [-1, -1, 1]
+
+
+@pytest.mark.parametrize("center", ["cell", "node"])
+def test_nrrd_placed_by_axis_mins(tmp_path, center):
+    head = text_header(".nrrd", axis_mins="5 6 7", centerings=" ".join([center] * 3))
+    (tmp_path / "a.nrrd").write_bytes(head + VALUES.tobytes())
+    other = volume_of(sitk.ReadImage(str(tmp_path / "a.nrrd"))).geometry
+    assert io.read(tmp_path / "a.nrrd").geometry.matches(other)
+
+
+def test_nrrd_keys_of_others_are_no_fields(tmp_path):
+    head = text_header(".nrrd").replace(b"spacings: 1 2 3\n", b"spacings:=9 9 9\nsizes:=1 1 1\n")
+    (tmp_path / "a.nrrd").write_bytes(head + VALUES.tobytes())
+    found = io.read(tmp_path / "a.nrrd")
+    np.testing.assert_array_equal(found.array, VALUES)
+    assert found.geometry.spacing == (1.0, 1.0, 1.0)
+
+
 # -------------------------------------------------------------------------------------------------- MetaImage
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"ElementSpacing": "0 1 1"}, r"spacing \(x,y,z\) = \(0, 1, 1\), positive"),
-        ({"ElementSpacing": "-1 1 1"}, r"spacing \(x,y,z\) = \(-1, 1, 1\), positive"),
-        ({"ElementSpacing": "nan 1 1"}, "ElementSpacing = nan 1 1, 3 finite numbers"),
+        ({"ElementSpacing": "0 1 1"}, r"spacing \(hz, hy, hx\) = .* three positive numbers"),
+        ({"ElementSpacing": "-1 1 1"}, r"spacing \(hz, hy, hx\) = .* three positive numbers"),
+        ({"ElementSpacing": "nan 1 1"}, "ElementSpacing = nan 1 1, finite numbers"),
+        ({"Offset": "x 0 0"}, "Offset = x 0 0, finite numbers"),
+        ({"Offset": "1_0 0 0"}, "Offset = 1_0 0 0, finite numbers"),
         ({"ElementSpacing": "1 1"}, "ElementSpacing = 1 1, 3 finite numbers"),
         ({"Offset": "1 2"}, "Offset = 1 2, 3 finite numbers"),
         ({"TransformMatrix": "1 0 0 0 1 0"}, "TransformMatrix = .*, 9 finite numbers"),
@@ -166,9 +221,13 @@ def test_metaimage_singular_matrix(tmp_path):
         ({"ElementType": None}, "MetaImage header is damaged"),
         ({"DimSize": "6 5"}, "MetaImage header is damaged"),
         ({"DimSize": "6 5 0"}, "MetaImage header is damaged"),
-        ({"NDims": None}, "not a MetaImage"),
+        ({"DimSize": "6.5 5 4"}, "MetaImage header is damaged"),
+        ({"DimSize": "6 5 4 1"}, "MetaImage header is damaged"),
+        ({"NDims": None}, "NDims is missing"),
+        ({"ElementByteOrderMSB": "True"}, "two values for BinaryDataByteOrderMSB"),
+        ({"BinaryDataByteOrderMSB": ""}, "no value for BinaryDataByteOrderMSB"),
         ({"DistanceUnits": "um"}, "lengths in um, mm expected"),
-        ({"CompressedData": "True"}, "CompressedDataSize"),
+        ({"CompressedData": "True", "HeaderSize": "3"}, "packed voxels with a HeaderSize"),
         ({"CompressedData": "True", "CompressedDataSize": "20"}, "damaged|end before"),
     ],
 )
@@ -179,12 +238,14 @@ def test_metaimage_damaged_header(tmp_path, changes, words):
     refuse(tmp_path / "a.mha", words)
 
 
-def test_metaimage_lines_out_of_order(tmp_path):
+@pytest.mark.parametrize("seed", range(4))
+def test_metaimage_lines_count_in_any_order(tmp_path, seed):
     lines = text_header(".mha").decode().splitlines(keepends=True)
-    lines.insert(1, lines.pop(4))
-    assert lines[1].startswith("ElementSpacing")
-    (tmp_path / "a.mha").write_bytes("".join(lines).encode() + VALUES.tobytes())
-    refuse(tmp_path / "a.mha", "out of order")
+    mixed = np.random.default_rng(seed).permutation(lines[:-1]).tolist() + lines[-1:]
+    (tmp_path / "a.mha").write_bytes("".join(mixed).encode() + VALUES.tobytes())
+    found = io.read(tmp_path / "a.mha")
+    np.testing.assert_array_equal(found.array, VALUES)
+    assert found.geometry.spacing == (3.0, 2.0, 1.0)
 
 
 def test_metaimage_without_its_data_file(tmp_path):
