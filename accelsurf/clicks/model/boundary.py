@@ -79,7 +79,7 @@ def features_near(
             _around(block_means(values, blocks))
             for values in (part, part * image, part * image * image)
         ]
-        weight = np.maximum(sums[0], 1e-6)
+        weight = np.maximum(sums[0], np.float32(1e-6))
         at_voxels = (on_voxels(part_sum / weight, blocks, image.shape) for part_sum in sums[1:])
         sides.append([values.ravel()[where] for values in at_voxels])
     (mean_in, square_in), (mean_out, square_out) = sides
