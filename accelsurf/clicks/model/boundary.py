@@ -79,9 +79,9 @@ def features_near(
             _around(block_means(values, blocks))
             for values in (part, part * image, part * image * image)
         ]
-        weight = np.maximum(sums[0], np.float32(1e-6))
-        at_voxels = (on_voxels(part_sum / weight, blocks, image.shape) for part_sum in sums[1:])
-        sides.append([values.ravel()[where] for values in at_voxels])
+        weight = np.maximum(sums[0], 1e-6)
+        means = (np.asarray(part_sum / weight, np.float32) for part_sum in sums[1:])
+        sides.append([on_voxels(mean, blocks, image.shape).ravel()[where] for mean in means])
     (mean_in, square_in), (mean_out, square_out) = sides
     variance = 0.5 * (
         np.maximum(square_in - mean_in**2, 0.0) + np.maximum(square_out - mean_out**2, 0.0)
