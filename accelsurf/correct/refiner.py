@@ -130,7 +130,7 @@ class Change(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """How far from its clicks a correction could change an object, and how far it did, mm."""
+    """Distances from its clicks, mm: how far a correction could change an object, and how far it did."""
 
     reach_mm: float
     moved_mm: float

@@ -81,8 +81,7 @@ def features_near(
         ]
         weight = np.maximum(sums[0], 1e-6)
         means = (np.asarray(part_sum / weight, np.float32) for part_sum in sums[1:])
-        at_voxels = (on_voxels(mean, blocks, image.shape) for mean in means)
-        sides.append([values.ravel()[where] for values in at_voxels])
+        sides.append([on_voxels(mean, blocks, image.shape).ravel()[where] for mean in means])
     (mean_in, square_in), (mean_out, square_out) = sides
     variance = 0.5 * (
         np.maximum(square_in - mean_in**2, 0.0) + np.maximum(square_out - mean_out**2, 0.0)

@@ -149,3 +149,21 @@ def test_a_point_in_a_mask_gives_the_mask_and_no_word_of_background(shape):
     assert dice(found.labels > 0, truth) > 0.99
     assert not [line for line in found.warnings if "background" in line]
     assert found.quality.probability > 0.7
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_a_short_stroke_near_a_corner_is_read_as_a_point_there_is(seed, noise):
+    """The ball in which nothing differs has moved inwards, and the stroke reaches out of it."""
+    shape, spacing = (1, 110, 120), (1.0, 1.0, 1.0)
+    random = np.random.default_rng(seed)
+    truth = np.zeros(shape, bool)
+    truth[:, 25:85, 30:90] = True
+    scene = Scene(((truth + random.normal(0.0, noise, shape)).astype(np.float32),), spacing)
+    at = (0, int(random.integers(29, 33)), int(random.integers(33, 37)))
+    point, stroke = (
+        seed_of(clicked(kind, at, truth, spacing).clicks[0], scene) for kind in ("point", "path")
+    )
+    read = as_large(stroke, scene)
+    assert read.seed.radius > 2 * stroke.radius
+    assert read.seed.radius == pytest.approx(as_large(point, scene).seed.radius, rel=0.3)
