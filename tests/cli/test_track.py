@@ -194,7 +194,7 @@ def test_what_cannot_be_tracked_is_refused_in_a_line(cells: Path, tmp_path: Path
 def test_the_last_lines_name_the_table_and_the_picture_to_look_at(
     cells: Path, tmp_path: Path, capsys
 ) -> None:
-    assert cli.execute(["track", str(cells), "-o", str(tmp_path), "--start", "otsu"]) == 0
+    assert execute(["track", str(cells), "-o", str(tmp_path), "--start", "otsu"]) == 0
     *_, table, picture = capsys.readouterr().out.splitlines()
     for line, word, end in ((table, "tracks", "tracks.csv"), (picture, "preview", "preview.png")):
         assert line.split() == [word, str(tmp_path / f"cells_{end}")]
