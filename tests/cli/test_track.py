@@ -191,6 +191,16 @@ def test_what_cannot_be_tracked_is_refused_in_a_line(cells: Path, tmp_path: Path
     )
 
 
+def test_the_last_lines_name_the_table_and_the_picture_to_look_at(
+    cells: Path, tmp_path: Path, capsys
+) -> None:
+    assert execute(["track", str(cells), "-o", str(tmp_path), "--start", "otsu"]) == 0
+    *_, table, picture = capsys.readouterr().out.splitlines()
+    for line, word, end in ((table, "tracks", "tracks.csv"), (picture, "preview", "preview.png")):
+        assert line.split() == [word, str(tmp_path / f"cells_{end}")]
+        assert (tmp_path / f"cells_{end}").is_file()
+
+
 def test_dump_config_has_a_table_of_tracking(cells: Path, capsys) -> None:
     assert execute(["track", "--dump-config", "--observer", "1,0.5", "--smoothness", "0.2"]) == 0
     text = capsys.readouterr().out

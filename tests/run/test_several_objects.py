@@ -9,12 +9,14 @@ import accelsurf
 from accelsurf import cli, io
 from accelsurf.api.segment import segment_objects
 from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import shift_fields
 from accelsurf.measure.metrics import dice
 from accelsurf.phantoms import recipes
+from accelsurf.run.ensemble import overall_stop
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts import objects
 
@@ -573,3 +575,15 @@ def test_touching_nuclei_of_other_brightness():
     found = [dice(result.labels == own, truth == own) for own in range(1, 8)]
     print(f"touching nuclei: Dice {np.round(found, 3)}")
     assert min(found) > 0.85 and all(one.stop.reason == "converged" for one in result.objects)
+
+
+@pytest.mark.parametrize(
+    ("reasons", "said"),
+    [
+        (("given",), "1 object given"),
+        (("converged",), "1 object converged"),
+        (("converged", "vanished", "converged"), "of 3 objects 2 converged, 1 vanished"),
+    ],
+)
+def test_the_end_of_one_object_is_not_counted(reasons, said):
+    assert overall_stop([Stop(reason, 3, 1.0, "") for reason in reasons]).message == said
