@@ -27,6 +27,7 @@ from accelsurf.measure.intervals import (
     EdgeMeasures,
     edge_measures,
     estimates,
+    is_uneven,
     signs,
     units,
 )
@@ -46,6 +47,8 @@ NUMBERS = {"fit": range(83), "report": range(99)}
 #: so often at most.
 MIN_DICE, GOOD_DICE, MAX_CLICKS = 0.8, 0.88, 4
 KEYS = ("volume_mm3", "area_mm2", "diameter_mm")
+#: Measures with another factor where the contrast is uneven.
+UNEVEN_KEYS = ("volume_mm3",)
 #: Of the fit: degrees of freedom of the errors, weight of small weights, parts that are left out.
 FREEDOM, RIDGE, FOLDS = 6.0, 0.5, 5
 #: No measure is surer than that, in its unit: other scanners blur in other ways.
@@ -276,6 +279,7 @@ GROUPS: dict[str, Callable[[dict[str, Any]], str]] = {
     "slices": lambda row: f"{row['thickness']:g} mm",
     "noise": lambda row: f"{row['noise']:g}",
     "image": lambda row: row["kind"],
+    "contrast": lambda row: "uneven" if is_uneven(edge_of(row)) else "even",
     "slices and noise": lambda row: f"{row['thickness']:g} mm, {_noise_text(row['noise'])}",
 }
 
@@ -384,11 +388,13 @@ def fitted(rows: list[dict[str, Any]]) -> Iterator[str]:
             held = [row for row, is_mine in zip(rows, mine, strict=True) if is_mine]
             deviations[mine] = deviations_of(key, held, weights_of(key, others))
         bias, spread = np.split(weights_of(key, rows).round(3), 2)
-        told = [
-            key != "diameter_mm" or row["edge"]["noise"] <= MAX_NOISE_OF_DIAMETER for row in rows
-        ]
-        factor = float(np.quantile(np.abs(deviations[told]), 0.95))
-        yield f"{key}: _Weights({tuple(bias.tolist())}, {tuple(spread.tolist())}, {factor:.2f})"
+        told = np.array(
+            [key != "diameter_mm" or row["edge"]["noise"] <= MAX_NOISE_OF_DIAMETER for row in rows]
+        )
+        uneven = np.array([is_uneven(edge_of(row)) for row in rows])
+        groups = (~uneven & told, uneven & told) if key in UNEVEN_KEYS else (told, told)
+        factors = [f"{np.quantile(np.abs(deviations[each]), 0.95):.2f}" for each in groups]
+        yield f"{key}: _Weights({tuple(bias.tolist())}, {tuple(spread.tolist())}, {', '.join(factors)})"
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from scipy import ndimage
 from accelsurf import segment
 from accelsurf.cases.outcome import summary_lines
 from accelsurf.grid.geometry import Geometry
-from accelsurf.measure.intervals import EdgeMeasures, edge_measures, estimates
+from accelsurf.measure.intervals import EdgeMeasures, edge_measures, estimates, is_uneven
 from accelsurf.output import tables
 from accelsurf.phantoms.recipes import Recipe, make, signed_distance
 from accelsurf.settings.labels import LabelTable
@@ -72,6 +72,27 @@ def test_noise_and_a_doubtful_edge_make_them_wider():
     ).volume_mm3
     width = calm.high - calm.low
     assert noisy.high - noisy.low > 1.5 * width and doubtful.high - doubtful.low > 4 * width
+
+
+@pytest.mark.parametrize("thickness", [1.0, 3.0])
+@pytest.mark.parametrize("noise", [0.02, 0.1, 0.3])
+def test_a_contrast_that_fades_or_a_neighbour_is_uneven_and_noise_is_not(noise, thickness):
+    """And of two objects alike but for that, the uneven one has the longer interval."""
+    psi, image, geometry = ball(thickness, noise)
+    along = np.arange(40)[None, :, None] / 39
+    inside = psi < 0
+    fading = image - np.float32(0.9) * inside * along
+    beside = image + np.float32(0.7) * ~inside * (along > 0.6)
+    even, *others = (
+        measured(psi, each.astype(np.float32), geometry) for each in (image, fading, beside)
+    )
+    assert not is_uneven(even) and all(map(is_uneven, others))
+    least = even._replace(variation=np.hypot(0.25 * even.noise, 0.1))
+    low, high = (
+        intervals(each).volume_mm3
+        for each in (least, least._replace(variation=least.variation + 1e-6))
+    )
+    assert high.high - high.low > 1.4 * (low.high - low.low)
 
 
 def test_unit_contrast_sign_axes_and_place_do_not_matter():
