@@ -188,7 +188,7 @@ class TiffReader:
 
     @cached_property
     def _library(self) -> tifffile.TiffFile:
-        """The file as tifffile reads it, without the pages of further files, or such as makers of microscopes mean."""
+        """The file in tifffile, without pages of other files, and without arrangements that single makers mean."""
         self._file.seek(0)
         return tifffile.TiffFile(
             self._file, _multifile=False, is_lsm=False, is_ndpi=False, is_scanimage=False
@@ -229,12 +229,12 @@ class TiffReader:
         return found
 
     def _entries(self, at: int) -> dict[int, int]:
-        """Values of tags that have one, of a directory in which nothing is that tifffile would drop.
+        """Values of the tags with a single value, of a directory that tifffile reads without loss.
 
         Raises
         ------
         InputError
-            When a tag is not as it has to be, or the values take more bytes than the file has: pages may name the same
+            When a tag is damaged, or the values take more bytes than the file has: pages may name the same
             bytes again and again, and tifffile loads them all.
         """
         form, size = self._form, self._form.tagsize
@@ -269,10 +269,9 @@ class TiffReader:
             tags.add(tag)
             if length <= len(field):
                 values[tag] = int.from_bytes(field[:length], order)
-        if at not in self._known:
-            # Directories may not lie upon one another: there could be one for nearly each byte of the file.
-            self._spent += len(raw) + form.tagnosize
-            budgets.TIFF_TAGS.check(self._spent, "the entries of the TIFF", self._size + _SLACK)
+        # Directories may not lie upon one another: there could be one for nearly each byte of the file.
+        self._spent += len(raw) + form.tagnosize
+        budgets.TIFF_TAGS.check(self._spent, "the entries of the TIFF", self._size + _SLACK)
         self._known.add(at)
         return values
 
