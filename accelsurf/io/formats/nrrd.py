@@ -57,7 +57,7 @@ _TO_LPS = {
     **dict.fromkeys(("", "scannerxyz", "3drighthanded", "3dlefthanded"), (1, 1, 1)),
 }
 #: Fields with an entry for each axis.
-_BY_AXIS = ("sizes", "spacings", "space directions", "kinds", "axis mins", "centerings")
+_BY_AXIS = ("spacings", "space directions", "kinds", "axis mins", "centerings")
 _REQUIRED = {"type", "dimension", "sizes", "encoding"}
 #: Names of all fields, without blanks; keys of others are written with :=, so that another name is a damaged one.
 _KNOWN = _REQUIRED | set(
@@ -141,9 +141,12 @@ def _fields(lines: Sequence[str]) -> dict[str, Any]:
     closed = [re.sub(r"(?<=[(,])\s+|\s+(?=[,)])", "", "".join(parts)) for parts in named]
     fields: dict[str, Any] = nrrd.read_header([lines[0], *closed])
     fields |= {"type": _TYPES[fields["type"].lower()], "encoding": fields["encoding"].lower()}
-    axes = fields["dimension"]
-    if min(fields["sizes"]) < 1 or any(len(fields.get(k, [0] * axes)) != axes for k in _BY_AXIS):
-        raise ValueError(f"dimension {axes}, sizes {fields['sizes'].tolist()}")
+    sizes = fields["sizes"].tolist()
+    none = [0] * len(sizes)
+    if fields["dimension"] != len(sizes) or min(sizes) < 1:
+        raise ValueError(f"dimension {fields['dimension']}, sizes {sizes}")
+    if uneven := [key for key in _BY_AXIS if len(fields.get(key, none)) != len(sizes)]:
+        raise ValueError(f"{uneven[0]} of {len(fields[uneven[0]])} axes, {len(sizes)} expected")
     return fields
 
 

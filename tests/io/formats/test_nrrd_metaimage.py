@@ -53,6 +53,7 @@ def test_nrrd_axes(tmp_path, changes, words):
         {"type": "block"},
         {"type": None},
         {"sizes": "6 5"},
+        {"dimension": str(10**15)},
         {"sizes": "6 0 4"},
         {"sizes": "6 x 4"},
         {"encoding": None},
