@@ -212,14 +212,14 @@ class FileSet:
             os.replace(source, goal)
             moved.append((source, goal))
 
-        def take(name: str) -> None:
+        def set_aside(name: str) -> None:
             if (old / name).is_dir():  # of a run that was killed: a folder is not replaced
                 shutil.rmtree(old / name, ignore_errors=True)
             if os.path.lexists(self.folder / name):
                 move(self.folder / name, old / name)
 
         def put(name: str) -> None:
-            take(name)
+            set_aside(name)
             move(self.staging / name, self.folder / name)
 
         sync_folder(self.staging)
@@ -227,14 +227,14 @@ class FileSet:
         self.committed = True  # from here on files are not to be removed, whatever happens
         try:
             if last is not None and os.path.lexists(self.folder / last):
-                take(last)
+                set_aside(last)
                 sync_folder(
                     self.folder
                 )  # so that a power cut leaves no old report beside new files
             for name in names:
                 put(name)
             for name in gone:
-                take(name)
+                set_aside(name)
             if last is not None:
                 sync_folder(self.folder)
                 put(last)
@@ -416,7 +416,7 @@ def refuse_unfinished(folder: Path) -> None:
 
 
 def _staging_folders(folder: Path) -> list[Path]:
-    """What is called as a staging folder, files and links too."""
+    """Entries that have the name of a staging folder, files and links too."""
     try:
         return sorted(
             path

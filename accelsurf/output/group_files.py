@@ -71,7 +71,7 @@ class GroupRecord(NamedTuple):
 
     @property
     def folder(self) -> Path:
-        """Where its files lie."""
+        """Folder of its files."""
         return Path(self.place)
 
     @property
