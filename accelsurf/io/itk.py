@@ -133,7 +133,7 @@ def listened(work: Callable[[], _T], refuses: bool = True) -> _T:
                 sitk.ProcessObject.SetGlobalWarningDisplay(shown)
                 os.dup2(before, 2)
                 os.close(before)
-                lines = _handed_on(printed)
+                lines = _library_lines(printed)
     if lines and refuses:
         raise InputError(
             f"the library that reads it says: {lines[0]}",
@@ -153,7 +153,7 @@ def _standard_error() -> int:
         return os.dup(2)
 
 
-def _handed_on(printed: IO[bytes]) -> list[str]:
+def _library_lines(printed: IO[bytes]) -> list[str]:
     """The lines of libraries among the printed ones; the others, of other threads, are printed now."""
     printed.seek(0)
     text = printed.read(_MAX_PRINTED).decode("utf-8", "replace")

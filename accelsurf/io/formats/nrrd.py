@@ -165,9 +165,9 @@ def _stored(fields: Mapping[str, Any]) -> np.dtype[Any]:
 def _space_lines(lines: Sequence[str]) -> dict[str, Any]:
     """The lines that place the grid, as an argument of `RawHeader`."""
     keys = ("space", "space dimension", "space directions", "space origin")
-    kept = [line for line in lines if line.partition(": ")[0] in keys]
-    placed = any(line.startswith("space directions") for line in kept)
-    return {"metadata": {NRRD_KEY: "\n".join(kept)}} if placed else {}
+    placing = [line for line in lines if line.partition(": ")[0] in keys]
+    placed = any(line.startswith("space directions") for line in placing)
+    return {"metadata": {NRRD_KEY: "\n".join(placing)}} if placed else {}
 
 
 def _geometry(fields: Mapping[str, Any], place: int | None) -> Geometry:
@@ -250,13 +250,13 @@ def _other_axis(fields: Mapping[str, Any]) -> int | None:
 
 
 def _along(fields: Mapping[str, Any], lines: Sequence[str], place: int) -> dict[str, Any]:
-    """What the axis that is none of space is, as arguments of `RawHeader`.
+    """Arguments of `RawHeader` that say what the axis beside those of space is.
 
     A list of 3D Slicer may be a sequence; lines of its own say so. An axis that says nothing and runs slowest is time,
     since channels run fastest.
     """
-    own = [line.partition(":=") for line in lines if _OWN_KEY.match(line)]
-    said = {key.strip().lower(): value.strip() for key, _, value in own}
+    keyed = [line.partition(":=") for line in lines if _OWN_KEY.match(line)]
+    said = {key.strip().lower(): value.strip() for key, _, value in keyed}
     count = int(fields["sizes"][place])
     times = said.get(TIMES_KEY, "").lower() or _times_of_slicer(said, fields, count)
     if place == 3:

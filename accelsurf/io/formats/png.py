@@ -146,26 +146,26 @@ def read_png(path: Path, header: PngHeader, available: int) -> Volume:
     return Volume(array[None], header.geometry, metadata, path)
 
 
-class _Part(NamedTuple):
-    """A part of a PNG: its name, and its content."""
+class _Chunk(NamedTuple):
+    """A chunk of a PNG: its name, and its content."""
 
     name: bytes
     content: bytes
 
 
-def _parts(path: Path) -> Iterator[_Part]:
-    """Yield the parts of a PNG before its end; what follows is no part, whatever length it names."""
+def _chunks(path: Path) -> Iterator[_Chunk]:
+    """Yield the chunks of a PNG before its end; what follows is none, whatever length it names."""
     with path.open("rb") as file:
         file.seek(len(_START))
         while len(start := file.read(8)) == 8 and start[4:] != b"IEND":
             (length,) = struct.unpack(">I", start[:4])
-            yield _Part(start[4:], file.read(min(length, path.stat().st_size)))
+            yield _Chunk(start[4:], file.read(min(length, path.stat().st_size)))
             file.seek(4, os.SEEK_CUR)
 
 
 def _pixel(path: Path) -> tuple[float, float]:
     """The size of a pixel (x, y), mm, where ITK writes it, before the rows; else 1."""
-    before = itertools.takewhile(lambda part: part.name != b"IDAT", _parts(path))
+    before = itertools.takewhile(lambda part: part.name != b"IDAT", _chunks(path))
     scales = [part.content for part in before if part.name == b"sCAL"]
     try:
         x, y = (float(word) for word in scales[-1][1:].split(b"\0"))
@@ -176,7 +176,7 @@ def _pixel(path: Path) -> tuple[float, float]:
 
 def _check_rows(header: PngHeader) -> None:
     """Refuse a PNG of fewer rows than its header announces."""
-    packed = b"".join(part.content for part in _parts(header.data) if part.name == b"IDAT")
+    packed = b"".join(part.content for part in _chunks(header.data) if part.name == b"IDAT")
     present = sum(map(len, inflate(io.BytesIO(packed), None, header.row_bytes)))
     if present != header.row_bytes:
         raise InputError(

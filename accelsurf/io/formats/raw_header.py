@@ -246,7 +246,7 @@ class ListedHeader(RawHeader):
 
     @property
     def has_boxes(self) -> bool:
-        """False."""
+        """False: they lie in several files."""
         return False
 
     def check_claims(self) -> None:

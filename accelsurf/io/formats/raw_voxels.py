@@ -119,9 +119,9 @@ class RawVoxels:
         with self.layout.path.open("rb") as file:
             if file_version(os.fstat(file.fileno())) != self._version:
                 raise InputError(*CHANGED)
-            for part in _parts(self.layout, box, stored):
-                file.seek(part.offset)
-                if file.readinto(part.raw) < len(part.raw):
+            for piece in _pieces(self.layout, box, stored):
+                file.seek(piece.offset)
+                if file.readinto(piece.raw) < len(piece.raw):
                     raise InputError(*CHANGED)
         with self._lock:
             self.bytes_read += stored.nbytes
@@ -141,26 +141,26 @@ def write_box(layout: RawLayout, box: Box, array: NDArray[Any]) -> None:
         Of the type of the layout.
     """
     with layout.path.open("r+b") as file:
-        for part in _parts(layout, box, np.ascontiguousarray(array, layout.stored)):
-            file.seek(part.offset)
-            file.write(part.raw)
+        for piece in _pieces(layout, box, np.ascontiguousarray(array, layout.stored)):
+            file.seek(piece.offset)
+            file.write(piece.raw)
 
 
-class _Part(NamedTuple):
+class _Piece(NamedTuple):
     """Bytes of an array that lie together in the file, and where."""
 
     offset: int
     raw: memoryview
 
 
-def _parts(layout: RawLayout, box: Box, array: NDArray[Any]) -> Iterator[_Part]:
-    """Yield the parts of the contiguous array of a box: planes of whole rows, else rows."""
+def _pieces(layout: RawLayout, box: Box, array: NDArray[Any]) -> Iterator[_Piece]:
+    """Yield the pieces of the contiguous array of a box: planes of whole rows, else rows."""
     nx, item = layout.shape[2], layout.stored.itemsize
     for plane, z in zip(array, range(box[0].start, box[0].stop), strict=True):
         at = layout.plane(z) + (box[1].start * nx + box[2].start) * item
         for row, values in enumerate([plane] if plane.shape[1] == nx else plane):
             raw = memoryview(values.reshape(-1).view(np.uint8).data)
-            yield _Part(at + row * nx * item, raw)
+            yield _Piece(at + row * nx * item, raw)
 
 
 def native(stored: NDArray[Any]) -> NDArray[Any]:
