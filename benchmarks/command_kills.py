@@ -2,7 +2,7 @@
 
 Each trial begins with the files of an earlier result and ends the command that replaces them by SIGKILL, SIGINT or
 SIGTERM. The next command looks at the folder. Then the files must be all old or all new, byte for byte, and nothing may
-be left beside them; or the next command says that they are unfinished, no report stands, and the same command with
+be left beside them; or the next command says that they are unfinished, no report stands, and the same commands with
 --overwrite must end with the new files. Every few trials the command is given once more: it must end with the files of
 one that was never ended.
 """
@@ -218,7 +218,9 @@ class Trial:
                 counts["named as unfinished"] += 1
                 if list(out.glob("*_report.json")) and content(out) != self.old:
                     faults.append("unfinished, and a report stands")
-                faults += _problem(finished([*self.command.new(out), "--overwrite"]))
+                for words in (*self.command.old(out), self.command.new(out)):
+                    if ended := finished([*words, "--overwrite"]):
+                        faults.append(f"mended: {ended}")
         found = content(out)
         if found not in (self.old, self.new):
             faults.append(f"neither the old files nor the new ones: {difference(found, self.old)}")
@@ -271,11 +273,6 @@ def trials(folder: Path, counts: Mapping[str, int], seed: int) -> dict[str, Any]
         told = {"runs": count, "seconds_of_a_run": round(seconds, 2)}
         every[name] = {**told, **dict(sorted(found.items())), "faults": faults}
     return every
-
-
-def _problem(ended: str) -> list[str]:
-    """How a command that mends ended wrongly, if it did."""
-    return [f"mended: {ended}"] if ended else []
 
 
 def _refuse(ended: str) -> None:

@@ -304,7 +304,8 @@ def open_set(
 def _unfinished_error(path: Path, staging: Path) -> OutputError:
     return OutputError(
         f"{path}: is unfinished: a run that was killed has put only some of its files in place",
-        f"run it again with --overwrite, which makes all of them anew; the others are in {staging}",
+        "run segment, or the command that made it, again with --overwrite, which makes all of them anew; the others "
+        f"are in {staging}",
     )
 
 

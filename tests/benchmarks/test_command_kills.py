@@ -25,9 +25,13 @@ def laid(folder, files):
 def trial(tmp_path, monkeypatch):
     """A trial whose command is none, and whose next command removes what is hidden in one folder."""
     old, new = laid(tmp_path / "old", OLD), laid(tmp_path / "new", NEW)
-    monkeypatch.setattr(
-        command_kills, "look_at", lambda out: [path.rmdir() for path in out.glob(".mine.*")]
-    )
+
+    def look_at(out):
+        for path in out.glob(".mine.*"):
+            path.rmdir()
+        return any(out.glob(".torn.*"))
+
+    monkeypatch.setattr(command_kills, "look_at", look_at)
     monkeypatch.setattr(
         command_kills, "finished", lambda words: "" if words else "exit 1: no words"
     )
@@ -63,6 +67,27 @@ def test_old_files_beside_new_ones_are_a_fault(trial, left_out):
 def test_what_the_next_command_leaves_is_a_fault(trial):
     (fault,) = faults(trial, OLD, hidden=[".mine.accelsurf", ".other.accelsurf"])
     assert fault == "left after the next command: .other.accelsurf"
+
+
+@pytest.mark.parametrize("has_report", [True, False])
+def test_an_unfinished_set_has_no_report_and_is_made_anew(has_report, trial, monkeypatch):
+    given = []
+
+    def finished(words):
+        given.append(words)
+        out = trial.folder / "out"
+        for path in out.iterdir():
+            path.rmdir() if path.is_dir() else path.unlink()
+        for name, text in NEW.items():
+            (out / name).write_text(text)
+        return ""
+
+    monkeypatch.setattr(command_kills, "finished", finished)
+    mixed = {"a_seg.nrrd": "new", "a_trace.csv": OLD["a_trace.csv"]}
+    left = mixed | ({"a_report.json": "1 s"} if has_report else {})
+    found = faults(trial, left, hidden=[".torn.accelsurf"])
+    assert found == (["unfinished, and a report stands"] if has_report else [])
+    assert given == [["--overwrite"]]
 
 
 def test_a_command_that_fails_or_leaves_a_state_when_it_is_given_again_is_a_fault(trial):
