@@ -201,8 +201,8 @@ def march_outwards(dense, grid, known, heap, counts, front, half_width):
             if state[s] != TRIAL:
                 continue
             accept(s, dense, grid, known, up, weights)
-        # Beyond the band a cell hands on nothing but is read: where spacings differ a neighbour nearer in mm may lie
-        # further off in voxels, and without it the distance would be that along a detour.
+        # Beyond the band a cell hands on nothing but is read: where the spacings differ a neighbour nearer in mm may
+        # lie further off in voxels, and without it the distance would be that along a detour.
         if voxels_along(foot[s, 0], foot[s, 1], foot[s, 2], grid) > half_width:
             continue
         cell = cells[s]
