@@ -24,6 +24,7 @@ from accelsurf.grid.pyramid import Level
 from accelsurf.io.files import bytes_within
 from accelsurf.run.result import BoxMask, Plateau, Result
 from accelsurf.settings import budgets
+from accelsurf.settings.older import modern
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
 
@@ -197,7 +198,7 @@ def read_state(path: Path) -> StateFile:
                 f"{path}: a state of version {header.get('state')}, expected {VERSION}", _AGAIN
             )
         _check(state)
-        return state._replace(config=RunConfig(**state.config))
+        return state._replace(config=RunConfig(**modern(state.config)))
     except InputError as error:
         if error.message.startswith(str(path)):
             raise
