@@ -28,9 +28,6 @@ LIMITS = {
 FROM_OUTSIDE = {
     "accelsurf/cases/interrupts.py warnings.showwarning": "the hook of Python's library for warnings",
     "accelsurf/cases/interrupts.py again.daemon": "threading.Timer takes no such argument",
-    "accelsurf/evolution/loop.py made.corner": "the class's own second constructor",
-    "accelsurf/evolution/loop.py made.stop_at_rest": "the class's own second constructor",
-    "accelsurf/evolution/loop.py made.end": "the class's own second constructor",
     "accelsurf/io/dicom/pixels.py meta.TransferSyntaxUID": "pydicom's way to write an element",
     "accelsurf/io/dicom/pixels.py dataset.file_meta": "pydicom's way to write an element",
     "accelsurf/io/dicom/writing_tools.py element.value": "pydicom's way to write an element",

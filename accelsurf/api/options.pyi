@@ -68,24 +68,15 @@ class Shared(TypedDict, total=False):
     levels: int | Literal["auto"]
     roi: str | None
     box: str | None
-    flow: Literal["auto", "constant-density", "flowable-mass", "region-mass", "gradient", "sobolev", "momentum"]
+    flow: str
     labels: str | None
     channel: str | Sequence[str]
     balance: float
     edge_scale: float | Literal["auto"]
     edge_contrast: float | Literal["auto"]
     balloon: float
-    k: float
-    t0: float | Literal["auto"]
-    lam: float
-    rho: float
-    gravity: float
     diffusion: float | Literal["auto", "free"]
     noise: float
-    noise_length: float | Literal["auto"]
-    noise_time: float | Literal["auto"]
-    sobolev_length: float | Literal["auto"]
-    blend: float
     restart: Literal["auto", "off"]
     cfl: float
     max_steps: int
@@ -137,7 +128,7 @@ class TrackOptions(Shared, GivenTexts, total=False):
     model: Literal["flowable-mass", "last-displacement", "none"]
     observer: str
     friction: float | Literal["auto"]
-    next_energy: str
+    next_energy: Literal["auto"] | str
     max_gap: int
     divide: Literal["yes", "no"]
     merge: Literal["yes", "no"]

@@ -34,8 +34,10 @@ def small_runs() -> dict[str, Callable[[], Any]]:
     """Runs by name, that together call every kernel; each computes its measures, its mesh and its quality too."""
     return {
         **{
-            f"flow {flow}": _run(flow=flow, gravity=0.05 if "gravity" in FLOWS[flow].uses else 0.0)
-            for flow in FLOWS
+            f"flow {flow}": _run(
+                flow=f"{flow}:gravity=0.05" if "gravity" in spec.settings else flow
+            )
+            for flow, spec in FLOWS.items()
         },
         "mass on the whole grid": _run(flow="region-mass"),
         **{

@@ -159,7 +159,8 @@ def need_of_sequence(source: Path, config: TrackConfig) -> Need:
     # A stack whose slices are the frames may have to be read as a whole.
     held = values * _HELD_BYTES * (len(sequence) if config.frames_from_slices else 1)
     return Need(
-        values * len(sequence), run_bytes(values, bool(config.run.inside), config.run.flow) + held
+        values * len(sequence),
+        run_bytes(values, bool(config.run.inside), config.run.flow.name) + held,
     )
 
 

@@ -265,7 +265,7 @@ def _need(task: CaseTask) -> Need:
     config, image = task.config, task.case.image
     if isinstance(config, TrackConfig):
         return need_of_sequence(image, config)
-    return need_of(image, config.channel, bool(config.inside), config.reading, config.flow)
+    return need_of(image, config.channel, bool(config.inside), config.reading, config.flow.name)
 
 
 def refuse_results(folder: Path, work: Batch) -> None:

@@ -24,7 +24,7 @@ _TOPICS = {
     "settings": "every setting of a run",
     "energies": "names of the image terms of --energy",
     "energy-terms": "each term, its meaning and its settings",
-    "flows": "how the surface can move: names of --flow",
+    "flows": "each flow, how it moves the surface and its settings",
     "starts": "ways to write a first surface: kinds of --start",
     "volume-formats": "endings of image files",
     "mesh-formats": "endings of mesh files",
@@ -310,22 +310,27 @@ def _known() -> dict[str, Any]:
     return {
         "versions": versions(),
         "energies": list(image_terms()),
-        "flows": list(FLOWS),
         "starts": list(starts.KINDS),
         "stop_reasons": list(get_args(StopReason)),
         "volume_formats": list(image_suffixes()),
         "mesh_formats": list(MESH_FORMATS),
         "recipes": recipe_files.recipe_names(),
         "recipes_in_time": recipe_files.sequence_names(),
-        "energy_terms": {
-            name: spec.help + (f" (settings: {', '.join(spec.settings)})" if spec.settings else "")
-            for name, spec in TERMS.items()
-        },
+        "energy_terms": _with_settings(TERMS),
+        "flows": _with_settings(FLOWS),
         "trace_columns": {
             name: column.help + (f" ({column.unit})" if column.unit else "")
             for name, column in TRACE_COLUMNS.items()
         },
         "exit_codes": {str(code): meaning for code, meaning in EXIT_CODES.items()},
+    }
+
+
+def _with_settings(entries: Mapping[str, Any]) -> dict[str, str]:
+    """Names of terms or flows, with their meaning and their settings."""
+    return {
+        name: spec.help + (f" (settings: {', '.join(spec.settings)})" if spec.settings else "")
+        for name, spec in entries.items()
     }
 
 

@@ -11,7 +11,6 @@ from cyclopts import Group, Parameter
 
 from accelsurf.cli.options import FILES
 from accelsurf.errors import UsageError
-from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -70,10 +69,7 @@ def fits(image: LargeImage, config: RunConfig) -> bool:
     from accelsurf.run.memory import run_bytes
 
     values = math.prod(image.geometry.shape) * len(image.channels)
-    return (
-        run_bytes(values, energy_expression.uses_model(config.energy), config.flow)
-        <= image.max_bytes
-    )
+    return run_bytes(values, config.energy.uses_model, config.flow.name) <= image.max_bytes
 
 
 def large_image(
@@ -100,7 +96,7 @@ def large_image(
             return None  # it is read as a whole or not at all
         try:
             values = count_values(source, config.reading)
-            needed = run_bytes(values, energy_expression.uses_model(config.energy), config.flow)
+            needed = run_bytes(values, config.energy.uses_model, config.flow.name)
         except InputError:
             return None  # said again where it is read, with the name of the file
         if needed <= parts.allowed_bytes:

@@ -16,6 +16,7 @@ from accelsurf.settings import toml
 from accelsurf.settings.catalogue import default_shown, entry, is_switch, names_of
 from accelsurf.settings.entry import SettingGroup, entry_of, full_help
 from accelsurf.settings.file_formats import input_help
+from accelsurf.settings.older import modern
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 
@@ -127,7 +128,7 @@ def run_config(
     preset = forced.get("preset", typed.get("preset"))
     under = PRESETS[preset].settings if preset is not None and preset in PRESETS else {}
     below = toml.read_toml(file) if isinstance(file, Path) else file or {}
-    return RunConfig(**{**below, **under, **typed, **forced})
+    return RunConfig(**{**modern(below), **under, **typed, **forced})
 
 
 @Parameter(name="*")

@@ -19,7 +19,6 @@ from accelsurf.grid.window import Window
 from accelsurf.run.checkpoint_file import CheckpointFile
 from accelsurf.run.evolving_object import EvolvingObject
 from accelsurf.run.late_growth import LateLeakage, nearest_inside
-from accelsurf.run.preprocessing import uses_model
 from accelsurf.run.region_of_interest import closed_on, cropped
 from accelsurf.run.result import Result, RunState, SegmentedObject, plateaus_of
 from accelsurf.run.run import AROUND, Run
@@ -93,7 +92,7 @@ def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
 def _confidence(run: Run, evolving: EvolvingObject) -> Confidence | None:
     """Return the confidence of the model of an object's clicks; None where the energy has none."""
     named = run.energy_given is None or isinstance(run.energy_given, str)
-    return evolving.context.confidence() if named and uses_model(run.config) else None
+    return evolving.context.confidence() if named and run.config.energy.uses_model else None
 
 
 def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
@@ -152,10 +151,10 @@ def _resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
     config, prepared = run.flow_choice.applied(run.config), run.prepared
     diffusion = config.diffusion
     if diffusion == "auto":
-        diffusion = "free" if config.flow in ("constant-density", "flowable-mass") else 0.0
+        diffusion = "free" if config.flow.name in ("constant-density", "flowable-mass") else 0.0
     rule = stop_rule(config, levels)
     return {
-        "flow": config.flow,
+        "flow": str(config.flow),
         "flow_why": run.flow_choice.why
         if run.config.flow == AUTO
         else f"{config.flow}, as it was given",

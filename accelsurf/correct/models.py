@@ -20,7 +20,7 @@ from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.run.evolving_object import MadeEnergy
 from accelsurf.run.image_context import ImageContext, ModelInputs
-from accelsurf.run.preprocessing import PreprocessedInput, uses_model
+from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.run.result import BoxMask, RunState
 from accelsurf.run.setup import energy_maker
 from accelsurf.settings.corrections import Correction
@@ -86,7 +86,7 @@ class ObjectModels:
         UsageError
             When nothing was clicked inside the object.
         """
-        if not uses_model(self.settings_of(id)):
+        if not self.settings_of(id).energy.uses_model:
             return None
         if id not in self._models:
             context = self.contexts[id]

@@ -22,6 +22,7 @@ from accelsurf.io import states
 from accelsurf.measure.likely import Plateau
 from accelsurf.run.result import BoxMask, Result
 from accelsurf.settings import budgets
+from accelsurf.settings.older import modern
 from accelsurf.settings.run_config import RunConfig
 
 _AGAIN = "run accelsurf segment again with --keep-state yes"
@@ -186,7 +187,7 @@ def _checked(state: StateFile) -> StateFile:
             raise ValueError(f"the probability of object {segmented.id} is not one")
         if not segmented.history:
             raise ValueError(f"object {segmented.id} has no history")
-    return state._replace(config=RunConfig(**state.config))
+    return state._replace(config=RunConfig(**modern(state.config)))
 
 
 def _packed_surface(psi: NDArray[np.float32], corner: Corner) -> SurfaceFile:

@@ -120,9 +120,12 @@ class Evolution:
             state,
             fields,
         )
-        made.corner, made.stop_at_rest, made.end = corner, setup.stop_at_rest, setup.end
-        made.measures = setup.measures
+        made._place(corner, setup)
         return made
+
+    def _place(self, corner: Corner, setup: SolverSetup) -> None:
+        self.corner, self.measures = corner, setup.measures
+        self.stop_at_rest, self.end = setup.stop_at_rest, setup.end
 
     def use(self, setup: SolverSetup, energy: Energy | None = None) -> None:
         """Have other solver settings, and another energy unless it is None; a `restore` follows."""

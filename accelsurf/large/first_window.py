@@ -18,7 +18,6 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import GUARD, Window
 from accelsurf.image.volume import Volume
 from accelsurf.io import meshes
-from accelsurf.run.preprocessing import uses_model
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
@@ -58,7 +57,7 @@ def first_box(config: RunConfig, geometry: Geometry) -> Box:
         )
     box = functools.reduce(enclosing, boxes)
     margin = [max(MIN_MARGIN, max(s.stop - s.start for s in box)) for _ in range(3)]
-    if (config.inside or config.outside) and uses_model(config):
+    if (config.inside or config.outside) and config.energy.uses_model:
         margin = _model_margin(geometry, clicks)
     return widened(box, geometry.shape, margin)
 

@@ -10,7 +10,6 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.io.headers import options_of
 from accelsurf.io.lazy_volume import open_channels
 from accelsurf.run.memory import run_bytes
-from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -59,11 +58,12 @@ def fitting_level(source: Path, config: RunConfig, allowed_bytes: int) -> Fittin
         return None
     finest = open_channels(source, replace(config.reading, level=0))
     grids, channels = finest[0].layout.levels, len(finest) + len(config.channel)
-    uses_model = energy_expression.uses_model(config.energy)
+    uses_model = config.energy.uses_model
     within = (
         n
         for n, grid in enumerate(grids)
-        if run_bytes(channels * math.prod(grid.shape), uses_model, config.flow) <= allowed_bytes
+        if run_bytes(channels * math.prod(grid.shape), uses_model, config.flow.name)
+        <= allowed_bytes
     )
     level = next(within, len(grids) - 1)
     return FittingLevel(level, len(grids), grids[level])

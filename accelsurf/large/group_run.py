@@ -33,7 +33,6 @@ from accelsurf.run.region_of_interest import cropped
 from accelsurf.run.result import SegmentedObject, plateaus_on_whole
 from accelsurf.run.run import Run
 from accelsurf.run.setup import window_reach
-from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart
@@ -126,7 +125,7 @@ def check_settings(config: RunConfig) -> None:
         raise UsageError(
             f"{given[0]}: it was given for objects of an image that is read in parts", _ALONE
         )
-    for term in energy_expression.parse(config.energy):
+    for term in config.terms:
         if TERMS[term.name].uses_model:
             raise UsageError(
                 f"energy: {term.name} is of clicks, and the image of the objects is read in parts",

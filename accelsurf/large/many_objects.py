@@ -34,7 +34,6 @@ from accelsurf.run.energy import make_term
 from accelsurf.run.image_context import ImageContext, TermInputs
 from accelsurf.run.result import SegmentedObject
 from accelsurf.run.start import AROUND
-from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
 #: Objects whose starts are nearer to each other than twice this many voxels are run at once from the beginning.
@@ -234,7 +233,7 @@ def numbers_needed(whole: Sequence[WholeImage], config: RunConfig) -> tuple[Numb
         whole=whole,
     )
     context = context.of_object((0, 0, 0), inside)
-    for term in energy_expression.parse(config.energy):
+    for term in config.terms:
         inputs = TermInputs(term.settings, config, pattern, whole[0].geometry.spacing, context)
         with suppress(UsageError):  # bounds that fit the objects need not fit the pattern
             make_term(term, inputs, images)

@@ -26,13 +26,12 @@ from accelsurf.large.whole_image import Numbers, WholeImage
 from accelsurf.run.arguments import split_given, with_options
 from accelsurf.run.checkpoint_file import CheckpointFile
 from accelsurf.run.memory import allowed_bytes, bytes_text, run_bytes, values_within
-from accelsurf.run.preprocessing import check_grids, filters_of, uses_model
+from accelsurf.run.preprocessing import check_grids, filters_of
 from accelsurf.run.region_of_interest import cropped, region_of_run
 from accelsurf.run.result import Result, plateaus_on_whole
 from accelsurf.run.run import Run
 from accelsurf.run.setup import seeded
 from accelsurf.run.window_input import WindowInput, has_region
-from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart
@@ -229,9 +228,9 @@ def segment_in_windows(
         except LeavesWindow as face:
             if checkpoints is not None:
                 checkpoints.clear()
-            most = values_within(image.max_bytes, uses_model(config), config.flow) // len(
-                image.channels
-            )
+            most = values_within(
+                image.max_bytes, config.energy.uses_model, config.flow.name
+            ) // len(image.channels)
             window = larger(window, face, most)
         except NeedsLevels as more:
             window = _on_levels(window, more.count)
@@ -296,11 +295,11 @@ def _refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> N
         With the estimate.
     """
     values = math.prod(window.shape) * len(image.channels)
-    needed = run_bytes(values, uses_model(config), config.flow)
+    needed = run_bytes(values, config.energy.uses_model, config.flow.name)
     if needed > image.max_bytes:
         size = " x ".join(str(n) for n in reversed(window.shape))
         what = "the region has" if has_region(config) else "the object needs a window of"
-        unsized = uses_model(config) and config.size is None and not has_region(config)
+        unsized = config.energy.uses_model and config.size is None and not has_region(config)
         raise InputError(
             f"{what} {size} voxels, for which a run takes about {bytes_text(needed)} of memory; "
             f"{bytes_text(image.max_bytes)} are allowed",
@@ -343,20 +342,20 @@ def _check_settings(config: RunConfig) -> None:
         raise UsageError(
             f"noise: {config.noise:g} was given, which is laid over the whole image", hint
         )
-    if config.flow == "flowable-mass":
+    if config.flow.name == "flowable-mass":
         raise UsageError(
             "flow: flowable-mass compares masses on a lattice over the whole image", hint
         )
-    if config.flow == "region-mass":
+    if config.flow.name == "region-mass":
         raise UsageError(
             "flow: region-mass has mass in the whole image, which is read in parts", hint
         )
-    for term in energy_expression.parse(config.energy):
+    for term in config.terms:
         if TERMS[term.name].needs_whole:
             raise UsageError(
                 f"energy: {term.name} looks at the whole image, which is read in parts", hint
             )
-    if config.mask is not None and uses_model(config):
+    if config.mask is not None and config.energy.uses_model:
         raise UsageError(
             "mask: it was given with clicks, whose model looks at all of it", "give --box, or --roi"
         )

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from accelsurf.settings.run_config import RunConfig
 
 #: Raised when a key of the report or a column of the trace changes its name or its meaning.
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 Status = Literal["ok", "failed", "interrupted"]
 
 #: Measures of a result and of each of its objects.
@@ -269,7 +269,7 @@ def describe_mass(result: Result) -> dict[str, Any] | None:
     cure = {
         "flowable-mass": "negative tension clamped at -smoothness, normal part only",
         "region-mass": "no pressure at the surface where the force pulls stronger than gravity times the mass holds",
-    }.get(result.config.flow)
+    }.get(result.config.flow.name)
     if cure is None or not result.history:
         return None
     first, last = result.history[0], result.history[-1]
@@ -277,7 +277,7 @@ def describe_mass(result: Result) -> dict[str, Any] | None:
         "first": first.mass,
         "last": last.mass,
         "correction": last.mass_correction,
-        "cure": cure if result.config.gravity > 0 else None,
+        "cure": cure if result.config.flow.numbers.get("gravity", 0.0) > 0 else None,
         "clamped_fraction_largest": max(row.clamped_fraction for row in result.history),
     }
 

@@ -17,6 +17,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume, voxels_sha256
 from accelsurf.io import channels, headers, sha256
 from accelsurf.io.files import written_at
+from accelsurf.settings.older import modern
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -192,11 +193,11 @@ def settings_of(report: Mapping[str, Any], where: Path) -> RunConfig | TrackConf
             f"{where}: the energy was one of your own ({settings['energy']})", "go on in Python"
         )
     if report.get("kind") != "tracking":
-        return RunConfig(**settings)
+        return RunConfig(**modern(settings))
     run = settings.get("run")
     if not isinstance(run, dict):
         raise InputError(f"{where}: not the report of a tracking that can be repeated", _ANEW)
-    return TrackConfig(**{**settings, "run": RunConfig(**run)})
+    return TrackConfig(**{**settings, "run": RunConfig(**modern(run))})
 
 
 def is_there(path: Path) -> bool:

@@ -15,12 +15,13 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, NamedTuple
 
-from accelsurf.errors import AccelsurfError, InputError
+from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.io import is_stored, sha256, split_name
 from accelsurf.io.files import read_json
 from accelsurf.io.seals import is_sealed
 from accelsurf.output.given_image import GivenImage
 from accelsurf.settings.catalogue import default_of
+from accelsurf.settings.older import modern
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFields
@@ -242,6 +243,10 @@ def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
     """
     written = document.get("config")
     if not isinstance(written, dict):
+        return False
+    try:
+        written = modern(written)
+    except UsageError:
         return False
     wanted = config.model_dump(mode="json")
     corrections = wanted.pop("refine")

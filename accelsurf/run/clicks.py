@@ -18,9 +18,9 @@ from accelsurf.grid.pyramid import Level
 from accelsurf.image.volume import Volume
 from accelsurf.run.image_context import ImageContext
 from accelsurf.run.start_pyramid import LevelArrays, LevelInputs
-from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import energy_settings
 from accelsurf.settings.corrections import Correction
+from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts import starts
 
@@ -307,7 +307,7 @@ def check_edit(
         When a ball lies outside the volume.
     """
     where = f"edit at step {edit.step}"
-    terms = energy_expression.parse(str(edit.settings.get("energy", config.energy)))
+    terms = EnergyText(str(edit.settings.get("energy", config.energy))).terms
     if context.foreground is None and any(term.settings.get("update") == "no" for term in terms):
         raise UsageError(
             f"{where}: likelihood:update=no was given, and the run has nothing to learn from",

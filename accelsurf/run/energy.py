@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 from accelsurf.energies import Area, Energy, WeightedSum
 from accelsurf.errors import UsageError
 from accelsurf.run.image_context import Image, ImageContext, Scale, Spacing, TermInputs
-from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_expression import Term
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.registry import load
@@ -56,7 +55,7 @@ def make_energy(
         When a term names a channel that does not exist, or training voxels are given that it would not use.
     """
     context = context or ImageContext([image], [Scale()], spacing)
-    terms = energy_expression.parse(config.energy)
+    terms = config.terms
     channels = [image, *context.others]
     # One term of weight 1 on one channel includes the area itself.
     alone = (

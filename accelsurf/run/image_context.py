@@ -26,7 +26,7 @@ from accelsurf.grid.geometry import Geometry, axis_steps
 from accelsurf.grid.pyramid import Level, levels
 from accelsurf.grid.window import Window
 from accelsurf.run.region_totals import RegionTotals
-from accelsurf.settings.energy_terms import HALF, Values
+from accelsurf.settings.expression import HALF, Values
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.region_growing import otsu_level
 

@@ -53,8 +53,8 @@ from accelsurf.grid.geometry import axis_steps
 from accelsurf.image.noise import area_against_noise, noise_of
 from accelsurf.image.smoothing import gradient_magnitude
 from accelsurf.run.image_context import TermInputs
-from accelsurf.settings import budgets, energy_expression
-from accelsurf.settings.energy_terms import Values
+from accelsurf.settings import budgets
+from accelsurf.settings.expression import Values
 from accelsurf.settings.run_config import RunConfig
 
 #: R of local-region unless given, voxels of the largest spacing.
@@ -69,16 +69,18 @@ def constant_density(config: RunConfig) -> Flow:
 
 def flowable_mass(config: RunConfig) -> Flow:
     """Momentum of a surface whose mass is conserved and flows along it."""
-    terms = energy_expression.parse(config.energy)
-    area_weight = config.smoothness + sum(term.weight for term in terms if term.name == "area")
-    return FlowableMass(config.gravity, area_weight, **_heavy_ball(config))
+    area_weight = config.smoothness + sum(
+        term.weight for term in config.terms if term.name == "area"
+    )
+    return FlowableMass(_gravity(config), area_weight, **_heavy_ball(config))
 
 
 def region_mass(config: RunConfig) -> Flow:
     """Momentum of mass on the whole grid, or with gravity inside the surface."""
-    if config.gravity > 0:
-        return RegionPressure(config.gravity, **_clock(config))
-    return RegionMass(**_clock(config))
+    gravity = _gravity(config)
+    return (
+        RegionPressure(gravity, **_clock(config)) if gravity > 0 else RegionMass(**_clock(config))
+    )
 
 
 def gradient(config: RunConfig) -> Flow:
@@ -88,12 +90,12 @@ def gradient(config: RunConfig) -> Flow:
 
 def sobolev(config: RunConfig) -> Flow:
     """Descent along the smoothed force."""
-    return Sobolev(_number(config.sobolev_length))
+    return Sobolev(**config.flow.numbers)
 
 
 def heavy_ball(config: RunConfig) -> Flow:
     """Descent that adds a fraction of the last step."""
-    return HeavyBall(config.blend)
+    return HeavyBall(**config.flow.numbers)
 
 
 def _heavy_ball(config: RunConfig) -> dict[str, Any]:
@@ -103,13 +105,14 @@ def _heavy_ball(config: RunConfig) -> dict[str, Any]:
 
 def _clock(config: RunConfig) -> dict[str, Any]:
     """Arguments of all flows with momentum."""
-    return {
-        "k": config.k,
-        "lambda_": config.lam,
-        "rho": config.rho,
-        "friction": _number(config.friction),
-        "t0": _number(config.t0),
-    }
+    given = config.flow.numbers
+    names = {"k": "k", "t0": "t0", "lam": "lambda_", "rho": "rho"}
+    clock = {names[key]: value for key, value in given.items() if key in names}
+    return {"friction": _number(config.friction), **clock}
+
+
+def _gravity(config: RunConfig) -> float:
+    return config.flow.numbers.get("gravity", 0.0)
 
 
 def _noise(config: RunConfig) -> Noise | None:
@@ -117,9 +120,8 @@ def _noise(config: RunConfig) -> Noise | None:
         return None
     if config.seed is None:
         raise ValueError("noise needs a seed: accelsurf.run.setup.seeded draws one")
-    return Noise(
-        config.noise, _number(config.noise_length), config.seed, _number(config.noise_time)
-    )
+    given = config.flow.numbers
+    return Noise(config.noise, given.get("noise_length"), config.seed, given.get("noise_time"))
 
 
 def _number(value: float | str) -> float | None:

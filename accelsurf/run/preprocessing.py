@@ -25,7 +25,7 @@ from accelsurf.run.clicks import placed
 from accelsurf.run.image_context import ImageContext, Mask, ModelInputs, Scale
 from accelsurf.run.region_of_interest import cropped, distance_of_mask
 from accelsurf.run.window_input import WindowInput, region_in, whole_of, window_of
-from accelsurf.settings import budgets, energy_expression
+from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import bounds_of, volume_mm3
 from accelsurf.settings.wording import shown
@@ -199,7 +199,7 @@ def preprocess(
         all_clicks.clicks
         and not has_ids
         and config.start == (starts.CLICKS,)
-        and uses_model(config)
+        and config.energy.uses_model
     ):
         context = context.with_clicks(all_clicks)
         psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
@@ -230,11 +230,6 @@ def _first_channel(
     return filtered_volume(volumes[0], filters)
 
 
-def uses_model(config: RunConfig) -> bool:
-    """Return True if a term of the energy is of the clicks' model."""
-    return energy_expression.uses_model(config.energy)
-
-
 def _context(
     config: RunConfig,
     volumes: Sequence[Volume],
@@ -247,10 +242,8 @@ def _context(
 ) -> tuple[ImageContext, bool]:
     """Return the context of the energies, and True if a model of the energy is learned once."""
     foreground, background = training.get("foreground"), training.get("background")
-    terms = energy_expression.parse(config.energy)
-    learns = any(energy_expression.learns(term) for term in terms)
     from_start = (
-        foreground is None and learns
+        foreground is None and config.energy.learns
     )  # fixed models learn from the start where nothing else is given
     learned_from = psi < 0 if from_start else foreground
     context = ImageContext(
@@ -265,7 +258,7 @@ def _context(
     size = None if config.size is None else volume_mm3(config.size)
     limits = None if distance is None else np.asarray(distance < 0)
     partition = None
-    if energy_expression.parts_space(config.energy):
+    if config.energy.parts_space:
         from accelsurf.clicks.model.partition import BasinsOnce
 
         partition = BasinsOnce()
@@ -278,7 +271,7 @@ def _context(
     inputs = ModelInputs(size, limits, partition, window, config.answer, box_mm3=box_mm3)
     context = context.with_model_inputs(inputs)
     # Likelihood learns from --foreground once; with update=yes it refuses it.
-    return context, learns or any(term.name == "likelihood" for term in terms)
+    return context, config.energy.learns or any(term.name == "likelihood" for term in config.terms)
 
 
 def _first_surface(config: RunConfig, seen: Seen, clicks: Clicks, box: Box) -> NDArray[np.float32]:

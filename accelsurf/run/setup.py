@@ -24,10 +24,9 @@ from accelsurf.io.memory import available_cores
 from accelsurf.run.energy import make_energy
 from accelsurf.run.evolving_object import EnergyMaker, MadeEnergy
 from accelsurf.run.image_context import ImageContext
-from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import default_of, energy_settings
 from accelsurf.settings.energy_terms import TERMS
-from accelsurf.settings.flow_specs import AUTO, DESCENT, FLOWS, MOMENTUM, spec_of
+from accelsurf.settings.flow_specs import AUTO, DESCENT, FLOWS, MOMENTUM, FlowText, spec_of
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.trace_columns import added_measures
@@ -87,12 +86,11 @@ def choose_levels(
         return pyramid.levels(geometry.shape, spacing, min(len(grids), window.levels), min_voxels=1)
 
     if wanted == "auto":
-        terms = energy_expression.parse(config.energy)
         if (
             psi is None
             or not has_name
             or begins_at_model(config)
-            or any(TERMS[t.name].keeps_fine_edges for t in terms)
+            or any(TERMS[term.name].keeps_fine_edges for term in config.terms)
         ):
             return in_window(pyramid.levels(shape, spacing, 1))
         possible = pyramid.levels(shape, spacing, min_voxels=AUTO_MIN_VOXELS)
@@ -227,9 +225,7 @@ def energy_key(config: RunConfig) -> tuple[Any, ...]:
 
 def window_reach(settings: RunConfig, geometry: Geometry) -> float:
     """Return the reach of the energy's terms beyond an object, mm; 0 where none has a window."""
-    reaches = (
-        (TERMS[term.name].reach, term.settings) for term in energy_expression.parse(settings.energy)
-    )
+    reaches = ((TERMS[term.name].reach, term.settings) for term in settings.terms)
     largest = max(geometry.steps)
     return max(
         (load(reach)(given, largest) for reach, given in reaches if reach is not None), default=0.0
@@ -238,13 +234,8 @@ def window_reach(settings: RunConfig, geometry: Geometry) -> float:
 
 def begins_at_model(config: RunConfig) -> bool:
     """Return True if a run begins at the object that the model of the clicks shows, and that model is its energy."""
-    terms = energy_expression.parse(config.energy)
-    is_shown = (
-        config.start == (CLICKS,)
-        or config.objects is not None
-        or energy_expression.parts_space(config.energy)
-    )
-    return is_shown and all(TERMS[term.name].uses_model for term in terms)
+    is_shown = config.start == (CLICKS,) or config.objects is not None or config.energy.parts_space
+    return is_shown and all(TERMS[term.name].uses_model for term in config.terms)
 
 
 def is_least_at_model(config: RunConfig) -> bool:
@@ -252,7 +243,6 @@ def is_least_at_model(config: RunConfig) -> bool:
 
     Without a weight of the area their energy is the sum of F inside, least where F < 0.
     """
-    terms = energy_expression.parse(config.energy)
     moved = (
         config.smoothness
         or config.noise
@@ -261,7 +251,7 @@ def is_least_at_model(config: RunConfig) -> bool:
         or config.levels not in ("auto", 1)
     )
     return not moved and all(
-        term.name == "partition" and term.settings.get("area") == 0 for term in terms
+        term.name == "partition" and term.settings.get("area") == 0 for term in config.terms
     )
 
 
@@ -276,7 +266,7 @@ def stop_rule(config: RunConfig, levels: int) -> StopRule:
     if begins_at_model(config):
         return correction_rule(config)
     if levels == 1:
-        waves = config.flow in ("flowable-mass", "region-mass")
+        waves = config.flow.name in ("flowable-mass", "region-mass")
         motion = SLOW * config.tolerance if waves else config.tolerance
         return StopRule(motion=motion, further=_FURTHER * config.tolerance)
     return _rule_near_the_end(config)
@@ -285,12 +275,12 @@ def stop_rule(config: RunConfig, levels: int) -> StopRule:
 def correction_rule(config: RunConfig) -> StopRule:
     """Return the rule by which a correction has converged: it begins near its end, as after a coarser level."""
     rule = _rule_near_the_end(config)
-    return rule if config.flow in _SHORT_STEPS else rule._replace(patience=PATIENCE)
+    return rule if config.flow.name in _SHORT_STEPS else rule._replace(patience=PATIENCE)
 
 
 def _rule_near_the_end(config: RunConfig) -> StopRule:
     further = _FURTHER * config.tolerance
-    if config.flow in _SHORT_STEPS:
+    if config.flow.name in _SHORT_STEPS:
         return StopRule(10, SLOW * config.tolerance, further=further)
     return StopRule(6, config.tolerance, further=further)
 
@@ -298,7 +288,7 @@ def _rule_near_the_end(config: RunConfig) -> StopRule:
 def half_width(config: RunConfig) -> float:
     """Half width of the band in voxels; ``auto`` is the one that the flow needs."""
     if config.half_width == "auto":
-        return float(spec_of(config.flow).half_width)
+        return float(spec_of(config.flow.name).half_width)
     return float(config.half_width)
 
 
@@ -328,7 +318,7 @@ def is_maker(energy: Any) -> bool:
 
 def make_flow(config: RunConfig) -> Flow:
     """The flow of a configuration in which one is named."""
-    flow: Flow = load(FLOWS[config.flow].make)(config)
+    flow: Flow = load(FLOWS[config.flow.name].make)(config)
     return flow
 
 
@@ -343,7 +333,7 @@ class FlowChoice(NamedTuple):
         if config.flow != AUTO:
             return config
         return config.model_copy(
-            update={"flow": MOMENTUM if _given_of_momentum(config) else self.flow}
+            update={"flow": FlowText(MOMENTUM if _given_of_momentum(config) else self.flow)}
         )
 
 
@@ -356,9 +346,9 @@ def choose_flow(config: RunConfig, has_name: bool) -> FlowChoice:
         )
     if not has_name:
         return FlowChoice(MOMENTUM, "momentum, as the energy is one of your own")
-    if energy_expression.uses_model(config.energy):
+    if config.energy.uses_model:
         return FlowChoice(MOMENTUM, "momentum, as from clicks all flows end at the same surface")
-    names = {term.name for term in energy_expression.parse(config.energy)} - {"area"}
+    names = {term.name for term in config.terms} - {"area"}
     if names == {"threshold"}:
         return FlowChoice(
             DESCENT, "descent, as under bounds of brightness momentum may leak through thin walls"

@@ -22,7 +22,7 @@ from accelsurf.run.arguments import given_arrays, surfaces_of
 from accelsurf.run.checkpoint import digest_of
 from accelsurf.run.ensemble import union_of, within
 from accelsurf.run.image_context import ImageContext
-from accelsurf.run.preprocessing import PreprocessedInput, preprocess, uses_model
+from accelsurf.run.preprocessing import PreprocessedInput, preprocess
 from accelsurf.run.setup import is_least_at_model, thread_count
 from accelsurf.run.window_input import WindowInput
 from accelsurf.settings.run_config import RunConfig
@@ -137,7 +137,7 @@ def start_of_run(
             several = _no_object(prepared, config) + several
         starts = [within(start, prepared) for start in several]
         contexts = [_context_of(start, prepared, bool(surfaces)) for start in starts]
-        if table is not None and uses_model(config):
+        if table is not None and config.energy.uses_model:
             starts = _of_models(starts, contexts, prepared.geometry, thread_count(config))
     at_least = table is not None and is_least_at_model(config)
     return RunStart(
@@ -207,12 +207,12 @@ def _several(
         return object_starts.read(labels, geometry, AROUND)
     # With a model the competition is in the force: the background needs no surface.
     starts = tables.starts_of(table, geometry, AROUND)
-    return [start for start in starts if start.id != NO_OBJECT or not uses_model(config)]
+    return [start for start in starts if start.id != NO_OBJECT or not config.energy.uses_model]
 
 
 def _no_object(prepared: PreprocessedInput, config: RunConfig) -> list[ObjectStart]:
     """The surface that competes for the background, where --outside was given with objects."""
-    if prepared.clicks is None or uses_model(config):
+    if prepared.clicks is None or config.energy.uses_model:
         return []
     whole = Clicks(
         tuple(click for click in prepared.clicks.clicks if click.id == NO_OBJECT),

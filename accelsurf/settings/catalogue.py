@@ -84,7 +84,7 @@ def kind_of(key: str) -> Literal["switch", "slider", "list", "text"]:
 
     Examples
     --------
-    >>> [kind_of(key) for key in ("flow", "cfl", "k", "reproducible")]
+    >>> [kind_of(key) for key in ("flow", "cfl", "seed", "reproducible")]
     ['list', 'slider', 'text', 'switch']
     """
     if is_switch(key):
@@ -140,8 +140,8 @@ def acts_on(key: str) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> acts_on("gravity"), acts_on("epsilon"), acts_on("cfl")
-    (('flowable-mass', 'region-mass'), ('chan-vese', 'local-region'), ())
+    >>> acts_on("noise"), acts_on("epsilon"), acts_on("cfl")
+    (('constant-density', 'flowable-mass'), ('chan-vese', 'local-region'), ())
     """
     match entry(key).scope:
         case "flow":

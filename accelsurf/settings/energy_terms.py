@@ -6,78 +6,20 @@ function that makes it. That function is imported when a run begins, so that thi
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
 
+from accelsurf.settings.expression import HALF, Number, Spec, Values, Word
 from accelsurf.settings.registry import Registry
-
-Value = float | str
-Values = Mapping[str, Value]
-#: Prefix of a value to which a bound lies half-way.
-HALF = "half:"
-
-
-class Number(NamedTuple):
-    """A setting of a term that is a number: its bounds, whether the bounds themselves are allowed, other words."""
-
-    low: float = -math.inf
-    high: float = math.inf
-    low_too: bool = True
-    words: tuple[str, ...] = ()
-    percent: bool = False
-    help: str = ""
-
-    @property
-    def expected(self) -> str:
-        """The values that it takes, in words.
-
-        Examples
-        --------
-        >>> Number(0.0, 2.5).expected
-        'a number at least 0 and at most 2.5'
-        """
-        bounds = ""
-        if self.low > -math.inf:
-            bounds = f" at least {self.low:g}" if self.low_too else f" above {self.low:g}"
-        if self.high < math.inf:
-            bounds += f" and at most {self.high:g}"
-        words = [f"a number{bounds}", *(word for word in self.words if word)]
-        if self.percent:
-            words += ["a percentile such as 80%", f"{HALF}V (half-way from V to the start's mean)"]
-        return " or ".join(words)
-
-
-class Word(NamedTuple):
-    """A setting of a term that is one of some words."""
-
-    words: tuple[str, ...]
-    help: str = ""
-
-    @property
-    def expected(self) -> str:
-        """The words."""
-        return " or ".join(self.words)
 
 
 @dataclass(frozen=True)
-class TermSpec:
+class TermSpec(Spec):
     """The entry of a term.
 
     Attributes
     ----------
-    name : str
-        As it is written in an expression.
-    help : str
-        What it is, in a few words.
-    make : str or callable
-        ``"module:function"`` or a function: of `accelsurf.run.image_context.TermInputs`, returns the energy
-        and a dict of the settings that it has in the run, for the report.
-    settings : mapping of str to Number or Word
-        Its settings after the colon, in the order in which values without a key are assigned.
-    uses : tuple of str
-        Settings of the run that it uses where its own are not given.
     uses_to_learn : tuple of str
         Settings of the run that it uses only when it ``learns``.
     sees_image : bool
@@ -93,8 +35,6 @@ class TermSpec:
     reach : str or callable, optional
         Of the settings and the largest spacing, mm: how far beyond an object the term sees the image, mm; a
         ``"module:function"`` or a function. None where it sees the narrow band and means over the whole image alone.
-    check : callable
-        Of the settings: what was expected where they contradict each other, else an empty text.
     learns : callable
         Of the settings: whether it learns once from the start, unless it is given something else to learn from.
     uses_model : bool
@@ -103,11 +43,6 @@ class TermSpec:
         Whether it looks at all of the image, beyond what lies near the surface and `WholeImage` tells.
     """
 
-    name: str
-    help: str
-    make: str | Callable[[Any], tuple[Any, dict[str, Any]]]
-    settings: Mapping[str, Number | Word] = field(default_factory=dict)
-    uses: tuple[str, ...] = ()
     uses_to_learn: tuple[str, ...] = ()
     sees_image: bool = True
     channels: Literal["first", "mean", "sum"] = "first"
@@ -115,7 +50,6 @@ class TermSpec:
     example: str | None = None
     keeps_fine_edges: bool = False
     reach: str | Callable[[Values, float], float] | None = None
-    check: Callable[[Values], str] = lambda settings: ""
     learns: Callable[[Values], bool] = lambda settings: False
     uses_model: bool = False
     needs_whole: bool = False

@@ -11,11 +11,13 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from accelsurf.image.grey_window import AUTO, checked_window
-from accelsurf.settings import flow_specs
 from accelsurf.settings.corrections import Edits, Refinements
+from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, Slider, setting
 from accelsurf.settings.file_formats import label_formats, label_help
+from accelsurf.settings.flow_specs import AUTO as AUTO_FLOW
+from accelsurf.settings.flow_specs import FlowText, flow_names
 from accelsurf.settings.labels import checked_colors, checked_names
 from accelsurf.settings.mesh_formats import MESH_FORMATS, also_help, also_names, mesh_help
 from accelsurf.settings.presets import PRESETS
@@ -27,7 +29,6 @@ from accelsurf.settings.toml import (
     all_split,
     checked,
     checked_bounds,
-    checked_expression,
     checked_volume,
     interval_of,
     one_or_many,
@@ -60,7 +61,7 @@ class SettingFields(BaseModel):
             listed=lambda: ", ".join(PRESETS),
         ),
     )
-    energy: Annotated[str, BeforeValidator(checked_expression)] = setting(
+    energy: EnergyText = setting(
         "chan-vese",
         "Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic' or 'threshold:LO,HI'. "
         "With --inside it is seeded unless given.",
@@ -169,15 +170,11 @@ class SettingFields(BaseModel):
         "more, and energies learn from what lies around it.",
         entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
     )
-    flow: Annotated[str, OneOf(lambda: (flow_specs.AUTO, *flow_specs.FLOWS))] = setting(
-        flow_specs.AUTO,
-        "How the surface moves.",
-        entry=SettingEntry(
-            RUN,
-            metavar="NAME",
-            choice=True,
-            names=flow_specs.flow_names,
-        ),
+    flow: FlowText = setting(
+        AUTO_FLOW,
+        "How the surface moves: a flow with its settings, as constant-density:rho=2 or sobolev:length=5; "
+        "accelsurf info flows lists them.",
+        entry=SettingEntry(RUN, metavar="FLOW", choice=True, names=flow_names),
     )
     objects: str | None = setting(
         None,
@@ -237,38 +234,6 @@ class SettingFields(BaseModel):
         "below 0 it grows.",
         entry=SettingEntry(RUN, unit="1/mm", metavar="C", scope="term"),
     )
-    k: float = setting(
-        2.0,
-        "Order of a flow with momentum (no unit): it sets how fast friction fades, (k+1)/t. Larger brakes more.",
-        entry=SettingEntry(metavar="K", scope="flow"),
-        ge=0.1,
-        le=20,
-    )
-    t0: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
-        "auto",
-        "Flow time t, in the friction (k+1)/t, of a surface that starts at rest: larger brakes less. auto is 0, "
-        "or with k <= 1, where 0 is impossible, the length of the first step.",
-        entry=SettingEntry(unit="flow time", metavar="T|auto", scope="flow"),
-    )
-    lam: float = setting(
-        1.0,
-        "How strongly the energy pulls on a surface with momentum (the paper's lambda): larger moves it faster.",
-        entry=SettingEntry(scope="flow"),
-        gt=0,
-    )
-    rho: float = setting(
-        1.0,
-        "Mass of the moving surface per area, of region-mass per volume (relative units): larger is more inert.",
-        entry=SettingEntry(scope="flow"),
-        gt=0,
-    )
-    gravity: float = setting(
-        0.0,
-        "How strongly mass pushes itself apart (g, no unit): it spreads the mass of flowable-mass evenly over the "
-        "surface, and puts the mass of region-mass inside the surface under pressure. 0 for not.",
-        entry=SettingEntry(metavar="G", scope="flow"),
-        ge=0,
-    )
     diffusion: Annotated[float, Field(ge=0)] | Literal["auto", "free"] = setting(
         "auto",
         "How fast neighbouring points of the surface take on each other's speed, in mm2 per unit of flow time, which "
@@ -286,28 +251,6 @@ class SettingFields(BaseModel):
         "Strength of random acceleration, smooth in space, in mm per unit of flow time^1.5; 0 for none.",
         entry=SettingEntry(unit="mm per unit of flow time^1.5", metavar="TAU", scope="flow"),
         ge=0,
-    )
-    noise_length: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
-        "auto",
-        "Correlation length of the noise, in mm; auto is 4 voxels (the largest spacing).",
-        entry=SettingEntry(unit="mm", metavar="MM|auto", scope="flow"),
-    )
-    noise_time: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
-        "auto",
-        "How long the noise acts, in flow time; auto is until the first restart.",
-        entry=SettingEntry(unit="flow time", metavar="T|auto", scope="flow"),
-    )
-    sobolev_length: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
-        "auto",
-        "Length over which the sobolev flow smooths the force, in mm; auto is 5 voxels.",
-        entry=SettingEntry(unit="mm", metavar="MM|auto", scope="flow"),
-    )
-    blend: float = setting(
-        0.8,
-        "Fraction of the last step that the flow momentum adds to the next (no unit): larger has more momentum.",
-        entry=SettingEntry(metavar="OMEGA", scope="flow"),
-        ge=0,
-        lt=1,
     )
     friction: Annotated[float, Field(gt=0)] | Literal["t"] = setting(
         "t",

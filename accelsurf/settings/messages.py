@@ -10,6 +10,7 @@ from accelsurf.errors import UsageError
 from accelsurf.settings.catalogue import enumerated
 from accelsurf.settings.entry import full_help
 from accelsurf.settings.fields import SettingFields
+from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.toml import INTERVAL, VOLUME, VOXELS
 from accelsurf.settings.track_fields import GAINS
 from accelsurf.settings.wording import did_you_mean, shown
@@ -35,6 +36,10 @@ def usage_error(
 
 def no_such_setting(key: str, fields: type[BaseModel] = SettingFields) -> tuple[str, str]:
     """Return message and hint for a setting that there is not."""
+    flows = [name for name, spec in FLOWS.items() if key in spec.settings]
+    if flows:
+        hint = f"it is a setting of a flow, as in flow = '{flows[0]}:{key}=...'"
+        return f"{shown(key)}: there is no such setting of a run", hint
     guess = did_you_mean(key, fields.model_fields)
     known = (
         "accelsurf info settings lists them"

@@ -12,12 +12,15 @@ from typing import Any, Self
 from pydantic import ConfigDict, ValidationError, model_validator
 
 from accelsurf.errors import UsageError
-from accelsurf.settings import energy_expression, messages, toml
+from accelsurf.settings import messages, toml
 from accelsurf.settings.catalogue import default_of, entry, help_of, is_switch
 from accelsurf.settings.corrections import refuse_unknown
+from accelsurf.settings.energy_expression import Term
 from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.expression import MAGNITUDES
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.flow_specs import spec_of
+from accelsurf.settings.older import modern
 from accelsurf.settings.presets import PRESETS
 
 #: Settings that a run which begins and ends with a label map does not take.
@@ -95,7 +98,7 @@ class RunConfig(SettingFields):
 
     def _check_sizes(self) -> None:
         """Refuse numbers so large or small that nothing can be computed with them."""
-        low, high = energy_expression.MAGNITUDES
+        low, high = MAGNITUDES
         for key in type(self).model_fields:
             value = getattr(self, key)
             if isinstance(value, float) and value != 0 and not low <= abs(value) <= high:
@@ -134,11 +137,6 @@ class RunConfig(SettingFields):
                         f"{key}: it was given with labels {self.labels}, which are the result but for corrections",
                         "give clicks to accelsurf refine --labels, or the label map as a start: --start label:FILE",
                     )
-        if self.t0 == 0 and self.k <= 1:
-            raise UsageError(
-                f"t0: 0 was given, expected a number greater than 0 with k = {self.k:g}",
-                "for k <= 1 the accelerated flow has no start from rest at time 0; auto chooses a time",
-            )
         for edit in self.edit:
             refuse_unknown(edit, type(self).model_fields)
         if self.edit:
@@ -158,22 +156,30 @@ class RunConfig(SettingFields):
             refinement.kind in ("new", "split", "remove") for refinement in self.refine
         )
 
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms of the energy.
+
+        Examples
+        --------
+        >>> [term.name for term in RunConfig(energy="chan-vese + 0.1*area").terms]
+        ['chan-vese', 'area']
+        """
+        return self.energy.terms
+
     def matters(self, key: str) -> bool:
         """Return True if a setting acts on this flow and energy.
 
         Examples
         --------
-        >>> RunConfig(flow="gradient").matters("gravity"), RunConfig().matters("smoothness")
+        >>> RunConfig(flow="gradient").matters("friction"), RunConfig().matters("smoothness")
         (False, True)
         """
         match entry(key).scope:
             case "flow":
-                return key in spec_of(self.flow).uses
+                return key in spec_of(self.flow.name).uses
             case "term":
-                return any(
-                    TERMS[t.name].is_used(key, t.settings)
-                    for t in energy_expression.parse(self.energy)
-                )
+                return any(TERMS[term.name].is_used(key, term.settings) for term in self.terms)
             case _:
                 return True
 
@@ -184,8 +190,8 @@ class RunConfig(SettingFields):
 
         Examples
         --------
-        >>> RunConfig(flow="gradient", gravity=0.1).unused()
-        ['gravity']
+        >>> RunConfig(flow="gradient", friction=0.1).unused()
+        ['friction']
         >>> RunConfig(preset="mr-brain", energy="geodesic", cfl=0.5, tolerance=0.1).unused()
         ['balance', 'epsilon', 'preset']
         """
@@ -285,7 +291,7 @@ class RunConfig(SettingFields):
             When the file cannot be read, is not TOML, has an unknown key (the nearest valid one is named), or a
             value is out of bounds.
         """
-        return cls(**toml.read_toml(path))
+        return cls(**modern(toml.read_toml(path)))
 
     def to_toml(self) -> str:
         """Return the configuration as TOML; :meth:`from_toml` gives an equal object back.

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from accelsurf.errors import UsageError
-from accelsurf.settings import budgets, energy_expression
+from accelsurf.settings import budgets
 from accelsurf.settings.reading import check_readable
 from accelsurf.settings.wording import shown
 
@@ -254,16 +254,6 @@ def checked_bounds(value: Any) -> Any:
     if isinstance(value, (list, tuple)) and len(value) == 2:
         value = ",".join("" if number is None else repr(float(number)) for number in value)
     return checked(bounds_of)(value)
-
-
-def checked_expression(value: Any) -> Any:
-    """Check an energy; turn a list of tables into its text."""
-    if isinstance(value, (list, tuple)):
-        value = energy_expression.from_tables(value)
-    if isinstance(value, str):
-        value = " ".join(value.split())
-        energy_expression.parse(value)
-    return value
 
 
 def one_or_many(value: Any) -> Any:

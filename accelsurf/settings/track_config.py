@@ -9,9 +9,11 @@ from typing import Any, Self
 from pydantic import ConfigDict, ValidationError
 
 from accelsurf.errors import UsageError
-from accelsurf.settings import catalogue, energy_expression, messages, toml
+from accelsurf.settings import catalogue, messages, toml
 from accelsurf.settings.entry import SettingEntry, SettingGroup, entry_of
+from accelsurf.settings.expression import MAGNITUDES
 from accelsurf.settings.fields import SettingFields
+from accelsurf.settings.older import modern
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_fields import TrackFields
 
@@ -87,7 +89,7 @@ class TrackConfig(TrackFields):
 
     def _check_together(self) -> None:
         """Refuse values that are valid one by one but not together."""
-        low, high = energy_expression.MAGNITUDES
+        low, high = MAGNITUDES
         for key in ("friction", "frame_time"):
             value = getattr(self, key)
             if isinstance(value, float) and value and not low <= value <= high:
@@ -144,7 +146,7 @@ class TrackConfig(TrackFields):
             When the file cannot be read, has an unknown key, or a value is out of bounds.
         """
         run, track = split_table(toml.read_toml(path))
-        return cls(run=RunConfig(**run), **track)
+        return cls(run=RunConfig(**modern(run)), **track)
 
     def to_toml(self) -> str:
         """Return the configuration as TOML; `from_toml` gives an equal object back."""

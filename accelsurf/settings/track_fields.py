@@ -12,11 +12,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from accelsurf.settings.corrections import FrameCorrections
+from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, setting
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, Function, label_formats
 from accelsurf.settings.mesh_formats import MESH_FORMATS
 from accelsurf.settings.registry import Registry
-from accelsurf.settings.toml import all_split, checked_expression
+from accelsurf.settings.toml import all_split
 
 
 @dataclass(frozen=True)
@@ -110,10 +111,6 @@ def _gains_text(value: Any) -> Any:
     return value.replace(" ", "") if isinstance(value, str) else value
 
 
-def _energy_or_auto(value: Any) -> Any:
-    return value if value == "auto" else checked_expression(value)
-
-
 class TrackFields(BaseModel):
     """The fields of `accelsurf.settings.track_config.TrackConfig`, without what it does with them."""
 
@@ -155,11 +152,14 @@ class TrackFields(BaseModel):
         "exp(-A) in a unit. auto is 0.5 per frame.",
         entry=SettingEntry(TRACK, unit="1/time", metavar="A|auto"),
     )
-    next_energy: Annotated[str, BeforeValidator(_energy_or_auto)] = setting(
-        "auto",
-        "Energy of the frames after the first; auto is that of the first. What it learns it learns anew in each frame, "
-        "from the inner half of the prediction. Where its run leaves given labels, the image near them is learned.",
-        entry=SettingEntry(TRACK, metavar="EXPRESSION"),
+    next_energy: Annotated[Literal["auto"] | EnergyText, Field(union_mode="left_to_right")] = (
+        setting(
+            "auto",
+            "Energy of the frames after the first; auto is that of the first. What it learns it learns anew in each "
+            "frame, from the inner half of the prediction. Where its run leaves given labels, the image near them is "
+            "learned.",
+            entry=SettingEntry(TRACK, metavar="EXPRESSION"),
+        )
     )
     max_gap: int = setting(
         5,

@@ -31,7 +31,6 @@ from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.levelset import LevelSet
-from accelsurf.run.preprocessing import uses_model
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.run.result import Result, SegmentedObject
 from accelsurf.run.run import Run
@@ -214,7 +213,7 @@ def _result(
     on_box = tuple(_on_box(start, box) for start in starts)
     clicks = (
         [_core(start, seen[0].geometry) for start in on_box]
-        if uses_model(config) and energy is None
+        if config.energy.uses_model and energy is None
         else []
     )
     arrays = {"mask": _free(occupied, box, seen[0].geometry)} if occupied else None

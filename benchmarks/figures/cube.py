@@ -23,18 +23,17 @@ FLOWS: dict[str, dict[str, Any]] = {
     "gradient, same diffusion": {"flow": "gradient", "diffusion": "free"},
     "gradient, area weight 0.05 mm": {"flow": "gradient", "smoothness": 0.05},
     "gradient, presmooth 1 mm": {"flow": "gradient", "presmooth": 1.0},
-    "Sobolev, 5 mm": {"flow": "sobolev", "sobolev_length": 5.0},
-    "momentum (Andersson et al.)": {"flow": "momentum", "blend": 0.9},
+    "Sobolev, 5 mm": {"flow": "sobolev:length=5"},
+    "momentum (Andersson et al.)": {"flow": "momentum:blend=0.9"},
     "constant density, diffusion": {"flow": "constant-density", "diffusion": "free"},
     "constant density, none": {"flow": "constant-density", "diffusion": 0.0},
     "flowable mass, diffusion": {"flow": "flowable-mass", "diffusion": "free"},
     "flowable mass, none": {"flow": "flowable-mass", "diffusion": 0.0},
-    "flowable mass, gravity": {"flow": "flowable-mass", "diffusion": "free", "gravity": 1e-5},
+    "flowable mass, gravity": {"flow": "flowable-mass:gravity=1e-5", "diffusion": "free"},
     "constant density, noise": {
-        "flow": "constant-density",
+        "flow": "constant-density:noise_time=20",
         "noise": 0.1,
         "seed": 1,
-        "noise_time": 20.0,
     },
 }
 PICTURED = ("gradient", "gradient, same diffusion", "Sobolev, 5 mm", "constant density, diffusion")

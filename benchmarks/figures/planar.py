@@ -30,7 +30,7 @@ def square(output: Path) -> None:
     rows: dict[str, dict[str, Any]] = {
         "gradient": {"flow": "gradient"},
         "gradient, area weight 0.2 mm": {"flow": "gradient", "smoothness": 0.2, "max_steps": 3000},
-        "Sobolev, 10 mm": {"flow": "sobolev", "sobolev_length": 10.0},
+        "Sobolev, 10 mm": {"flow": "sobolev:length=10"},
         "constant density": {"flow": "constant-density"},
     }
     tasks = [

@@ -25,9 +25,9 @@ GRIDS: dict[str, tuple[dict[str, Any], dict[str, list[Any]]]] = {
     "gradient": ({"flow": "gradient"}, {**SMOOTH, "diffusion": [0.0, "free"]}),
     "sobolev": (
         {"flow": "sobolev"},
-        {"sobolev_length": [5.0, 10.0, 20.0], "presmooth": [0.0, 1.0]},
+        {"flow": [f"sobolev:length={mm}" for mm in (5, 10, 20)], "presmooth": [0.0, 1.0]},
     ),
-    "momentum": ({"flow": "momentum", "blend": 0.9}, SMOOTH),
+    "momentum": ({"flow": "momentum:blend=0.9"}, SMOOTH),
     "constant density": ({"flow": "constant-density"}, SMOOTH),
     "flowable mass": (
         {"flow": "flowable-mass"},

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -23,9 +23,10 @@ from accelsurf.run.arguments import GIVEN_KINDS
 from accelsurf.settings.budgets import BUDGETS
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of
 from accelsurf.settings.corrections import Correction
-from accelsurf.settings.energy_expression import MAGNITUDES, MAX_TERMS
+from accelsurf.settings.energy_expression import MAX_TERMS
 from accelsurf.settings.energy_terms import TERMS, TermSpec
 from accelsurf.settings.entry import OneOf, SettingGroup, entry_of
+from accelsurf.settings.expression import MAGNITUDES, Number, Word
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, ImageFormat
 from accelsurf.settings.flow_specs import FLOWS
@@ -135,6 +136,8 @@ def _types_in(kind: Any) -> Iterator[str]:
     elif origin in (Union, UnionType):
         for part in parts:
             yield from _types_in(part)
+    elif isinstance(kind, type) and issubclass(kind, str):
+        yield "str"
     else:
         yield "None" if kind is type(None) else str(kind.__name__)
 
@@ -238,10 +241,7 @@ def _terms() -> str:
 
 
 def _term(spec: TermSpec) -> list[str]:
-    lines = []
-    if spec.settings:
-        rows = [(f"`{key}`", kind.expected, kind.help) for key, kind in spec.settings.items()]
-        lines += _table(("Setting", "Values", "Meaning"), rows)
+    lines = _own_settings(spec.settings)
     if uses := (*spec.uses, *spec.uses_to_learn):
         lines.append(f"* Uses the settings {_code(uses)} of the run.")
     seen = {"first": "the first", "mean": "the mean over all", "sum": "the sum over all"}[
@@ -260,14 +260,26 @@ def _term(spec: TermSpec) -> list[str]:
 
 
 def _flows() -> str:
-    rows = [
-        (f"`{name}`", spec.help, _code(spec.uses), str(spec.half_width))
-        for name, spec in FLOWS.items()
+    lines = [
+        "# Flows",
+        "",
+        "How the surface moves: `--flow NAME`, or with settings of its own, as in `--flow constant-density:k=3,rho=2`:",
+        "`key=value`, or values alone in the order of the tables.",
+        "",
     ]
-    header = ("Flow", "What it is", "Its settings", "Half width of the band (voxels)")
-    return "\n".join(
-        ["# Flows", "", "How the surface moves: `--flow NAME`.", "", *_table(header, rows)]
-    )
+    for name, spec in FLOWS.items():
+        lines += [f"## {name}", "", f"{spec.help[0].upper()}{spec.help[1:]}.", ""]
+        lines += _own_settings(spec.settings)
+        if spec.uses:
+            lines.append(f"* Uses the settings {_code(spec.uses)} of the run.")
+        lines += [f"* Half width of the band: {spec.half_width} voxels.", ""]
+    return "\n".join(lines)
+
+
+def _own_settings(settings: Mapping[str, Number | Word]) -> list[str]:
+    """Return the table of the settings of a term or a flow."""
+    rows = [(f"`{key}`", kind.expected, kind.help) for key, kind in settings.items()]
+    return _table(("Setting", "Values", "Meaning"), rows) if rows else []
 
 
 def _presets() -> str:

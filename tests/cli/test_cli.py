@@ -288,13 +288,10 @@ def test_options_beat_the_file_which_beats_the_defaults(tmp_path, capsys):
 def test_every_setting_is_an_option(capsys):
     values = RunConfig(
         **dict(
-            flow="gradient",
+            flow="flowable-mass:k=3,lam=2,rho=0.5,t0=0.1,gravity=2,noise_length=6,noise_time=2",
             start=("center", "ball:-1,2,-3,4"),
             smoothness=1.5,
             presmooth=0.5,
-            k=3,
-            lam=2,
-            rho=0.5,
         ),
         **dict(
             diffusion=0.25,
@@ -316,9 +313,8 @@ def test_every_setting_is_an_option(capsys):
         **dict(
             seed=5, threads=2, energy="geodesic", edge_scale=1.5, edge_contrast=0.2, balloon=-0.5
         ),
-        **dict(t0=0.1, gravity=2, noise=0.5, noise_length=6, noise_time=2, sobolev_length=7),
         **dict(
-            blend=0.6, reproducible=True, levels=2, mask="m.nii", roi="1,2,3,4,5,6", max_volume=1e4
+            noise=0.5, reproducible=True, levels=2, mask="m.nii", roi="1,2,3,4,5,6", max_volume=1e4
         ),
         **dict(
             foreground=("center", "ball:-1,2,-3,4"),
@@ -384,7 +380,7 @@ def test_every_setting_is_an_option(capsys):
         (("--friction", "0"), "a number greater than 0, or t"),
         (("--smothness", "1"), "Did you mean --smoothness"),
         (("--progress", "dots"), '"bar", "json", "none"'),
-        (("--k",), "requires an argument"),
+        (("--cfl",), "requires an argument"),
         (("--config", "absent.toml"), "absent.toml: the configuration cannot be read"),
     ],
 )

@@ -58,7 +58,7 @@ def test_arguments_as_the_parser_takes_them(typed, parsed):
 
 
 def test_every_option_with_a_number_takes_a_minus_sign(capsys):
-    for name in ("balance", "balloon", "roi", "clip", "gravity", "edge_scale"):
+    for name in ("balance", "balloon", "roi", "clip", "edge_scale"):
         assert entry(name) is not None
         cli.execute(["segment", "--dump-config", "--" + name.replace("_", "-"), "-1,-2,-3,4,5,6"])
         said = capsys.readouterr()

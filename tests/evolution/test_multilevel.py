@@ -116,7 +116,7 @@ def test_momentum_goes_on(cube, flow, monkeypatch):
         ("COARSE_FAR", 1.0),
     ):
         monkeypatch.setattr(multilevel, name, value)
-    options = {**START, "presmooth": 2.0, "restart": "off", "k": 3, "max_steps": 24, "flow": flow}
+    options = {**START, "presmooth": 2.0, "restart": "off", "max_steps": 24, "flow": f"{flow}:k=3"}
     rows = segment(cube.image, levels=2, **options).history
     change = next(row.step for row in rows if row.level == 0)
     assert change == 8

@@ -321,7 +321,7 @@ def _texts():
 def _command_lines():
     """Words of a command line, one a line."""
     for words in (
-        "--smoothness 0.5 --k 2 --start ball:2,2,2,1 --roi 0,0,0,5,5,5",
+        "--smoothness 0.5 --flow constant-density:k=2 --start ball:2,2,2,1 --roi 0,0,0,5,5,5",
         "--energy threshold:10,50 --levels 2 --mesh ply",
         "--presmooth 1.5vox --seed 4 --noise 0.1 --half-width 4",
         "--objects a.csv --format nrrd --mesh-space ras --threads 2",
@@ -333,23 +333,24 @@ def _command_lines():
 def _runs():
     """Settings of a run of a few steps as JSON, with the values of its image."""
     for settings in (
-        {"k": 2, "lam": 1, "rho": 1, "smoothness": 0.5, "presmooth": 0.5, "cfl": 0.5},
         {
-            "flow": "flowable-mass",
-            "gravity": 0.1,
-            "k": 2,
-            "t0": 1,
+            "flow": "constant-density:k=2,lam=1,rho=1",
+            "smoothness": 0.5,
+            "presmooth": 0.5,
+            "cfl": 0.5,
+        },
+        {
+            "flow": "flowable-mass:k=2,t0=1,gravity=0.1",
             "diffusion": 1.0,
             "friction": 0.5,
         },
         {
-            "flow": "sobolev",
-            "sobolev_length": 3,
+            "flow": "sobolev:length=3",
             "tolerance": 0.1,
             "percentile": 95,
             "epsilon": 1.5,
         },
-        {"flow": "momentum", "blend": 0.8, "balance": 1.0, "max_volume": 1000, "half_width": 4},
+        {"flow": "momentum:blend=0.8", "balance": 1.0, "max_volume": 1000, "half_width": 4},
         {
             "energy": "0.5*geodesic:scale=1,contrast=0.5,balloon=-0.1 + chan-vese",
             "edge_scale": 1,
@@ -358,8 +359,7 @@ def _runs():
         {
             "energy": "local-region:R=3,epsilon=1 + 0.1*balloon",
             "noise": 0.1,
-            "noise_length": 3,
-            "noise_time": 3,
+            "flow": "constant-density:noise_length=3,noise_time=3",
             "seed": 1,
         },
         {"energy": "threshold:20,80,soft=5", "start": "ball:5,5,5,3", "roi": "0,0,0,9,9,9"},

@@ -17,7 +17,8 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, meshes
 from accelsurf.io.states import from_bytes
-from accelsurf.settings import corrections, energy_expression
+from accelsurf.settings import corrections
+from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts import objects, starts
@@ -143,7 +144,7 @@ def _text(given: Input) -> str:
 
 def _energy(given: Input, path: Path) -> None:
     RunConfig(energy=_text(given))
-    energy_expression.parse(_text(given))
+    EnergyText(_text(given))
 
 
 def _start(given: Input, path: Path) -> None:

@@ -81,7 +81,7 @@ def bombs(folder):
     from accelsurf.io import meshes
     from accelsurf.io.formats import png, tiff_file
     from accelsurf.io.states import from_bytes
-    from accelsurf.settings import energy_expression
+    from accelsurf.settings.energy_expression import EnergyText
     from accelsurf.settings.run_config import RunConfig
     from accelsurf.starts import objects, starts
     from accelsurf.viewer.movie_file import run_of_folder
@@ -155,7 +155,7 @@ def bombs(folder):
         assert at
         io.read(made("a.tif", bytes(content)))
         # The text holds nothing that matters: what counts is that it was passed over in no time.
-        return energy_expression.parse("")
+        return EnergyText("")
 
     def claims(compression):
         content = bytearray(tiff_file.tiff_bytes(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
@@ -197,7 +197,7 @@ def bombs(folder):
         "tiff of shared tags": lambda: shared_tags([(273, 4, 1 << 20, 8), (279, 4, 1 << 20, 8)]),
         "tiff of shared strips": shared_strips,
         "OME text": lambda: described("<OME <Pixels " + "a" * 2_000_000 + ">"),
-        "energy of digits": lambda: energy_expression.parse("1" * 100_000 + "x*chan-vese"),
+        "energy of digits": lambda: EnergyText("1" * 100_000 + "x*chan-vese"),
         "energy of blanks": lambda: RunConfig(energy="chan-vese" + " " * 100_000 + "x"),
         "start of digits": lambda: starts.parse("label:a@" + "1" * 10_000),
         "deep TOML": lambda: (

@@ -132,7 +132,7 @@ def test_every_key_is_there_with_and_without_a_result():
     }
     assert full["resolved_settings"] == {"presmooth_mm": 0.5}
     assert full["mass"] is None  # constant density conserves none
-    heavy = finished(config=RunConfig(flow="flowable-mass", gravity=1))
+    heavy = finished(config=RunConfig(flow="flowable-mass:gravity=1"))
     flowable = document.build(status="ok", exit_code=0, result=heavy)
     assert (
         flowable["mass"]["first"] == flowable["mass"]["last"] == 3.0

@@ -51,8 +51,8 @@ def test_energy_and_settings_decide(noise: float) -> None:
         chosen(image, inside="ball:12,12,12,3vox", start="clicks", energy="seeded")[0]
         == "constant-density"
     )
-    found, why = chosen(image, energy="threshold:50,", k=3.0)
-    assert found == "constant-density" and "k was given" in why
+    found, why = chosen(image, energy="threshold:50,", friction=3.0)
+    assert found == "constant-density" and "friction was given" in why
     assert chosen(image, energy="threshold:50,", diffusion=0.5)[0] == "gradient"
 
 
@@ -81,7 +81,7 @@ def test_an_edit_does_not_choose_again_but_for_a_setting_of_momentum() -> None:
     given = {**START, "energy": "threshold:50,"}
     rows = segment(ball(0.0), **given, edit=["step=3 smoothness=0.1"]).history
     assert len(rows) > 5 and all(row.kinetic == 0.0 for row in rows)
-    rows = segment(ball(0.0), **given, edit=["step=3 lam=2"]).history
+    rows = segment(ball(0.0), **given, edit=["step=3 friction=2"]).history
     assert rows[2].kinetic == 0.0 and any(row.kinetic > 0.0 for row in rows[3:])
 
 

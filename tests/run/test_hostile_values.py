@@ -116,19 +116,25 @@ def test_lengths_beyond_every_image_are_refused(options):
 
 @pytest.mark.sampled
 @pytest.mark.parametrize(
-    "key", ["k", "lam", "rho", "smoothness", "balance", "friction", "diffusion", "gravity", "noise"]
+    "key",
+    [
+        *(
+            "constant-density:k",
+            "constant-density:lam",
+            "constant-density:rho",
+            "flowable-mass:gravity",
+        ),
+        *("smoothness", "balance", "friction", "diffusion", "noise"),
+    ],
 )
 @pytest.mark.parametrize("value", ["high", "low"])
 def test_the_largest_and_smallest_numbers_make_no_warning(key, value):
     # Warnings are errors in these tests.
-    value = {"high": 20.0, "low": 0.1}[value] if key == "k" else {"high": 1e12, "low": 1e-18}[value]
+    ends = {"high": 20.0, "low": 0.1} if key.endswith(":k") else {"high": 1e12, "low": 1e-18}
+    flow = {"flow": f"{key}={ends[value]}"} if ":" in key else {"flow": "constant-density"}
+    given = flow if ":" in key else {**flow, key: ends[value]}
     try:
-        result = run(
-            ball(),
-            seed=1,
-            **{key: value},
-            flow="flowable-mass" if key == "gravity" else "constant-density",
-        )
+        result = run(ball(), seed=1, **given)
     except AccelsurfError as error:
         assert error.hint
     else:

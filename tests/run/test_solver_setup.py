@@ -52,15 +52,14 @@ def test_every_flow_takes_every_energy(flow: str, energy: str, shape: tuple[int,
 
 def test_settings_reach_the_flow() -> None:
     settings = {
-        "lam": 2,
-        "rho": 0.5,
         "friction": 0.7,
         "diffusion": 0.25,
         "noise": 0.1,
-        "noise_length": 5,
         "seed": 9,
     }
-    flow = make_flow(RunConfig(flow="constant-density", k=3, **settings))
+    flow = make_flow(
+        RunConfig(flow="constant-density:k=3,lam=2,rho=0.5,noise_length=5", **settings)
+    )
     assert isinstance(flow, ConstantDensity) and flow.noise is not None
     assert (flow.clock.k, flow.clock.lambda_, flow.rho, flow.clock.friction, flow.diffusion) == (
         3,
@@ -75,15 +74,15 @@ def test_settings_reach_the_flow() -> None:
         9,
         None,
     )
-    heavy = make_flow(RunConfig(flow="flowable-mass", gravity=0.3, smoothness=0.2, t0=0.5, k=0.5))
+    heavy = make_flow(RunConfig(flow="flowable-mass:gravity=0.3,t0=0.5,k=0.5", smoothness=0.2))
     assert isinstance(heavy, FlowableMass)
     assert (heavy.gravity, heavy.support, heavy.clock.t0, heavy.diffusion) == (0.3, 0.2, 0.5, None)
     for diffusion, want in (("auto", 0.0), ("free", None), (2.0, 2.0)):
         descent = make_flow(RunConfig(flow="gradient", diffusion=diffusion))
         assert isinstance(descent, Gradient) and descent.diffusion == want
     sobolev, momentum = (
-        make_flow(RunConfig(flow="sobolev", sobolev_length=4)),
-        make_flow(RunConfig(flow="momentum", blend=0.5)),
+        make_flow(RunConfig(flow="sobolev:length=4")),
+        make_flow(RunConfig(flow="momentum:blend=0.5")),
     )
     assert isinstance(sobolev, Sobolev) and sobolev.length == 4
     assert isinstance(momentum, HeavyBall) and momentum.blend == 0.5
@@ -96,9 +95,9 @@ def test_the_band_is_as_wide_as_the_flow_needs() -> None:
 
 def test_a_setting_that_does_nothing_is_told() -> None:
     _, scan = image()
-    result = segment(scan, flow="gradient", gravity=1.0, start="ball:10,12,12,4vox", max_steps=3)
+    result = segment(scan, flow="gradient", friction=1.0, start="ball:10,12,12,4vox", max_steps=3)
     assert result.warnings == [
-        "gravity was given, but has no effect on flow gradient with energy chan-vese"
+        "friction was given, but has no effect on flow gradient with energy chan-vese"
     ]
 
 
@@ -106,7 +105,7 @@ def test_a_setting_that_does_nothing_is_told() -> None:
 def test_for_k_of_at_most_1_the_clock_starts_when_the_first_step_is_made() -> None:
     truth, scan = image()
     for flow in ("constant-density", "flowable-mass"):
-        result = segment(scan, flow=flow, k=0.8, start="ball:10,12,12,4vox", max_steps=300)
+        result = segment(scan, flow=f"{flow}:k=0.8", start="ball:10,12,12,4vox", max_steps=300)
         assert dice(result.labels, truth) > 0.9
 
 

@@ -89,11 +89,9 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
 @pytest.mark.parametrize("energy", ["chan-vese", pytest.param("geodesic", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("flow", FLOWS)
 def test_going_back_and_on_is_the_same_run(flow, energy):
-    noise = (
-        {"noise": 0.05, "seed": 3, "noise_time": 50}
-        if flow in ("constant-density", "flowable-mass")
-        else {}
-    )
+    noise = {}
+    if flow in ("constant-density", "flowable-mass"):
+        noise, flow = {"noise": 0.05, "seed": 3}, f"{flow}:noise_time=50"
     config = RunConfig(
         start="ball:17,15,16,6",
         flow=flow,
@@ -279,7 +277,7 @@ def test_the_account_goes_on_over_edits():
     edits = [
         "step=15 smoothness=0.3",
         "step=20 add=ball:26,15,16,4",
-        "step=28 k=1.5 lam=2",
+        "step=28 flow=constant-density:k=1.5,lam=2",
         "step=36 flow=gradient",
     ]
     result = segment(

@@ -3,13 +3,17 @@
 import pytest
 
 from accelsurf.errors import UsageError
-from accelsurf.settings.energy_expression import from_tables, parse, with_setting, written
+from accelsurf.settings.energy_expression import EnergyText, from_tables, written
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
 
 
+def terms_of(text):
+    return EnergyText(text).terms
+
+
 def test_terms_weights_and_settings():
-    one, two, three, four = parse(
+    one, two, three, four = terms_of(
         " 2e-1*local-region:R=8 +  geodesic:scale=1.5,contrast=.2 - 0.5*balloon + 3 * area"
     )
     assert (one.name, one.weight, one.settings) == ("local-region", 0.2, {"R": 8.0})
@@ -36,7 +40,7 @@ def test_terms_weights_and_settings():
     ],
 )
 def test_values_by_place_or_by_key(text, settings):
-    assert dict(parse(text)[0].settings) == settings
+    assert dict(terms_of(text)[0].settings) == settings
 
 
 @pytest.mark.parametrize(
@@ -86,7 +90,9 @@ def test_a_list_of_tables_is_the_same(tmp_path):
         '{term = "balloon", weight = -0.1}]\n'
     )
     config = RunConfig.from_toml(path)
-    assert parse(config.energy) == parse("threshold:-50,auto + 0.3*geodesic:scale=2 - 0.1*balloon")
+    assert terms_of(config.energy) == terms_of(
+        "threshold:-50,auto + 0.3*geodesic:scale=2 - 0.1*balloon"
+    )
     path.write_text(config.to_toml())
     assert RunConfig.from_toml(path) == config
 
@@ -140,8 +146,8 @@ def test_settings_of_terms_that_are_not_there_are_named():
     ],
 )
 def test_what_is_written_reads_the_same(text):
-    once = parse(text)
-    again = parse(written(once))
+    once = terms_of(text)
+    again = terms_of(written(once))
     assert [(term.name, term.weight) for term in again] == [
         (term.name, term.weight) for term in once
     ]
@@ -151,10 +157,10 @@ def test_what_is_written_reads_the_same(text):
 
 def test_a_setting_of_a_term_is_changed_in_place_and_what_is_wrong_is_refused():
     assert (
-        with_setting("2*threshold:,auto - balloon", 0, "LO", " -20 ")
+        EnergyText("2*threshold:,auto - balloon").with_setting(0, "LO", " -20 ")
         == "2*threshold:LO=-20,HI=auto - balloon"
     )
-    assert with_setting("threshold:10,20", 0, "HI", "") == "threshold:LO=10"
+    assert EnergyText("threshold:10,20").with_setting(0, "HI", "") == "threshold:LO=10"
     for place, key, value in (
         (1, "LO", "3"),
         (-1, "LO", "3"),
@@ -163,6 +169,6 @@ def test_a_setting_of_a_term_is_changed_in_place_and_what_is_wrong_is_refused():
         (0, "LO", "x,HI=3"),
     ):
         with pytest.raises(UsageError, match="energy"):
-            with_setting("threshold:10,20", place, key, value)
+            EnergyText("threshold:10,20").with_setting(place, key, value)
     with pytest.raises(UsageError, match="at least one bound"):
-        with_setting("threshold:10", 0, "LO", "")
+        EnergyText("threshold:10").with_setting(0, "LO", "")

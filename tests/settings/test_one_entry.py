@@ -28,11 +28,11 @@ from accelsurf.io import channels, headers, meshes
 from accelsurf.output.folder import check_outputs
 from accelsurf.run.setup import choose_levels, window_reach
 from accelsurf.settings.catalogue import help_of
-from accelsurf.settings.energy_terms import TERMS, Number, TermSpec, examples
+from accelsurf.settings.energy_terms import TERMS, TermSpec, examples
+from accelsurf.settings.expression import Number
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat
 from accelsurf.settings.flow_specs import FLOWS, FlowSpec
 from accelsurf.settings.mesh_formats import MESH_FORMATS, MeshFormat
-from accelsurf.settings.messages import expected
 from accelsurf.settings.presets import PRESETS, Preset
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.trace_columns import TRACE_COLUMNS, TraceColumn, row_values
@@ -74,7 +74,11 @@ TERM = TermSpec(
     reach=lambda settings, largest_spacing: settings.get("strength", 1.0) * largest_spacing,
 )
 FLOW = FlowSpec(
-    "toy-flow", "a toy that descends", lambda config: Gradient(config.blend), uses=("blend",)
+    "toy-flow",
+    "a toy that descends",
+    lambda config: Gradient(config.flow.numbers.get("blend", 0.0)),
+    {"blend": Number(0.0, 1.0, help="how much it blends")},
+    uses=("friction",),
 )
 COLUMN = TraceColumn(
     "toy_cells",
@@ -184,7 +188,7 @@ def program(*words, **environment):
 
 
 def test_configuration_and_toml(toys, tmp_path):
-    config = RunConfig(energy=ENERGY, flow="toy-flow", blend=0.3)
+    config = RunConfig(energy=ENERGY, flow="toy-flow:blend=0.3")
     path = tmp_path / "run.toml"
     path.write_text(config.to_toml())
     assert RunConfig.from_toml(path) == config
@@ -209,17 +213,16 @@ def test_what_it_does_not_take_is_refused_in_the_usual_words(toys):
 
 def test_its_settings_of_the_run_mean_something_to_it(toys):
     assert RunConfig(energy="toy", balance=2, epsilon=1).unused() == ["epsilon"]
-    assert RunConfig(flow="toy-flow", blend=0.5, diffusion=1).unused() == ["diffusion"]
+    assert RunConfig(flow="toy-flow", friction=0.5, diffusion=1).unused() == ["diffusion"]
 
 
 def test_help_schema_and_messages(toys):
     assert help_of("energy").endswith("toy: a toy that wants bright voxels.")
     properties = RunConfig.json_schema()["properties"]
     assert (
-        properties["flow"]["enum"][-1] == "toy-flow"
+        properties["flow"]["description"].endswith("toy-flow: a toy that descends.")
         and "toy that wants" in properties["energy"]["description"]
     )
-    assert expected("flow").endswith("or toy-flow")
     assert "ome.zarr, tif, npy, toy, or for one slice png" in help_of("format")
     assert "glb, toymesh;" in help_of("mesh")
     assert "fluorescence-nucleus, toy-scan." in properties["preset"]["description"]
@@ -316,7 +319,7 @@ def test_help_of_the_command():
 def test_info(toys, capsys):
     for topic, said in (
         ("energy-terms", "a toy that wants bright voxels (settings: strength)"),
-        ("flows", "\ntoy-flow\n"),
+        ("flows", "a toy that descends (settings: blend)"),
         ("trace-columns", "a toy that counts the band (cells)"),
     ):
         assert cli.execute(["info", topic]) == 0
@@ -404,7 +407,7 @@ def test_reference_pages(toys):
         "## toy\n" in made["energy-terms.md"]
         and "how much it wants them" in made["energy-terms.md"]
     )
-    assert "| `toy-flow` | a toy that descends | `blend` | 3 |" in made["flows.md"]
+    assert "## toy-flow\n" in made["flows.md"] and "how much it blends" in made["flows.md"]
     assert "| `toy_cells` | cells | a toy that counts the band |" in made["trace.md"]
     assert "| Acts on | `chan-vese`, `toy` |" in made["settings.md"]
     formats = made["file-formats.md"]

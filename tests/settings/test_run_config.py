@@ -14,7 +14,7 @@ ODD = RunConfig(
     extension="fast-marching",
     preset="mr-white-matter",
     energy="0.5*geodesic:scale=1 + threshold:-1e-3,20",
-    flow="gradient",
+    flow="flowable-mass:k=2.25,t0=0.5,lam=1e-17,rho=3,gravity=1.5,noise_length=3,noise_time=9",
     start=("ball:-1.5,2,3,4", 'label:a "quoted"\\ name\x7f é\n.nii.gz'),
     mask="mask.nii",
     roi="0,0,0,9,9,9vox",
@@ -31,17 +31,8 @@ ODD = RunConfig(
     edge_scale=0.7,
     edge_contrast=0.3,
     balloon=-0.2,
-    k=2.25,
-    t0=0.5,
-    lam=1e-17,
-    rho=3,
-    gravity=1.5,
     diffusion=1 / 3,
     noise=0.1,
-    noise_length=3,
-    noise_time=9,
-    sobolev_length=4,
-    blend=0.5,
     friction=2.5,
     restart="off",
     cfl=0.9,
@@ -130,20 +121,18 @@ def test_odd_config_changes_every_field():
     [
         ("cfl", 3, "greater than 0 and at most 1"),
         ("cfl", 0, "greater than 0"),
-        ("k", 0, "at least 0.1"),
-        ("k", True, "a number"),
-        ("k", float("nan"), "a number"),
-        ("lam", float("inf"), "a number"),
+        ("smoothness", True, "a number"),
+        ("smoothness", float("nan"), "a number"),
+        ("balance", float("inf"), "a number"),
+        ("flow", 3, "a text"),
         ("smoothness", -0.1, "at least 0"),
         ("smoothness", "rough", "rough was given"),
         ("presmooth", -1, "at least 0"),
         ("balance", 0, "greater than 0"),
-        ("rho", -1, "greater than 0"),
         ("diffusion", -1, "at least 0, auto or free"),
         ("friction", 0, "or t"),
         ("friction", "x", "or t"),
         ("restart", "never", "auto or off"),
-        ("flow", "sobolov", "gradient, sobolev or momentum"),
         ("max_volume", 0, "greater than 0"),
         ("mask", 5, "a text"),
         ("start", (), "one text"),
@@ -153,13 +142,7 @@ def test_odd_config_changes_every_field():
         ("percentile", 101, "at most 100"),
         ("tolerance", 0, "greater than 0"),
         ("half_width", 2, "at least 3 and at most 32 or auto"),
-        ("gravity", -1, "at least 0"),
         ("noise", -0.1, "at least 0"),
-        ("noise_length", 0, "greater than 0, or auto"),
-        ("noise_time", 0, "greater than 0, or auto"),
-        ("t0", -1, "at least 0, or auto"),
-        ("sobolev_length", 0, "greater than 0, or auto"),
-        ("blend", 1, "less than 1"),
         ("edge_scale", 0, "greater than 0, or auto"),
         ("edge_contrast", 0, "greater than 0, or auto"),
         ("balloon", "up", "a number"),
@@ -184,6 +167,38 @@ def test_bad_value_is_one_clear_line(key, value, words):
     assert "\n" not in message
     # Before the help there may be a name that was meant.
     assert caught.value.hint.endswith(" ".join(help_of(key).split()))
+
+
+@pytest.mark.parametrize(
+    ("flow", "words"),
+    [
+        ("constant-density:k=0", "at least 0.1"),
+        ("constant-density:lam=inf", "a number above 0"),
+        ("constant-density:rho=-1", "a number above 0"),
+        ("constant-density:rho=1e13", "a number of size 1e-18 to 1e"),
+        ("flowable-mass:gravity=-1", "at least 0"),
+        ("constant-density:noise_length=0", "above 0 or auto"),
+        ("constant-density:noise_time=0", "above 0 or auto"),
+        ("constant-density:t0=-1", "at least 0 or auto"),
+        ("constant-density:k=1,t0=0", "t0 greater than 0 with k = 1"),
+        ("constant-density:t0=0,k=0.5", "t0 greater than 0 with k = 0.5"),
+        ("constant-density:gravity=1", "one of k, t0, lam, rho"),
+        ("constant-density:k=2,k=2", "k of constant-density once"),
+        ("constant-density:", "values after the colon"),
+        ("sobolev:length=0", "above 0 or auto"),
+        ("momentum:blend=1", "a blend below 1"),
+        ("auto:k=3", "it has no settings"),
+        ("sobolov", "gradient, sobolev or momentum"),
+        ("gradent", "gradient"),
+        ("Constant_Density", "constant-density"),
+    ],
+)
+def test_bad_flow_is_one_clear_line(flow, words):
+    with pytest.raises(UsageError) as caught:
+        RunConfig(flow=flow)
+    message = str(caught.value)
+    assert message.startswith(f"flow: {flow} was given, expected ") and words in message
+    assert "\n" not in message and "as in 'constant-density:rho=2'" in caught.value.hint
 
 
 def test_text_values_are_read_as_the_command_line_gives_them():
@@ -213,8 +228,6 @@ def test_unknown_key_names_the_nearest(key, near, tmp_path):
 @pytest.mark.parametrize(
     ("key", "value", "near"),
     [
-        ("flow", "gradent", "gradient"),
-        ("flow", "Constant_Density", "constant-density"),
         ("levels", "atuo", "auto"),
         ("mesh", "ply,slt", "stl"),
         ("mesh", ["ply", "ojb"], "obj"),
@@ -282,8 +295,6 @@ def test_expected_has_words_for_every_field(name):
     ("values", "key"),
     [
         ({"noise": 0.5, "reproducible": True}, "seed"),
-        ({"k": 1, "t0": 0}, "t0"),
-        ({"k": 0.5, "t0": 0}, "t0"),
     ],
 )
 def test_values_that_do_not_go_together_are_one_clear_line(values, key):
@@ -296,8 +307,8 @@ def test_values_that_do_not_go_together_are_one_clear_line(values, key):
 
 def test_settings_that_do_nothing_are_named():
     assert RunConfig().unused() == []
-    assert RunConfig(flow="gradient", k=3, diffusion=1, balance=2).unused() == ["k"]
-    assert RunConfig(gravity=1, blend=0.5, balloon=1).unused() == ["balloon", "gravity", "blend"]
+    assert RunConfig(flow="gradient", friction=3, diffusion=1, balance=2).unused() == ["friction"]
+    assert RunConfig(flow="sobolev", noise=0.5, balloon=1).unused() == ["balloon", "noise"]
     assert RunConfig(
-        energy="geodesic", flow="momentum", blend=0.5, balloon=1, epsilon=0
+        energy="geodesic", flow="momentum:blend=0.5", balloon=1, epsilon=0
     ).unused() == ["epsilon"]

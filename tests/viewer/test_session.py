@@ -284,7 +284,7 @@ def test_the_steps_of_rest_stay_known_when_it_has_gone_back():
 
 
 def test_noise_that_comes_later_has_a_seed_that_is_saved(session, tmp_path):
-    at(session, 4).change(noise=0.3, noise_time=100).result(60)
+    at(session, 4).change(noise=0.3, flow="constant-density:noise_time=100").result(60)
     saved, toml = labels_of(at(session, 12), tmp_path)
     config = RunConfig.from_toml(toml)
     assert config.seed is not None and segment(volume(), config=config).labels.tobytes() == saved
@@ -296,7 +296,7 @@ def test_a_paused_run_is_saved_as_it_is_seen_above_its_lowest_energy(tmp_path):
     """A command that has used up its steps ends at the lowest energy so far; what a person saves is what he sees."""
     with Session(volume(), RunConfig(start=START, seed=855414476)) as session:
         session.ready.result(60)
-        at(session, 4).change(noise=0.3, noise_time=100).result(60)
+        at(session, 4).change(noise=0.3, flow="constant-density:noise_time=100").result(60)
         saved, toml = labels_of(at(session, 12), tmp_path)
     config = RunConfig.from_toml(toml)
     assert config.end == "present" and segment(volume(), config=config).labels.tobytes() == saved

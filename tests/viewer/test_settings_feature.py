@@ -8,11 +8,13 @@ import pytest
 from accelsurf import io
 from accelsurf.cli import execute
 from accelsurf.settings.catalogue import default_shown, entry, help_of, names_of, viewer_settings
-from accelsurf.settings.energy_terms import TERMS, Word
+from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.expression import Word
+from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.actions import Actions
-from accelsurf.viewer.actions.settings_rows import EXPERT, settings_rows
+from accelsurf.viewer.actions.settings_rows import EXPERT, OF_FLOW, settings_rows
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
@@ -106,18 +108,13 @@ def test_each_kind_of_row_has_what_it_needs():
 @pytest.mark.parametrize("name", [name for name, term in TERMS.items() if term.sees_image])
 def test_the_settings_of_a_term_appear_when_the_energy_has_it(name):
     text = TERMS[name].example or name
-    rows = [
-        row for row in settings_rows(RunConfig(energy=f"{text} + area"), (), 1.0) if row["term"]
-    ]
+    config = RunConfig(energy=f"{text} + area", flow="gradient")
+    rows = [row for row in settings_rows(config, (), 1.0) if row["term"]]
     assert [row["term"] for row in rows] == [
         [0, key] for key in TERMS[name].settings if key != "channel"
     ]
     several = [{"term": name, "weight": 1.0, "channels": [{"channel": 1}, {"channel": 2}]}]
-    rows = [
-        row
-        for row in settings_rows(RunConfig(energy=f"{text} + area"), several, 1.0)
-        if row["term"]
-    ]
+    rows = [row for row in settings_rows(config, several, 1.0) if row["term"]]
     assert [row["term"] for row in rows] == [[0, key] for key in TERMS[name].settings]
     for row in rows:
         kind = TERMS[name].settings[row["term"][1]]
@@ -127,7 +124,32 @@ def test_the_settings_of_a_term_appear_when_the_energy_has_it(name):
         )
 
 
+@pytest.mark.parametrize("name", FLOWS)
+def test_the_settings_of_a_flow_appear_when_the_run_has_it(name):
+    known = FLOWS[name].settings
+    text = f"{name}:{next(iter(known))}=0.5" if known else name
+    rows = settings_rows(RunConfig(flow=text), (), 1.0)
+    own = [row for row in rows if row["term"] and row["term"][0] == OF_FLOW]
+    assert [row["term"][1] for row in own] == list(known)
+    assert [row["value"] for row in own] == (["0.5"] + [""] * (len(known) - 1) if known else [])
+    for row in own:
+        assert known[row["term"][1]].expected in row["help"]
+    flow = next(row for row in rows if row["key"] == "flow")
+    assert flow["value"] == text and text in [choice["name"] for choice in flow["names"]]
+
+
 # ------------------------------------------------------------------------------------------------------------- changes
+
+
+def test_a_setting_of_the_flow_is_an_edit_of_the_flow(actions):
+    ask(actions, "step")
+    assert ask(actions, "set_term", OF_FLOW, "rho", "2").settings.flow == "constant-density:rho=2"
+    status = ask(actions, "set_term", OF_FLOW, "k", 3)
+    assert status.settings.flow == "constant-density:rho=2,k=3"
+    assert rows_of(actions)["flow-rho"]["value"] == "2"
+    assert ask(actions, "set_term", OF_FLOW, "rho", "").settings.flow == "constant-density:k=3"
+    ask(actions, "set_term", OF_FLOW, "k", "0")
+    assert "at least 0.1" in actions.message
 
 
 def test_a_setting_that_may_change_is_an_edit_and_a_fixed_one_begins_another_run(actions):

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from accelsurf.errors import UsageError
-from accelsurf.settings import catalogue, energy_expression
+from accelsurf.settings import catalogue
 from accelsurf.settings.catalogue import (
     as_typed,
     entry,
@@ -20,7 +20,10 @@ from accelsurf.settings.catalogue import (
     names_of,
     viewer_settings,
 )
-from accelsurf.settings.energy_terms import TERMS, Word, examples
+from accelsurf.settings.energy_expression import MAX_TERMS, EnergyText
+from accelsurf.settings.energy_terms import TERMS, examples
+from accelsurf.settings.expression import Number, Word
+from accelsurf.settings.flow_specs import spec_of
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import did_you_mean, in_unit
@@ -35,6 +38,8 @@ MAX_VALUE = 400
 FILE_WORDS = ("label:", "mesh:", "stroke:")
 #: Positions of a slider.
 TICKS = 1000
+#: Place of the flow in a row's ``term``; terms of the energy count from 0.
+OF_FLOW = -1
 #: What is folded away: the words of the energy and of the solver.
 EXPERT = "Expert"
 _FIRST = ("preset", "smoothness", "presmooth", "size", "max_volume", "roi")
@@ -197,8 +202,8 @@ def settings_rows(
         the common ones, else `EXPERT`; ``value`` in force; ``enabled``: whether it acts on this flow and energy;
         ``restarts``: whether a change begins another run; ``names`` of a list, each with its help; of a slider its
         ``low`` and ``high`` end, ``power``, ``digits``, ``limit``, ``words`` and ``tick``, see `amount`; ``term``: of a
-        setting of a term its place and name, else empty (the channel of a term only where there are several); ``now``:
-        the value that is meant by an empty field.
+        setting of a term or the flow its place and name, else empty (the channel of a term only where there are
+        several); ``now``: the value that is meant by an empty field.
     """
     others = [
         key for key in (*viewer_settings("first"), *viewer_settings("more")) if key not in _FIRST
@@ -209,7 +214,9 @@ def settings_rows(
         if key == "flow" and flow_why:
             rows[-1]["help"] += f" Now {flow_why}."
         if key == "energy":
-            rows += _term_rows(settings.energy, terms)
+            rows += _term_rows(settings, terms)
+        if key == "flow":
+            rows += _flow_rows(settings)
     return rows
 
 
@@ -277,6 +284,8 @@ def _names(key: str, settings: RunConfig) -> list[dict[str, str]]:
             {name: TERMS[name.partition(":")[0]].help for name in examples()}
             | {settings.energy: ""}
         )
+    if key == "flow":
+        return _listed({**names_of(key), settings.flow: names_of(key)[settings.flow.name]})
     return _listed(names_of(key)) if kind_of(key) == "list" else []
 
 
@@ -288,33 +297,42 @@ def _said(values: Mapping[str, Any]) -> str:
     return ", ".join(f"{label_of(key)} {as_typed(value)}" for key, value in values.items())
 
 
-def _term_rows(energy: str, terms: Sequence[Mapping[str, Any]]) -> list[Row]:
+def _term_rows(settings: RunConfig, terms: Sequence[Mapping[str, Any]]) -> list[Row]:
     """A row for each setting that a term of the energy has of its own, below the energy."""
     rows: list[Row] = []
-    for place, term in enumerate(energy_expression.parse(energy)):
+    for place, term in enumerate(settings.terms):
         known = terms[place] if place < len(terms) and terms[place].get("term") == term.name else {}
         for key, kind in TERMS[term.name].settings.items():
             if key == "channel" and "channels" not in known:
                 continue  # there is but one
-            names = (
-                _listed({"": "", **dict.fromkeys(kind.words, "")}) if isinstance(kind, Word) else []
-            )
+            rows.append(_row_of(f"{term.name}-{place}-{key}", f"{term.name} {key}", kind))
+            rows[-1] |= {"value": as_typed(term.settings.get(key)), "term": [place, key]}
             now = known.get(key)
-            rows.append(
-                DEFAULTS
-                | {
-                    "key": f"{term.name}-{place}-{key}",
-                    "label": f"{term.name} {key}",
-                    "names": names,
-                    "help": f"{kind.help[:1].upper()}{kind.help[1:]}: {kind.expected}.",
-                    "group": EXPERT,
-                    "kind": "list" if names else "text",
-                    "value": as_typed(term.settings.get(key)),
-                    "term": [place, key],
-                    "now": f"{now:.4g}" if isinstance(now, float) else as_typed(now),
-                }
-            )
+            rows[-1]["now"] = f"{now:.4g}" if isinstance(now, float) else as_typed(now)
     return rows
+
+
+def _flow_rows(settings: RunConfig) -> list[Row]:
+    """A row for each setting that the flow has of its own, below the flow; before it is chosen, those of momentum."""
+    rows: list[Row] = []
+    for key, kind in spec_of(settings.flow.name).settings.items():
+        rows.append(_row_of(f"flow-{key}", label_of(key), kind))
+        value = as_typed(settings.flow.settings.get(key))
+        rows[-1] |= {"value": value, "term": [OF_FLOW, key]}
+    return rows
+
+
+def _row_of(key: str, label: str, kind: Number | Word) -> Row:
+    """A row for a setting of a term or a flow."""
+    names = _listed({"": "", **dict.fromkeys(kind.words, "")}) if isinstance(kind, Word) else []
+    return DEFAULTS | {
+        "key": key,
+        "label": label,
+        "names": names,
+        "help": f"{kind.help[:1].upper()}{kind.help[1:]}: {kind.expected}.",
+        "group": EXPERT,
+        "kind": "list" if names else "text",
+    }
 
 
 class SettingsFeature(Feature):
@@ -379,19 +397,22 @@ class SettingsFeature(Feature):
         self.actions.ask(session.change(**{key: value}))
 
     def _set_term(self, place: Any, key: Any, value: Any) -> None:
-        place, key = whole(place, 0, energy_expression.MAX_TERMS), text(key, 40)
+        place, key = whole(place, OF_FLOW, MAX_TERMS), text(key, 40)
         value = (
             str(value)
             if isinstance(value, (int, float)) and not isinstance(value, bool)
             else text(value, 40)
         )
-        energy = self.actions.session.status.settings.energy
-        self._change("energy", energy_expression.with_setting(energy, place, key, value))
+        settings = self.actions.session.status.settings
+        if place == OF_FLOW:
+            self._change("flow", settings.flow.with_setting(key, value))
+        else:
+            self._change("energy", settings.energy.with_setting(place, key, value))
 
     def _type_energy(self, typed: Any) -> None:
         """Check an energy that is being typed; the run goes on with its own."""
         try:
-            energy_expression.parse(text(typed, MAX_VALUE))
+            EnergyText(text(typed, MAX_VALUE))
         except UsageError as error:
             self._energy_error = error.message + (f" ({error.hint})" if error.hint else "")
         else:

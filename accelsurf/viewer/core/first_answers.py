@@ -20,7 +20,6 @@ from accelsurf.grid.window import LeavesWindow
 from accelsurf.measure.quality import extent_text
 from accelsurf.run.run import Run
 from accelsurf.settings.corrections import Correction
-from accelsurf.settings.energy_expression import uses_model
 from accelsurf.viewer.core.frame import Index, SurfaceFrame
 
 
@@ -85,7 +84,7 @@ class FirstAnswers:
             self.is_wanted(run)
             or refinements
             or len(self._found) < 2
-            or not uses_model(run.settings.energy)
+            or not run.settings.energy.uses_model
         ):
             return ()
         return self._found
@@ -111,7 +110,7 @@ class FirstAnswers:
 def _answers(run: Run) -> tuple[Answer, ...]:
     """Answers to the first click of a run, the taken one first; none unless it has one click alone, and no size."""
     context = run.objects[0].context
-    if run.has_ids or not uses_model(run.settings.energy):
+    if run.has_ids or not run.settings.energy.uses_model:
         return ()
     if context.clicks is None or [click.side for click in context.clicks.clicks] != ["inside"]:
         return ()

@@ -20,7 +20,6 @@ from accelsurf.io.headers import check_name, format_of, split_name
 from accelsurf.large.fitting_level import fitting_level
 from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.run.memory import allowed_bytes
-from accelsurf.settings import energy_expression
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.track.output.surfaces import SavedTracks
@@ -141,7 +140,7 @@ def for_another_image(config: RunConfig) -> RunConfig:
     (0.5, ('center',))
     """
     # An energy that learns from clicks has none in another image.
-    left_out = {*OF_ONE_IMAGE, *(["energy"] if energy_expression.uses_model(config.energy) else [])}
+    left_out = {*OF_ONE_IMAGE, *(["energy"] if config.energy.uses_model else [])}
     return RunConfig(**{key: getattr(config, key) for key in config.model_fields_set - left_out})
 
 

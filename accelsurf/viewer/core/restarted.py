@@ -7,7 +7,7 @@ from typing import Any
 
 from accelsurf.settings.catalogue import as_typed
 from accelsurf.settings.corrections import Correction
-from accelsurf.settings.energy_expression import uses_model
+from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 
@@ -75,7 +75,7 @@ def of_preset(settings: RunConfig, name: str, has_clicks: bool) -> dict[str, Any
     if not has_clicks:
         waits = {
             "start": FROM_CLICKS == values.get("start"),
-            "energy": uses_model(values.get("energy", "chan-vese")),
+            "energy": "energy" in values and EnergyText(values["energy"]).uses_model,
         }
         values |= {key: getattr(settings, key) for key, is_so in waits.items() if is_so}
     return values
@@ -83,7 +83,7 @@ def of_preset(settings: RunConfig, name: str, has_clicks: bool) -> dict[str, Any
 
 def needs_clicks(config: RunConfig) -> bool:
     """Return True if a run begins with what was clicked, or its energy is of it."""
-    return FROM_CLICKS == config.start or uses_model(config.energy)
+    return FROM_CLICKS == config.start or config.energy.uses_model
 
 
 def restart_message(before: RunConfig, after: RunConfig) -> str:
