@@ -88,7 +88,7 @@ class SliceScroll:
 
 #: Buttons, as browsers number them.
 LEFT, MIDDLE, RIGHT = 0, 1, 2
-#: Stands for a button in a press on the slider of a slice.
+#: Number in place of a button's, for a press on the slider of a slice.
 SLIDE = 3
 #: Degrees that the camera turns per pixel of a picture 720 high.
 TURN = 0.45
@@ -332,7 +332,7 @@ class MouseFeature(Feature):
 
 #: Touches that are counted; and the largest magnitude of the number by which a screen knows each.
 MAX_TOUCHES, MAX_NUMBER = 10, 2**31
-#: Least distance of two touches, pixels: it is divided by.
+#: Least distance of two touches, pixels: it is a divisor.
 NEAR = 10.0
 
 

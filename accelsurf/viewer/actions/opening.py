@@ -284,7 +284,7 @@ class Opening:
         self._start(f"reading {path.name}", work)
 
     def _start(self, doing: str, work: Callable[[], Any]) -> None:
-        """Work in a thread, with the settings of the command line."""
+        """Begin work in a thread; `fetch` takes its result."""
         self._check_free()
         self._doing, self._began = doing, time.monotonic()
         self.say(f"{doing} ...")

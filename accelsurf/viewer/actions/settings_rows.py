@@ -133,7 +133,7 @@ def read_in(unit: str, of_file: str) -> tuple[str, float]:
 
 
 def from_read(value: Any, per: float) -> Any:
-    """Return a value that was typed or set in the unit that is read, in its own; a text that is no number stays.
+    """Return a value, typed or set in the unit that is read, in its own unit; anything but a number stays as it is.
 
     Examples
     --------

@@ -192,7 +192,7 @@ class Tool:
     name : str
         In requests.
     key, text, tip : str
-        Its key, the text on its button, and its effect.
+        Its key, the text on its button, and a line about its effect.
     """
 
     name = key = text = tip = ""

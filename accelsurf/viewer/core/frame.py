@@ -364,7 +364,7 @@ class Frame:
         run : Run
             Between two steps.
         records : sequence of StepRecord, optional
-            Of each object; the record of its last step unless given.
+            One of each object; the record of its last step unless given.
         max_voxels : int, optional
             As for `of`.
 

@@ -22,7 +22,7 @@ def restarted(
     changes: Mapping[str, Any],
     has_ids: bool,
 ) -> RunConfig:
-    """Return the configuration of a run that begins again with other settings, and with the clicks.
+    """Return the configuration of a run that begins again with other settings, and with the same clicks.
 
     Parameters
     ----------

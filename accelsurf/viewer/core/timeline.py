@@ -527,7 +527,7 @@ class Timeline:
         self.start_with({"start": start}, "start: " + " + ".join(start))
 
     def restart_with(self, settings: dict[str, Any]) -> None:
-        """Begin another run with other settings and the clicks, see `Session.restart_with`."""
+        """Begin another run with other settings and the same clicks, see `Session.restart_with`."""
         before = self.run.settings
         config = restarted(
             before, self._edits_so_far(), self.corrections.wanted, settings, self.run.has_ids
