@@ -101,7 +101,7 @@ class MovieSettings:
     Parameters
     ----------
     every : int
-        A frame is drawn of every so many steps, and of the first and the last.
+        Steps from one frame to the next; the first and the last step have one too.
     fps : float
         Frames per second.
     orbit : float
@@ -191,7 +191,7 @@ def picture_of_result(result: Result, scene: Scene) -> Picture:
 def frames(
     run: Run, every: int | None = 1, on_step: OnStep | None = None
 ) -> Iterator[tuple[Frame, Histories]]:
-    """Run to the end, yielding what is drawn of every so many steps and of the last; None: of the last alone."""
+    """Run to the end, yielding frame and histories every ``every`` steps and at the last; None: at the last alone."""
     with run:
         for number in _steps(run, on_step):
             if run.stop is not None or (every is not None and number % every == 0):

@@ -72,7 +72,7 @@ class Actions:
     Attributes
     ----------
     message : str
-        What went wrong last, in one line; empty when nothing did.
+        The last error, in one line; empty when there is none.
     object_id : int or None
         Id of the object that corrections are for; None is the nearest.
     radius : float
@@ -81,7 +81,7 @@ class Actions:
     tools : dict of str to Tool
         All, by name, in the order of their buttons.
     keys : dict of str to Key
-        What each key does, by Qt's name of it.
+        Action of each key, by Qt's name of the key.
     """
 
     def __init__(
@@ -135,7 +135,7 @@ class Actions:
         return tuple(self._requests)
 
     def request(self, name: Any, *values: Any) -> None:
-        """Carry out a request; what is wrong with it becomes `message`. Raises nothing."""
+        """Carry out a request; its error becomes `message`. Raises nothing."""
         if isinstance(name, str) and name not in KEEPING:
             self.message = ""
         try:
@@ -145,7 +145,7 @@ class Actions:
             self._say(error)
 
     def _key(self, key: Any) -> None:
-        """Do what a key does, by Qt's name of it; others do nothing."""
+        """Carry out the action of a key, by Qt's name of it; other keys do nothing."""
         does = self.keys.get(key) if isinstance(key, str) else None
         if does is not None:
             self.request(does.request, *does.values)

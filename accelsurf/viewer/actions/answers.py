@@ -22,7 +22,7 @@ _WORDS = {
 
 
 class AnswersFeature(Feature):
-    """Offers what else the first click may mean."""
+    """Offers other meanings of the first click."""
 
     def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)

@@ -22,7 +22,7 @@ class FilesFeature(Feature):
     Attributes
     ----------
     files : dict of str to Path
-        What has been saved, by name.
+        Saved files, by name.
     is_saving : bool
         Whether files are being written.
     """
@@ -33,7 +33,7 @@ class FilesFeature(Feature):
         self.is_saving = False
         #: Format of meshes that was chosen here; of the settings otherwise.
         self._mesh = ""
-        #: What of the run the files have that were saved last.
+        #: Content of the run in the files that were saved last.
         self._stored: Any = None
 
     @property
@@ -92,7 +92,7 @@ class FilesFeature(Feature):
         )
 
     def _saved(self, folder: Path, paths: list[Path], is_all: bool, content: Any) -> None:
-        """List what was saved; with all there is, save the scene as it is drawn now."""
+        """List saved files; after all kinds, save the scene as it is drawn now."""
         self._stored = content or self._stored
         home = folder.resolve()
         # The session chooses the names; a file elsewhere would not be served all the same.

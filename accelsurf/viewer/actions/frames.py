@@ -16,7 +16,7 @@ from accelsurf.viewer.scene.colors import ObjectStyle, unnamed
 
 #: Frames a second while they play; fewer where one takes longer to read and draw.
 RATE = 8.0
-#: Requests for the frame that runs are made in: elsewhere they would change what is not seen.
+#: Requests for the frame that runs are made in: elsewhere they would change a run that is not seen.
 OF_A_RUN = (
     "play",
     "toggle",
@@ -129,7 +129,7 @@ class FramesFeature(Feature):
         self._view = view
 
     def refuse_elsewhere(self, name: Any) -> None:
-        """Refuse what steers the run where it is not seen.
+        """Refuse a request that steers the run where it is not seen.
 
         Raises
         ------
@@ -184,7 +184,7 @@ class FramesFeature(Feature):
         self.is_playing = not self.is_playing
 
     def _show(self, number: int) -> None:
-        """Show a frame; what was shown stays where it cannot be read."""
+        """Show a frame; if it cannot be read, the previous one stays."""
         before, self.number = self.number, number
         try:
             self._draw()

@@ -34,7 +34,7 @@ class Keeper:
         self._sessions, self._actions, self.opened = sessions, actions, opened
         earlier = opened.unsaved
         self._file: Path | None = None if earlier is None else earlier.file
-        #: What the file holds: configuration, corrections, step.
+        #: Content of the file: configuration, corrections, step.
         self._stored: tuple[Any, ...] = ()
         self._next_time = 0.0
         self._image: Future[str] | None = None
@@ -54,7 +54,7 @@ class Keeper:
         return self._file is not None and not self.trouble
 
     def store(self, at_once: bool = False) -> None:
-        """Note what is new and not saved; forget what is saved.
+        """Note unsaved changes; forget saved ones.
 
         Parameters
         ----------

@@ -32,7 +32,7 @@ from accelsurf.viewer.scene.space import Picked, place_in_renderer
 
 #: Zoom per notch.
 ZOOM = 1.12
-#: What browsers report for a notch, in pixels, lines and pages: the modes in which they count, in this order.
+#: Scroll of a notch in browsers, in pixels, lines and pages: the modes in which they count, in this order.
 PER_NOTCH = (100.0, 3.0, 1.0)
 #: From this part of a notch in pixels on it is a mouse's, which turns by whole notches: how many pixels one has depends
 #: on the system and on the browser's own zoom.
@@ -54,7 +54,7 @@ def notches_of(delta: object, mode: object, zoom: bool) -> float:
     Raises
     ------
     UsageError
-        When they are no such numbers.
+        When ``delta`` or ``mode`` is no number in its range.
 
     Examples
     --------
@@ -88,13 +88,13 @@ class SliceScroll:
 
 #: Buttons, as browsers number them.
 LEFT, MIDDLE, RIGHT = 0, 1, 2
-#: What a press on the slider of a slice does.
+#: Number in place of a button's, for a press on the slider of a slice.
 SLIDE = 3
 #: Degrees that the camera turns per pixel of a picture 720 high.
 TURN = 0.45
 #: Ends of the slider: voxels of the smallest spacing, and parts of the image's longest side.
 LEAST, MOST = 0.5, 0.4
-#: A mouse that has not moved for so many seconds is still.
+#: Seconds without a move after which a mouse is still.
 STILL = 0.5
 
 
@@ -115,7 +115,7 @@ class MouseFeature(Feature):
         super().__init__(actions)
         self._tools = tuple(kind(actions) for kind in TOOLS)
         self.tool: Tool = self._tools[0]
-        #: The tile in which a button is down, that button, and what it does: with shift, left is as middle.
+        #: The tile in which a button is down, that button, and the button it acts as: with shift, left is as middle.
         self._tile, self._pressed, self._button, self._at = "", LEFT, LEFT, (0.0, 0.0)
         self._moved_at, self.gesture, self._scrolled = 0.0, 0, SliceScroll()
         self._unit, self._per = read_in("mm", actions.scene.unit)
@@ -263,7 +263,7 @@ class MouseFeature(Feature):
             self.tool.release()
 
     def cancel(self) -> None:
-        """End what is being dragged, as if no button had gone down."""
+        """End the drag, as if no button had gone down."""
         if self._leave_tile():
             self.tool.cancel()
             self.actions.scene.mark_ball(None)
@@ -297,7 +297,7 @@ class MouseFeature(Feature):
         self._scroll(x, y, notches_of(delta, mode, bool(zoom)), zoom)
 
     def zoom(self, x: float, y: float, factor: float) -> None:
-        """Enlarge the tile in which a button is down; what is at this place stays there."""
+        """Enlarge the tile in which a button is down; the point at this place stays there."""
         pixel = self._pixel(x, y)
         if self._tile in self.actions.scene.tiles.names:
             self._zoom(self._tile, *pixel, factor)
@@ -323,7 +323,7 @@ class MouseFeature(Feature):
         return number(x, 0.0, 1.0) * width, (1.0 - number(y, 0.0, 1.0)) * height
 
     def _zoom(self, tile: str, x: float, y: float, factor: float) -> None:
-        """Enlarge a tile; what is at this pixel stays there."""
+        """Enlarge a tile; the point at this pixel stays there."""
         tiles = self.actions.scene.tiles
         tiles.tile(tile).zoom(
             factor, *(place_in_renderer(tiles.renderer(tile), x, y, beside=True) or (0.5, 0.5))
@@ -332,14 +332,14 @@ class MouseFeature(Feature):
 
 #: Touches that are counted; and the largest magnitude of the number by which a screen knows each.
 MAX_TOUCHES, MAX_NUMBER = 10, 2**31
-#: Two touches are never nearer than so many pixels: their distance is divided by.
+#: Least distance of two touches, pixels: it is a divisor.
 NEAR = 10.0
 
 
 class TouchFeature(Feature):
-    """Does for touches what the mouse does.
+    """Makes touches act as the mouse does.
 
-    The first one draws. With the second one a gesture of two begins, so what the first has begun is cancelled, and
+    The first one draws. With the second one a gesture of two begins, so the action of the first is cancelled, and
     nothing is drawn until all are up: who lifts one finger of two does not mean to paint.
     """
 
@@ -385,7 +385,7 @@ class TouchFeature(Feature):
             if self._leads:
                 self._mouse.cancel()
                 self._begin_with((*self._leading, touch), MIDDLE)
-            else:  # a pen draws meanwhile, or what was begun has ended by a key
+            else:  # a pen draws meanwhile, or a key has ended the gesture
                 self._leading = ()
 
     def _begin_with(self, touches: tuple[int, ...], button: int) -> None:
@@ -409,12 +409,12 @@ class TouchFeature(Feature):
         self._forget(_number(touch), self._mouse.release)
 
     def _cancel(self, touch: Any = None) -> None:
-        """End what a touch, or all, has begun: the system has taken it for something else."""
+        """End the gesture of a touch, or of all: the system has taken it for something else."""
         for lost in (*self._places,) if touch is None else (_number(touch),):
             self._forget(lost, self._mouse.cancel)
 
     def _forget(self, touch: int, end: Callable[[], None]) -> None:
-        """Forget a touch that has ended; what it has begun ends with ``end``."""
+        """Forget a touch that has ended; its gesture ends with ``end``."""
         self._places.pop(touch, None)
         if touch in self._leading:
             leads, self._leading = self._leads, ()

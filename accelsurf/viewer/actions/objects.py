@@ -107,7 +107,7 @@ class ObjectsFeature(Feature):
         }
         self._show(view.status)
 
-    # -- what is shown -------------------------------------------------------------------------------------
+    # -- state --------------------------------------------------------------------------------------------
 
     def _ids(self, status: Status) -> list[int]:
         """Ids of all objects, and of one that was added and has not begun."""
@@ -160,7 +160,7 @@ class ObjectsFeature(Feature):
             )
         return object_id
 
-    # -- what is asked -------------------------------------------------------------------------------------
+    # -- requests -----------------------------------------------------------------------------------------
 
     def _active(self, wanted: Any) -> None:
         ids = self._ids(self.actions.session.status)

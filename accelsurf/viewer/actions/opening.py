@@ -1,7 +1,7 @@
 """Opening of images: by name, from the list of recent files, from a folder; read in a thread, with questions first.
 
-It exists before any image is open, and outlives each. Window and page pass on what is asked for, show `state()`, and
-take what was read from `fetch()`: then they begin another session.
+It exists before any image is open, and outlives each. Window and page pass on requests, show `state()`, and take the
+image from `fetch()`: then they begin another session.
 """
 
 from __future__ import annotations
@@ -86,20 +86,20 @@ class Opening:
     config : RunConfig
         Settings of the first image; those that belong to one image are left out for the next.
     recent : RecentFiles
-        Lists what was opened.
+        Lists opened images.
     served : ServedFolder, optional
-        Only what is in it can be asked for by name, as a page may; without it any path, as a person at the window may.
+        Only paths in it can be asked for by name, as a page may; without it any path, as a person at the window may.
 
     Attributes
     ----------
     actions : Actions or None
         Of the image that is open now.
     message : str
-        One line: what is being done, or what went wrong last.
+        One line: the work in progress, or the last error.
     failed : bool
         Whether that is an error.
     closing : str
-        What the window was told to do before it closes: "save" or "discard"; empty while it stays.
+        Task of the window before it closes: "save" or "discard"; empty while it stays.
     """
 
     def __init__(
@@ -111,14 +111,14 @@ class Opening:
         self._hints = recent.hints
         self._sessions = recent.unsaved
         self._keeper: Keeper | None = None
-        #: Whether the start page has offered what was not saved, whatever its image.
+        #: Whether the start page has offered unsaved sessions, whatever their image.
         self._has_offered = False
         self.closing: Literal["", "save", "discard"] = ""
         self._work: Future[Any] | None = None
         self._began, self._doing = 0.0, ""
         self._path: Path | None = None
         self._choices: list[Choice] = []
-        #: What is done when the question is answered with yes, and with "reference"; its words.
+        #: Actions of the answers to the question, by their names; its words.
         self._asked: dict[str, Callable[[], None]] = {}
         self._question = ""
         self._folder = served.root if served is not None else None
@@ -153,7 +153,7 @@ class Opening:
         return tuple(self._requests)
 
     def request(self, name: Any, *values: Any) -> None:
-        """Carry out a request; what is wrong with it becomes `message`. Raises nothing."""
+        """Carry out a request; its error becomes `message`. Raises nothing."""
         try:
             carry_out(self._requests, name, values)
         except Exception as error:
@@ -244,7 +244,7 @@ class Opening:
         self.say("")
 
     def _open_dropped(self, *names: Any) -> None:
-        """Open what was dropped on the window."""
+        """Open a file or folder dropped on the window."""
         if len(names) != 1:
             raise UsageError(
                 f"{len(names)} files were dropped, one expected", "drop the folder of a scan"
@@ -264,7 +264,7 @@ class Opening:
             )
 
     def _ask_first(self, name: str, then: dict[str, Callable[[], None]]) -> None:
-        """Do it at once, or when the question is answered: what was not saved would be lost."""
+        """Do it at once, or when the question is answered: unsaved work would be lost."""
         self._choices = []
         if not self.is_unsaved and len(then) == 1:
             then["open"]()
@@ -274,7 +274,7 @@ class Opening:
         self.say("")
 
     def _look_into(self, path: Path) -> None:
-        """Open a path, or find out what can be chosen in it."""
+        """Open a path, or find the images to choose from in it."""
         config = self._config
         self._path = path
 
@@ -284,7 +284,7 @@ class Opening:
         self._start(f"reading {path.name}", work)
 
     def _start(self, doing: str, work: Callable[[], Any]) -> None:
-        """Work in a thread, with what the command line allows."""
+        """Begin work in a thread; `fetch` takes its result."""
         self._check_free()
         self._doing, self._began = doing, time.monotonic()
         self.say(f"{doing} ...")
@@ -293,7 +293,7 @@ class Opening:
     def fetch(self) -> OpenedImage | None:
         """Return the image that has been read, once; None while there is none. Errors become `message`.
 
-        Called again and again: what is new and not saved is kept then, and what was kept is offered.
+        Called again and again: unsaved work is kept then, and kept sessions are offered.
         """
         self._store()
         if self._work is None:
@@ -354,13 +354,13 @@ class Opening:
         self._former.append((actions.session, SAVING_SECONDS if is_saving else self._step_seconds))
 
     def hurry(self) -> None:
-        """Let `close` wait for no step: what a signal ends has nothing more to compute."""
+        """Let `close` wait for no step: a program that a signal ends has nothing more to compute."""
         self._step_seconds = HURRIED_SECONDS
 
     def close(self) -> None:
-        """End all sessions, and wait until they have finished what was asked of them.
+        """End all sessions, and wait until they have finished their commands.
 
-        What is not saved is kept for the next start, unless it was discarded.
+        Unsaved work is kept for the next start, unless it was discarded.
         """
         if self._keeper is not None and self.closing == "discard":
             self._keeper.forget()
@@ -371,7 +371,7 @@ class Opening:
         for session, seconds in self._former:
             session.close(seconds)
 
-    # -- what is not saved --------------------------------------------------------------------------------
+    # -- unsaved work -------------------------------------------------------------------------------------
 
     @property
     def is_unsaved(self) -> bool:
@@ -380,12 +380,12 @@ class Opening:
 
     @property
     def is_stored(self) -> bool:
-        """Test if what is not saved can be gone on with at the next start."""
+        """Test if unsaved work can be continued at the next start."""
         return self.is_unsaved and self._keeper is not None and self._keeper.is_stored
 
     @property
     def last_words(self) -> str:
-        """Line for the program's end: what is kept and how to go on."""
+        """Line for the program's end: the work that is kept, and how to go on."""
         keeper = self._keeper
         if keeper is None or not self.is_unsaved:
             return "nothing was unsaved"
@@ -411,11 +411,11 @@ class Opening:
         self.closing = closing
 
     def stay(self) -> None:
-        """Close no more: what was to be saved is not."""
+        """Close no more: saving has failed."""
         self.closing = ""
 
     def _store(self) -> None:
-        """Keep what is new, and offer what was kept, of this image, or on the start page of any."""
+        """Keep unsaved work, and offer kept sessions, of this image, or on the start page of any."""
         if self._keeper is not None:
             self._keeper.store()
         if self._question or self._choices or self.is_busy or self.closing:
@@ -490,7 +490,7 @@ class Opening:
         return (*self._asked, *(() if "later" in self._asked else ("cancel",)))
 
     def _renew_lists(self) -> None:
-        """Look anew at what is listed."""
+        """Renew the lists to choose from."""
         recent = [
             {"name": entry.path.name, "folder": str(entry.path.parent), "exists": entry.exists}
             for entry in self._recent.entries()

@@ -65,7 +65,7 @@ class PictureFeature(Feature):
             int(min(max(number(side, 0, 1e6), low), high)) // 8 * 8
             for side, low, high in zip((width, height), MIN_SIZE, MAX_SIZE, strict=True)
         )
-        # A page that is zoomed out has less than a pixel; one on a large fine screen gets what it may.
+        # A page that is zoomed out has less than a pixel; one on a large fine screen gets the most that is allowed.
         ratio = min(
             max(number(ratio, 0.01, 100.0), 1.0), MAX_RATIO, MAX_SIZE[0] / wide, MAX_SIZE[1] / high
         )
@@ -76,7 +76,7 @@ class PictureFeature(Feature):
         self.actions.feature(SlicesFeature).fit_layout(wide, high)
 
     def draw_fine(self, on: bool) -> None:
-        """Draw in the pixels of the device, or, while something moves, in those of a usual screen, which is faster."""
+        """Draw in pixels of the device, or, while something moves, in pixels of a usual screen, which is faster."""
         scene, ratio = self.actions.scene, self._ratio if on else 1.0
         sides = round(self._sides[0] * ratio), round(self._sides[1] * ratio)
         scene.tiles.pixel_ratio = ratio

@@ -107,7 +107,7 @@ class HistoryFeature(Feature):
         }
 
     def _result(self, status: Status) -> list[str]:
-        """Return what is known of the objects: volume, how likely each is good, where it is doubtful most."""
+        """Return lines about the objects: volume, how likely each is good, where it is doubtful most."""
         scene = self.actions.scene
         if scene.frame is None or not status.has_begun:
             return []

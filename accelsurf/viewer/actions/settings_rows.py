@@ -1,5 +1,5 @@
 """The settings as window and page show them, and numbers on sliders: in the unit of the file, with as many digits as
-they can resolve. The session, its files and what is copied from it are in mm.
+they can resolve. The session, its files and texts copied from it are in mm.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from accelsurf.viewer.core.status import Status
 SETTINGS = (*viewer_settings("first"), *viewer_settings("more"))
 #: Letters of a value at most.
 MAX_VALUE = 400
-#: Words with which a start names a file: what a page sends must read none but those that it was offered.
+#: Words with which a start names a file: values from a page may read only files that it was offered.
 FILE_WORDS = ("label:", "mesh:", "stroke:")
 #: Positions of a slider.
 TICKS = 1000
 #: Place of the flow in a row's ``term``; terms of the energy count from 0.
 OF_FLOW = -1
-#: What is folded away: the words of the energy and of the solver.
+#: Group that is folded away: the words of the energy and of the solver.
 EXPERT = "Expert"
 _FIRST = ("preset", "smoothness", "presmooth", "size", "max_volume", "roi")
 #: A unit of a setting that is a length, an area or a volume, whatever it is per.
@@ -113,7 +113,7 @@ def digits_of(low: float, high: float) -> int:
 
 
 def rounded(value: float) -> float:
-    """A number without what changing its unit adds to its last digits.
+    """A number without the rounding error of a change of unit in its last digits.
 
     Examples
     --------
@@ -124,7 +124,7 @@ def rounded(value: float) -> float:
 
 
 def read_in(unit: str, of_file: str) -> tuple[str, float]:
-    """Return the unit in which a number is read, and how many of it are one of its own: those of the file for lengths.
+    """Return the unit in which a number is read, and how many of it are one of its own: the file's unit for lengths.
 
     Examples
     --------
@@ -138,7 +138,7 @@ def read_in(unit: str, of_file: str) -> tuple[str, float]:
 
 
 def from_read(value: Any, per: float) -> Any:
-    """Return what was typed or set in the unit that is read, in its own; what is no number stays as it is.
+    """Return a value, typed or set in the unit that is read, in its own unit; anything but a number stays as it is.
 
     Examples
     --------
@@ -154,7 +154,7 @@ def from_read(value: Any, per: float) -> Any:
 
 
 Row = dict[str, Any]
-#: What a row has unless it says something else.
+#: Values of a row that does not say otherwise.
 DEFAULTS: Row = {
     "unit": "",
     "group": "",
@@ -180,7 +180,7 @@ def settings_rows(
     of_file: str = "mm",
     flow_why: str = "",
 ) -> list[Row]:
-    """Return a row for each setting that the viewer shows: the common ones, then those of the energy and the solver.
+    """Return a row for each setting that the viewer shows: common ones, then the energy's and the solver's.
 
     Parameters
     ----------

@@ -15,17 +15,17 @@ from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.space import Picked
 from accelsurf.viewer.scene.tiles import LAYOUTS
 
-#: The window of the whole image; `AUTO` is that of the object and what is around it.
+#: The window of the whole image; `AUTO` is the window of the object and its surroundings.
 IMAGE = "image"
 #: Words of windows, as lists show them.
 WINDOWS = (IMAGE, AUTO, *CT_WINDOWS)
-#: What the state says of the place under the mouse.
+#: Entries of the state about the place under the mouse.
 READ_OUT = ("place", "where", "voxel", "value", "label", "as_ball", "as_point")
 #: A drag over the whole picture changes level and width by this many widths.
 DRAG = 2.0
 #: Largest magnitude of a level or width.
 MAX_GREY = 1e9
-#: What is around an object: its box, larger by this part of its extent to each side.
+#: Surroundings of an object: its box, larger by this part of its extent to each side.
 AROUND = 0.5
 
 
@@ -181,7 +181,7 @@ class SlicesFeature(Feature):
     # -- layout -------------------------------------------------------------------------------------------
 
     def fit_layout(self, width: float, height: float) -> None:
-        """Make slices as large as so many pixels of a usual screen allow, unless somebody has chosen a layout.
+        """Make slices as large as this size in pixels of a usual screen allows, unless somebody has chosen a layout.
 
         3D is left out until there is a surface.
         """

@@ -138,7 +138,7 @@ def word(value: Any, words: tuple[str, ...]) -> str:
 
 
 def text(value: Any, letters: int) -> str:
-    """Return a printable text of at most so many letters, without blanks at its ends.
+    """Return a printable text of at most ``letters`` letters, without blanks at its ends.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def carry_out(
     Raises
     ------
     UsageError
-        When there is none of this name, or it takes another number of values; and what it raises itself.
+        When there is none of this name, or it takes another number of values; and the request's own errors.
     """
     work = requests.get(name) if isinstance(name, str) else None
     if work is None:
@@ -192,7 +192,7 @@ class Tool:
     name : str
         In requests.
     key, text, tip : str
-        Its key, what is written on its button, and what it does.
+        Its key, the text on its button, and a line about its effect.
     """
 
     name = key = text = tip = ""
@@ -210,7 +210,7 @@ class Tool:
         """End: the button goes up."""
 
     def cancel(self) -> None:
-        """Take back what the press has begun: all is as before it, and the button is up."""
+        """Take back the press: all is as before it, and the button is up."""
         self.leave()
 
     def resize(self) -> None:
@@ -254,7 +254,7 @@ def first_radius(geometry: Geometry) -> float:
     return max(0.012 * min(sides, default=1.0), 2.0 * finest(geometry))
 
 
-#: What the mouse does where.
+#: Actions of the mouse by place.
 MOUSE = (
     ("left in 3D", "turns"),
     ("left in a slice", "uses the tool; Look moves the slices through the point"),
@@ -268,7 +268,7 @@ MOUSE = (
 
 
 def help_rows(keys: Mapping[str, Key]) -> list[tuple[str, str]]:
-    """Return what keys and mouse do, keys that do the same kind of thing in one row.
+    """Return the actions of keys and mouse, keys of the same kind of action in one row.
 
     Examples
     --------

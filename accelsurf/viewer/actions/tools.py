@@ -119,13 +119,13 @@ class Size(Tool):
 
 #: Those that do not paint.
 TOOLS: tuple[type[Tool], ...] = (Size, Look, Ball)
-#: All tools in the order of their buttons: what most people need first.
+#: All tools in the order of their buttons: the most needed first.
 ORDER = ("size", "inside", "outside", "look", "grow", "shrink", "ball", "split")
 
 
 #: A stroke has a place each time it has moved by this part of its radius, and at least by a voxel.
 STROKE_STEP = 0.5
-#: On a surface a stroke that jumps by so many radii, over an edge of what is seen, begins anew there.
+#: A stroke on a surface that jumps by this number of radii, over an edge of the visible part, begins anew there.
 JUMP = 4.0
 
 Place = NDArray[np.float64]
@@ -161,7 +161,7 @@ class CorrectionTool(Tool):
         strokes = self.actions.scene.marks
         if at.world is None or not self._mark:
             return
-        # As the settings will have it, so that what is drawn is what is clicked, to the last voxel.
+        # As the settings will have it, so that the stroke as drawn is the click, to the last voxel.
         world = np.array([float(part) for part in numbers_text(at.world).split(",")])
         last = self._pieces[-1][-1] if self._pieces else None
         away = np.inf if last is None else float(np.linalg.norm(world - last))
@@ -192,7 +192,7 @@ class CorrectionTool(Tool):
         raise NotImplementedError
 
     def end_obeyed(self) -> None:
-        """Draw no longer what the surface has obeyed, or the session refused."""
+        """Remove strokes that the surface has obeyed, or the session refused."""
         for mark, future in self.sent:
             if future.done():
                 self.actions.scene.marks.end(mark)
@@ -200,7 +200,7 @@ class CorrectionTool(Tool):
 
 
 class Inside(CorrectionTool):
-    """Says what is inside."""
+    """Marks voxels that are inside."""
 
     name, key, text = "inside", "I", "Inside"
     tip = "Click or draw on what is missing: it is in the object, and stays in it"
@@ -224,7 +224,7 @@ class Inside(CorrectionTool):
     def release(self) -> None:
         super().release()
         self.actions.scene.mark_ball(None)
-        self.actions.note("", 0.0)  # what the correction did is said next
+        self.actions.note("", 0.0)  # the effect of the correction is said next
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
         texts = tuple(click_text(piece, self.width) for piece in pieces)
@@ -232,7 +232,7 @@ class Inside(CorrectionTool):
 
 
 class Outside(Inside):
-    """Says what is not."""
+    """Marks voxels that are not."""
 
     side: Side = "outside"
     name, key, text = "outside", "O", "Outside"
@@ -240,7 +240,7 @@ class Outside(Inside):
 
 
 class Grow(CorrectionTool):
-    """Adds what the brush covers."""
+    """Adds the voxels that the brush covers."""
 
     kind: Literal["add", "remove"] = "add"
     name, key, text = "grow", "G", "Grow"
@@ -252,7 +252,7 @@ class Grow(CorrectionTool):
 
 
 class Shrink(Grow):
-    """Removes what the brush covers."""
+    """Removes the voxels that the brush covers."""
 
     side: Side = "outside"
     kind: Literal["add", "remove"] = "remove"

@@ -20,7 +20,7 @@ class Moment(NamedTuple):
 
 
 class ChangeLine(NamedTuple):
-    """A change as lists show it: its ``number`` from 1, the ``step`` at which it was made, what it is in one ``line``,
+    """A change as lists show it: its ``number`` from 1, the ``step`` at which it was made, its text in one ``line``,
     and whether it is in force (``done``), not undone.
     """
 
@@ -31,7 +31,7 @@ class ChangeLine(NamedTuple):
 
 
 class _Change(NamedTuple):
-    """A change: what it is, and the ``moment`` before it; of one that was undone the moment after it."""
+    """A change: its ``line``, and the ``moment`` before it; of one that was undone the moment after it."""
 
     line: str
     moment: Moment
@@ -61,7 +61,7 @@ class ChangeLog:
         return self._lines
 
     def add(self, before: Moment, line: str) -> None:
-        """Note what was in force before a change that has been made; what was undone is forgotten."""
+        """Note the moment before a change that has been made; undone changes are forgotten."""
         # A list has little room: four digits of each number are enough there.
         line = re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.4g}", line)
         self._done.append(_Change(line, before))
@@ -69,7 +69,7 @@ class ChangeLog:
         self._renew()
 
     def undo(self, now: Moment) -> Moment:
-        """Return what was in force before the last change, which is undone now.
+        """Return the moment before the last change, which is undone now.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class ChangeLog:
         return self.move_to(self.undoable - 1, now)
 
     def redo(self, now: Moment) -> Moment:
-        """Return what was in force after the change that was undone last, which is made again now.
+        """Return the moment after the change that was undone last, which is made again now.
 
         Raises
         ------
@@ -93,12 +93,12 @@ class ChangeLog:
         return self.move_to(self.undoable + 1, now)
 
     def move_to(self, count: int, now: Moment) -> Moment:
-        """Return what is in force when the first ``count`` changes are, and those after them are undone.
+        """Return the moment with the first ``count`` changes in force, and later ones undone.
 
         Raises
         ------
         UsageError
-            When there are not so many.
+            When there are fewer changes.
         """
         if not 0 <= count <= self.undoable + self.redoable:
             most = self.undoable + self.redoable

@@ -69,7 +69,7 @@ class CommandQueue:
         block : bool
             Wait for a command, or for `wake` or `close`.
         timeout : float, optional
-            Wait for so many seconds at most.
+            Longest wait, seconds.
         """
         try:
             return self._queue.get(block=block, timeout=timeout)

@@ -81,7 +81,7 @@ class Corrections:
         self._wanted = corrections
 
     def _begun(self, run: Run) -> Refiner:
-        """Return what corrects a run that has ended."""
+        """Return the refiner of a run that has ended."""
         if self._refiner is None:
             result = dataclasses.replace(
                 result_of(run), config=repeating(run), state=state_at_end(run)
@@ -95,7 +95,7 @@ class Corrections:
         return self._refiner
 
     def correct(self, run: Run, correction: Correction, said: str) -> str:
-        """Make a correction of a run that has ended; return a line that says what it did.
+        """Make a correction of a run that has ended; return a line about its effect.
 
         Raises
         ------
@@ -163,7 +163,7 @@ class Corrections:
         return True
 
     def leave(self) -> None:
-        """Let the run go on: what was corrected is made again when it ends."""
+        """Let the run go on: corrections are made again when it ends."""
         self._refiner = None
 
     # -- present state ------------------------------------------------------------------------------------
@@ -212,9 +212,9 @@ class Corrections:
         return min(distances, key=lambda id: distances[id])
 
     def taken(self, run: Run, ball: str, object_id: int) -> BoxMask | None:
-        """Return the voxels that an object which is pressed at a ball may not have: those of the others.
+        """Return the voxels of the other objects, which an object that is pressed at a ball may not have.
 
-        The other in which the ball lies loses them to it, as `Refiner.taken` says; None where there is no such voxel.
+        The other in which the ball lies loses them to it, as `Refiner.taken` says; None where there is none.
         """
         if run.stop is None:
             return None
@@ -229,7 +229,7 @@ class Corrections:
     def picture(
         self, run: Run, max_voxels: int | None
     ) -> tuple[Frame, tuple[tuple[StepRecord, ...], ...]]:
-        """Return what is drawn, see `Frame.of_run`, and each object's records up to it."""
+        """Return the frame to draw, see `Frame.of_run`, and each object's records up to it."""
         if self._refiner is not None:
             return self._frame(run, self._refiner), tuple(
                 tuple(each.history) for each in self._refiner.surfaces
@@ -243,7 +243,7 @@ class Corrections:
         return frame, histories_of_run(run, records)
 
     def _frame(self, run: Run, refiner: Refiner) -> Frame:
-        """Return what is drawn: of each object a copy of the box in which it is."""
+        """Return the frame to draw: of each object a copy of the box in which it is."""
         prepared, surfaces = run.prepared, []
         for surface in refiner.surfaces:
             box, corner, shape = self._boxes[surface.id], surface.corner, surface.psi.shape
@@ -278,7 +278,7 @@ class Corrections:
 
 
 def _box_of_inside(inside: NDArray[np.bool_], corner: Corner) -> Box | None:
-    """Return the box around what is inside, on the grid of the region of interest."""
+    """Return the box around the inside, on the grid of the region of interest."""
     box = bounding_box(inside)
     return None if box is None else placed_at(box, corner)
 
@@ -310,7 +310,7 @@ def nearest_object(run: Run, where: str) -> int:
     Raises
     ------
     UsageError, InputError
-        When it is no such place or lies outside.
+        When it is none of these or lies outside.
     """
     centre = BallEdit("add", *starts.ball_of(_as_ball(where, run.geometry), run.geometry)).on_level(
         run.grid
@@ -353,7 +353,7 @@ def _as_ball(where: str, geometry: Geometry) -> str:
         try:
             found = suffix.coordinates([float(word) for word in first]).on(geometry)
         except ValueError:
-            return f"ball:{rest}"  # the reader of the ball says what is wrong
+            return f"ball:{rest}"  # the reader of the ball raises the error
         # Its voxel has its centre within a ball of this radius.
         radius = float(np.linalg.norm(geometry.spacing)) + 1.0
         numbers = ",".join(map(repr, found.numbers))

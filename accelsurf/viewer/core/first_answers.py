@@ -1,4 +1,4 @@
-"""Answers to the first click of a run: a part, the whole, or all that is alike; what each would show, without a run."""
+"""Answers to the first click of a run: a part, the whole, or all that is alike; the surface of each, without a run."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class FirstAnswers:
     def __init__(self) -> None:
         self._run: Run | None = None
         self._clicks: Clicks | None = None
-        #: Others that are still to be looked at, and what was found.
+        #: Others that are still to be looked at, and found ones.
         self._left: list[Answer] = []
         self._found: tuple[FirstAnswer, ...] = ()
 
@@ -155,7 +155,7 @@ def _outline(
     run: Run, psi: NDArray[np.float32], box: Box, steps: Index, size: Spacing
 ) -> SurfaceFrame:
     """Return a surface on blocks of voxels of a box."""
-    # Places of blocks are those of their middles.
+    # The place of a block is its middle.
     z, y, x = (
         corner + 0.5 * (step - 1) for corner, step in zip(corner_of(box), steps, strict=True)
     )

@@ -1,4 +1,4 @@
-"""Frame: what is drawn of one step, copied, so that the solver can continue while it is drawn."""
+"""Frame: the drawn part of one step, copied, so that the solver can continue while it is drawn."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from accelsurf.run.result import Result, SegmentedObject
     from accelsurf.run.run import Run
 
-#: What the surface can be coloured by; ``plain`` is one colour.
+#: Quantities that can colour the surface; ``plain`` is one colour.
 COLORS = ("plain", "speed", "force", "density")
-#: Intervals are measured in images of at most so many voxels, where that takes some tenths of a second: of larger ones
+#: Voxels of the largest image in which intervals are measured, in some tenths of a second: of larger ones
 #: they are in the report alone.
 MAX_MEASURED = 1 << 21
 
@@ -47,9 +47,9 @@ class ObjectState(NamedTuple):
     corner : (int, int, int)
         Index (z, y, x) on the level's grid of the first voxel of the surface's grid.
     fields : StepFields or None
-        What acted in the last step; None before the first step on this grid.
+        Of the last step; None before the first step on this grid.
     flow : Flow or None
-        What moves it; a density is shown if the flow has one.
+        Moves the surface; a density is shown if the flow has one.
     """
 
     id: int
@@ -89,7 +89,7 @@ class SurfaceFrame:
         First voxel, an index (z, y, x) on ``level``, and size of the surface's grid, on which the cells of
         ``quantities`` are raveled.
     quantities : mapping of str to BandQuantity
-        What the surface can be coloured by besides ``plain``: ``speed`` (mm per unit of flow time) and ``force``
+        Quantities that can colour it besides ``plain``: ``speed`` (mm per unit of flow time) and ``force``
         along the *outward* normal, so that above 0 the surface grows, as the last step on this level had them;
         ``density`` for a flow that has one. Empty before the first step.
     first : (int, int, int)
@@ -111,7 +111,7 @@ class SurfaceFrame:
     def of(
         cls, state: ObjectState, level: pyramid.Level, max_voxels: int | None, first: Index
     ) -> SurfaceFrame:
-        """Copy what is drawn of an object; parameters as of `Frame.of`."""
+        """Copy the drawn part of an object; parameters as of `Frame.of`."""
         record, surface, corner, quantities = (
             state.record,
             state.surface,
@@ -145,7 +145,7 @@ class SurfaceFrame:
 
     @classmethod
     def of_result(cls, segmented: SegmentedObject, level: pyramid.Level) -> SurfaceFrame:
-        """Copy what is drawn of an object of a result; ``level`` is the image's grid."""
+        """Copy the drawn part of an object of a result; ``level`` is the image's grid."""
         record, corner, inside = segmented.history[-1], corner_of(segmented.box), segmented.psi < 0
         box = bounding_box(inside, 2)
         if box is None or inside.all():
@@ -169,8 +169,8 @@ class SurfaceFrame:
         return self.psi.size > 0
 
     def coarser(self, max_voxels: int) -> SurfaceFrame:
-        """Return the same with psi at every second voxel along each axis, or third, ..., so that it has at most so many
-        voxels; itself where it has no more.
+        """Return the same with psi at every second voxel along each axis, or third, ..., so that it has at most
+        ``max_voxels`` voxels; itself where it has no more.
         """
         step = 1
         while math.prod(-(-n // step) for n in self.psi.shape) > max_voxels:
@@ -215,7 +215,7 @@ class SurfaceFrame:
         return bool(is_there and self.psi[tuple(place)] < 0)
 
     def inside(self, box: Box) -> NDArray[np.bool_]:
-        """Return which voxels of a box of the image, or every so many of them, are inside."""
+        """Return the mask of the voxels inside, of a box of the image with the steps of its slices."""
         ranges = [np.arange(side.start, side.stop, side.step or 1) for side in box]
         axes = [
             np.rint(self.from_image(np.stack([at] * 3, -1))[:, axis]).astype(int)
@@ -306,7 +306,7 @@ class Frame:
     surfaces : tuple of SurfaceFrame
         One for each object, in order of ids; at least one of a run, perhaps none of a frame of a sequence.
     clicks : tuple of ClickMark
-        What a person has clicked, on the image's grid.
+        Clicks of a person, on the image's grid.
     predicted : tuple of SurfaceFrame
         Where tracked objects were expected before they were corrected.
     paths : tuple of ndarray (n, 3)
@@ -364,7 +364,7 @@ class Frame:
         run : Run
             Between two steps.
         records : sequence of StepRecord, optional
-            What is said of each object; the record of its last step unless given.
+            One of each object; the record of its last step unless given.
         max_voxels : int, optional
             As for `of`.
 
@@ -474,7 +474,7 @@ def histories_of_run(
 
 
 def _quantities(state: ObjectState) -> dict[str, BandQuantity]:
-    """Copies of what the surface can be coloured by."""
+    """Copies of the quantities that can colour the surface."""
     # Not with the module: frames are known before the solver is loaded, which who has a state has done.
     from accelsurf.flows.flowable_mass import FlowableMass
 

@@ -14,7 +14,7 @@ _FLAGS = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
 def read_note(file: Path, max_bytes: int) -> Any:
-    """Return what a file of JSON in the user's own folder holds; None where it cannot be read, for whatever reason.
+    """Return the content of a JSON file in the user's own folder; None where it cannot be read, for whatever reason.
 
     A pipe or a device in its place is not read, and does not hold up the start; nor is a file that is too long.
     """

@@ -1,5 +1,5 @@
-"""Several objects in a session: which there are, which one is meant, what they are called; those that begin beside
-others, are merged, split off, removed.
+"""Several objects in a session: ids, names, the one that is meant; objects that begin beside others, are merged, split
+off, removed.
 
 An object that a person adds is a correction, as `accelsurf refine` makes it: the others stay. While the run goes on
 it goes to its end first.
@@ -211,7 +211,7 @@ class ObjectCommands:
         Raises
         ------
         UsageError
-            When there is no such answer, or something was corrected.
+            When there is no answer of this number, or something was corrected.
         """
         timeline = self._timeline
         settings = timeline.answers.settings_of(timeline.run, timeline.corrections.wanted, number)
@@ -228,7 +228,7 @@ class ObjectCommands:
         self._timeline.refine({"merge": list(ids)}, f"merged {', '.join(map(str, ids))}")
 
     def split(self, point: str) -> None:
-        """Make what is connected to a point an object."""
+        """Make the part connected to a point an object."""
         self._timeline.refine({"split": point}, f"split at {point}")
 
     def remove(self, object_id: int) -> None:

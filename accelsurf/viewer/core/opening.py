@@ -1,4 +1,4 @@
-"""Reading of what is opened in the viewer: an image, one of several in a folder, a phantom; from a served folder alone
+"""Reading of images in the viewer: from a path, one of several in a folder, a phantom; from a served folder alone
 where a page asks.
 """
 
@@ -58,7 +58,7 @@ OF_ONE_IMAGE = (
 
 @dataclass(frozen=True)
 class Choice:
-    """One of several images of a file or folder: what it is, and the settings with which it is read."""
+    """One of several images of a file or folder: its description, and the settings with which it is read."""
 
     text: str
     settings: Mapping[str, Any]
@@ -82,7 +82,7 @@ class OpenedImage:
     reference : Volume or None
         Labels to compare with.
     note : str
-        What a person should know of it, in one line; may be empty.
+        A remark about it, in one line; may be empty.
     frames : SequenceView or None
         The sequence that the image is a frame of.
     is_result : bool
@@ -281,7 +281,7 @@ def read_tracked(
         As `accelsurf.io.read_sequence` takes it.
     config : RunConfig
     tracks : Path, optional
-        Folder of what ``accelsurf track`` has found in it.
+        Folder of the results of ``accelsurf track`` for it.
     frame_time, frames_from_slices : optional
         As of `accelsurf.io.read_sequence`.
 
@@ -290,7 +290,7 @@ def read_tracked(
     InputError
         When it cannot be read.
     UsageError
-        When there is no such frame.
+        When there is no frame of this index.
     """
     sequence = io.read_sequence(
         path,
@@ -324,12 +324,12 @@ def _options(path: Path) -> tuple[str, ...]:
 
 
 def _with_level(path: Path, config: RunConfig) -> tuple[RunConfig, str]:
-    """The settings with the level that is read, and what is said of it."""
+    """The settings with the level that is read, and a remark about it."""
     if config.level not in (0, "auto"):
         return config, ""
     try:
         found = fitting_level(path, config, allowed_bytes(None, io.available_memory()))
-    except InputError:  # packed as a whole: reading says what is wrong, if something is
+    except InputError:  # packed as a whole: reading raises the error, if there is one
         found = None
     if found is None or found.levels == 1:
         return config.replace(level=0), ""
@@ -376,7 +376,7 @@ def read_reference(path: Path, geometry: Geometry) -> Volume:
     return labels
 
 
-#: So many names of a folder are listed.
+#: Largest number of names of a folder that are listed.
 MAX_ENTRIES = 500
 
 
@@ -389,7 +389,7 @@ class Entry(NamedTuple):
 
 
 class ServedFolder:
-    """A folder, and what is in it and in its folders; without hidden names, and without links that lead out.
+    """A folder, and the files and folders in it, at any depth; without hidden names, and without links that lead out.
 
     Parameters
     ----------
@@ -402,7 +402,7 @@ class ServedFolder:
     def resolve(self, text: str) -> Path:
         """Return the path that a page names: from the folder on, or whole.
 
-        The message is the same whether there is such a file or not.
+        The message is the same whether the file exists or not.
 
         Raises
         ------
@@ -430,7 +430,7 @@ class ServedFolder:
         return "" if inner == "." else inner
 
     def entries(self, folder: Path) -> tuple[list[Entry], int]:
-        """Return what can be chosen in a folder, folders first, and how many further names are not listed.
+        """Return the entries of a folder, folders first, and the number of further names that are not listed.
 
         Raises
         ------
@@ -454,7 +454,7 @@ class ServedFolder:
         return listed[:MAX_ENTRIES], max(len(listed) - MAX_ENTRIES, 0)
 
     def _entry(self, path: Path) -> Entry | None:
-        """Return the entry of a name; None for what is no image, or leads out of the folder."""
+        """Return the entry of a name; None if it is neither image nor folder, or leads out of the served folder."""
         try:
             if not path.resolve().is_relative_to(self.root):
                 return None

@@ -12,7 +12,7 @@ from platformdirs import user_state_path
 from accelsurf.viewer.core.notes import read_note, write_note
 from accelsurf.viewer.core.unsaved import UnsavedSessions
 
-#: So many are listed.
+#: Largest number of images that are listed.
 MAX_RECENT = 12
 #: Bytes of the list that are read at most, and letters of a path.
 _MAX_BYTES, _MAX_LETTERS = 1 << 16, 4096
@@ -28,7 +28,7 @@ class Recent(NamedTuple):
 class RecentFiles:
     """The list of the images that were opened last, the newest first.
 
-    What is wrong with its file is no error: the list is empty then, or is not written.
+    A fault of its file is no error: the list is empty then, or is not written.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ class RecentFiles:
         return UnsavedSessions(None if self._file is None else self._file.with_name("unsaved"))
 
     def entries(self) -> list[Recent]:
-        """Return what was opened last, the newest first."""
+        """Return the images opened last, the newest first."""
         # os.path alone takes a name that is too long for a file as one that is not there.
         return [Recent(Path(name), os.path.exists(name)) for name in self._read()]
 
     def add(self, path: Path) -> None:
-        """Put an image at the top of the list; what another window has added meanwhile stays in it."""
+        """Put an image at the top of the list; images that another window has added meanwhile stay in it."""
         if self._file is None:
             return
         name = str(path.absolute())
@@ -75,7 +75,7 @@ class RecentFiles:
 
 
 class Hints:
-    """Lines that say what to do at first, until a person wants to see them no more.
+    """Lines about the first steps, until a person wants to see them no more.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class Hints:
 
     @property
     def lines(self) -> list[str]:
-        """Return what is shown; nothing when it is not wanted."""
+        """Return the lines to show; none when they are not wanted."""
         return [] if self._are_unwanted else list(self.TEXTS)
 
     def turn_off(self) -> None:
@@ -108,7 +108,7 @@ class Hints:
 
 
 def recent_file() -> Path:
-    """Return where the list is stored: in the folder of this system for what programs note about their use.
+    """Return the path of the list: in this system's folder for the state of programs.
 
     ``XDG_STATE_HOME`` is used where it is set.
     """

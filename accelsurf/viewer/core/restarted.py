@@ -11,7 +11,7 @@ from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 
-#: How a run begins from what was clicked.
+#: Start of a run from clicks.
 FROM_CLICKS = ("clicks",)
 
 
@@ -22,14 +22,14 @@ def restarted(
     changes: Mapping[str, Any],
     has_ids: bool,
 ) -> RunConfig:
-    """Return the configuration of a run that begins again with other settings, and with what was clicked.
+    """Return the configuration of a run that begins again with other settings, and with the same clicks.
 
     Parameters
     ----------
     settings : RunConfig
         In force now, without edits.
     edits, refinements : sequence of Correction
-        What was done since the start, in order: clicks stay, from the first step on; balls do not.
+        Corrections since the start, in order: clicks stay, from the first step on; balls do not.
     changes : mapping
         New values by name. A ``preset`` brings its values; see `of_preset`.
     has_ids : bool
@@ -65,7 +65,7 @@ def restarted(
 
 
 def of_preset(settings: RunConfig, name: str, has_clicks: bool) -> dict[str, Any]:
-    """Return the values of a preset: they override those in force, but for what needs clicks where there are none.
+    """Return the values of a preset: they override those in force, but for values that need clicks if there are none.
 
     An unknown preset has none; the configuration refuses it.
     """
@@ -82,12 +82,12 @@ def of_preset(settings: RunConfig, name: str, has_clicks: bool) -> dict[str, Any
 
 
 def needs_clicks(config: RunConfig) -> bool:
-    """Return True if a run begins with what was clicked, or its energy is of it."""
+    """Return True if a run begins from clicks, or its energy uses their model."""
     return FROM_CLICKS == config.start or config.energy.uses_model
 
 
 def restart_message(before: RunConfig, after: RunConfig) -> str:
-    """Return one line: what is different in another run, but for edits and clicks.
+    """Return one line: the differences of another run, but for edits and clicks.
 
     Examples
     --------

@@ -22,7 +22,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
 from accelsurf.viewer.core.status import SAVED_KINDS
 
-#: What the name of the settings has after that of the image.
+#: Suffix of the settings' name, after the image's.
 RUN_FILE = "_run.toml"
 
 
@@ -39,7 +39,7 @@ def save(  # noqa: PLR0913
 ) -> list[Path]:
     """Write the present result of a run into a folder, all files at once.
 
-    Where a report of such a run stands, all files that it lists are written too: they show the same state then.
+    Beside a report of this name, all files that it lists are written too: they show the same state then.
 
     Parameters
     ----------
@@ -57,14 +57,14 @@ def save(  # noqa: PLR0913
     corrected : Result, optional
         Of the run and the corrections that were made after its end, with settings that repeat them.
     others : mapping of str to value, optional
-        Settings of files in place of those of the run: names, colours, formats.
+        Settings of files in place of the run's: names, colours, formats.
     channels : sequence of Volume, optional
         Further channels of the image.
 
     Returns
     -------
     list of Path
-        What was written, the configuration first.
+        Written files, the configuration first.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def repeating(run: Run) -> RunConfig:
     ends = not {"interrupted", "max-steps"} & set(reasons)
     if ends:
         return run.config.replace(edit=edits, max_steps=max(run.config.max_steps, steps + 1))
-    # What is saved of a paused run is what is seen, also where its energy is not the lowest so far.
+    # A paused run is saved as it is seen, also where its energy is not the lowest so far.
     end = "present" if "interrupted" in reasons else run.config.end
     return run.config.replace(edit=edits, max_steps=steps, end=end)
 

@@ -18,7 +18,7 @@ _NO_STEP = StepRecord._make(StepRecord._field_defaults.get(name, 0) for name in 
 
 
 class SequenceView:
-    """Frames of a sequence, and what a tracking has found in them.
+    """Frames of a sequence, and the objects tracked in them.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Session: a run that is watched and steered, in a thread of its own. Draws nothing and knows no window.
 
 Its methods may be called from any thread. Commands (`play`, `pause`, `change`, ...) return a Future at once and are
-carried out between two steps; `next_view` returns what is new to be drawn. What the user did is stored as the edits of
+carried out between two steps; `next_view` returns a new view to draw. Actions of the user are stored as the edits of
 the configuration, so that `save` writes a ``NAME_run.toml`` that makes the same bytes from the command line.
 When the run has ended, its uncertain locations are found: where the surface has the least evidence.
 """
@@ -47,7 +47,7 @@ IDLE = 0.4
 PLAYING_VOXELS = 3_000_000
 #: Memory for checkpoints unless another amount is given, MB.
 CHECKPOINT_MB = 512.0
-#: What a session begins with: nothing that could be saved, a result that is saved, or one that is not.
+#: State at the beginning of a session: nothing that could be saved, a result that is saved, or one that is not.
 Origin = Literal["new", "saved", "unsaved"]
 
 T = TypeVar("T")
@@ -83,7 +83,7 @@ class Session:
 
     See Also
     --------
-    accelsurf.viewer.core.timeline.Timeline : what going back and changing mean.
+    accelsurf.viewer.core.timeline.Timeline : meaning of going back and of changes.
 
     Examples
     --------
@@ -118,7 +118,7 @@ class Session:
         self.name = name or "surface"
         self._config, self._checkpoint_mb, self._channels = config, checkpoint_mb, tuple(channels)
         self._commands, self._views = CommandQueue(), ViewSlot()
-        #: Counts what changes the picture: steps and commands.
+        #: Counts changes of the picture: steps and commands.
         self._version, self._uncertainty = 0, UncertaintyWatch()
         self._status = Status.preparing(config, "preparing", False)
         self.ready: Future[None] = Future()
@@ -151,7 +151,7 @@ class Session:
         return self._views.version != self._version
 
     def next_view(self, drawing_seconds: float = 0.0) -> View | None:
-        """Return what is new to be drawn, or None; and ask for the next.
+        """Return a new view to draw, or None; and ask for the next.
 
         Views are made only when asked for, at most `status.FRAME_RATE` a second, and so that making and drawing
         them takes at most the share `status.DRAWING_SHARE` of the time while the run plays.
@@ -171,7 +171,7 @@ class Session:
         return self._commands.wait_for(self._is_idle, timeout)
 
     def close(self, timeout: float = 10.0) -> bool:
-        """End the run after the present step; what was asked for before, saving too, is done first.
+        """End the run after the present step; earlier commands, saving too, are carried out first.
 
         Returns
         -------
@@ -249,8 +249,8 @@ class Session:
     ) -> Future[None]:
         """Add balls, ``ball:X,Y,Z,R``, to an object, or remove them from it: one correction.
 
-        Of several objects it is the one with this id, or else the one that is nearest to the first ball's centre. What
-        is no ball or lies outside is refused.
+        Of several objects it is the one with this id, or else the one that is nearest to the first ball's centre. A
+        text that is no ball and a ball outside are refused.
         """
         texts = tuple(balls)
         return self._do(lambda timeline: timeline.edit_balls(kind, texts, object_id))
@@ -262,8 +262,8 @@ class Session:
 
         Several at once are one correction, as `accelsurf refine` makes it: a run that goes on ends at the present step.
         They take voxels that they contradict from earlier ones. Of several objects it is the one with this id, or else
-        the one that is nearest to where the first begins. What is no place, lies outside, or would leave nothing
-        clicked inside is refused.
+        the one that is nearest to where the first begins. A text that is no place, a place outside, and clicks that
+        would leave nothing clicked inside are refused.
         """
         texts = (where,) if isinstance(where, str) else tuple(where)
         return self._do(lambda timeline: timeline.add_click(side, texts, object_id))
@@ -279,15 +279,15 @@ class Session:
     ) -> Future[SizeDrag]:
         """Begin to drag the size of an object from a ball in it, ``ball:X,Y,Z,R``.
 
-        The answer has the arrival times: what they show for any size is read from it in the caller's own thread, so
+        The answer has the arrival times: the object of any size is read from it in the caller's own thread, so
         that a drag never waits for a step. They have room up to ``size_mm3``; `size_drag.Dragging` asks for more when a
         drag needs them. `release` ends it. Of several objects one is named; with an id that none has it is a new one.
-        What is no ball or lies outside is refused.
+        A text that is no ball and a ball outside are refused.
         """
         return self._do(lambda timeline: timeline.objects.press(ball, size_mm3, object_id))
 
     def release(self, drag_mm: float) -> Future[None]:
-        """Play another run from what was pressed, of a size that a drag of so many mm stands for; others stay.
+        """Play another run from the press, of a size that a drag of this length stands for; others stay.
 
         With 0 it is a click alone, and the image says how large the object is.
         """
@@ -308,8 +308,8 @@ class Session:
     def restart_with(self, **settings: Any) -> Future[None]:
         """Begin another run from the start with other settings, also those that are fixed while a run runs.
 
-        Clicks stay, balls that were added or removed do not. A ``preset`` overrides the settings in force, but for what
-        it needs clicks for where there are none yet.
+        Clicks stay, balls that were added or removed do not. A ``preset`` overrides the settings in force, but for
+        values that need clicks where there are none yet.
 
         Raises
         ------
@@ -346,7 +346,7 @@ class Session:
         what : sequence of str
             Of `SAVED_KINDS`.
         overwrite : bool
-            Replace files that another session or program has written; those of this one are always replaced.
+            Replace files that another session or program has written; this session's are always replaced.
         mesh : str
             Format of meshes, in place of that of the settings.
 
@@ -458,7 +458,7 @@ class Session:
         self._status = timeline.status(message, error is not None)
 
     def _find_answer(self, timeline: Timeline) -> None:
-        """Find what one more answer to the first click shows."""
+        """Find the surface of one more answer to the first click."""
         try:
             timeline.answers.find_next(timeline.run)
             found = timeline.answers.offered(timeline.run, timeline.corrections.wanted)
@@ -502,7 +502,7 @@ class Session:
 
 
 def _solver() -> type[Timeline]:
-    """Load the solver, which takes as long as a window's first picture does without it; return what makes a run.
+    """Load the solver, which takes as long as a window's first picture does without it; return `Timeline`.
 
     All that the thread will need is loaded here: nothing is then loaded while a person waits, and no other thread loads
     a part of it meanwhile. Two sessions that begin at once wait for one another, as both begin with the same module.

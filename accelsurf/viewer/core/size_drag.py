@@ -1,6 +1,6 @@
 """A press in an object and a drag outwards: which voxels belong to it if it is so large, at once for any size.
 
-What the click's model says is computed once: for each voxel the probability from which on it belongs to the object. A
+The click's model is computed once: for each voxel the probability from which on it belongs to the object. A
 drag of r mm stands for the volume of a ball of that radius (of an image of one slice: the area of a disc), which is
 the level of the probability that has that volume: a level is looked up in the sorted values, and shown in a slice by
 comparing the values there.
@@ -31,7 +31,7 @@ class SizeDrag:
     Attributes
     ----------
     click : str
-        What was pressed, ``ball:X,Y,Z,R``: the inside click of the run that follows.
+        The pressed ball, ``ball:X,Y,Z,R``: the inside click of the run that follows.
     times : ndarray (nz, ny, nx), float32
         For each voxel of a window 1 less the probability from which on it belongs to the object.
     first : (int, int, int)
@@ -56,7 +56,7 @@ class SizeDrag:
         return np.sort(self.times, axis=None)
 
     def is_near_end(self, drag_mm: float) -> bool:
-        """Return True if a drag is about as large as what has room, and more can be."""
+        """Return True if a drag is near the size of the window, and a larger window can be had."""
         return self._wanted(drag_mm) > NEAR_END * self.most_mm3
 
     def _wanted(self, drag_mm: float) -> float:
@@ -107,7 +107,7 @@ class SizeDrag:
         return linear(self.times, (z, y, x), 2.0)
 
     def signed(self, times: NDArray[np.float32], volume_mm3: float) -> NDArray[np.float32]:
-        """Return what is negative inside the object, if it has this volume, of values of ``times``."""
+        """Return values of ``times`` less their level: negative inside the object, if it has this volume."""
         return np.asarray(times - np.float32(self.level_of(volume_mm3) + 1e-6))
 
     def size_text(self, drag_mm: float) -> str:
@@ -116,7 +116,7 @@ class SizeDrag:
 
 
 class Dragging:
-    """A drag as it goes on: what is known of it now, and more of it when it comes near the end of that.
+    """A drag as it goes on: its objects known now, and larger ones when it comes near the end of the window.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class Dragging:
         self._known: SizeDrag | None = None
 
     def at(self, drag_mm: float) -> SizeDrag | None:
-        """Return the objects known now for a drag of so many mm; None while nothing is known."""
+        """Return the objects known now for a drag of this length; None while nothing is known."""
         if self.pressed.done() and self.pressed.exception() is None:
             self._known = self.pressed.result()
             if self._known.is_near_end(drag_mm):

@@ -19,7 +19,7 @@ from accelsurf.viewer.core.frame import Frame
 if TYPE_CHECKING:
     from accelsurf.viewer.core.first_answers import FirstAnswer
 
-#: What a session can save; ``run`` is the configuration that repeats the run.
+#: Kinds of files that a session can save; ``run`` is the configuration that repeats the run.
 SAVED_KINDS = ("labels", "mesh", "picture", "trace", "report", "run")
 
 
@@ -51,7 +51,7 @@ class Status(NamedTuple):
     stop : Stop or None
         Why the run has ended.
     message : str
-        One line: what happened last, or went wrong.
+        One line: the last event, or the error.
     failed : bool
         Whether that is an error.
     undoable : int
@@ -67,7 +67,7 @@ class Status(NamedTuple):
     refinements : tuple of Correction
         Corrections after the run's end; while it goes on again, those that are made when it ends.
     changes : tuple of ChangeLine
-        What was changed, in order, and what of it is undone.
+        In order, also those that are undone.
     rests : tuple of int
         Steps in which the surface rested before it broke through, and that have been made.
     uncertain : tuple of UncertainLocation
@@ -161,7 +161,7 @@ class ViewSlot:
         return self._version
 
     def fetch(self, drawing_seconds: float) -> View | None:
-        """Take the view out, or None, and ask for the next; ``drawing_seconds`` is what the last took to draw."""
+        """Take the view out, or None, and ask for the next; ``drawing_seconds`` is the drawing time of the last."""
         if drawing_seconds:
             self._drawing_seconds = drawing_seconds
         with self._lock:
@@ -178,7 +178,7 @@ class ViewSlot:
         )
 
     def put(self, view: View, version: int, seconds: float) -> None:
-        """Put a view of a version of the state there; ``seconds`` is what it took to make."""
+        """Put a view of a version of the state there; ``seconds`` is the time to make it."""
         with self._lock:
             self._view, self._wanted, self._version = view, False, version
         pause = max(1.0 / FRAME_RATE, (seconds + self._drawing_seconds) / DRAWING_SHARE)

@@ -167,7 +167,7 @@ class Timeline:
 
     @property
     def message(self) -> str:
-        """One line: what was done last."""
+        """One line: the last action."""
         return self._message
 
     def say(self, message: str) -> None:
@@ -332,7 +332,7 @@ class Timeline:
         Raises
         ------
         UsageError
-            When there is no such step.
+            When the step has not been made.
         """
         if not 0 <= step:
             raise UsageError(f"step {step} was given, expected a number at least 0")
@@ -429,7 +429,7 @@ class Timeline:
         Raises
         ------
         UsageError, InputError
-            When one is no ball or lies outside, or there is no such object.
+            When one is no ball or lies outside, or there is no object of this id.
         """
         self._check_begun("grow or shrink")
         object_id = self._whose(balls[0], object_id)
@@ -500,7 +500,7 @@ class Timeline:
         try:
             return self.corrections.reach_of(self.run, refinement)
         except AccelsurfError:
-            return None  # the click itself says what is wrong with it
+            return None  # the click itself raises the error
 
     def _whose(self, place: str, object_id: int | None) -> int | None:
         """Return the object that a click is for, see `Session.add_click`; None where there is one without an id."""
@@ -527,7 +527,7 @@ class Timeline:
         self.start_with({"start": start}, "start: " + " + ".join(start))
 
     def restart_with(self, settings: dict[str, Any]) -> None:
-        """Begin another run with other settings and what was clicked, see `Session.restart_with`."""
+        """Begin another run with other settings and the same clicks, see `Session.restart_with`."""
         before = self.run.settings
         config = restarted(
             before, self._edits_so_far(), self.corrections.wanted, settings, self.run.has_ids
@@ -563,7 +563,7 @@ class Timeline:
         Raises
         ------
         UsageError
-            When there are not so many.
+            When there are fewer changes.
         """
         if count != self.log.undoable:
             self._go_back_to(self.log.move_to(count, self._now()))

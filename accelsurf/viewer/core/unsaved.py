@@ -20,7 +20,7 @@ from accelsurf.image.volume import Volume, voxels_sha256
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.notes import read_note, write_note
 
-#: So many are kept; the oldest goes first.
+#: Largest number of sessions that are kept; the oldest goes first.
 MAX_NOTES = 20
 #: Bytes of one that are read at most, files that are looked at, and letters of a path.
 _MAX_BYTES, _MAX_FILES, _MAX_LETTERS = 1 << 22, 1000, 4096
@@ -37,7 +37,7 @@ class Unsaved(NamedTuple):
     file : Path
         Where it is kept.
     image : str
-        What `fingerprint` says of its image.
+        `fingerprint` of its image.
     name : str
         First part of the names of files.
     path : Path or None
@@ -74,7 +74,7 @@ class Unsaved(NamedTuple):
 class UnsavedSessions:
     """The sessions that were not saved.
 
-    What is wrong with a file is no error: it is passed over.
+    A faulty file is no error: it is passed over.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class UnsavedSessions:
     def store(
         self, file: Path, image: str, name: str, path: Path | None, config: RunConfig, step: int
     ) -> None:
-        """Keep a session of this program, in place of what the file has; see `Unsaved`.
+        """Keep a session of this program, in place of the file's content; see `Unsaved`.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class UnsavedSessions:
 
 
 def _parsed(file: Path, note: Any) -> Unsaved | None:
-    """A session from what its file holds; None where it is none, or where its program still runs."""
+    """A session from the content of its file; None where it is none, or where its program still runs."""
     try:
         pid, began = note["process"]
         name, path, step, image = note["name"], note["path"], note["step"], note["image"]

@@ -134,7 +134,7 @@ MAX_BYTES = 16384
 MAX_ADDRESS = 2048
 #: Where trame listens for the page's messages.
 SOCKET = "/ws"
-#: What a page's messages may ask of trame; the first has the token.
+#: Methods of trame that a page's messages may call; the first has the token.
 METHODS = (
     "wslink.hello",
     "trame.state.get",
@@ -142,7 +142,7 @@ METHODS = (
     "trame.lifecycle.update",
     "trame.state.update",
 )
-#: Those whose arguments are ignored, and what is put in their place.
+#: Methods whose arguments are ignored, and the arguments in their place.
 IGNORED: dict[str, Any] = {"trame.lifecycle.update": "page", "trame.state.update": []}
 #: Triggers of the page, see `page.Page`.
 TRIGGERS = ("ask", "shown")
@@ -169,7 +169,7 @@ class PageGuard:
     token : str
         Whoever has it may download the files.
     files : callable
-        Returns what may be downloaded, by name; called at each request.
+        Returns the files that may be downloaded, by name; called at each request.
     """
 
     def __init__(self, host: str, token: str, files: Callable[[], Mapping[str, Path]]) -> None:
@@ -178,7 +178,7 @@ class PageGuard:
         self._server: Any = None
 
     def install(self, server: Any) -> None:
-        """Put the checks before those of a server, before it listens."""
+        """Put the checks before a server's own, before it listens."""
         from aiohttp import web
 
         @web.middleware
@@ -262,7 +262,7 @@ class PageGuard:
 
 
 class _PageThatMayLeave:
-    """A page's connection, to send over: what no longer arrives as the page has left is dropped."""
+    """A page's connection, to send over: data for a page that has left are dropped."""
 
     def __init__(self, connection: Any) -> None:
         self._connection = connection
@@ -304,6 +304,6 @@ def _checked_bytes(data: bytes) -> bytes:
         raise ValueError("trigger")
     if call["method"] not in IGNORED:
         return data
-    # The page waits for an answer to these calls, but it may change neither the state nor what happens here.
+    # The page waits for an answer to these calls, but it may change neither the state nor the server.
     body = msgpack.packb({**call, "args": [IGNORED[call["method"]]], "kwargs": {}})
     return _HEADER.pack(0, 0, len(body)) + bytes(body)

@@ -58,7 +58,7 @@ class Page:
     opening : Opening
     settings : ViewerSettings
     temporary : Path
-        An empty folder, for what is saved where the settings name no folder.
+        An empty folder, for saved files where the settings name no folder.
     host : str, optional
         Address to listen on; by default of this machine alone.
     port : int, optional
@@ -71,7 +71,7 @@ class Page:
     token : str
         Whoever has it can change the run.
     address : str
-        What to open, with the token; empty before the page is served.
+        URL to open, with the token; empty before the page is served.
 
     Raises
     ------
@@ -100,7 +100,7 @@ class Page:
         self.idle: IdleDrawing | None = None
         self._sent_at, self._is_shown = 0.0, True
         self._server = self._make_server()
-        #: What draws takes seconds to load: while the person chooses.
+        #: Loads PyVista, which takes seconds, while the person chooses.
         self._loading = threading.Thread(target=getattr, args=(pyvista, "Plotter"), daemon=True)
         self._loading.start()
 
@@ -156,7 +156,7 @@ class Page:
     # -- images -------------------------------------------------------------------------------------------
 
     def open(self, opened: OpenedImage, session: Session | None = None) -> None:
-        """Show an image in place of what is shown now.
+        """Show an image in place of the present one.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class Page:
         Raises
         ------
         GraphicsError, InputError
-            When it cannot be drawn; what was shown stays.
+            When it cannot be drawn; the present image stays.
         """
         self._loading.join()
         settings, former = self._settings, self.actions
@@ -208,7 +208,7 @@ class Page:
             self._lay_out()
 
     def close(self) -> None:
-        """Close the image; sessions finish what was asked of them."""
+        """Close the image; sessions finish their commands."""
         if self.actions is not None:
             self.actions.scene.close()
         self.opening.close()
@@ -258,7 +258,7 @@ class Page:
             serving.cancel()
 
     def _update(self) -> None:
-        """Draw what is new, and send it to the page."""
+        """Draw changes, and send them to the page."""
         opened = self.opening.fetch()
         if opened is not None:
             try:
@@ -271,7 +271,7 @@ class Page:
             state.update(self._state())
 
     def _update_picture(self, actions: Actions, idle: IdleDrawing) -> None:
-        """Draw what has changed, and send it."""
+        """Draw changes, and send them."""
         now = time.perf_counter()
         view = actions.poll(min(self._drawing))
         if view is not None or actions.changed:
@@ -356,7 +356,7 @@ def serve(
     first : ImageWithSession or None
         The image that is open at first; None for the start page.
     settings : ViewerSettings
-        What is saved in a temporary folder can be downloaded; it is deleted at the end.
+        Files saved in a temporary folder can be downloaded; they are deleted at the end.
     host, port : str, int, optional
         As of `Page`.
     on_ready : callable, optional
@@ -440,7 +440,7 @@ _NO_DROP = '@dragover.prevent="0" @drop.prevent="0"'
 
 
 def document(panels: Sequence[str]) -> str:
-    """Return the page: panels and the picture, or, where there are no panels, what can be opened.
+    """Return the page: panels and the picture, or, where there are no panels, the start page.
 
     Parameters
     ----------
@@ -483,7 +483,7 @@ def _inline(script: str) -> str:
 
 
 def _with_lists(name: str) -> str:
-    """A file of the page, with the lists of what can be opened where it has them."""
+    """A file of the page, with the lists to open from where it has them."""
     return page_text(name).replace("LISTS", page_text("lists.html"))
 
 

@@ -78,7 +78,7 @@ class EnergyChart:
         self._theme = theme
         #: Width and height of the tile, and height of text, for which the ticks were made; pixels.
         self._renderer, self._room = plotter.renderer, (0, 0, 0)
-        #: What is said before there is a curve.
+        #: Text before there is a curve.
         self._wait = Label(plotter.renderer, theme.ink, (0.5, 0.5))
         self._draw([], [])
         self.update([])
@@ -188,7 +188,7 @@ def _most(room: float) -> int:
 def _set_ticks(
     axis: pv.plotting.charts.Axis, ends: tuple[float, float], most: int, whole: bool
 ) -> None:
-    """Put ticks at round numbers, with at most so many gaps in the range; those of VTK have many digits."""
+    """Put ticks at round numbers, with at most ``most`` gaps in the range; VTK's own have many digits."""
     low, high = ends
     gap = max(round_up((high - low) / most), 1.0) if whole else round_up((high - low) / most)
     positions, labels = vtkDoubleArray(), vtkStringArray()

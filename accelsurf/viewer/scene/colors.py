@@ -35,7 +35,7 @@ THEMES = {
 #: Surfaces and contours of the objects, in order of their ids; the first, also the accent of controls; the reference:
 #: as in the pictures of reports.
 OBJECT_COLORS, SURFACE, REFERENCE = canvas.OBJECT_COLORS, canvas.SURFACE, canvas.REFERENCE
-#: What is written on the accent; the accent of thin lines and of text, which on light must be darker to be read.
+#: Text on the accent; the accent of thin lines and of text, which on light must be darker to be read.
 ON_SURFACE, EDGE = "#101010", {"dark": SURFACE, "light": "#8F5F00"}
 #: Of error messages, which also begin with a word that says so.
 ALARM = {"dark": "#FF9A7A", "light": "#B03A00"}
@@ -67,7 +67,7 @@ def theme_named(name: str) -> Theme:
     Raises
     ------
     UsageError
-        When there is no such theme.
+        When there is no theme of this name.
     """
     if name not in THEMES:
         raise UsageError(f"theme: {name} was given, expected {' or '.join(THEMES)}")

@@ -15,7 +15,7 @@ from vtkmodules.vtkRenderingCore import vtkRenderWindow
 
 from accelsurf.errors import AccelsurfError
 
-#: What a machine without a graphics driver lacks.
+#: Advice for a machine without a graphics driver.
 HINT = (
     "install a software renderer: on Debian and Ubuntu apt install libosmesa6 or libegl1 libgl1-mesa-dri, "
     "on Fedora mesa-libOSMesa or mesa-libEGL"
@@ -55,7 +55,7 @@ def require_graphics() -> str:
     Raises
     ------
     GraphicsError
-        When nothing here can draw, with what to install.
+        When nothing here can draw, with packages to install.
     """
     name = _probed()
     if not name:

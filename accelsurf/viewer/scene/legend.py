@@ -14,7 +14,7 @@ from accelsurf.viewer.scene.colors import REFERENCE, ObjectStyle, Theme, unnamed
 from accelsurf.viewer.scene.overlay import FlatLine, Label, Pixels
 
 #: Place of the right end in the tile, from 0 to 1, and height of the first line; from one line to the next, heights of
-#: text; of its height so much is coloured, with a rim of so many pixels of a usual screen.
+#: text; coloured part of its height, and the width of the rim, pixels of a usual screen.
 RIGHT, TOP, LINE, SWATCH, RIM = 0.985, 0.985, 1.4, 0.7, 1.0
 
 
@@ -37,7 +37,7 @@ class Legend:
         self._has_color: list[bool] = []
 
     def show(self, lines: Sequence[tuple[str, str | None]]) -> None:
-        """Write lines, text and what colour it names, in place of those before."""
+        """Write lines, text and the colour that it names, in place of those before."""
         while len(self._labels) < len(lines):
             self._labels.append(Label(self._renderer, self._ink, (RIGHT, TOP), top=True))
             self._swatches.append(

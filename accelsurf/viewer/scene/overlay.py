@@ -27,7 +27,7 @@ class Pixels(NamedTuple):
     Attributes
     ----------
     height : int
-        Of the window, in pixels of the device; of a narrow one what would be its height in 16:9.
+        Of the window, in pixels of the device; of a narrow one the height of a 16:9 window of its width.
     ratio : float
         Pixels of the device for one of a usual screen, by which widths of lines are given; 2 on many fine screens.
 

@@ -17,7 +17,7 @@ SLOW = 0.025
 
 
 class Redraw:
-    """Choice of the tiles of a window that are drawn anew; VTK keeps what the others show.
+    """Choice of the tiles of a window that are drawn anew; VTK keeps the pictures of the others.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Redraw:
     Attributes
     ----------
     is_painted : bool
-        Whether the window system asks for each picture once more, to paint it, as Qt does: what has been drawn is in
+        Whether the window system asks for each picture once more, to paint it, as Qt does: the picture is in
         VTK's memory then, and is not drawn again, unless a camera was moved or the size changed in between.
     """
 
@@ -36,7 +36,7 @@ class Redraw:
         self.window, self._renderers = window, tuple(renderers)
         self._shown: set[vtkRenderer] = set(self._renderers)
         self._waiting: set[vtkRenderer] = set(self._renderers)
-        #: What is drawn over a tile, after it -> the tile.
+        #: Renderer over a tile, drawn after it -> the tile.
         self._overlays: dict[vtkRenderer, pv.Renderer] = {}
         self._seconds = 0.0
         self._hurries, self.is_painted, self._is_empty = False, False, True
@@ -52,7 +52,7 @@ class Redraw:
         self.window.AddRenderer(over)
 
     def mark(self, *renderers: vtkRenderer) -> None:
-        """Draw these anew, tiles or what is drawn over them."""
+        """Draw these anew, tiles or renderers over them."""
         self._waiting.update(renderers)
 
     def mark_all(self) -> None:
@@ -79,14 +79,14 @@ class Redraw:
         return bool(self._due())
 
     def draw(self) -> None:
-        """Draw what has changed."""
+        """Draw the renderers that have changed."""
         due = self._due()
         if not due:
             return
         self._choose(due)
         self._is_ours, began = True, time.perf_counter()
-        # What Python would collect meanwhile may be the window of a closed scene: freed within a picture it leaves
-        # VTK without this one's graphics context, and the process ends.
+        # Python could collect the window of a closed scene meanwhile: freed within a picture it leaves VTK without this
+        # one's graphics context, and the process ends.
         collects = gc.isenabled()
         gc.disable()
         try:
@@ -104,7 +104,7 @@ class Redraw:
         self._unpainted = self.window.GetSize() if self.is_painted else None
 
     def _due(self) -> set[vtkRenderer]:
-        """Return the renderers that have changed, are shown and need not wait, with what is drawn over them."""
+        """Return the renderers that have changed, are shown and need not wait, with the renderers over them."""
         due = self._waiting & self._shown
         over = {
             over
@@ -160,7 +160,7 @@ class TileContext(NamedTuple):
     Attributes
     ----------
     redraw : Redraw
-        Is told what has changed.
+        Is told of changes.
     styles : ObjectStyles
     theme : Theme
         At first.

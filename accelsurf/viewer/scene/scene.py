@@ -65,7 +65,7 @@ class Scene:
     ----------
     plotter : pyvista.Plotter
     frame : Frame or None
-        What is drawn now.
+        On display now.
     theme, theme_name : Theme, str
         Colours in use.
     color : str
@@ -73,7 +73,7 @@ class Scene:
     is_interpolated : bool
         Whether slices are drawn smoothly between voxels, not each voxel as a rectangle.
     tiles : Tiles
-        How the tiles lie, and what part of the image each shows.
+        Layout of the tiles, and the part of the image in each.
     is_straight : bool
         Whether slices follow the world's axes, not the voxels; at first where the header names a patient's.
     unit : str
@@ -134,7 +134,7 @@ class Scene:
 
     @staticmethod
     def layout(geometry: Geometry) -> dict[str, Any]:
-        """Arguments of a `pyvista.Plotter` whose renderers are what the scene of such an image needs."""
+        """Arguments of a `pyvista.Plotter` with the renderers of the scene of an image."""
         if geometry.slice_axis is not None:
             return {"shape": (1, 3), "groups": [(0, [0, 1])], "border": False}
         return {"shape": (2, 4), "groups": [([0, 1], [0, 1])], "border": False}
@@ -179,7 +179,7 @@ class Scene:
         if self._reference is not None:
             self._reference.draw(self.space, self.slice_tiles.values())
 
-    # -- what is drawn ------------------------------------------------------------------------------------
+    # -- drawing ------------------------------------------------------------------------------------------
 
     def update(
         self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = (), coarse: bool = False
@@ -353,7 +353,7 @@ class Scene:
             tile.mark_ball(None if middle is None else self.geometry.world_to_index(middle), radius)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
-        """Draw in the slices what belongs to an object of the size that a drag stands for; None removes it."""
+        """Draw in the slices the object of the size that a drag stands for; None removes it."""
         volume = None if drag is None else drag.volume_of(drag_mm)
         for tile in self.slice_tiles.values():
             tile.mark_size(
@@ -392,7 +392,7 @@ class Scene:
         return Picked("energies", None)
 
     def render(self) -> None:
-        """Draw what has changed."""
+        """Draw all changes."""
         self._redraw.draw()
 
     def screenshot(self, path: str | Path | None = None) -> NDArray[np.uint8]:
@@ -409,7 +409,7 @@ class Scene:
 
 
 def grab(window: vtkRenderWindow) -> NDArray[np.uint8]:
-    """Return what a rendered window shows, (height, width, 3)."""
+    """Return the picture of a rendered window, (height, width, 3)."""
     filter_ = vtkWindowToImageFilter()
     filter_.SetInput(window)
     filter_.ReadFrontBufferOff()

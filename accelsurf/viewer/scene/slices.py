@@ -60,7 +60,7 @@ def function_lines(function: NDArray[np.float32], stack: SliceStack, number: int
 
 
 class DragLines:
-    """The outline of what belongs to an object of a size, in a tile; in a straight slice its times are read once."""
+    """The outline of an object of a size, in a tile; in a straight slice its times are read once."""
 
     def __init__(self) -> None:
         self._read_for: tuple[SizeDrag, SliceStack, int] | None = None
@@ -126,7 +126,7 @@ FILL = 0.97
 #: The slider: its distance from the sides of the tile (parts of its width), thickness of track and handle, width of the
 #: handle, height of the strip along the lower edge in which a press takes it (pixels of a usual screen).
 SIDE, TRACK, HANDLE, WIDE, STRIP = 0.02, 2.0, 11.0, 9.0, 17.0
-#: Largest enlargement, and smallest, of what fits the tile.
+#: Largest enlargement, and smallest, from the size that fits the tile.
 MAX_ZOOM, MIN_ZOOM = 40.0, 0.5
 #: Between the image and the middle of a letter, heights of text.
 LETTER = 0.8
@@ -176,7 +176,7 @@ class SliceTile:
         self._image, self._window, self._is_smooth = image, window, True
         self._vertical, self._horizontal = IN_PLANE[plane]
         self.index = -1
-        #: What draws each line, and its width in pixels of a usual screen.
+        #: Actor of each line, and its width in pixels of a usual screen.
         self._lines: dict[str, tuple[pv.Actor, float]] = {}
         self._ratio = 1.0
         self._drawn_objects, self._drag = 0, DragLines()
@@ -240,7 +240,7 @@ class SliceTile:
         x, y, _ = self.renderer.camera.focal_point
         return x + (right - 0.5) * width * mm, y + (up - 0.5) * height * mm
 
-    # -- what is drawn ------------------------------------------------------------------------------------
+    # -- drawing ------------------------------------------------------------------------------------------
 
     def show(self, cursor: NDArray[np.float64]) -> None:
         """Go to the slice nearest to an index (z, y, x) of the image, and draw the cursor's lines."""
@@ -381,7 +381,7 @@ class SliceTile:
         self._draw_lines("places", np.concatenate(lines) if lines else NONE, CURSOR, 2.5)
 
     def add_picture(self, texture: Texture, depth: float) -> pv.Actor:
-        """Draw a picture of the whole slice; what has a larger ``depth`` lies over what has a smaller one."""
+        """Draw a picture of the whole slice; a larger ``depth`` lies over a smaller one."""
         actor = add_actor(self.renderer, polygon(self._corners, self.stack.extent, depth), "white")
         actor.SetTexture(texture.texture)
         self._pictures.append((actor, depth))
@@ -503,7 +503,7 @@ class SliceTile:
         camera.focal_point, camera.position = (x, y, 0.0), (x, y, 100.0)
 
     def zoom(self, factor: float, right: float = 0.5, up: float = 0.5) -> None:
-        """Enlarge by a factor; what is at this place of the tile, each coordinate from 0 to 1, stays there."""
+        """Enlarge by a factor; the point at this place of the tile, each coordinate from 0 to 1, stays there."""
         before = np.array(self.to_plane(right, up))
         self._zoom = float(np.clip(self._zoom * factor, MIN_ZOOM, MAX_ZOOM))
         self._aim()

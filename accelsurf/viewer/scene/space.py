@@ -89,7 +89,7 @@ def _share(surface: SurfaceFrame, ends: Floats) -> float | None:
     """Return the part of the line, 0 to 1, after which it enters an object."""
     if not surface.has_surface:
         return None
-    # Not with the module: the first picture has no surface yet, and what makes one has loaded this.
+    # Not with the module: the first picture has no surface yet, and the solver, which makes one, has loaded this.
     from scipy import ndimage
 
     first, last = surface.from_image(ends)
@@ -169,7 +169,7 @@ class SpaceTile:
         self._box = add_actor(self.renderer, self.box, theme.lines)
         self._ball: pv.Actor | None = None
         self._places: pv.Actor | None = None
-        #: What draws the predictions and the ways of tracked objects.
+        #: Actors of the predictions and of the ways of tracked objects.
         self._tracks: tuple[pv.Actor, pv.Actor] | None = None
         self._planes: list[tuple[pv.Actor, Texture]] = []
         #: Whether the three slices are drawn.
@@ -353,7 +353,7 @@ class SpaceTile:
         self._show_moved()
 
     def _show_moved(self) -> None:
-        """Draw what the camera sees after it was moved."""
+        """Draw the view of a camera that was moved."""
         self.renderer.ResetCameraClippingRange()
         self.mark()
 
@@ -388,7 +388,7 @@ class SpaceTile:
         return 2.0 * float(self.renderer.camera.parallel_scale) / max(self.renderer.GetSize()[1], 1)
 
     def zoom(self, factor: float, right: float = 0.5, up: float = 0.5) -> None:
-        """Enlarge by a factor, within limits; what is at this place of the tile, each from 0 to 1, stays there."""
+        """Enlarge by a factor, within limits; the point at this place of the tile, each from 0 to 1, stays there."""
         before, (width, height) = self.mm_per_pixel(), self.renderer.GetSize()
         camera, diagonal = self.renderer.camera, float(np.linalg.norm(self._geometry.extent_mm))
         camera.parallel_scale = float(

@@ -1,6 +1,6 @@
 """Marks: strokes as they are painted, voxels in the slices at once and beads in 3D; uncertain locations; answers.
 
-In 3D the beads are drawn over what is there, so that the surface, which takes longer, is not drawn anew for each.
+In 3D the beads are drawn over the picture, so that the surface, which takes longer, is not drawn anew for each.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from accelsurf.viewer.scene.space import SpaceTile
 #: How much of the picture below shows through, of 255; the depth of the layer in a tile, below the contours.
 OPACITY, DEPTH = 160, 1.5
 COLORS = {"inside": INSIDE, "outside": OUTSIDE}
-#: Colours (red, green, blue, opacity) of what no stroke names, of voxels inside and outside.
+#: Colours (red, green, blue, opacity) of voxels outside all strokes, of strokes inside and outside.
 _TABLE = np.array(
     [[0, 0, 0, 0], *((*pv.Color(COLORS[side]).int_rgb, OPACITY) for side in SIDES)], np.uint8
 )

@@ -1,4 +1,4 @@
-"""The tiles of the scene: how they lie, what part of the image each shows, which are drawn anew.
+"""The tiles of the scene: their layout, the part of the image in each, and the redraw.
 
 Places of the tiles in the picture: four up, one large and the others beside it, slices alone, one alone.
 
@@ -103,7 +103,7 @@ class Tiles:
         chart: bool | None = None,
         space: bool | None = None,
     ) -> None:
-        """Change how the tiles lie, and whether chart and picture in 3D are shown; what is not given stays.
+        """Change the layout of the tiles, and whether chart and picture in 3D are shown; None changes nothing.
 
         Raises
         ------
@@ -128,11 +128,11 @@ class Tiles:
             self._space.place_cube("space" in places)
             before = self._fitted
             if self._note_fitted() and before:
-                # What was seen whole in a narrow tile is seen as large as the other one allows.
+                # An image seen whole in a narrow tile is seen as large as the other one allows.
                 self._space.zoom(before / self._fitted)
 
     def lay_out_fitted(self, width: float, height: float, space: bool) -> None:
-        """Lay the tiles out so that the slices are as large as a picture of so many pixels allows, without a chart.
+        """Lay the tiles out so that the slices are as large as a picture of this size, pixels, allows, without a chart.
 
         ``space``: with the picture in 3D.
         """
@@ -163,7 +163,7 @@ class Tiles:
         """Return a tile by its name."""
         return self._space if self._space is not None and name == "space" else self._slices[name]
 
-    # -- what each shows ----------------------------------------------------------------------------------
+    # -- part of the image in each ------------------------------------------------------------------------
 
     def show_whole(self) -> None:
         """Show the whole image in all tiles, as at first."""
@@ -211,7 +211,7 @@ LAYOUTS = ("one", "four", "slices", "single")
 STRIP = 0.2
 #: Part of the width that the large tile takes beside others; height of the picture in 3D beside that of a slice there.
 LARGE, SPACE = 0.6, 0.8
-#: So many times the area of the first slice another one must have to be the large one.
+#: Least area of another slice to be the large one, in areas of the first slice.
 MUCH = 1.5
 
 #: Left, bottom, right, top in the picture, each from 0 to 1.
@@ -234,7 +234,7 @@ def viewports(
     chart : bool
         Whether the chart is shown.
     is_tall : bool, optional
-        Without the chart: what lies beside each other otherwise lies below each other, in a picture that is high.
+        Without the chart: tiles lie below each other, not beside each other, in a picture that is high.
 
     Raises
     ------

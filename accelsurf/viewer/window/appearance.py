@@ -31,11 +31,11 @@ CONTROL_COLORS = {
 
 
 def page_of_help(keys: Mapping[str, Key]) -> str:
-    """Return what keys and mouse do, as rich text."""
+    """Return the actions of keys and mouse, as rich text."""
     of_window = [("F1  H", "this page"), ("Ctrl+Q", "close")]
     rows = [*help_rows(keys), *of_window]
     half = -(-len(rows) // 2)
-    # The keys stay in one line; what they do may take two where the window is narrow.
+    # The keys stay in one line; their actions may take two where the window is narrow.
     columns = (
         "".join(
             f"<tr><td style='white-space: pre'><b>{a}</b>  </td><td>{b}</td></tr>" for a, b in part

@@ -38,7 +38,7 @@ class CanvasEvents(QObject):
     actions : Actions
     canvas : pyvistaqt.QtInteractor
     refresh : callable
-        Draws what has changed, at once.
+        Draws changes at once.
     """
 
     def __init__(self, actions: Actions, canvas: QtInteractor, refresh: Callable[[], None]) -> None:
@@ -98,7 +98,7 @@ class CanvasEvents(QObject):
             self._refresh()
 
     def _touch(self, event: QTouchEvent) -> None:
-        """Request what touches of a screen mean."""
+        """Request the actions of touches on a screen."""
         if event.type() == QEvent.Type.TouchCancel:
             self._actions.request("touch_cancel")
         for point in event.points():

@@ -59,7 +59,7 @@ from accelsurf.viewer.window.slices_panel import PicturePanel, SlicesPanel
 
 #: How often the window looks for something new, milliseconds.
 POLL_MS = 15
-#: Width of the page of keys where there is room, and what stays free beside it, pixels.
+#: Width of the page of keys where there is room, and the margin beside it, pixels.
 HELP_WIDTH, HELP_MARGIN = 1240, 12
 
 
@@ -184,7 +184,7 @@ class Window(QMainWindow):
     # -- requests --------------------------------------------------------------------------------------
 
     def _ask(self, name: str, *values: Any) -> None:
-        """Make a request, and draw what it has changed."""
+        """Make a request, and draw its changes."""
         self.user_actions.request(name, *values)
         self.refresh()
 
@@ -213,7 +213,7 @@ class Window(QMainWindow):
     # -- news ---------------------------------------------------------------------------------------------
 
     def refresh(self) -> None:
-        """Draw what has changed, and show the state: at once, not when the session has something new."""
+        """Draw changes, and show the state: at once, not when the session has something new."""
         if self.user_actions.changed:
             self.idle.interrupt()
             self.scene.render()
@@ -340,7 +340,7 @@ class ToolsPanel(Section):
         grid.addWidget(self.answers, row + 2, 0, 1, IN_ROW)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show the tool in use, its radius, and what the first click may mean."""
+        """Show the tool in use, its radius, and other meanings of the first click."""
         self.answers.show_state(state)
         self.tools[state["tool"]].setChecked(True)
         self.tip.setText(state["tool_tip"])
@@ -417,7 +417,7 @@ class ChangesBar(QWidget):
         self.setLayout(row)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show what can be undone."""
+        """Show the state of the buttons."""
         self.undo.setEnabled(state["undoable"] > 0)
         self.redo.setEnabled(state["redoable"] > 0)
         show_choice(self.mesh, state["meshes"], state["mesh"])
@@ -439,7 +439,7 @@ class ResultPanel(Section):
         column.addLayout(row)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show what is known of the objects; hidden before there is one."""
+        """Show the lines about the objects; hidden before there is one."""
         self.setVisible(bool(state["result"]))
         self.lines.setText("\n".join(state["result"]))
         count, at = len(state["uncertain"]), state["uncertain_at"]
@@ -561,6 +561,6 @@ class SidePanels(QWidget):
             panel.show_state(state)
 
     def show_hints(self, hints: Sequence[str]) -> None:
-        """Show what to do at first, or nothing."""
+        """Show the first steps, or nothing."""
         self._hints_text.setText("\n".join(hints))
         self.hints.setVisible(bool(hints))

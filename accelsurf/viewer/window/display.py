@@ -21,7 +21,7 @@ _SECONDS = 60
 
 
 def lacks_window_packages() -> str:
-    """Return in one sentence what packages the window lacks; empty when it lacks none."""
+    """Return one sentence about the packages that the window lacks; empty when it lacks none."""
     missing = _missing(WINDOW_PACKAGES)
     verb = "is" if len(missing) == 1 else "are"
     return (
@@ -40,12 +40,12 @@ def require_display(meanwhile: Callable[[], None] = lambda: None) -> None:
     Parameters
     ----------
     meanwhile : callable, optional
-        Is done while another process tries it; may not load Qt. What it raises is raised.
+        Is done while another process tries it; may not load Qt. Its errors are raised.
 
     Raises
     ------
     GraphicsError
-        When a package or a library is missing, or there is no screen; with what to do.
+        When a package or a library is missing, or there is no screen; with advice.
     """
     if lack := lacks_window_packages():
         raise GraphicsError(lack, f"{INSTALL}; accelsurf segment needs no window")

@@ -20,7 +20,7 @@ from accelsurf.viewer.window.appearance import palette, sheet
 from accelsurf.viewer.window.desktop import Window, application
 from accelsurf.viewer.window.start_page import StartPage, choice_dialog, question_box
 
-#: How often it looks for what has been opened, milliseconds.
+#: Interval between looks for an opened image, milliseconds.
 POLL_MS = 30
 #: Share of the screen's width and height that the window takes, where that is more than its usual size.
 SHARE = 0.85
@@ -37,7 +37,7 @@ class MainWindow(QMainWindow):
     Attributes
     ----------
     inner : Window or None
-        What shows the open image.
+        Shows the open image.
     start_page : StartPage or None
         Shown before.
     """
@@ -69,7 +69,7 @@ class MainWindow(QMainWindow):
         self._timer.start()
 
     def _fit_screen(self) -> None:
-        """Take most of the screen: what is left and right of an image says nothing of it."""
+        """Take most of the screen: the space beside an image says nothing of it."""
         room = self.screen().availableGeometry()
         width, height = (
             min(whole, max(least, round(SHARE * whole)))
@@ -98,7 +98,7 @@ class MainWindow(QMainWindow):
         menu.addAction(action)
         return action
 
-    # -- what the user asks for ---------------------------------------------------------------------------
+    # -- requests of the user -----------------------------------------------------------------------------
 
     def ask_file(self) -> None:
         """Ask for a file, and open it."""
@@ -128,7 +128,7 @@ class MainWindow(QMainWindow):
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent) -> None:
-        """Open what was dropped."""
+        """Open a dropped file or folder."""
         event.acceptProposedAction()
         self.opening.request(
             "drop", *(url.toLocalFile() for url in event.mimeData().urls() if url.isLocalFile())
@@ -217,7 +217,7 @@ class MainWindow(QMainWindow):
     def open(
         self, opened: OpenedImage, session: Session | None = None, close_if_it_fails: bool = False
     ) -> None:
-        """Show an image in place of what is shown now; its slices at once, its surface when the run is prepared.
+        """Show an image in place of the present one; its slices at once, its surface when the run is prepared.
 
         Parameters
         ----------
@@ -225,8 +225,8 @@ class MainWindow(QMainWindow):
         session : Session, optional
             Of it; one is begun otherwise.
         close_if_it_fails : bool, optional
-            Close the window if the run cannot be prepared, unless another image is open by then; else the window says
-            what is wrong.
+            Close the window if the run cannot be prepared, unless another image is open by then; else the window shows
+            the error.
         """
         settings, former = self._settings, self.inner
         session = (
@@ -288,9 +288,7 @@ class MainWindow(QMainWindow):
         return self.close()
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Ask what becomes of what is not saved; then close the image, and let all sessions finish what they were
-        asked for.
-        """
+        """Ask about unsaved work; then close the image, and let all sessions finish their commands."""
         if not self._is_ending and not self.opening.may_close():
             event.ignore()
             return

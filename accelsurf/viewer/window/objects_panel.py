@@ -91,7 +91,7 @@ class ObjectsPanel(Section):
         grid.addWidget(self.opacity, 2, 1, 1, 3)
         self._rows: list[dict[str, Any]] = []
         self._active = 0
-        #: What was typed may not be taken: what is known is shown again.
+        #: Typed text may not be taken: the known rows are shown again.
         self._is_typed = False
 
     def show_state(self, state: Mapping[str, Any]) -> None:

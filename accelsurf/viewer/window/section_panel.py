@@ -60,7 +60,7 @@ class Section(QWidget):
     Attributes
     ----------
     body : QWidget
-        What folds away; a panel puts its widgets into its layout.
+        Part that folds away; a panel puts its widgets into its layout.
     """
 
     def __init__(self, title: str, actions: Actions, folded: bool = False) -> None:

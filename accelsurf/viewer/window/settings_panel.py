@@ -33,7 +33,7 @@ STICKS = "\N{NO-BREAK SPACE}"
 
 
 class SettingRow(QWidget):
-    """A setting: its name, and the widgets of its kind, see `settings_rows`; those of other kinds are None.
+    """A setting: its name, and the widgets of its kind, see `settings_rows`; other widgets are None.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class SettingRow(QWidget):
     line : QLineEdit or None
         To type a text in, or the expression of an energy.
     error : QLabel or None
-        What is wrong with the expression that is typed.
+        Error of the expression that is typed.
     changed, typing : Signal
         With the value that was chosen; with each text on the way to an expression.
     """
@@ -136,13 +136,13 @@ class SettingRow(QWidget):
             )
         if self.line is not None:
             if self.error is None:
-                self.line.setPlaceholderText(row["now"])  # what an empty line means
+                self.line.setPlaceholderText(row["now"])  # the meaning of an empty line
             if not self.line.hasFocus() or (self.error is None and self._value != value):
                 self._value = value
                 self.line.setText(value)
 
     def show_error(self, text: str) -> None:
-        """Show what is wrong with the expression that is typed; nothing for an empty text."""
+        """Show the error of the expression that is typed; nothing for an empty text."""
         if self.error is not None:
             self.error.setText(text)
             self.error.setVisible(bool(text))
@@ -154,7 +154,7 @@ class SettingRow(QWidget):
 
 
 def titled(row: Row) -> str:
-    """Return the name of a row, with its unit and the mark of what begins another run."""
+    """Return the name of a row, with its unit and the mark of a setting that begins another run."""
     unit = f" ({row['unit']})" if row["unit"] else ""
     # The mark never stands alone in a second line.
     return f"{row['label']}{unit}{f'{STICKS}{RESTARTS}' if row['restarts'] else ''}"
@@ -168,7 +168,7 @@ class SettingsPanel(Section):
     rows : dict of str to SettingRow
         By the key of the setting, in their order.
     groups : dict of str to Section
-        What is folded, by the group of the help.
+        Folded sections, by the group of the help.
     """
 
     def __init__(self, actions: Actions) -> None:
@@ -194,7 +194,7 @@ class SettingsPanel(Section):
             widget.show_error(state["energy_error"])
 
     def _build(self, rows: list[Row]) -> None:
-        """Make the widgets that are missing, and remove those of terms that the energy has no longer."""
+        """Make the widgets that are missing, and remove widgets of former terms of the energy."""
         wanted = [row["key"] for row in rows]
         for key in [key for key in self.rows if key not in wanted]:
             self.rows.pop(key).deleteLater()

@@ -20,7 +20,7 @@ from accelsurf.viewer.window.section_panel import (
     show_switch,
 )
 
-#: What the list of windows shows where level and width were set by hand.
+#: Entry of the list of windows for level and width set by hand.
 BY_HAND = "by hand"
 
 

@@ -93,7 +93,7 @@ class StartPage(QWidget):
         whole.addStretch(1)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show what can be opened, and what is being done."""
+        """Show the lists to choose from, and the work in progress."""
         if state["recent"] != self._shown.get("recent"):
             rows = [
                 (f"{file['name']}\n{file['folder']}", file["name"], file["exists"])
@@ -112,7 +112,7 @@ class StartPage(QWidget):
         self._shown = dict(state)
 
     def _ask(self, name: str, *values: Any) -> None:
-        # Enter and a click may both come; what is being opened already is not asked for again.
+        # Enter and a click may both come; an image that is being opened is not asked for again.
         if not self._opening.is_busy:
             self._opening.request(name, *values)
 
@@ -154,7 +154,7 @@ def choice_dialog(parent: QWidget, texts: Sequence[str]) -> tuple[QInputDialog, 
     return dialog, view
 
 
-#: The roles of answers, by name: they say what Enter and Escape mean, and in which order buttons stand.
+#: The roles of answers, by name: they set the meaning of Enter and Escape, and the order of buttons.
 _ROLES = {
     "open": QMessageBox.ButtonRole.AcceptRole,
     "resume": QMessageBox.ButtonRole.AcceptRole,
