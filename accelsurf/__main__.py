@@ -11,7 +11,8 @@ from typing import NoReturn
 #: 400,000 that stay, which Python's own 700 would have looked through 450 times; steps make none that stay.
 GC_THRESHOLD = 500_000
 #: The same for commands that go on for hours: an image that is in a cycle shall not stay for long.
-LONG, LONG_THRESHOLD = ("batch", "track", "serve"), 50_000
+LONG = ("batch", "track", "serve")
+LONG_THRESHOLD = 50_000
 
 
 def main() -> NoReturn:

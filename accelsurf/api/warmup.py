@@ -22,12 +22,15 @@ from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig
 
 #: Voxels along each axis of the images, the radius of the balls in them, and of where the surface starts (voxels).
-SIDE, RADIUS, START = 24, 8.0, 5.0
+SIDE = 24
+RADIUS = 8.0
+START = 5.0
 #: Steps of each run: restarts, limits and rests are met within them.
 STEPS = 12
 MIDDLE = ",".join([f"{SIDE / 2:g}"] * 3)
 #: Terms that want bounds, and those that want clicks.
-_AS_GIVEN, _CLICKED = {"threshold": "threshold:auto"}, ("seeded", "partition")
+_AS_GIVEN = {"threshold": "threshold:auto"}
+_CLICKED = ("seeded", "partition")
 
 
 def small_runs() -> dict[str, Callable[[], Any]]:

@@ -24,7 +24,9 @@ from accelsurf.settings.track_fields import TrackFields
 from accelsurf.settings.wording import did_you_mean, shown
 
 T = TypeVar("T")
-IMAGE, ID, REFERENCE = "image", "id", "reference"
+IMAGE = "image"
+ID = "id"
+REFERENCE = "reference"
 #: Setting of tracking whose words may name files.
 CORRECTIONS = "correct"
 #: Endings of tables.

@@ -116,13 +116,13 @@ def _matches(pattern: str, tracking: bool) -> list[Path]:
     """Return the images or sequences that a pattern names; ``**`` stands for folders at any depth."""
     paths = [Path(name) for name in glob.glob(pattern, recursive=True)]
     if tracking:
-        kind, found, hint = "sequence", _sequences(paths), "is the pattern in quotes?"
+        kind = "sequence"
+        found = _sequences(paths)
+        hint = "is the pattern in quotes?"
     else:
-        kind, found, hint = (
-            "image",
-            layouts.images_among(paths),
-            f"is it in quotes? images are {input_help()}",
-        )
+        kind = "image"
+        found = layouts.images_among(paths)
+        hint = f"is it in quotes? images are {input_help()}"
     if not found:
         raise InputError(f"{pattern}: no {kind} has a name like this", hint)
     return found

@@ -40,7 +40,10 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
     """
 
     def __init__(self, work: Batch, pool: Pool, folder: Path, resume: bool) -> None:
-        self._work, self._pool, self._folder, self._resume = work, pool, folder, resume
+        self._work = work
+        self._pool = pool
+        self._folder = folder
+        self._resume = resume
         self._futures: dict[str, Future[Outcome]] = {task.case.id: Future() for task in work.tasks}
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="accelsurf-many", daemon=True)

@@ -15,7 +15,9 @@ from accelsurf.settings.labels import IdRanges, parse_ids
 from accelsurf.settings.wording import shown
 
 #: Columns of a table.
-PRED, REF, CASE = "pred", "ref", "case"
+PRED = "pred"
+REF = "ref"
+CASE = "case"
 
 
 @dataclass(frozen=True)

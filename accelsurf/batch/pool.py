@@ -31,7 +31,8 @@ READY = "ready"
 #: Jobs after which a worker is replaced, so that memory which a library does not give back cannot pile up.
 JOBS_PER_WORKER = 200
 #: Seconds between two looks at the memory of the workers, and that a worker has to end by itself.
-_LOOK_SECONDS, _LEAVE_SECONDS = 0.25, 5.0
+_LOOK_SECONDS = 0.25
+_LEAVE_SECONDS = 5.0
 #: Number of workers in a row that die before they are ready: more would do the same.
 _MAX_STILLBORN = 3
 
@@ -120,7 +121,9 @@ class _Worker:
         with _signals_wait():
             self.process.start()
         theirs.close()
-        self.is_ready, self.jobs_done, self.began = False, 0, 0.0
+        self.is_ready = False
+        self.jobs_done = 0
+        self.began = 0.0
         self.job: Job | None = None
 
     def give(self, job: Job) -> None:
@@ -177,7 +180,9 @@ class LocalPool:
         prepare: Callable[[], None] | None = None,
     ) -> None:
         self._function, self._prepare = function, prepare
-        self._jobs, self._timeout, self._limit = jobs, timeout, limit
+        self._jobs = jobs
+        self._timeout = timeout
+        self._limit = limit
         self._bytes: float = math.inf if bytes is None else bytes
         self._waiting: deque[Job] = deque()
         self._workers: list[_Worker] = []

@@ -129,7 +129,10 @@ class Batch:
         layout: str,
         argv: Sequence[str],
     ) -> None:
-        self.tasks, self.needs, self.admission, self.layout = tasks, needs, admission, layout
+        self.tasks = tasks
+        self.needs = needs
+        self.admission = admission
+        self.layout = layout
         self.names = TableNames(shard)
         self._facts = {
             "argv": list(argv),
@@ -296,7 +299,9 @@ def task_of(task: CaseTask) -> CaseTask:
     UsageError
         When the case cannot be in that layout.
     """
-    case, folder, config = task.case, task.folder, task.run
+    case = task.case
+    folder = task.folder
+    config = task.run
     if config.layout == "plain" or isinstance(task.config, TrackConfig):
         return replace(task, folder=folder / case.id)
     try:

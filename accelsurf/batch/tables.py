@@ -21,7 +21,8 @@ from accelsurf.output.folder import naming_final
 #: Raised when a key of the report or a column of the table changes its name or its meaning.
 SCHEMA_VERSION = 1
 #: While cases run, tables are written so many seconds apart at least, and so many times the seconds that it takes.
-_APART_SECONDS, _APART_TIMES = 2.0, 20.0
+_APART_SECONDS = 2.0
+_APART_TIMES = 20.0
 
 BatchStatus = Literal["running", "ok", "failed", "interrupted"]
 
@@ -37,11 +38,9 @@ class TableNames:
 
     def __init__(self, shard: Shard | None = None) -> None:
         part = "" if shard is None else f"_{shard.number}of{shard.total}"
-        self.table, self.page, self.report = (
-            f"batch{part}.csv",
-            f"batch{part}.html",
-            f"batch_report{part}.json",
-        )
+        self.table = f"batch{part}.csv"
+        self.page = f"batch{part}.html"
+        self.report = f"batch_report{part}.json"
         #: Of the set of files.
         self.set = f"batch{part}"
 
@@ -79,7 +78,10 @@ class Tables:
         columns: Sequence[str] = COLUMNS,
     ) -> None:
         self._columns = columns
-        self._files, self._names, self._about, self._images = files, names, about, images
+        self._files = files
+        self._names = names
+        self._about = about
+        self._images = images
         self._outcomes = {outcome.id: outcome for outcome in outcomes}
         self._began = self._written = time.monotonic()
         self._cost = 0.0

@@ -207,7 +207,10 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
     """Write the outputs of a result, those of a failed run beside a result that stands; remove its checkpoint."""
     from accelsurf.output import outputs
 
-    place, files, log, config = case.place, case.files, case.log, result.config
+    place = case.place
+    files = case.files
+    log = case.log
+    config = result.config
     title = outputs.outcome_title(place.name, result)
     # The picture shows the surface, which is extracted here.
     content = log.timed("mesh", lambda: outputs.preview_content(result, title))

@@ -30,7 +30,8 @@ _AGAIN_SECONDS = 0.05
 #: Errors of a stream that nobody reads any more, or that has no space left.
 _NOT_WRITTEN = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EBADF)
 #: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
-MAX_ERROR, MAX_HINT = 390, 1000
+MAX_ERROR = 390
+MAX_HINT = 1000
 
 
 class Interrupts:

@@ -85,7 +85,9 @@ class BatchProgress:
     def __init__(self, display: Display, count: int, what: str = "cases") -> None:
         kind = shown_kind(display)
         self._show_json, self._quiet = kind == "json", display.quiet
-        self._count, self._done, self._failed = count, 0, 0
+        self._count = count
+        self._done = 0
+        self._failed = 0
         self._what, self._has_bar = what, kind == "bar"
         self._bar: Bar | None = None
 

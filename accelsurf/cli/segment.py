@@ -127,7 +127,9 @@ def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
     ------
     UsageError
     """
-    also, layout, group = bool(run.also), run.layout != "plain", run.label_group is not None
+    also = bool(run.also)
+    layout = run.layout != "plain"
+    group = run.label_group is not None
     given = {
         "--strict": strict,
         "--profile": profile,

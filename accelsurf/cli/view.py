@@ -240,11 +240,9 @@ def view(
     overwrite
         Replace files in the folder that this session has not written.
     """
-    made, page, viewer = (
-        run_config(settings, config),
-        page or PageOptions(),
-        viewer or ViewerOptions(),
-    )
+    made = run_config(settings, config)
+    page = page or PageOptions()
+    viewer = viewer or ViewerOptions()
     times = track_config(frames, None, None)
     finished = None if input is None else finished_run(input)
     image = None if finished is None else finished[0]

@@ -173,7 +173,9 @@ def _system(file: str, name: Any) -> Suffix:
 
 def _of_fcsv(file: str) -> _Points:
     """The points of an .fcsv file; one that names no coordinate system is RAS."""
-    columns, suffix, body = list(_FCSV_COLUMNS), Suffix(ras=True), []
+    columns = list(_FCSV_COLUMNS)
+    suffix = Suffix(ras=True)
+    body = []
     for line in _lines(file):
         said = re.fullmatch(r"#\s*(CoordinateSystem|columns)\s*=\s*([^\r\n]*?)[\s,]*", line)
         if said is not None and said[1] == "columns":

@@ -162,7 +162,9 @@ def segment_voxels(
         There, mm.
     geometry : Geometry
     """
-    spacing, first, last = np.array(geometry.spacing), places[0], places[-1]
+    spacing = np.array(geometry.spacing)
+    first = places[0]
+    last = places[-1]
     low, high = _extent(places, radii, geometry)
     if (low >= high).any():
         return None

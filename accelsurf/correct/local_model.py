@@ -46,7 +46,9 @@ class LocalModel:
     def __init__(
         self, state: ClickModel, spacing: Spacing, make: Callable[[Clicks, ClickModel], ClickModel]
     ) -> None:
-        self.state, self.spacing, self._make = state, spacing, make
+        self.state = state
+        self.spacing = spacing
+        self._make = make
 
     def field_on(self, box: Box) -> Image:
         """F on a box of the grid: the surface grows where it is below 0."""

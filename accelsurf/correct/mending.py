@@ -52,9 +52,12 @@ Mask = NDArray[np.bool_]
 Spacing = tuple[float, float, float]
 #: Sigma of the windows on both sides of the border: so many times how far it may move, and at least so many of the
 #: largest spacings; they end at so many sigmas.
-WINDOW, MIN_WINDOW, ENDS = 1.5, 2.0, 2.5
+WINDOW = 1.5
+MIN_WINDOW = 2.0
+ENDS = 2.5
 #: Voxels nearer to the border than so many of the smallest spacings count little in them.
-MIXED, LITTLE = 1.0, 0.1
+MIXED = 1.0
+LITTLE = 0.1
 #: Both sides are learned so many times, each time from the object that the last time showed.
 ROUNDS = 2
 #: Pull to the old place at the rim of the band, of the pull of the clearest edge.
@@ -62,9 +65,11 @@ OLD_PLACE = 0.3
 #: Where the squared difference of both sides is so many of their variances, an edge counts half.
 CLEAR = 1.0
 #: A voxel is at most so many times likelier on one side; least variance of a side, of the image's range squared.
-CLEAREST, MIN_VARIANCE = 3.0, 1e-4
+CLEAREST = 3.0
+MIN_VARIANCE = 1e-4
 #: Smoothing of the image before it is looked at, and weight of the area, both of the smallest spacing: stair steps go.
-SMOOTHING, AREA = 0.5, 0.1
+SMOOTHING = 0.5
+AREA = 0.1
 #: The border of the band is bounded on so many of the largest spacings to either side.
 SHELL = 4.0
 #: Voxels of the largest spacing beyond the band that the surface and its stencils see.

@@ -90,7 +90,9 @@ class CorrectedObjects:
     """
 
     def __init__(self, result: Result, state: RunState, settings: RunConfig) -> None:
-        self._base, self._settings, self.prepared = result, settings, state.prepared
+        self._base = result
+        self._settings = settings
+        self.prepared = state.prepared
         self.images = state.prepared.images
         self.shape, self.spacing = state.prepared.geometry.shape, state.prepared.geometry.spacing
         self.surfaces = [surface_of(segmented, state.prepared.box) for segmented in result.objects]
@@ -146,7 +148,9 @@ class CorrectedObjects:
         for before, box, psi, totals in reversed(last.surfaces):
             before.psi[box] = psi
             self._regional.totals = totals
-        self.surfaces, self._known, self.has_ids = list(last.objects), last.known, last.has_ids
+        self.surfaces = list(last.objects)
+        self._known = last.known
+        self.has_ids = last.has_ids
         self.models.restore(last.models)
         return True
 
@@ -286,12 +290,10 @@ class CorrectedObjects:
         return made
 
     def _segmented(self, now: CorrectedSurface) -> SegmentedObject:
-        segmented, prepared, base, models = (
-            self._known[now.id],
-            self.prepared,
-            self._base,
-            self.models,
-        )
+        segmented = self._known[now.id]
+        prepared = self.prepared
+        base = self._base
+        models = self.models
         is_same = now.history is segmented.history
         corner = prepared.corner_on_image(now.corner)
         box = (

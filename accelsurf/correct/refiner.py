@@ -178,7 +178,9 @@ class Refiner:
                 "refine: the energy has one image, and a correction needs it on a box",
                 "give a class or function that makes the energy of (image, spacing)",
             )
-        self._result, self._state, self.config = result, state, result.config
+        self._result = result
+        self._state = state
+        self.config = result.config
         self._settings = frozen_settings(result)
         self._objects = CorrectedObjects(result, state, self._settings)
         self._images, self._shape, self._spacing = (
@@ -386,7 +388,9 @@ class Refiner:
         self, number: int, correction: Correction, workers: Workers
     ) -> tuple[Change, ...]:
         """Merge objects, split one, or remove one: no surface moves."""
-        began, objects, voxels = time.perf_counter(), self._objects, 0
+        began = time.perf_counter()
+        objects = self._objects
+        voxels = 0
         if correction.removed_id is not None:
             voxels = object_changes.remove(objects, correction.removed_id)
             surface = objects.surfaces[0]
@@ -483,7 +487,9 @@ class Refiner:
         And how far each click reaches, where there is a model. Nothing where all are on their sides already, and the
         model gives them nothing else.
         """
-        relabelled, model, reaches = list(new), self._objects.models.model(surface.id), []
+        relabelled = list(new)
+        model = self._objects.models.model(surface.id)
+        reaches = []
         if model is not None:
             relabelled = []
             for click in new:

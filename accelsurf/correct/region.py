@@ -26,10 +26,12 @@ from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import axis_steps
 
 #: Width of the rim: least numbers of voxels of the smallest spacing, and of the largest.
-_RIM_SMALLEST, _RIM_LARGEST = 6.0, 2.0
+_RIM_SMALLEST = 6.0
+_RIM_LARGEST = 2.0
 #: How far a correction goes unless it is known, in depths of the click in the wrong voxels, and at most, in voxels of
 #: the smallest spacing, so that a correction does not take long; more is for another click, or ``near``.
-_AUTO_TIMES, _MAX_NEAR = 1.5, 12.0
+_AUTO_TIMES = 1.5
+_MAX_NEAR = 12.0
 #: The smallest automatic region, voxels of the largest spacing.
 _MIN_NEAR = 4.0
 #: Distances are continued beyond the band by this number of the largest spacings: no surface that is bounded
@@ -175,11 +177,9 @@ def near_bounds(
         (values + room if "outside" in sides else values),
     )
     # Away from the surface before only the side is bounded, not the distance: new surface may arise nearby.
-    half, away, inside = (
-        np.float32(0.5 * min(axis_steps(shape, spacing))),
-        ~beside[bounded],
-        values < 0,
-    )
+    half = np.float32(0.5 * min(axis_steps(shape, spacing)))
+    away = ~beside[bounded]
+    inside = values < 0
     low[away] = np.where(inside, -np.inf, np.minimum(low, half))[away]
     high[away] = np.where(inside, np.maximum(high, -half), np.inf)[away]
     cells, counts = np.flatnonzero(bounded), np.isfinite(low) | np.isfinite(high)

@@ -18,7 +18,8 @@ from accelsurf.levelset import BandChange, LevelSet
 #: Half width of the tent along each axis that has the variance of a ball of radius 1.
 TENT = math.sqrt(6.0 / 5.0)
 #: Nodes per half width of the tent, where they are not closer than two voxels.
-_MAX_HALF_WIDTH, _MIN_HALF_WIDTH = 4, 2
+_MAX_HALF_WIDTH = 4
+_MIN_HALF_WIDTH = 2
 #: A window with no more than this part on one side of the surface does not count.
 MIN_SHARE = 1e-6
 
@@ -265,7 +266,9 @@ class LocalRegion(Energy):
         )
         box = []
         for axis in range(3):
-            n, b, before = self._nodes[axis], self._nodes[3 + axis], self._nodes[6 + axis]
+            n = self._nodes[axis]
+            b = self._nodes[3 + axis]
+            before = self._nodes[6 + axis]
             low = math.floor(np.min(index[axis]) / b + before) - widths * self._half_widths[axis]
             high = (
                 math.floor(np.max(index[axis]) / b + before) + widths * self._half_widths[axis] + 2

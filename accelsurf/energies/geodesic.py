@@ -11,7 +11,9 @@ from accelsurf.levelset import LevelSet, dot
 
 #: Automatic contrast: the gradient that counts as a strong edge (percentile of all voxels), the part of it that
 #: counts as half an edge, and how far above the middle of all gradients, noise or texture, half an edge must be.
-_STRONG_PERCENTILE, _STRONG_SHARE, _ABOVE_NOISE = 99.9, 0.25, 2.0
+_STRONG_PERCENTILE = 99.9
+_STRONG_SHARE = 0.25
+_ABOVE_NOISE = 2.0
 
 
 class Geodesic(ImageEnergy):

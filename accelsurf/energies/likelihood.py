@@ -26,10 +26,13 @@ MIN_DEVIATION = 0.01
 #: Standard deviation of a normal distribution whose median absolute deviation is 1.
 NORMAL_MAD = 1.4826
 #: Bins of a histogram between these percentiles of the image, and a margin of this part of them to either side.
-BINS, END_PERCENTILES, MARGIN = 64, (0.5, 99.5), 0.05
+BINS = 64
+END_PERCENTILES = (0.5, 99.5)
+MARGIN = 0.05
 #: Width (sigma) of Parzen's window, bins; and the probability that every value has at least in each region, so that no
 #: value decides alone.
-_PARZEN_SIGMA, _UNIFORM_SHARE = 2.0, 0.01
+_PARZEN_SIGMA = 2.0
+_UNIFORM_SHARE = 0.01
 
 
 class Gaussian(NamedTuple):

@@ -12,7 +12,8 @@ from accelsurf.grid.boxes import runs
 
 #: Width of the soft edge unless given: this part of the image's range, but at most this part of the window, so that
 #: g = -1 in its middle.
-_SOFT_RANGE, _SOFT_WINDOW = 0.1, 0.25
+_SOFT_RANGE = 0.1
+_SOFT_WINDOW = 0.25
 
 
 class Threshold(RegionField):

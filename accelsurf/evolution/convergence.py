@@ -14,12 +14,16 @@ from accelsurf.levelset import LevelSet
 STILL = 0.05
 #: A kinetic energy above this share of w times the decrease of the potential must fall: in the second half of the
 #: window it is at most the share `LEVEL` of that in the first.
-LEVEL_KINETIC, LEVEL = 0.05, 0.7
+LEVEL_KINETIC = 0.05
+LEVEL = 0.7
 #: So many more windows would move a converged surface by little: 200 steps, or 60 to 100 after coarser levels.
 HORIZON = 10
 #: A run has stalled when the last `STALL_STEPS` steps are all shorter than the share `STALLED` of the CFL step, or than
 #: the share `COLLAPSED` of the longest step; steps down to the share `SHORT` are long enough to judge by.
-STALLED, COLLAPSED, STALL_STEPS, SHORT = 1e-3, 1e-6, 10, 0.1
+STALLED = 1e-3
+COLLAPSED = 1e-6
+STALL_STEPS = 10
+SHORT = 0.1
 
 
 class StopRule(NamedTuple):
@@ -56,7 +60,9 @@ class StopRule(NamedTuple):
         asked = sum(record.cfl_dt for record in records) / max(len(records), 1)
         if sum(record.dt for record in records) < SHORT * self.window * asked:
             return None
-        earlier, before, moved_before = state.earlier, state.snapshot, state.moved
+        earlier = state.earlier
+        before = state.snapshot
+        moved_before = state.moved
         moved = None if before is None else surface.distance_from(before)
         state.record_check(surface.snapshot(), math.nan if moved is None else moved.mean)
         if moved is None:

@@ -79,7 +79,9 @@ class Evolution:
         state: LoopState | None = None,
         fields: list[np.ndarray] | None = None,
     ) -> None:
-        self.surface, self.energy, self.flow = surface, energy, flow
+        self.surface = surface
+        self.energy = energy
+        self.flow = flow
         self.limits = limits or StepLimits()
         self.max_steps = max_steps
         self.restart = restart
@@ -129,12 +131,10 @@ class Evolution:
 
     def use(self, setup: SolverSetup, energy: Energy | None = None) -> None:
         """Have other solver settings, and another energy unless it is None; a `restore` follows."""
-        self.flow, self.limits, self.restart, self.rule = (
-            setup.flow,
-            setup.limits,
-            setup.restart,
-            setup.rule,
-        )
+        self.flow = setup.flow
+        self.limits = setup.limits
+        self.restart = setup.restart
+        self.rule = setup.rule
         self.energy = energy or self.energy
 
     @property
@@ -231,7 +231,10 @@ class Evolution:
             Changes the dense psi of the surface, which is then made a signed distance again.
         """
         self.initialize()
-        surface, old, flow, half_width = self.surface, self.flow, setup.flow, setup.half_width
+        surface = self.surface
+        old = self.flow
+        flow = setup.flow
+        half_width = setup.half_width
         fraction, area = surface.fraction_and_area()
         potential = self.energy.value(surface, fraction, area)
         if type(flow) is type(old):
@@ -288,18 +291,18 @@ class Evolution:
         restore_surface(self.surface, checkpoint.surface)
         self.flow.restore(self.surface, checkpoint.flow)
         self.energy.restore(self.surface, checkpoint.energy)
-        self._initialized, self._fields, self._stop_requested, self.stop = (
-            True,
-            None,
-            False,
-            checkpoint.stop,
-        )
+        self._initialized = True
+        self._fields = None
+        self._stop_requested = False
+        self.stop = checkpoint.stop
 
     # -- one step ------------------------------------------------------------------------------------------
 
     def _step(self, n: int) -> StepRecord:
         began = time.perf_counter()
-        surface, flow, state = self.surface, self.flow, self.state
+        surface = self.surface
+        flow = self.flow
+        state = self.state
         visited = surface.workers.visited
         self.energy.set_time(surface, state.time)
         fraction, area = surface.fraction_and_area()

@@ -20,7 +20,8 @@ PATIENCE = 60
 PATIENCE_AT_START = 20
 #: How often an evolution goes back and continues with shorter steps; once if the surface is gone, which is quick to
 #: happen again. Then it ends.
-MAX_RETURNS, MAX_RETURNS_IF_GONE = 3, 1
+MAX_RETURNS = 3
+MAX_RETURNS_IF_GONE = 1
 #: By which factor the CFL number of the following steps becomes smaller each time.
 SHORTER = 0.5
 

@@ -11,7 +11,10 @@ from accelsurf.grid.pyramid import Level
 
 #: Stop rule of a coarse level, looser because the next level continues from it, and without a forecast: window, motion
 #: as a multiple of the finest level's, kinetic energy, and share of the surface that may still move further.
-COARSE_WINDOW, COARSE_MOTION, COARSE_KINETIC, COARSE_FAR = 10, 2.0, 0.05, 0.01
+COARSE_WINDOW = 10
+COARSE_MOTION = 2.0
+COARSE_KINETIC = 0.05
+COARSE_FAR = 0.01
 #: Reasons to stop that leave no surface for the next level.
 FAILED = ("vanished", "filled", "diverged")
 

@@ -22,7 +22,10 @@ from accelsurf.levelset.checkpoint import band_state, complete_state, psi_of
 
 #: Steps that the speed is a mean over; parts of the peak below which a front may rest and above which it breaks
 #: through; part of the volume that it has grown by then.
-WINDOW, SLOW, BURST, GROWTH = 5, 0.5, 0.04, 0.05
+WINDOW = 5
+SLOW = 0.5
+BURST = 0.04
+GROWTH = 0.05
 #: Below this part of the peak it is as good as still.
 STILL = 0.01
 #: A front without momentum is slow for this many steps: no rest.

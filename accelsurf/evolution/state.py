@@ -305,7 +305,10 @@ class LoopState:
             step,
             step,
         )
-        self.snapshot, self.earlier, self.moved, self.fields = None, None, math.nan, None
+        self.snapshot = None
+        self.earlier = None
+        self.moved = math.nan
+        self.fields = None
 
     def record_rest(self, potential: float) -> None:
         """Record that the surface went back to where its front rested."""

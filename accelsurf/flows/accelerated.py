@@ -15,7 +15,8 @@ from accelsurf.levelset import LevelSet
 
 #: Where the speeds reverse in two steps in a row, the estimate of the force stiffness grows by the first factor, up to
 #: so many times the estimate by the peak force: the step becomes shorter by the square root.
-STIFFNESS_GROWTH, MAX_STIFFNESS_FACTOR = 1.5, 16.0
+STIFFNESS_GROWTH = 1.5
+MAX_STIFFNESS_FACTOR = 16.0
 
 
 class Accelerated(Flow):

@@ -63,7 +63,9 @@ class Clock:
 
     def restore(self, t0: float | None, time: float, last_dt: float) -> None:
         """Go back to a `state`."""
-        self.t0, self.time, self.last_dt = t0, time, last_dt
+        self.t0 = t0
+        self.time = time
+        self.last_dt = last_dt
 
     def continue_from(self, before: Clock) -> None:
         """Continue from a clock with other settings: take its time, unless it is at rest; then keep the own t0."""

@@ -69,7 +69,9 @@ class ConstantDensity(Accelerated):
 
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Kick the speeds by the force over the step around the present time; the centred leap-frog."""
-        surface, front, clock = now.surface, now.front, self.clock
+        surface = now.surface
+        front = now.front
+        clock = self.clock
         force = front_percentiles(now, now.force, limits.percentile)
         speed = (
             (0.0, 0.0) if clock.at_rest else front_percentiles(now, self.beta, limits.percentile)
@@ -79,7 +81,10 @@ class ConstantDensity(Accelerated):
             return StepPlan.none(surface)
         before = self.beta
         self.beta = before.copy()
-        diffusion, smoothed, damping, impulse = 0.0, before, 0.0, clock.first_kick(dt)
+        diffusion = 0.0
+        smoothed = before
+        damping = 0.0
+        impulse = clock.first_kick(dt)
         dm = 0.5 * (dt + clock.last_dt)
         if not clock.at_rest:
             damping, impulse = clock.gamma * dm, clock.weight() * dm

@@ -105,7 +105,9 @@ def diffuse(
     )
     for j in range(1, step.stages + 1):
         mu, nu = (2.0 * j - 1.0) / j, (1.0 - j) / j
-        new, old, older = turn[j % 3], turn[(j - 1) % 3], turn[(j - 2) % 3]
+        new = turn[j % 3]
+        old = turn[(j - 1) % 3]
+        older = turn[(j - 2) % 3]
         weights = np.float32(mu), np.float32(mu * share), np.float32(nu)
         parallel(
             motion.diffusion_stage,

@@ -79,7 +79,10 @@ class FlowableMass(Accelerated):
     density = np.zeros(0, np.float32)
     #: Mass that the last motion took to the nodes of the balance, see `Prediction`; a total below 0: not known. And
     #: whether that motion's fields have not come yet.
-    _expected, _least, _most, _moved = -1.0, np.zeros(0), np.zeros(0), False
+    _expected = -1.0
+    _least = np.zeros(0)
+    _most = np.zeros(0)
+    _moved = False
     #: Area and density that `_inertia` was asked for last, and its value.
     _inertia_of: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
@@ -112,7 +115,9 @@ class FlowableMass(Accelerated):
         self.velocity = np.zeros((surface.size, 3), np.float32)
         self.density = np.full(surface.size, self.rho, np.float32)
         self.mass = 0.0
-        self._correction, self._expected, self._moved = 1.0, -1.0, False
+        self._correction = 1.0
+        self._expected = -1.0
+        self._moved = False
         self._initialize(surface)
 
     def zero_momentum(self, area: np.ndarray) -> float:
@@ -150,7 +155,9 @@ class FlowableMass(Accelerated):
 
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Kick the velocity by the forces over the step around the present time."""
-        surface, front, clock = now.surface, now.front, self.clock
+        surface = now.surface
+        front = now.front
+        clock = self.clock
         layer = layer_area(surface)
         self._balance_mass(surface, layer)
         normal = surface.normals()

@@ -82,7 +82,10 @@ def transport_fluid(
     Sweeps along the axes there and back, half a step each (Strang), in as many steps as `MAX_COURANT` asks for. What
     reaches the border of the grid flows out. ``boundary`` sets in place, before a sweep, what lies beyond a surface.
     """
-    out, left, steps, done = fluid.copy(), 0.0, 0, 0.0
+    out = fluid.copy()
+    left = 0.0
+    steps = 0
+    done = 0.0
     axes = [a for a in range(3) if surface.shape[a] > 1]
     spacing = spacing_of(surface)
     sweeps = [*((a, 0.5) for a in axes[:-1]), (axes[-1], 1.0), *((a, 0.5) for a in axes[-2::-1])]

@@ -43,7 +43,10 @@ class Noise:
         seed: int = 0,
         until: float | None = None,
     ) -> None:
-        self.strength, self.length, self.seed, self.until = float(strength), length, seed, until
+        self.strength = float(strength)
+        self.length = length
+        self.seed = seed
+        self.until = until
         self.start()
 
     def start(self) -> None:

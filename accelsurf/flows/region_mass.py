@@ -152,7 +152,9 @@ class RegionMass(Accelerated):
 
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Kick the fluid by the force over the step around the present time, then move it."""
-        surface, front, clock = now.surface, now.front, self.clock
+        surface = now.surface
+        front = now.front
+        clock = self.clock
         layer = self._layer(now)
         dt, cfl_dt = self.stable_dt(now, layer, limits)
         if not math.isfinite(dt):

@@ -16,7 +16,8 @@ from accelsurf.kernels import fluid as kernels
 from accelsurf.levelset import LevelSet
 
 #: Depths below the surface, voxels, by which the gas is continued beyond it, and how far.
-DEPTHS, BEYOND = (1.0, 2.0), 3.0
+DEPTHS = (1.0, 2.0)
+BEYOND = 3.0
 #: Friction that leaves less than this of V acts at once.
 MIN_FACTOR = 0.1
 #: Least density beyond the surface, as a part of that at the surface.
@@ -54,7 +55,10 @@ class RegionPressure(RegionMass):
 
     state_names = (*RegionMass.state_names, "_correction", "_potential", "_before")
     #: Of the trace; |Omega| of now, mm3; and what the fluid weighs within the surface before the last motion.
-    _correction, _potential, _volume, _before = 0.0, 0.0, 0.0, 0.0
+    _correction = 0.0
+    _potential = 0.0
+    _volume = 0.0
+    _before = 0.0
 
     def __init__(self, gravity: float, **common: Any) -> None:
         super().__init__(**common)
@@ -66,7 +70,9 @@ class RegionPressure(RegionMass):
         """At rest with uniform density, as far as needed."""
         super().start(surface)
         self.fluid[0].reshape(-1)[self._far_outside(surface)] = 0.0
-        self._correction, self._potential, self._before = 0.0, 0.0, 0.0
+        self._correction = 0.0
+        self._potential = 0.0
+        self._before = 0.0
 
     def set_fluid(self, density: np.ndarray, velocity: np.ndarray) -> None:
         """Set the fluid as `RegionMass.set_fluid`; values are needed inside and three voxels beyond."""

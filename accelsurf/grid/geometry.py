@@ -23,7 +23,8 @@ from accelsurf.grid.boxes import Box, slabs
 ORTHONORMAL_TOLERANCE = 1e-4
 """Largest accepted entry of |D^T D - 1|: float32 headers stay below 1e-6, a shear of 0.01 degree does not."""
 
-SPACING_RANGE, MAX_ORIGIN = (1e-9, 1e9), 1e12
+SPACING_RANGE = (1e-9, 1e9)
+MAX_ORIGIN = 1e12
 """mm: beyond these, volumes and squares of lengths leave the numbers that the solver has."""
 
 Floats = NDArray[np.float64]
@@ -376,7 +377,9 @@ def ball_distance(
     """
     axes = (np.arange(s.start, s.stop, dtype=np.float64) for s in box)
     z, y, x = (((axis - c) * h) ** 2 for axis, c, h in zip(axes, centre, spacing, strict=True))
-    z, y, x = z.astype(precision)[:, None, None], y.astype(precision)[:, None], x.astype(precision)
+    z = z.astype(precision)[:, None, None]
+    y = y.astype(precision)[:, None]
+    x = x.astype(precision)
     out = np.empty((z.size, y.size, x.size), np.float32)
     for planes in slabs(out.shape):
         distance = z[planes] + y + x

@@ -21,7 +21,8 @@ IN_PLANE = ((1, 2), (0, 2), (0, 1))
 PLANES = ("Axial", "Coronal", "Sagittal")
 #: A grid is parallel to the world's axes with cosines above this, and where the scales of a picture then err by no more
 #: than this part of a voxel at any corner: a place that is read off them is the voxel that was seen.
-_PARALLEL, _OFF = 1 - 1e-6, 0.1
+_PARALLEL = 1 - 1e-6
+_OFF = 0.1
 #: Low and high end of the world's x, y, z axes of a patient, in LPS.
 LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))
 

@@ -29,7 +29,8 @@ QUARTER_WEIGHTS = (-0.0703125, 0.8671875, 0.2265625, -0.0234375)
 HALF_WEIGHTS = (-0.0625, 0.5625)
 #: Where the number of levels is chosen automatically: the smallest number of voxels along an axis that is halved, and
 #: how deep each part of the start must be, voxels.
-AUTO_MIN_VOXELS, AUTO_MIN_DEPTH = 24, 2.0
+AUTO_MIN_VOXELS = 24
+AUTO_MIN_DEPTH = 2.0
 
 
 class Level(NamedTuple):
@@ -110,7 +111,9 @@ def levels(
 
 def _halved_level(fine: Level, halved: Sequence[int], spacing: Sequence[float]) -> Level:
     """The next coarser level; ``spacing`` of level 0."""
-    factors, counts, first = list(fine.factors), list(fine.shape), list(fine.first)
+    factors = list(fine.factors)
+    counts = list(fine.shape)
+    first = list(fine.first)
     for axis in halved:
         if counts[axis] % 2 == 0:
             first[axis] += 0.5 * factors[axis]

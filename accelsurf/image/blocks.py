@@ -53,7 +53,9 @@ def block_means(values: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np
     values = np.ascontiguousarray(values)
     for axis, step in enumerate(steps):
         if step > 1:
-            before, count, after = values.shape[:axis], values.shape[axis], values.shape[axis + 1 :]
+            before = values.shape[:axis]
+            count = values.shape[axis]
+            after = values.shape[axis + 1 :]
             sums = sums_along(values.reshape(math.prod(before), count, math.prod(after)), step)
             sizes = np.diff(np.append(np.arange(0, count, step), count)).astype(np.float32)
             values = (sums / sizes[:, None]).reshape(*before, -1, *after)

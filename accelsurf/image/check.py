@@ -15,12 +15,14 @@ from accelsurf.grid.boxes import Corner
 
 #: An image has so many values in single precision, unless it has fewer itself.
 MIN_STEPS = 256
-MAX_VALUE, MIN_RANGE = 1e30, 1e-30
+MAX_VALUE = 1e30
+MIN_RANGE = 1e-30
 """Values beyond the first mean "no value" in many files, and their squares are beyond 32-bit floats; so is the inverse
 of a range below the second."""
 
 #: A value may differ from a label by this share of it, as scaled by a header; of larger labels by no more than of this.
-ROUNDING, MAX_ROUNDED = 1e-4, 1e3
+ROUNDING = 1e-4
+MAX_ROUNDED = 1e3
 #: Whole numbers up to this are exact as floats of 8 bytes.
 MAX_EXACT = 2.0**53
 

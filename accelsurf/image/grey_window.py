@@ -14,11 +14,14 @@ from accelsurf.grid.boxes import bounding_box
 #: Voxels that a window is chosen from at most.
 MAX_SAMPLES = 300_000
 #: Percentiles of the object, of its surroundings and of a whole image that are taken as their ends.
-OBJECT_ENDS, AROUND_ENDS, IMAGE_ENDS = (2.0, 98.0), (3.0, 97.0), (1.0, 99.0)
+OBJECT_ENDS = (2.0, 98.0)
+AROUND_ENDS = (3.0, 97.0)
+IMAGE_ENDS = (1.0, 99.0)
 #: The window is at most so many times as wide as the object's own range, so that differences near its edge show.
 MAX_OBJECT_WIDTHS = 4.0
 #: What touches an object lies within so many voxels of it; it counts where it is more than this part of that rim.
-RIM, TOUCHING = 3, 0.005
+RIM = 3
+TOUCHING = 0.005
 #: A rim is looked for in so many voxels, of some of the slices.
 MAX_RIM = 1 << 22
 #: Windows of CT by name, level (the value of the middle grey) and width, Hounsfield units.

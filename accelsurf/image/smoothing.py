@@ -12,7 +12,8 @@ from accelsurf.grid.boxes import Box, with_halo
 from accelsurf.image.kernels.smoothing import smooth_across_rows, smooth_rows
 
 #: A Gaussian ends so many standard deviations from its middle; one narrower than this (voxels) does nothing.
-REACH, MIN_WIDTH = 4.0, 1e-15
+REACH = 4.0
+MIN_WIDTH = 1e-15
 
 
 def gaussian_mm(

@@ -139,7 +139,9 @@ def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:
     (array([[7, 9]], dtype=uint8), '')
     """
     notes = []
-    red, green, blue = array[..., 0], array[..., 1], array[..., 2]
+    red = array[..., 0]
+    green = array[..., 1]
+    blue = array[..., 2]
     if np.array_equal(red, green) and np.array_equal(red, blue):
         grey = np.ascontiguousarray(red)
     else:

@@ -36,9 +36,14 @@ from accelsurf.io import seals
 #: Signals that end a program on request.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 #: In a staging folder: new files, old ones, new ones of a run that mends an unfinished set, what goes, and the lock.
-_NEW, _OLD, _AGAIN, _GONE, _LOCK = "new", "old", "again", "gone", "lock"
+_NEW = "new"
+_OLD = "old"
+_AGAIN = "again"
+_GONE = "gone"
+_LOCK = "lock"
 #: Another process looks for a moment if the writer of a set is dead, and holds its lock then.
-_TRIES, _TRY_SECONDS = 10, 0.03
+_TRIES = 10
+_TRY_SECONDS = 0.03
 #: What Windows calls a junction by: a link between folders.
 _JUNCTION = 0xA0000003
 #: Foreign staging folders that a warning names.
@@ -54,7 +59,8 @@ _MAX_NAME_BYTES = 200
 #: A link in the place of a lock is not followed.
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 #: First and last characters of the name of a staging folder.
-PREFIX, SUFFIX = ".", ".accelsurf"
+PREFIX = "."
+SUFFIX = ".accelsurf"
 
 
 @contextmanager
@@ -121,7 +127,10 @@ class FileSet:
     def __init__(
         self, folder: Path, claim: _Claim, left: Sequence[Path], inputs: Sequence[Path]
     ) -> None:
-        self.folder, self._claim, self._left, self._inputs = folder, claim, left, inputs
+        self.folder = folder
+        self._claim = claim
+        self._left = left
+        self._inputs = inputs
         self._mends = claim.is_unfinished
         self.committed = False
         shutil.rmtree(self.staging, ignore_errors=True)  # of a run that was killed

@@ -41,7 +41,8 @@ _CARET = 30
 _CARET_LABEL = re.compile(r"<Label ([^>]{1,400})>(.{0,400}?)</Label>", re.DOTALL)
 _ATTRIBUTE = re.compile(r'(\w+)="([^"]*)"')
 _SEGMENT = re.compile(r"Segment([0-9]{1,10})_(Name|Color|LabelValue)\s*:?=\s*(.*)")
-_ID_COLUMNS, _NAME_COLUMNS = ("index", "id", "label", "labelvalue"), ("name", "label_name")
+_ID_COLUMNS = ("index", "id", "label", "labelvalue")
+_NAME_COLUMNS = ("name", "label_name")
 _HEAD = "################################################\n# ITK-SnAP Label Description File\n"
 
 

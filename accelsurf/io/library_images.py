@@ -154,7 +154,9 @@ class VolumeSequence(ImageSequence):
                 "or an array (time, ...)",
                 "accelsurf.read_sequence(PATH) reads a file",
             )
-        self._frames, self._spacing, self.source = frames, spacing, ""
+        self._frames = frames
+        self._spacing = spacing
+        self.source = ""
         step = 1.0 if times is None else times
         self.times = (
             tuple(step * n for n in range(len(frames)))

@@ -306,12 +306,16 @@ def _crossings(
     y: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Rows (z, y) and places x where triangles cross them: of each row the corners' (z, y) and x of one triangle."""
-    a, b, c = plane[:, 0], plane[:, 1], plane[:, 2]
+    a = plane[:, 0]
+    b = plane[:, 1]
+    c = plane[:, 2]
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
     with np.errstate(all="ignore"):  # triangles seen edge on cross no row: infinite, or not numbers
         v = ((z - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (y - a[:, 1])) / area
         w = ((b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (z - a[:, 0]) * (b[:, 1] - a[:, 1])) / area
         hit = (area != 0) & (v >= 0) & (w >= 0) & (v + w <= 1)
-    depth, v, w = depth[hit], v[hit], w[hit]
+    depth = depth[hit]
+    v = v[hit]
+    w = w[hit]
     x = depth[:, 0] + v * (depth[:, 1] - depth[:, 0]) + w * (depth[:, 2] - depth[:, 0])
     return z[hit], y[hit], x

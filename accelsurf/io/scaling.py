@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 
 #: Slopes and intercepts with which no stored number of 64 bits leaves the range of single precision.
-_MIN_SLOPE, _MAX_SLOPE, _MAX_INTERCEPT = 1e-30, 1e18, 1e37
+_MIN_SLOPE = 1e-30
+_MAX_SLOPE = 1e18
+_MAX_INTERCEPT = 1e37
 
 
 def scaled_type(slope: float, intercept: float) -> np.dtype[Any]:

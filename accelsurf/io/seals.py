@@ -16,7 +16,8 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
-_KEY, _KEY_BYTES = "seal.key", 32
+_KEY = "seal.key"
+_KEY_BYTES = 32
 #: A link is not followed, and a pipe not waited for.
 _PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 #: Only the user may write these, on systems that say who may.

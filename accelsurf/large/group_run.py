@@ -39,7 +39,8 @@ from accelsurf.starts.objects import ObjectStart
 
 #: Bytes of a voxel of an object's own box, as of a whole run: image, psi twice, an index of the band, and the band; and
 #: of a voxel of the window beside the file's own: the image as float32, the union of the starts, and a copy of either.
-_BOX_BYTES, _WINDOW_BYTES = PLAIN_BYTES, 12
+_BOX_BYTES = PLAIN_BYTES
+_WINDOW_BYTES = 12
 #: Voxels by which a band may grow in a round, and by which stencils extend.
 REACH = 3
 _ALONE = "give --roi around them, or let the image be read into memory (more --max-memory)"

@@ -79,7 +79,9 @@ class BallTable:
                 f"objects {file}: it has a column side, and the image is read in parts: clicks count everywhere",
                 _HINT,
             )
-        self._file, self._geometry, self._margin = file, geometry, margin
+        self._file = file
+        self._geometry = geometry
+        self._margin = margin
         self._balls = object_starts.read_balls(file, geometry)
         boxes = [
             object_starts.ball_box(file, id, rows, geometry, margin)

@@ -68,7 +68,9 @@ class ImageSlabs:
         self, source: LazyVolume, filters: ImageFilters, slab_bytes: int = _SLAB_BYTES
     ) -> None:
         check_filters(filters, source.geometry)
-        self.source, self.filters, self.geometry = source, filters, source.geometry
+        self.source = source
+        self.filters = filters
+        self.geometry = source.geometry
         self.planes = max(1, slab_bytes // (4 * math.prod(self.geometry.shape[1:])))
 
     def window(self, box: Box) -> Planes:

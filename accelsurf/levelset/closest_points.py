@@ -33,14 +33,15 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
 
     Where ``surface.residues`` is None psi has been no distance yet: the interpolation is limited instead.
     """
-    parallel, grid, dense, n = surface.workers.parallel, surface.grid, surface.dense, surface.size
+    parallel = surface.workers.parallel
+    grid = surface.grid
+    dense = surface.dense
+    n = surface.size
     # Room for the cells that enter in one step.
     room = n + n // 4 + 1024
-    cells, to_closest, state = (
-        np.empty(room, np.int64),
-        np.empty((room, 3), np.float32),
-        np.empty(room, np.int8),
-    )
+    cells = np.empty(room, np.int64)
+    to_closest = np.empty((room, 3), np.float32)
+    state = np.empty(room, np.int8)
     cells[:n] = surface.band.cells
     inner, found = inner_distance(surface), np.empty(n, np.int8)
     residue, known_residues = np.zeros(room, np.float32), surface.residues
@@ -112,7 +113,9 @@ def inner_distance(surface: NarrowBand) -> float:
 
 def find_residues(surface: NarrowBand, moved: Motion) -> np.ndarray:
     """Residues (n,) float32 of psi at the closest points of the band, ``moved`` since."""
-    parallel, psi, slot = surface.workers.parallel, surface.dense.psi, surface.dense.slot
+    parallel = surface.workers.parallel
+    psi = surface.dense.psi
+    slot = surface.dense.slot
     motion = np.ascontiguousarray(moved.velocity, np.float32), float(moved.dt)
     out, near = np.empty(surface.size, np.float32), np.empty(surface.size, np.bool_)
     parallel(

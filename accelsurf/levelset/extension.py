@@ -14,7 +14,8 @@ from accelsurf.levelset.measures import Motion, NarrowBand
 from accelsurf.levelset.threads import Workers
 
 #: How distances and fields get from the front to the cells further off: by closest points, or by a fast march.
-CLOSEST_POINT, FAST_MARCHING = "closest-point", "fast-marching"
+CLOSEST_POINT = "closest-point"
+FAST_MARCHING = "fast-marching"
 
 
 class ExtensionTable(NamedTuple):
@@ -95,12 +96,12 @@ class FrontRows(NamedTuple):
 
 def front_rows(surface: NarrowBand, front: np.ndarray) -> FrontRows:
     """The rows of the ``front`` (n,) and of the cells beside it: a Laplacian on the front reads no others."""
-    parallel, n, on = surface.workers.parallel, surface.size, np.flatnonzero(front)
-    slots, walls, near = (
-        np.empty((on.size, 6), np.int32),
-        np.empty(on.size, np.int8),
-        np.zeros(n, np.bool_),
-    )
+    parallel = surface.workers.parallel
+    n = surface.size
+    on = np.flatnonzero(front)
+    slots = np.empty((on.size, 6), np.int32)
+    walls = np.empty(on.size, np.int8)
+    near = np.zeros(n, np.bool_)
     where = surface.dense.slot, surface.grid, surface.band.cells
     parallel(motion.neighbour_slots, on.size, *where, on, (slots, walls, near))
     off = np.flatnonzero(near > front)

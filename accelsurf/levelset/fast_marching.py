@@ -26,7 +26,9 @@ def march_outwards(surface: NarrowBand) -> ClosestPoints:
 
     Distances further off are those of a fast march, and the closest points fields that it carries.
     """
-    grid, dense, n = surface.grid, surface.dense, surface.size
+    grid = surface.grid
+    dense = surface.dense
+    n = surface.size
     room = n + n // 4 + 1024
     cells, to_closest = np.empty(room, np.int64), np.empty((room, 3), np.float32)
     cells[:n] = surface.band.cells
@@ -63,7 +65,10 @@ def _with_room(
 
 def _find_closest_beside(surface: NarrowBand, front: np.ndarray, to_closest: np.ndarray) -> None:
     """Closest points of the slots ``front`` (m,) into ``to_closest``: from psi, and closer ones from each other."""
-    parallel, grid, dense, n = surface.workers.parallel, surface.grid, surface.dense, surface.size
+    parallel = surface.workers.parallel
+    grid = surface.grid
+    dense = surface.dense
+    n = surface.size
     known = surface.residues
     residue, limited = np.zeros(n, np.float32) if known is None else known.copy(), known is None
     start = inner_distance(surface), residue, limited
@@ -161,7 +166,9 @@ def _cut_off(surface: NarrowBand) -> np.ndarray:
     Where the spacings differ, a neighbour nearer to the surface in mm may be further off in voxels. Read from the
     others alone, a field would be that of another place.
     """
-    cells, slot, grid = surface.band.cells, surface.dense.slot, surface.grid
+    cells = surface.band.cells
+    slot = surface.dense.slot
+    grid = surface.grid
     counts, spacing = (grid.nz, grid.ny, grid.nx), (grid.hz, grid.hy, grid.hx)
     cut = np.zeros(surface.size, np.bool_)
     for axis, index in enumerate(np.unravel_index(cells, counts)):

@@ -118,7 +118,9 @@ class LevelSet:
         self.gamma = np.float32(self.half_width * max(self.spacings, default=1.0))
 
     def _build_band(self) -> None:
-        workers, psi, voxels = self.workers, self.dense.psi, self.dense.psi.size
+        workers = self.workers
+        psi = self.dense.psi
+        voxels = self.dense.psi.size
         rows = self.shape[0] * self.shape[1]
         row_inside, counts = np.empty(rows, np.int32), np.empty(rows, np.int64)
         workers.parallel(band_kernels.count_inside, rows, psi, self.grid, row_inside)
@@ -427,13 +429,11 @@ class LevelSet:
 
     def _replace_band(self, band: Band) -> None:
         """Replace the band by the one in the dense arrays, and clear what is cached for the old one."""
-        self.band, self._extension, self._rows, self._measured, self._fronts = (
-            band,
-            None,
-            None,
-            None,
-            {},
-        )
+        self.band = band
+        self._extension = None
+        self._rows = None
+        self._measured = None
+        self._fronts = {}
         # Found when psi moves, as `advect` replaces them.
         self._residues, self._was_distance = None, True
 

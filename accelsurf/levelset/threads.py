@@ -19,7 +19,8 @@ from accelsurf.kernels.grid import BATCH, BLOCK
 GRAIN = 4 * BATCH
 #: Seconds of one thread from which on a call is shared out: to wake a thread and hand the Python lock back and forth
 #: takes about 80 microseconds. And the seconds that a range is worth.
-SHARED_FROM, SHORTEST = 200e-6, 60e-6
+SHARED_FROM = 200e-6
+SHORTEST = 60e-6
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> float:

@@ -26,11 +26,15 @@ from accelsurf.grid.boxes import (
 )
 
 #: Voxels of a step; the surface is sampled at about so many places; sigma, voxels, that normals are smoothed with.
-STEP, SAMPLES, NORMAL_SIGMA = 1.5, 20_000, 1.0
+STEP = 1.5
+SAMPLES = 20_000
+NORMAL_SIGMA = 1.0
 #: HALF_EDGE: an edge of this many times the noise counts as half. HALF_MODEL: the outside counts half as another
 #: tissue where its values are farther from the object's median than the inside, by this many deviations of the object.
 #: LIKE: the outside counts as the same tissue within this many deviations.
-HALF_EDGE, HALF_MODEL, LIKE = 3.0, 1.5, 2.5
+HALF_EDGE = 3.0
+HALF_MODEL = 1.5
+LIKE = 2.5
 #: A patch of the surface is a Gaussian of this part of the object's radius (that of the ball of its volume).
 PATCH = 0.3
 #: Patches that are looked at one after another lie so many radii of a patch apart.

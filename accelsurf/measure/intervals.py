@@ -34,18 +34,21 @@ Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 #: Half the shell's thickness, and where what is beside the object ends: voxels along the surface's normal.
-SHELL, BESIDE = 1.5, 3.0
+SHELL = 1.5
+BESIDE = 3.0
 #: Levels nearby are means over a Gaussian of this sigma: voxels, of slices thicker than two pixels more pixels.
 SIGMA = 1.5
 #: Contrasts below this part of the object's count less and less.
 MIN_CONTRAST = 0.05
 #: The shell is moved to the edge that it finds, so often at most, or until it moves by less, in voxels.
-PASSES, AT_REST = 3, 0.05
+PASSES = 3
+AT_REST = 0.05
 #: Beyond so much noise or variation, in parts of the contrast, there is no edge to measure by.
 MAX_DOUBT = 2.0
 #: Shares are smoothed for the surface f = 1/2 by a Gaussian of this sigma, pixels: in an image without noise, and so
 #: much more where the noise is as strong as the contrast. Then again by twice that.
-SMOOTH, SMOOTH_IN_NOISE = 0.7, 0.9
+SMOOTH = 0.7
+SMOOTH_IN_NOISE = 0.9
 
 
 class Interval(NamedTuple):
@@ -117,7 +120,8 @@ WEIGHTS = {
 #: Noise makes the contrast vary along the surface by up to this part of it: 9 of 10 phantoms of the fit with an even
 #: contrast have less. More than the other part of the contrast beyond that is a contrast that fades, a neighbour, or a
 #: part of the object that was missed: the volumes of these err by more than deviations in proportion tell.
-VARIATION_OF_NOISE, UNEVEN = 0.25, 0.1
+VARIATION_OF_NOISE = 0.25
+UNEVEN = 0.1
 #: An interval whose high end is more than so many times the low one tells nothing.
 MAX_RATIO = 3.0
 #: In more noise the intervals of the diameter held it in less than 9 of 10 phantoms of the fit: none is given.
@@ -285,7 +289,9 @@ def edge_measures(
     )
     if levels.inside == levels.beside:
         return None
-    shares, moved, found = np.empty_like(psi), 0.0, volume_mm3
+    shares = np.empty_like(psi)
+    moved = 0.0
+    found = volume_mm3
     for _ in range(PASSES):
         sums = _measure_shell(shares, psi, image, moved, spacing, levels)
         if not sums.voxels or not sums.core or not sums.contrast:
@@ -296,11 +302,9 @@ def edge_measures(
         if abs(shift) < AT_REST:
             break
         moved += shift * sums.extents / sums.voxels
-    mean, noise, contrast = (
-        sums.contrast / sums.voxels,
-        noise_of(image),
-        abs(levels.inside - levels.beside),
-    )
+    mean = sums.contrast / sums.voxels
+    noise = noise_of(image)
+    contrast = abs(levels.inside - levels.beside)
     deviation = float(np.sqrt(max(sums.squares / sums.voxels - mean**2, 0.0)))
     if found <= 0 or noise > MAX_DOUBT * contrast or deviation > MAX_DOUBT * abs(mean):
         return None

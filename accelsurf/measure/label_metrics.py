@@ -27,7 +27,8 @@ from accelsurf.measure.metrics import Mask, Metrics, agreement, check_same_grid,
 from accelsurf.settings.labels import IdRanges, holds
 
 #: Ids up to this are looked for in a list; larger ones are sorted, so many voxels at a time.
-_MAX_LISTED, _SORTED_VOXELS = 65_535, 1 << 21
+_MAX_LISTED = 65_535
+_SORTED_VOXELS = 1 << 21
 
 
 @dataclass(frozen=True)

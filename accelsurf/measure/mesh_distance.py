@@ -46,7 +46,9 @@ def largest_distance(first: Surface, second: Surface, limit: float = np.inf) -> 
         points = samples(sampled, step)
         # The farthest come first by a bound that is cheap: what lies nearer than one that was found need not be found.
         bounds = index.bounds(points)
-        order, begin, size = np.argsort(-bounds, kind="stable"), 0, FIRST
+        order = np.argsort(-bounds, kind="stable")
+        begin = 0
+        size = FIRST
         while begin < len(points) and largest <= limit and bounds[order[begin]] > largest:
             some = order[begin : begin + size]
             largest = max(largest, float(index.closest(points[some])[0].max()))
@@ -154,7 +156,9 @@ def nearest_in(points: Floats, corners: Floats) -> Floats:
         distance = np.linalg.norm(place - points, axis=1)
         nearer = distance < best
         best[nearer], places[nearer] = distance[nearer], place[nearer]
-    a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    a = corners[:, 0]
+    u = corners[:, 1] - corners[:, 0]
+    v = corners[:, 2] - corners[:, 0]
     normal = np.cross(u, v)
     area2 = np.maximum(np.einsum("ij,ij->i", normal, normal), 1e-300)
     w = points - a

@@ -236,7 +236,9 @@ def decimated(surface: Surface, faces: int) -> Surface:
 
 def coarsest(exact: Surface, surface: Surface, error: float) -> Surface:
     """The mesh with the fewest triangles of those tried whose distance to the exact surface is at most the error."""
-    low, high, best = math.log(4.0), math.log(len(surface.faces)), surface
+    low = math.log(4.0)
+    high = math.log(len(surface.faces))
+    best = surface
     for _ in range(SEARCHES):
         middle = (low + high) / 2
         candidate = decimated(surface, round(math.exp(middle)))

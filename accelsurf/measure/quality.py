@@ -38,32 +38,37 @@ Mask = NDArray[np.bool_]
 #: A note is made beyond these: fraction of the surface on the border, and without an edge; contrast across the surface
 #: in units of the noise; relative growth over the last steps; share of the object unlike what was learned. A Gaussian
 #: has 1.2 % beyond the bounds.
-MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = (
-    0.2,
-    0.4,
-    2.0,
-    0.02,
-    20,
-    0.1,
-)
+MAX_ON_BORDER = 0.2
+MAX_WITHOUT_EDGE = 0.4
+MIN_CONTRAST = 2.0
+MAX_GROWTH = 0.02
+LAST_STEPS = 20
+MAX_UNLIKE = 0.1
 #: A result of clicks is ambiguous where it has this part of the image's corners, or one of them and this part has its
 #: grey values; or where it is so many times as large
 #: as the clicks, in so many parts of at least this part of it, with `MAX_ON_BORDER` of its surface on the border.
-MANY_CORNERS, MANY_CLICKS, MANY_PIECES, SPECK = 0.75, 150.0, 4, 1e-4
+MANY_CORNERS = 0.75
+MANY_CLICKS = 150.0
+MANY_PIECES = 4
+SPECK = 1e-4
 #: An outside click is said to take away much from this share of the object on.
 MAX_TAKEN = 0.5
 #: A plateau is noted where the object has grown to so many times its size since.
 MIN_BURST = 1.1
 #: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from
 #: its surface, and above this fraction of the image's range over the scale that gradients are computed at.
-INTERIOR_PERCENTILE, INTERIOR_DEPTH, MIN_EDGE = 75.0, 3, 0.005
+INTERIOR_PERCENTILE = 75.0
+INTERIOR_DEPTH = 3
+MIN_EDGE = 0.005
 #: Gradients inside the object are sampled at about so many voxels.
 GRADIENT_SAMPLES = 1 << 18
 #: A slab has at least so many planes for each plane around it that is needed besides.
 MIN_SLAB_HALOS = 4
 #: A part counts from this fraction of the object's volume on; a neck is at most so many voxels to either side; so many
 #: parts are examined.
-LARGE_PART, NECK, MAX_PARTS = 0.05, 2, 200
+LARGE_PART = 0.05
+NECK = 2
+MAX_PARTS = 200
 
 
 class ValueRange(NamedTuple):
@@ -481,7 +486,9 @@ def gradients(
     smooth: Image, spacing: tuple[float, float, float], cells: NDArray[np.int64]
 ) -> Image:
     """|grad I| at raveled voxels (n,) of a smoothed image: centred differences, one-sided on the border."""
-    flat, total, step = smooth.reshape(-1), np.zeros(cells.size, np.float32), smooth.size
+    flat = smooth.reshape(-1)
+    total = np.zeros(cells.size, np.float32)
+    step = smooth.size
     for n, h in zip(smooth.shape, spacing, strict=True):
         step //= n
         if n > 1:

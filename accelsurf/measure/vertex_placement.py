@@ -230,7 +230,9 @@ def _chunks(count: int) -> Iterator[slice]:
 
 def _gaps(at: Floats, normals: Floats, corners: Numbers) -> tuple[Floats, Floats, Floats]:
     """Size of each face, how far the surface is from it on average, and the least cosine between its normals."""
-    found, at, normals = np.empty((3, corners.shape[1])), _by_axis(at), _by_axis(normals)
+    found = np.empty((3, corners.shape[1]))
+    at = _by_axis(at)
+    normals = _by_axis(normals)
     for some in _chunks(corners.shape[1]):
         places, directions = (vectors.take(corners[:, some], axis=1) for vectors in (at, normals))
         edges, turns = (
@@ -261,11 +263,9 @@ def _per_vertex(corners: Numbers, values: Floats, n: int) -> Floats:
 
 def _normals(zyx: Floats, on_cap: Mask, psi: Psi, h: Floats) -> tuple[Floats, Mask]:
     """Outward unit normals (n, 3) by centred differences, linear between the two nodes of an edge; where known (n,)."""
-    flat, last, gradient = (
-        np.ascontiguousarray(psi).ravel(),
-        np.array(psi.shape) - 1,
-        np.empty(zyx.shape),
-    )
+    flat = np.ascontiguousarray(psi).ravel()
+    last = np.array(psi.shape) - 1
+    gradient = np.empty(zyx.shape)
     for some in _chunks(len(zyx)):
         at, is_capped = zyx[some], on_cap[some]
         low = np.clip(np.floor(np.where(is_capped, np.rint(at), at)).astype(np.int64), 0, last)
@@ -329,7 +329,9 @@ def with_zero_means(
     is_used = np.bincount(around.ravel(), minlength=len(zyx)) > 0
     numbers, local = np.flatnonzero(is_used), (np.cumsum(is_used) - 1)[around]
     sides, side_of = _sides(local)
-    start, along, free = zyx[numbers], normals[numbers], active[numbers]
+    start = zyx[numbers]
+    along = normals[numbers]
+    free = active[numbers]
     most = MAX_WAY * np.linalg.norm(along * h, axis=1)
     way = np.zeros(len(numbers))
     for _ in range(STEPS):
@@ -371,10 +373,14 @@ def cubic_at(psi: Psi, at: Floats) -> Floats:
 
     Along an axis of one slice psi does not vary.
     """
-    value, at, shape = np.zeros(len(at)), _by_axis(at), psi.shape
+    value = np.zeros(len(at))
+    at = _by_axis(at)
+    shape = psi.shape
     if not value.size:
         return value
-    first, begin, end = np.zeros(at.shape, np.int64), np.zeros(3, np.int64), np.array(psi.shape)
+    first = np.zeros(at.shape, np.int64)
+    begin = np.zeros(3, np.int64)
+    end = np.array(psi.shape)
     for axis, n in enumerate(psi.shape):
         if n > 1:
             first[axis] = np.floor(at[axis]) - 1.0
@@ -444,7 +450,9 @@ def _deepest_around(
     """Return which of a cell and those around it is deepest on a side, and if psi changes by too much between them."""
     deepest, steep = cells.copy(), np.zeros(cells.shape, np.bool_)
     for some in _chunks(cells.size):
-        here, stride, steps = cells[some], flat.size, []
+        here = cells[some]
+        stride = flat.size
+        steps = []
         for place, n in zip(np.unravel_index(here, shape), shape, strict=True):
             stride //= n
             steps.append(

@@ -18,12 +18,10 @@ if TYPE_CHECKING:
     from napari import Viewer
 
 #: What a press in the image does.
-MOVE, INSIDE, OUTSIDE, SIZE = (
-    "moves the image",
-    "clicks inside",
-    "clicks outside",
-    "and a drag say the size",
-)
+MOVE = "moves the image"
+INSIDE = "clicks inside"
+OUTSIDE = "clicks outside"
+SIZE = "and a drag say the size"
 #: Steps that can be undone.
 MAX_STEPS = 10
 DOUBTFUL = "most doubtful place"
@@ -304,7 +302,10 @@ class ClickWidget(QWidget):
 
     def begin_object(self) -> None:
         """Begin with the label that is selected: a new object, or one that is mended."""
-        self._steps, self._first, self._waiting, self._target = [], None, [], None
+        self._steps = []
+        self._first = None
+        self._waiting = []
+        self._target = None
         self._describe()
 
     def next_object(self) -> None:

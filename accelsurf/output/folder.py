@@ -35,10 +35,8 @@ if TYPE_CHECKING:
 #: Of a file's name, on the usual file systems.
 MAX_NAME_BYTES = 255
 #: Settings that are places, and kinds of places that name a file: ``label:FILE``.
-PLACES, FILE_KINDS = (
-    ("start", "foreground", "background", "inside", "outside"),
-    ("label", "mesh", "stroke"),
-)
+PLACES = ("start", "foreground", "background", "inside", "outside")
+FILE_KINDS = ("label", "mesh", "stroke")
 #: Settings that name a file.
 _FILES = ("mask", "objects", "labels", "label_table")
 #: Endings of headers whose voxels may lie in another file.

@@ -21,7 +21,8 @@ from accelsurf.version import __version__
 
 BIDS_VERSION = "1.9.0"
 #: Kinds of the files that BIDS has beside a label map.
-SIDECAR, TABLE = "sidecar", "also-tsv"
+SIDECAR = "sidecar"
+TABLE = "also-tsv"
 #: Entities of the names of images, in the order that BIDS asks for; ``seg`` and ``desc`` are added here.
 ENTITIES = (
     "sub",
@@ -78,7 +79,8 @@ _IGNORED = (
     "*.dcm",
     "batch*.*",
 )
-_PAIR, _SUFFIX = re.compile(r"([a-z]+)-([A-Za-z0-9]+)"), re.compile(r"[A-Za-z0-9]+")
+_PAIR = re.compile(r"([a-z]+)-([A-Za-z0-9]+)")
+_SUFFIX = re.compile(r"[A-Za-z0-9]+")
 _CHANNEL = re.compile(r"(.+)_\d{4}")
 _HINT = "name the image as sub-01_T1w.nii.gz, or leave out --layout"
 

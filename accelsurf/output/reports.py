@@ -45,7 +45,8 @@ _REPORT: dict[str, Any] = {
     "quality": (dict, NoneType),
 }
 #: Settings that change nothing of what a run leaves, and those that it may set itself.
-_WITHOUT_EFFECT, _OPEN = ("threads", "checkpoint"), ("seed", "energy")
+_WITHOUT_EFFECT = ("threads", "checkpoint")
+_OPEN = ("seed", "energy")
 
 
 def report_name(name: str) -> str:

@@ -42,7 +42,8 @@ SAMPLES = 3
 #: Axes of a body that turns, over its radius.
 TURNING = (1.4, 0.8, 0.8)
 #: Part of the radius by which a beating body swells and shrinks; most that a deforming one is stretched.
-BEAT, STRETCH = 0.2, 1.6
+BEAT = 0.2
+STRETCH = 1.6
 #: Between bodies that pass lie so many voxels.
 GAP = 2.0
 
@@ -293,7 +294,9 @@ class MovingPhantom(ImageSequence):
     """
 
     def __init__(self, recipe: MotionRecipe) -> None:
-        self.recipe, self.geometry, self.source = recipe, recipe.geometry, recipe.name
+        self.recipe = recipe
+        self.geometry = recipe.geometry
+        self.source = recipe.name
         self.times, self.time_unit = recipe.times, recipe.time_unit
 
     def _channels(self, number: int) -> list[Volume]:

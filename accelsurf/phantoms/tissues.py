@@ -26,9 +26,11 @@ Floats = NDArray[np.float64]
 Tissue = Literal["shell", "wall", "cell"]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 #: Half axes of the shell over its radius, x, y, z; it is open above this part of its height.
-SHELL_AXES, SHELL_OPEN = (0.85, 0.85, 1.15), 0.55
+SHELL_AXES = (0.85, 0.85, 1.15)
+SHELL_OPEN = 0.55
 #: Angle by which a shell twists at its ends at the top of a beat; lobes of a cell.
-TWIST, LOBES = 0.15, 3
+TWIST = 0.15
+LOBES = 3
 #: Voxels beyond the grid from which scatterers may come in.
 AROUND = 24
 
@@ -163,7 +165,9 @@ class TissuePhantom(ImageSequence):
     """
 
     def __init__(self, recipe: TissueRecipe) -> None:
-        self.recipe, self.geometry, self.source = recipe, recipe.geometry, recipe.name
+        self.recipe = recipe
+        self.geometry = recipe.geometry
+        self.source = recipe.name
         self.times, self.time_unit = recipe.times, recipe.time_unit
 
     def _channels(self, number: int) -> list[Volume]:

@@ -163,7 +163,9 @@ class RunClicks:
         contexts: Sequence[ImageContext],
         ids: Sequence[int],
     ) -> None:
-        self._volume, self._box, self._mask_distance = volume, box, mask_distance
+        self._volume = volume
+        self._box = box
+        self._mask_distance = mask_distance
         self._ids = tuple(ids)
         self._after: dict[tuple[str, ...], Clicks | None] = {(): first}
         self._contexts: dict[tuple[str, ...], tuple[ImageContext, ...]] = {(): tuple(contexts)}
@@ -225,7 +227,9 @@ class LevelClicks:
     """
 
     def __init__(self, context: ImageContext, inputs: LevelInputs) -> None:
-        self._context, self._grids, self._known = context, inputs.grids, inputs.known_distances
+        self._context = context
+        self._grids = inputs.grids
+        self._known = inputs.known_distances
         self._bounds: dict[int, tuple[Box, ClickBounds]] = {}
         self._last: tuple[int, Box, ClickBounds] | None = None
         self._field: LevelArrays | None = None
@@ -235,7 +239,9 @@ class LevelClicks:
         clicks, grid = self._context.clicks, self._grids[level]
         if clicks is None:
             return None
-        seen, box, last = whole_box(grid.shape), box or whole_box(grid.shape), self._last
+        seen = whole_box(grid.shape)
+        box = box or whole_box(grid.shape)
+        last = self._last
         if last is not None and last[:2] == (level, box):
             return last[2] if last[2].cells.size else None
         if level == 0:  # of the clicks in many other objects most are far away

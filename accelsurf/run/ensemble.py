@@ -72,12 +72,10 @@ class Ensemble:
         meet: bool,
         window: Window | None = None,
     ) -> None:
-        self._objects, self._workers, self._meets, self._window = (
-            tuple(objects),
-            workers,
-            meet,
-            window,
-        )
+        self._objects = tuple(objects)
+        self._workers = workers
+        self._meets = meet
+        self._window = window
         self._smallest = min(steps)
         several = meet and workers.threads > 1
         self._pool = ThreadPoolExecutor(workers.threads) if several else None

@@ -36,7 +36,9 @@ from accelsurf.starts.objects import ObjectStart
 
 #: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `_ROOM_PART` of its extent; the
 #: box is made larger when the band comes within `GUARD` voxels of its edge.
-ROOM, _ROOM_PART, GUARD = 10, 0.5, 3
+ROOM = 10
+_ROOM_PART = 0.5
+GUARD = 3
 
 
 def leaked_stop(stop: Stop, setup: SolverSetup) -> Stop:
@@ -184,7 +186,9 @@ class EvolvingObject:
 
     def next_level(self) -> None:
         """Continue on the next finer level, from the surface here, or from the start if this level failed."""
-        before, coarse, self.reactivations = self.evolution, self.grid, 0
+        before = self.evolution
+        coarse = self.grid
+        self.reactivations = 0
         if before.stop is None:
             raise ValueError(f"object {self.id} has not ended on level {self.level}")
         self._starts.to_finer()
@@ -192,7 +196,9 @@ class EvolvingObject:
             self._begin_from_start(before.state.on_next_grid(with_fields=False))
             return
         self._starts.release()
-        old, flow, state = before.surface, before.flow, before.state.on_next_grid(with_fields=True)
+        old = before.surface
+        flow = before.flow
+        state = before.state.on_next_grid(with_fields=True)
         mine = coarse.on_box(self.corner, old.shape)
         slots, slots_level = slots_of(old, mine)
         self.corner, shape = finer_box(self.corner, old.shape, coarse, self.grid)
@@ -358,7 +364,9 @@ class EvolvingObject:
 
     def set_up(self, solver: ObjectSolver) -> bool:
         """Have another solver on the following levels; returns True if its context is another one."""
-        before, self._solver, self.reactivations = self._solver, solver, 0
+        before = self._solver
+        self._solver = solver
+        self.reactivations = 0
         if solver.context is before.context:
             return False
         self._clicks = LevelClicks(solver.context, self._inputs)
@@ -414,11 +422,9 @@ class EvolvingObject:
     def restore(self, checkpoint: ObjectCheckpoint, solver: ObjectSolver, new_energy: bool) -> None:
         """Go back to a state of this level, with the settings that were in force then."""
         new_energy |= self.set_up(solver)
-        self.leaked, self.reactivations, self._stop_requested = (
-            checkpoint.leaked,
-            checkpoint.reactivations,
-            False,
-        )
+        self.leaked = checkpoint.leaked
+        self.reactivations = checkpoint.reactivations
+        self._stop_requested = False
         energy = None
         if (self.corner, self.surface.shape) != (checkpoint.corner, checkpoint.shape):
             self.corner = checkpoint.corner

@@ -187,7 +187,9 @@ def likelihood(inputs: TermInputs) -> Made:
     UsageError
         When training voxels are given that it would not use.
     """
-    image, context, channel = inputs.image, inputs.context, inputs.channel
+    image = inputs.image
+    context = inputs.context
+    channel = inputs.channel
     given = bool(inputs.config.foreground or inputs.config.background)
     update = inputs.settings.get("update", "no" if given else "yes")
     if update == "yes" and given:
@@ -251,7 +253,9 @@ def threshold(inputs: TermInputs) -> Made:
 
 def geodesic(inputs: TermInputs) -> Made:
     """The area, counted less on edges."""
-    image, spacing, config = inputs.image, inputs.spacing, inputs.config
+    image = inputs.image
+    spacing = inputs.spacing
+    config = inputs.config
     scale = inputs.settings.get("scale", config.edge_scale)
     contrast = inputs.settings.get("contrast", config.edge_contrast)
     balloon = inputs.number("balloon", config.balloon)

@@ -11,7 +11,9 @@ from accelsurf.errors import UsageError
 from accelsurf.settings.flow_specs import spec_of
 
 #: Bytes of a process that has loaded the packages of a run, and of a run by its values: with clicks, and without.
-PROCESS_BYTES, _CLICKS_BYTES, PLAIN_BYTES = 450 << 20, 60, 36
+PROCESS_BYTES = 450 << 20
+_CLICKS_BYTES = 60
+PLAIN_BYTES = 36
 #: Share of the free memory that a run, or a batch, takes unless it is given a limit.
 FREE_SHARE = 0.8
 _MEMORY = re.compile(r"([0-9]{1,9}(?:\.[0-9]{0,6})?) *([kmgt]i?)?b?", re.IGNORECASE)

@@ -176,7 +176,9 @@ def preprocess(
     UsageError, InputError
         As of `accelsurf.segment`.
     """
-    first, whole, given = volumes[0], volumes[0].geometry, given or {}
+    first = volumes[0]
+    whole = volumes[0].geometry
+    given = given or {}
     window, box = window_of(whole, part), region_in(config, whole, part)
     geometry, filters = cropped(whole, box), filters_of(config, window.geometry)
     filtered = _first_channel(volumes, filters, part)

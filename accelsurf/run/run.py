@@ -113,15 +113,17 @@ class Run:
         begin = start_of_run(
             volume, seeded(config), channels, objects, arrays, clicks, part, labels
         )
-        self.volume, self.config, self.energy_given, config = (
-            volume,
-            begin.config,
-            energy,
-            begin.config,
-        )
+        self.volume = volume
+        self.config = begin.config
+        self.energy_given = energy
+        config = begin.config
         self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
-        self.has_ids, self.given, self.given_digest = begin.has_ids, begin.given, begin.given_digest
-        self.prepared, starts, contexts = begin.prepared, begin.starts, begin.contexts
+        self.has_ids = begin.has_ids
+        self.given = begin.given
+        self.given_digest = begin.given_digest
+        self.prepared = begin.prepared
+        starts = begin.starts
+        contexts = begin.contexts
         ids = [start.id for start in starts] if self.has_ids else []
         distance, first = self.prepared.mask_distance, self.prepared.clicks
         self._clicks = RunClicks(volume, self.prepared.box, distance, first, contexts, ids)

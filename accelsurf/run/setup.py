@@ -45,7 +45,8 @@ ObjectsLike = str | Volume | NDArray[Any] | Sequence[ObjectStart]
 #: trend tells it too low by up to this.
 _FURTHER = 0.7
 #: Flows whose surface moves slowly also where it has not converged, and the share of the tolerance that it then moves.
-_SHORT_STEPS, SLOW = ("flowable-mass", "region-mass", "sobolev"), 0.4
+_SHORT_STEPS = ("flowable-mass", "region-mass", "sobolev")
+SLOW = 0.4
 #: Steps without a lower energy after which a correction has converged: an oscillation from step to step finds one in
 #: two.
 PATIENCE = 3

@@ -26,21 +26,27 @@ from accelsurf.starts.objects import ObjectStart
 
 #: A start will shrink if less than this part of its values lies within the bounds; a window takes in the surroundings
 #: if it has more than this part of the voxels from so many to so many radii of the start around it.
-_MIN_WITHIN, _MAX_AROUND, SHELL = 0.2, 0.5, (3.0, 8.0)
+_MIN_WITHIN = 0.2
+_MAX_AROUND = 0.5
+SHELL = (3.0, 8.0)
 #: A start has outliers if its standard deviation is so many times the median-based one; they lie beyond so many of it.
-_OUTLYING, FAR = 2.0, 4.0
+_OUTLYING = 2.0
+FAR = 4.0
 #: Fewest voxels of a start that outliers are looked for in; surroundings and image are sampled at about so many voxels.
-MIN_VOXELS, SAMPLES = 20, 1 << 18
+MIN_VOXELS = 20
+SAMPLES = 1 << 18
 #: The area cannot pull in a start whose curvature it weighs less than this part of the squared contrast.
 _SAFE = 0.25
 #: What looks like the background has at least this part of the image; values are like the click within so many spreads.
-_COMMON, _WITHIN = 0.05, 4.0
+_COMMON = 0.05
+_WITHIN = 4.0
 #: A click is background where more than this part of it has the image's least or largest value.
 _ONE_VALUE = 0.9
 #: Values lie at an end of the image's range within this part of it.
 _END = 0.15
 #: A click of fewer voxels is looked at with so many voxels around it.
-_FEW, _AROUND = 20, 2
+_FEW = 20
+_AROUND = 2
 #: The part around the click has at least this part of the image's corners.
 _CORNERS = 0.75
 #: What has one value is background where at least this part of the corners has it.

@@ -26,7 +26,8 @@ from accelsurf.serve import arrays
 from accelsurf.serve.session import LIVENESS, FullError, ImageSession, Lease, LeaseLostError, Leases
 
 #: Headers of the protocol: metadata of a request or an answer as JSON, and the lease.
-META, LEASE = "X-Meta", "X-Lease-Token"
+META = "X-Meta"
+LEASE = "X-Lease-Token"
 #: Version of the protocol that is spoken.
 PROTOCOL = "2.6"
 #: Addresses of this machine alone.
@@ -43,7 +44,9 @@ SHARE = 0.5
 #: Voxels of the largest image.
 MAX_VOXELS = 1 << 31
 #: Seconds for a body to arrive, for a prompt and for an image to be worked on: the clients wait so long.
-BODY_SECONDS, PROMPT_SECONDS, IMAGE_SECONDS = 120.0, 60.0, 600.0
+BODY_SECONDS = 120.0
+PROMPT_SECONDS = 60.0
+IMAGE_SECONDS = 600.0
 #: Seconds in which the rest of a body is read away whose request is refused.
 DISCARD_SECONDS = 30.0
 #: Requests that wait for the one that works.

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 
-MAGIC, VERSION = b"NNIA", 1
+MAGIC = b"NNIA"
+VERSION = 1
 #: Number of a codec -> the codec.
 CODECS = {1: blosc2.Codec.ZSTD, 2: blosc2.Codec.LZ4}
 #: Types that are read, by name.
@@ -31,9 +32,11 @@ TYPES = {
 }
 MAX_AXES = 4
 #: Bytes of a chunk that is written, and the most of one that is read: blosc2 counts with 31 bits.
-CHUNK, MAX_CHUNK = 1 << 30, (1 << 31) - 1
+CHUNK = 1 << 30
+MAX_CHUNK = (1 << 31) - 1
 #: A header, and what stands before each chunk.
-_HEADER, _SIZES = struct.Struct("<4sBBBB"), struct.Struct("<QQ")
+_HEADER = struct.Struct("<4sBBBB")
+_SIZES = struct.Struct("<QQ")
 #: The header of a frame: sizes unpacked, of a block, and packed.
 _FRAME = struct.Struct("<4x3I")
 

@@ -16,7 +16,8 @@ from accelsurf.errors import OutputError, UsageError
 from accelsurf.serve.app import LOCAL, MAX_JSON, Limits, Server
 
 #: Connections at once, and seconds in which one must send its first headers, or may stay without a request.
-MAX_CONNECTIONS, IDLE = 64, 30
+MAX_CONNECTIONS = 64
+IDLE = 30
 
 
 class _Protocol(H11Protocol):

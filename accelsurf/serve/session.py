@@ -142,7 +142,9 @@ class ImageSession:
 
     def answer(self) -> Answer | None:
         """Return what has changed since the last answer, if anything."""
-        changed, self._changed, self._waiting = self._changed, None, 0
+        changed = self._changed
+        self._changed = None
+        self._waiting = 0
         return None if changed is None else Answer(changed, self._labels_on(changed))
 
     def _add(self, clicks: Sequence[accelsurf.Click]) -> None:

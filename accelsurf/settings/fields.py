@@ -35,7 +35,9 @@ from accelsurf.settings.toml import (
     split_commas,
 )
 
-RUN, IMAGE, FILES = SettingGroup.RUN, SettingGroup.IMAGE, SettingGroup.FILES
+RUN = SettingGroup.RUN
+IMAGE = SettingGroup.IMAGE
+FILES = SettingGroup.FILES
 #: Layouts of the files.
 Layout = Literal["plain", "bids", "nnunet"]
 

@@ -114,7 +114,8 @@ class ImageFormat:
     distances: str | None = None
 
 
-_FORMATS, _SEQUENCES = "accelsurf.io.formats", "accelsurf.io.sequences"
+_FORMATS = "accelsurf.io.formats"
+_SEQUENCES = "accelsurf.io.sequences"
 #: Options of formats that may hold several channels and time points.
 _PARTS = ("channel_index", "time_index", "channels_from_time")
 

@@ -34,7 +34,9 @@ class FlowSpec(Spec):
 
 
 #: The flow is chosen when the image is known, of the next two (`accelsurf.run.setup`).
-AUTO, MOMENTUM, DESCENT = "auto", "constant-density", "gradient"
+AUTO = "auto"
+MOMENTUM = "constant-density"
+DESCENT = "gradient"
 _MAKERS = "accelsurf.run.makers"
 _POSITIVE = Number(0.0, low_too=False)
 _LENGTH = _POSITIVE._replace(words=("auto",))

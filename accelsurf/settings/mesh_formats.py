@@ -15,7 +15,8 @@ from accelsurf.settings.registry import Registry
 _FORMATS = "accelsurf.io.formats"
 #: What a mesh file describes: the surface in a volume, or the contours in an image of one slice.
 Shape = Literal["surface", "contour"]
-_SURFACE, _CONTOUR = f"{_FORMATS}.surface_files", "accelsurf.measure.contours"
+_SURFACE = f"{_FORMATS}.surface_files"
+_CONTOUR = "accelsurf.measure.contours"
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ _UNITS = ("nm", "um", "µm", "μm", "mm", "cm", "m")
 _NUMBER = r"[0-9]{0,12}\.?[0-9]{0,20}(?:[eE][-+]?[0-9]{1,2})?"
 _SPACING = re.compile(rf"({_NUMBER})(?:,({_NUMBER}),({_NUMBER}))? ?([a-zµμ]*)")
 #: Sizes of a voxel that can be meant, mm.
-_SMALLEST, _LARGEST = 1e-9, 1e6
+_SMALLEST = 1e-9
+_LARGEST = 1e6
 
 #: A level of a pyramid, 0 the finest; "auto" is the finest whose run fits into the memory.
 Level = int | Literal["auto"]

@@ -17,7 +17,8 @@ from accelsurf.grid.geometry import Geometry
 
 #: A path through a voxel counts twice its length when the value differs from the seed's by this many standard
 #: deviations of the seed's neighbours, but at least by this fraction of the range of the image's middle 99 percent.
-_SEED_DEVIATIONS, MIN_RANGE_FRACTION = 3.0, 0.1
+_SEED_DEVIATIONS = 3.0
+MIN_RANGE_FRACTION = 0.1
 
 #: A place is half-way between two voxels if it is so up to this fraction of one: world coordinates are rounded.
 TIE = 1e-6

@@ -449,7 +449,9 @@ def _box(window: Window, start: Start) -> NDArray[np.float32]:
     nz, ny, nx = (np.arange(s.start, s.stop, dtype=float) for s in window.box)
     psi = np.empty(shape, np.float32)
     for planes in slabs(shape):
-        z, y, x = nz[planes, None, None], ny[:, None], nx
+        z = nz[planes, None, None]
+        y = ny[:, None]
+        x = nx
         if start.vox:
             offsets = [(c - m) * s for c, m, s in zip((x, y, z), middle, scale, strict=True)]
         else:

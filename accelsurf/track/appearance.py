@@ -18,9 +18,11 @@ from accelsurf.track.boxed_surface import Floats
 from accelsurf.track.records import SurfacePiece
 
 #: Widths (sigma) of the windows, voxels; they end after so many sigmas.
-SCALES, END = (1.0, 2.0, 4.0, 6.0), 3.0
+SCALES = (1.0, 2.0, 4.0, 6.0)
+END = 3.0
 #: Voxels to either side of the surface that are learned from, and those in which the evidence has its slope.
-NEAR, SLOPE_NEAR = 8.0, 2.5
+NEAR = 8.0
+SLOPE_NEAR = 2.5
 #: Part of the mean variance of a feature that is added to each: few voxels tell little.
 RIDGE = 1e-2
 #: Largest logarithm of odds: nothing is surer.
@@ -112,7 +114,9 @@ def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
     near = np.abs(depth) <= NEAR * step
     if min(np.count_nonzero(inside[near]), np.count_nonzero(~inside[near])) < MIN_VOXELS:
         return None
-    features, label, depth = _features(image, box)[:, near], inside[near], depth[near]
+    features = _features(image, box)[:, near]
+    label = inside[near]
+    depth = depth[near]
     spread = features.std(axis=1, dtype=np.float64)
     if not spread.max() > 0.0:
         return None

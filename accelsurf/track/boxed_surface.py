@@ -23,7 +23,8 @@ Floats = NDArray[np.float64]
 #: Values on a box of a grid, by its first voxel and its shape.
 OnBox = Callable[[Corner, Corner], NDArray[Any]]
 #: Voxels between the band and the edge of its box after the box was laid out, and the fewest before a step.
-MARGIN, GUARD = 4, 2
+MARGIN = 4
+GUARD = 2
 #: Surface that was not there before has the mean of so many cells of the front nearest to it.
 NEIGHBOURS = 16
 #: A part is an object of its own from this part of the largest one's volume on; smaller ones are left out.
@@ -200,11 +201,9 @@ class BoxedSurface(NamedTuple):
 
     def on_frame(self) -> SurfacePiece:
         """The surface on the frame's grid; a box of no voxels where it has left."""
-        corner, shape, frame = (
-            np.array(self.corner),
-            np.array(self.surface.shape),
-            np.array(self.geometry.shape),
-        )
+        corner = np.array(self.corner)
+        shape = np.array(self.surface.shape)
+        frame = np.array(self.geometry.shape)
         cut = self._cut_sides()
         first = np.where(cut[0], 0, np.maximum(corner, 0))
         last = np.where(cut[1], frame, np.minimum(corner + shape, frame))

@@ -27,7 +27,9 @@ from accelsurf.track.records import CarriedMesh, SurfacePiece, TrackedObject
 MAX_DIFFERENCE = 0.05
 #: A part or a cavity of at most so many voxels is below what the grid resolves: momentum may lose it.
 UNRESOLVED = 14
-VANISHED, LEFT, LOST = "vanished", "left", "lost"
+VANISHED = "vanished"
+LEFT = "left"
+LOST = "lost"
 
 
 class MeshCarrier:
@@ -236,11 +238,9 @@ class Followed:
             self.trust = parent.trust._replace(
                 parts=1, depth=2.0 * self.volume_mm3 / max(self.area_mm2, 1e-300)
             )
-            self.variance, self.drift, self.likeness = (
-                parent.variance,
-                parent.drift,
-                parent.likeness,
-            )
+            self.variance = parent.variance
+            self.drift = parent.drift
+            self.likeness = parent.likeness
 
     def chance(self, now: Profile) -> float:
         """Chance that a surface that only moves is good: what is left of the structure across it, and its certainty."""
@@ -298,9 +298,13 @@ class Followed:
 
     def note_seen(self, found: Measured, profile: Profile, time: float, geometry: Geometry) -> None:
         """Keep the measures of the frame, after the momentum was corrected by it."""
-        self.profile, self.volume_mm3, self.area_mm2 = profile, found.volume_mm3, found.area_mm2
+        self.profile = profile
+        self.volume_mm3 = found.volume_mm3
+        self.area_mm2 = found.area_mm2
         self.centroid, self.velocity = self.momentum.centroid(), self.momentum.mean_velocity()
-        self.time, self.quality, self.missing = time, found.quality, 0
+        self.time = time
+        self.quality = found.quality
+        self.missing = 0
         self.last_seen = self.momentum.piece
         self.at_border = lies_on_border(found.surface, geometry)
         if not self.at_border:

@@ -42,9 +42,11 @@ from accelsurf.track.records import BAND, Identities, SurfacePiece, TrackedObjec
 APART = 2
 #: A run on a frame counts if that on the given frame, from the given surface, leaves it by a mean square of no more
 #: than this, in voxels, in the first and in the second number of steps: half a voxel is the rounding of labels.
-ROUNDING, TRIED_STEPS = 0.3, (5, 40)
+ROUNDING = 0.3
+TRIED_STEPS = (5, 40)
 #: Least variance, voxels squared, of a predicted surface, and of what an appearance finds.
-MIN_PRIOR_DEVIATION, MIN_VARIANCE = 0.05, 0.25
+MIN_PRIOR_DEVIATION = 0.05
+MIN_VARIANCE = 0.25
 #: Tracks of objects that no runs correct are not trusted in a frame in which their mean quality is lower.
 TRUSTED = 0.6
 #: An object that no runs correct goes on with voxels twice as large from this depth on, voxels.
@@ -101,12 +103,10 @@ class Follower:
         energy: EnergyLike | None = None,
         meshes: bool = False,
     ) -> None:
-        self._config, self._geometry, self._identities, self._workers = (
-            config,
-            sequence.geometry,
-            identities,
-            workers,
-        )
+        self._config = config
+        self._geometry = sequence.geometry
+        self._identities = identities
+        self._workers = workers
         self._sequence = sequence
         self._friction = config.friction_for(sequence.times)
         self._energy, self._meshes = energy, meshes
@@ -134,7 +134,9 @@ class Follower:
             followed.id: followed.momentum.piece for followed in self.objects if followed.is_in_grid
         }
         starts = [ObjectStart(id, *piece) for id, piece in given.items()]
-        step, trust, holding = min(self._geometry.steps), {}, set(given)
+        step = min(self._geometry.steps)
+        trust = {}
+        holding = set(given)
         for steps in TRIED_STEPS:
             if holding:
                 run = self._run.replace(max_steps=min(steps, self._run.max_steps))
@@ -564,7 +566,9 @@ def appearing(
         Of the smallest and the largest tracked object, mm3: what appears lies within a factor of two of them. What the
         border cuts may be smaller, down to `MIN_CUT` voxels: it has only begun to come in.
     """
-    inner, outer, geometry = like.inner, like.outer, image.geometry
+    inner = like.inner
+    outer = like.outer
+    geometry = image.geometry
     if not (np.isfinite(inner) and np.isfinite(outer)) or inner == outer:
         return []
     smooth = gaussian_mm(image.as_float32(), geometry.spacing, min(geometry.steps))

@@ -45,12 +45,16 @@ from accelsurf.track.records import BAND, SurfacePiece
 
 #: Voxels of the image around all objects that a run on a frame sees: at least `MIN_AROUND`, and this part of the
 #: largest extent of an object.
-MIN_AROUND, AROUND_PART = 12, 0.75
+MIN_AROUND = 12
+AROUND_PART = 0.75
 #: A run is made again on more of the frame where a surface comes so near to the edge of what it saw.
 NEAR_EDGE = 3
 #: A run by an appearance: friction in the time between two frames, speed (voxels in that time) that a logarithm of odds
 #: of 1 gives in it, weight of the area in voxels, and steps at most.
-FRICTION, DRIVE, AREA, STEPS = 3.0, 20.0, 1.0, 60
+FRICTION = 3.0
+DRIVE = 20.0
+AREA = 1.0
+STEPS = 60
 #: Least distance of a given voxel's centre from the surface, voxels.
 SIDE = 0.05
 #: Settings of a first frame that mean places or steps there, and how following frames have them instead.

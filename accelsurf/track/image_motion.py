@@ -20,12 +20,16 @@ from accelsurf.track.boxed_surface import Floats
 from accelsurf.track.records import SurfacePiece
 
 #: Voxels around an object that are matched; sigma of the blur before, voxels.
-AROUND, BLUR = 12, 1.5
+AROUND = 12
+BLUR = 1.5
 #: Radius of the window of a match in voxels of the grid that is matched, and rounds of warping on each scale.
-RADIUS, ROUNDS = 3, 3
+RADIUS = 3
+ROUNDS = 3
 #: In volumes every so many voxels are matched, along axes that are as fine as the finest and have so many voxels: an
 #: eighth of the cost, and the blur leaves no more. Least blur of what is matched, in its voxels.
-STRIDE, MIN_STRIDDEN, MIN_BLUR = 2, 16, 0.5
+STRIDE = 2
+MIN_STRIDDEN = 16
+MIN_BLUR = 0.5
 #: The motion of a place of the surface is a mean over so many independent windows along each direction in the surface:
 #: it is smoothed over that.
 WINDOWS = 2.8

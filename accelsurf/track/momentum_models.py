@@ -17,7 +17,8 @@ from accelsurf.track.observer import Displacement, in_frame, missing_velocity, s
 from accelsurf.track.records import SurfacePiece
 
 #: Voxels that a surface may move in a step, and that one may whose motion the image has shown: less certain than that.
-CFL, STEERED_CFL = 0.5, 1.5
+CFL = 0.5
+STEERED_CFL = 1.5
 #: Steps of a motion at most: speeds that run away, as where paths cross, end it.
 MAX_STEPS = 200
 #: A motion has ended when less than this part of its time is left: that is rounding.
@@ -179,7 +180,9 @@ class FlowableMomentum(SurfaceMomentum):
         return -math.expm1(-self.friction * abs(duration)) / self.friction
 
     def _coast(self, duration: float) -> None:
-        mean, h, sign = self._mean_velocity(), self._boxed.spacing, math.copysign(1.0, duration)
+        mean = self._mean_velocity()
+        h = self._boxed.spacing
+        sign = math.copysign(1.0, duration)
         voxels = np.rint(mean * duration / h)
         free = self._free(duration)
         slowed, cfl = (

@@ -24,7 +24,8 @@ from accelsurf.track.records import SurfacePiece
 #: Damping of a round of the fit, in parts of a surface that looks all ways: along a plane no shift is determined.
 DAMPING = 1e-4
 #: Rounds of the fit; it ends when a round moves by no more than this part of a voxel.
-MAX_ROUNDS, FITTED = 30, 1e-3
+MAX_ROUNDS = 30
+FITTED = 1e-3
 #: Half width, voxels, of the band in which distances are known for the fit; further off nothing is fitted.
 FIT_WIDTH = 12.0
 #: Points more than so many voxels off count by 1/distance: a place that is really different does not draw the whole.

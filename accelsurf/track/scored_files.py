@@ -26,7 +26,8 @@ from accelsurf.track.scores import (
 )
 
 #: Ends of the names of label maps, and of the table that belongs to them.
-_TRUTH, _TABLE = "_truth", "_tracks.csv"
+_TRUTH = "_truth"
+_TABLE = "_tracks.csv"
 _MARKS = ("_labels", _TRUTH)
 
 

@@ -23,7 +23,12 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 #: Weights of the challenge: split an object, add one, delete one, delete an edge, add one, change its meaning.
-SPLIT, ADD, DELETE, DELETE_EDGE, ADD_EDGE, CHANGE_EDGE = 5.0, 10.0, 1.0, 1.0, 1.5, 1.0
+SPLIT = 5.0
+ADD = 10.0
+DELETE = 1.0
+DELETE_EDGE = 1.0
+ADD_EDGE = 1.5
+CHANGE_EDGE = 1.0
 
 #: An object in a frame: frame and id.
 Vertex = tuple[int, int]

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from accelsurf.api.options import TrackOptions
 
 #: Voxels along each axis of the frames that warm up kernels, and the radius of the ball in them.
-WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
+WARMUP_SIDE = 24
+WARMUP_RADIUS = 6.0
 _BEGIN = "begin anew without --resume, with --overwrite"
 
 
@@ -60,12 +61,10 @@ class JoinedSequence(ImageSequence):
 
     def __init__(self, first: ImageSequence, others: Sequence[ImageSequence]) -> None:
         self._sequences = (first, *others)
-        self.times, self.time_unit, self.geometry, self.source = (
-            first.times,
-            first.time_unit,
-            first.geometry,
-            first.source,
-        )
+        self.times = first.times
+        self.time_unit = first.time_unit
+        self.geometry = first.geometry
+        self.source = first.source
         self.notes = tuple(
             dict.fromkeys(note for sequence in self._sequences for note in sequence.notes)
         )
@@ -193,12 +192,10 @@ class Tracking:
         checkpoint_to: str | Path | None = None,
     ) -> None:
         self._check(sequence, config)
-        self.sequence, self._energy, self._objects, self._on_step = (
-            sequence,
-            energy,
-            objects,
-            on_step,
-        )
+        self.sequence = sequence
+        self._energy = energy
+        self._objects = objects
+        self._on_step = on_step
         self.config = config.replace(run=seeded(config.run))
         self._meshes, self._path = meshes, None if checkpoint_to is None else Path(checkpoint_to)
         self.visits, self.done = visits(config, len(sequence)), 0
@@ -370,7 +367,9 @@ class Tracking:
             list(state.warnings),
             list(state.doubtful),
         )
-        self._first, self._velocities, self._trust = state.first, state.velocities, state.trust
+        self._first = state.first
+        self._velocities = state.velocities
+        self._trust = state.trust
 
 
 def track(

@@ -31,7 +31,8 @@ FROM = 0.47
 #: A part is an answer of at most this part of the likeliest one's volume.
 PART = 1.0 / 1.5
 #: Probabilities whose volumes tell how sure a first answer is.
-LOW, HIGH = 0.25, 0.7
+LOW = 0.25
+HIGH = 0.7
 #: Levels at which other answers are looked for.
 LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
 #: A rim of at least so many steps around the answer tells what is beyond it; as wide as the answer is deep.
@@ -39,7 +40,9 @@ RIM = 2.0
 #: Gaussians are cut off at so many deviations.
 REACH = 4.0
 #: Numbers of the answers to a first click.
-LIKELIEST, OF_PART, OF_ALIKE = 1, 2, 3
+LIKELIEST = 1
+OF_PART = 2
+OF_ALIKE = 3
 
 
 class Answer(NamedTuple):

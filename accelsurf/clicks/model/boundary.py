@@ -23,15 +23,19 @@ from accelsurf.image.blocks import block_means, on_voxels
 from accelsurf.image.smoothing import gaussian_mm
 
 #: Voxels are looked at up to this part of a block and so many voxels from the boundary.
-REACH, MORE = 0.75, 1.0
+REACH = 0.75
+MORE = 1.0
 #: Means are over so many blocks along each axis; voxels nearer to the boundary than so many count little in them.
-AROUND, MIXED, LITTLE = 3, 1.0, 0.02
+AROUND = 3
+MIXED = 1.0
+LITTLE = 0.02
 #: Where both sides differ by so many spreads, the image counts half; where by more, it counts fully.
 CLEAR = 1.0
 #: Smoothing of the values that are looked at beside the voxel's own, in voxels.
 SMOOTHING = 1.0
 #: Features are cut at these: the place of a value, and logarithms of the contrast.
-MAX_BALANCE, MAX_CONTRAST = 3.0, 30.0
+MAX_BALANCE = 3.0
+MAX_CONTRAST = 30.0
 
 
 def features_near(

@@ -29,7 +29,8 @@ from accelsurf.grid.clicks import Click
 FROM = 7.5
 #: And where it is below this part of that radius; it is then read with the second part. Drawn balls and discs in noise
 #: are found with .6 to .8 of their radius (benchmarks/notes/clicks-reading.md).
-TOO_SMALL, READ = 0.5, 0.7
+TOO_SMALL = 0.5
+READ = 0.7
 #: Its radius is known where it is at most so many times that one.
 SURE = 1.1
 #: A click's inscribed radius is at most this part of the image's middle side: an object needs surroundings.
@@ -39,10 +40,14 @@ BEYOND = 9.0
 #: It is read as one of so many too, whose radius still says something of the object's (`windows.LARGEST`).
 PEOPLES = 7.0
 #: A shell is this much wider than the ball in it, and this part of a spacing at least.
-WIDER, MIN_WIDER = 1.15, 0.75
+WIDER = 1.15
+MIN_WIDER = 0.75
 #: A mean, or a spread, differs from so many of its standard errors on; a value from so many spreads on, and where more
 #: than this part of a shell and so many voxels do.
-ERRORS, FAR, FAR_PART, FAR_VOXELS = 5.0, 4.0, 1e-3, 2
+ERRORS = 5.0
+FAR = 4.0
+FAR_PART = 1e-3
+FAR_VOXELS = 2
 #: Values that differ by less are the same; of the image's range between percentiles.
 SAME = 1e-6
 #: A ball is looked at in about so many voxels along its radius.
@@ -50,10 +55,12 @@ FINE = 12
 #: No ball grows beyond so many of the smallest spacings.
 MAX_STEPS = 128.0
 #: The middle moves by these parts of the radius, to where a ball wider by `WIDER` is even; at most so often.
-MOVES, MAX_MOVES = (0.5, 0.25), 24
+MOVES = (0.5, 0.25)
+MAX_MOVES = 24
 #: What has less noise than this part of a window's range has none. The networks know no image without: then its blocks
 #: get noise of the second part. In CT the noise of tissue is a hundredth of the range from air to bone, and is enough.
-NO_NOISE, DITHER = 1e-3, 0.02
+NO_NOISE = 1e-3
+DITHER = 0.02
 
 
 class EvenBall(NamedTuple):

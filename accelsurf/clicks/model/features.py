@@ -31,21 +31,26 @@ from accelsurf.image.blocks import block_means
 
 Features = dict[str, NDArray[np.floating]]
 #: Smoothing before anything is learned, of the smallest side of a block; and of the wide maps, in blocks.
-SMOOTHING, WIDE = 0.6, 1.5
+SMOOTHING = 0.6
+WIDE = 1.5
 #: Values are cut at so many spreads.
 CUT = 12.0
 #: A change by one spread is as long as so many blocks on a shortest path.
 CHANGE = 16.0
 #: Links of the walk fall off by this; its residual at the end, and most iterations.
-SHARPNESS, TOLERANCE, ITERATIONS = 20.0, 2e-2, 200
+SHARPNESS = 20.0
+TOLERANCE = 2e-2
+ITERATIONS = 200
 #: An object has about so many times the volume of its largest ball; spread of the logarithm.
-TIMES_BALL, BALL_SPREAD = 5.5, 1.2
+TIMES_BALL = 5.5
+BALL_SPREAD = 1.2
 #: Of a flat image, an area counts as its power: as the volume of something round.
 FLAT = 1.5
 #: Points along a ray from the click.
 RAY = 10
 #: Bins of the histograms of values, and the least density.
-BINS, LEAST = np.linspace(-CUT, CUT, 97), 1e-4
+BINS = np.linspace(-CUT, CUT, 97)
+LEAST = 1e-4
 #: A length beyond so many radii counts as this.
 FAR = 20.0
 
@@ -102,7 +107,9 @@ def features_of_first(window: Window) -> Features:
         By name: (nz, ny, nx) of each block, or of no dimension where they are the same for all.
     """
     looks = Looks(window)
-    mine, theirs, z = window.mine, window.theirs, looks.z
+    mine = window.mine
+    theirs = window.theirs
+    z = looks.z
     radius = window.radius
     faces = window.faces & ~mine
     distance = window.distance_to(window.seed)
@@ -170,11 +177,9 @@ def features_of_later(
     count : int
         Number of voxels of the labels, those beyond the window too.
     """
-    out, inside, radius = (
-        features_of_first(window),
-        window.seed.click.side == "inside",
-        window.radius,
-    )
+    out = features_of_first(window)
+    inside = window.seed.click.side == "inside"
+    radius = window.radius
     share = block_means(before.astype(np.float32), window.steps.tolist())
     share = share if inside else 1.0 - share
     side, z = share >= 0.5, out["value"]

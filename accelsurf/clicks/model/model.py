@@ -88,7 +88,8 @@ ROOM = 4.0
 FACTOR = 2.0
 #: The volume of an answer that is not taken is of its fitted voxels in a window of at most so many; else of places
 #: between blocks, at most so many to a side of each.
-MAX_FITTED, FINE = 4_000_000, 3
+MAX_FITTED = 4_000_000
+FINE = 3
 #: The boundary is fitted with so many blocks around what a click has turned.
 WIDE = 3
 
@@ -358,7 +359,9 @@ def first_model(
     asked : mapping of str to Network
     """
     found = first_blocks(scene, seed, size_mm3, answer, asked["first"])
-    window, levels, answers = found.window, found.levels, found.answers
+    window = found.window
+    levels = found.levels
+    answers = found.answers
     box, score = _on_voxels(Shown(window, found.field), seed.click, asked)
     if size_mm3 is not None:
         score = _sized(score, size_mm3 / float(np.prod(scene.spacing)))
@@ -599,7 +602,9 @@ def within_reach(
     differs = bounding_box((before_on != after_on) | click.mask_on(box))
     assert differs is not None  # the click is in it
     part = placed_at(differs, corner_of(box))
-    old, new, clicked = before_on[differs], after_on[differs], click.mask_on(part)
+    old = before_on[differs]
+    new = after_on[differs]
+    clicked = click.mask_on(part)
     distance, turned = distances_from(click, part, spacing), (old < 0) != (new < 0)
     far = distance[turned]
     reach = click.near

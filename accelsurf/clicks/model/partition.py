@@ -27,11 +27,14 @@ from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.image.smoothing import gaussian_mm
 
 #: Smoothing of the image before anything is learned from it, and of the shares of objects; of the smallest spacing.
-SMOOTHING, SHARES = 0.3, 0.7
+SMOOTHING = 0.3
+SHARES = 0.7
 #: Shares are cut at so many of their widths.
 REACH = 4.0
 #: Cost per mm where a voxel looks like the clicks; the power of how many spreads it differs by, and most of these.
-LEAST, POWER, MAX_SPREADS = 0.2, 4, 10.0
+LEAST = 0.2
+POWER = 4
+MAX_SPREADS = 10.0
 #: What a front goes through: an image of costs.
 _COSTS = Tissue(
     np.zeros(1), np.ones(1), np.ones(1), np.array((LEAST, 0.0, 0.0, 1.0, 0.0, MAX_SPREADS**POWER))
@@ -39,7 +42,8 @@ _COSTS = Tissue(
 #: The same for what is no object, which is all around: how far it lies from a click says next to nothing.
 _GROUND = _COSTS._replace(weights=np.array((0.05 * LEAST, *_COSTS.weights[1:])))
 #: Labels of voxels of what is no object, or of an outside click; and where no front comes.
-NOBODY, UNREACHED = 0, -1
+NOBODY = 0
+UNREACHED = -1
 
 
 class Basins(NamedTuple):
@@ -186,7 +190,9 @@ def _with_shares(
     for number, box in enumerate(found.boxes):
         if number == NOBODY and not (labels == NOBODY).any():
             continue
-        share, first, second = _share(found, number, spacing), found.first[box], found.second[box]
+        share = _share(found, number, spacing)
+        first = found.first[box]
+        second = found.second[box]
         is_more = share > first
         second[...] = np.where(is_more, first, np.maximum(second, share))
         first[is_more], found.largest[box][is_more] = share[is_more], number
@@ -242,7 +248,9 @@ def partition_model(
     found = (basins or BasinsOnce()).of(images, spacing, clicks, mask)
     number = found.numbers[owner_of(mine[0])]
     box, share = found.boxes[number], _share(found, number, spacing)
-    largest, first, second = found.largest[box], found.first[box], found.second[box]
+    largest = found.largest[box]
+    first = found.first[box]
+    second = found.second[box]
     force = np.where(
         largest == number, np.minimum(second - first, -JUST), np.maximum(first - share, JUST)
     )

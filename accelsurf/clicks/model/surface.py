@@ -20,9 +20,11 @@ from accelsurf.image.noise import SECOND_DIFFERENCE
 REACH = 4
 #: Weight of the area, of the smallest spacing, without noise; and what noise of the contrast's size adds. More noise
 #: adds no more.
-AREA, NOISY_AREA = 0.1, 0.2
+AREA = 0.1
+NOISY_AREA = 0.2
 #: Parallel surfaces are so many of the smallest spacings away; larger boxes are coarsened to so many voxels.
-APART, MOST = 2.0, 40_000
+APART = 2.0
+MOST = 40_000
 #: F is lowered by so much at most: on a tiny object the area would otherwise outweigh what the clicks say.
 MAX_OFFSET = 0.2
 

@@ -34,7 +34,8 @@ LARGEST = 7.5
 #: between .2 and .45.
 IN_BOX = (0.25, 0.5)
 #: Voxels of a click count as its core from this part of the largest depth on; at most so many are used.
-CORE, CORE_VOXELS = 0.95, 64
+CORE = 0.95
+CORE_VOXELS = 64
 
 
 class Scale(NamedTuple):
@@ -312,7 +313,9 @@ def window_around(scene: Scene, seeds: Sequence[Seed], scale: Scale) -> Window:
     LeavesWindow
         When it comes near an open face of the scene's part.
     """
-    last, mm, shape = seeds[-1], np.asarray(scene.spacing), np.array(scene.whole_shape)
+    last = seeds[-1]
+    mm = np.asarray(scene.spacing)
+    shape = np.array(scene.whole_shape)
     radius, corner = inscribed_radius(last, scene), np.array(scene.corner)
     block = max(radius / scale.blocks, scene.step)
     while True:

@@ -54,7 +54,9 @@ class ClickConstraint(ConstrainedEnergy):
         on = front[slots]
         if not on.any():
             return inner
-        slots, keeps_in, keeps_out = slots[on], keeps_in[on], keeps_out[on]
+        slots = slots[on]
+        keeps_in = keeps_in[on]
+        keeps_out = keeps_out[on]
         speed = np.asarray(flow.normal_velocity(surface), np.float32)
         change = np.zeros(surface.size, np.float32) if inner is None else inner
         now = (speed + change)[slots]

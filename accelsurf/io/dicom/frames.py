@@ -107,7 +107,8 @@ _TAGS = [
 ]
 #: Samples of a pixel on average, where colours are stored for pairs of pixels.
 _HALVED = "YBR_FULL_422"
-_MAX_SIDE, _MAX_BITS = 1 << 16, 64
+_MAX_SIDE = 1 << 16
+_MAX_BITS = 64
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,8 @@ _COLOURS = 3
 #: Markers of the frame headers of JPEG and JPEG-LS.
 _FRAME_HEADERS = {*range(0xC0, 0xD0), 0xF7} - {0xC4, 0xC8, 0xCC}
 #: What a packed image ends with, in all kinds of JPEG, and how many bytes may follow it.
-_END_OF_IMAGE, _TAIL = b"\xff\xd9", 1024
+_END_OF_IMAGE = b"\xff\xd9"
+_TAIL = 1024
 #: The elements that describe pixels.
 _DESCRIBING = (
     "Rows",
@@ -126,7 +127,9 @@ def _check_fits(values: NDArray[Any], dtype: np.dtype[Any], frame: Frame) -> Non
     """Refuse values that the type does not hold, which follows from the bits that are announced."""
     if dtype.kind not in "iu":
         return
-    low, high, known = values.min(), values.max(), np.iinfo(dtype)
+    low = values.min()
+    high = values.max()
+    known = np.iinfo(dtype)
     if low < known.min or high > known.max:
         raise InputError(
             f"{frame.path.name}: values of {low:g} to {high:g}, {frame.pixel[0]} bits announced",

@@ -35,7 +35,8 @@ from accelsurf.settings.labels import LabelEntry
 MAX_SEGMENT = 65535
 #: Any image without frames, of which highdicom takes patient, study and frame of reference.
 _SINGLE_FRAME = "1.2.840.10008.5.1.4.1.1.2"
-_RLE, _EXPLICIT = "1.2.840.10008.1.2.5", "1.2.840.10008.1.2.1"
+_RLE = "1.2.840.10008.1.2.5"
+_EXPLICIT = "1.2.840.10008.1.2.1"
 #: Code, scheme, meaning. Tissue is what Slicer gives to segments that nothing is known of.
 _TISSUE = ("85756007", "SCT", "Tissue")
 _DEFORMABLE_MODELS = ("123111", "DCM", "Deformable Models")

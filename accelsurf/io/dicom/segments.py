@@ -41,7 +41,9 @@ _TAGS = (
     "PixelPaddingValue",
     *TAGS,
 )
-_BINARY, _FRACTIONAL, _LABELMAP = "BINARY", "FRACTIONAL", "LABELMAP"
+_BINARY = "BINARY"
+_FRACTIONAL = "FRACTIONAL"
+_LABELMAP = "LABELMAP"
 _MAX_NUMBER = 65535
 _HINT = "export it again, as a DICOM segmentation with a place for each frame"
 

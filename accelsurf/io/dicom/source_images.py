@@ -22,7 +22,8 @@ _MAX_PART = 0.25
 #: Largest cosine between a slice's normal and its plane.
 _PARALLEL = 1e-3
 #: A date and a time of a source that has none.
-NO_DATE, NO_TIME = "19000101", "000000"
+NO_DATE = "19000101"
+NO_TIME = "000000"
 _HINT = "a DICOM object refers to the slices by it: export the series again, with its identifiers"
 _TEXTS = (
     "PatientName",
@@ -33,7 +34,8 @@ _TEXTS = (
     "StudyDescription",
     "PositionReferenceIndicator",
 )
-_DATES, _TIMES = ("PatientBirthDate", "StudyDate"), ("StudyTime",)
+_DATES = ("PatientBirthDate", "StudyDate")
+_TIMES = ("StudyTime",)
 _DATED = ("Series", "Study", "Acquisition", "Content")
 _OTHERS = (
     "PatientSex",

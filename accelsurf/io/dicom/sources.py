@@ -33,7 +33,8 @@ _DEFLATED = b"1.2.840.10008.1.2.1.99"
 _SERIES_UID = 0x0020_000E
 _PIXELS = (0x7FE0_0008, 0x7FE0_0009, 0x7FE0_0010)
 _UNDEFINED = 0xFFFF_FFFF
-_ITEM, _END = (0xFFFE, 0xE000), (0xFFFE, 0xE0DD)
+_ITEM = (0xFFFE, 0xE000)
+_END = (0xFFFE, 0xE0DD)
 #: A read of more bytes is compared with what is left of the file before they are allocated.
 _LARGE = 1 << 16
 #: Pieces of packed pixels that are counted.
@@ -43,15 +44,14 @@ SUFFIXES = (".dcm", ".ima", ".dicom")
 MAX_FILES = 200_000
 #: Files that are looked at to see whether a folder holds DICOM.
 _TRIED = 64
-_MARK, _MARK_AT = b"DICM", 128
+_MARK = b"DICM"
+_MARK_AT = 128
 #: First elements of files that have no mark: groups 0002 and 0008, in either byte order.
 _FIRST_GROUPS = (b"\x02\x00", b"\x08\x00", b"\x00\x08")
 Floats = tuple[float, ...]
-SEGMENTATION, WHOLE_SLIDE, PROJECTION = (
-    "segmentation",
-    "whole-slide image",
-    "projection of a tomograph",
-)
+SEGMENTATION = "segmentation"
+WHOLE_SLIDE = "whole-slide image"
+PROJECTION = "projection of a tomograph"
 MOSAIC = "mosaic of slices"
 #: Elements that tell the kind of image, beside class, modality and type of image.
 TAGS = ("TotalPixelMatrixRows", "TotalPixelMatrixColumns", "DimensionOrganizationType")

@@ -33,7 +33,8 @@ from accelsurf.settings.labels import LabelEntry
 
 Floats = NDArray[np.float64]
 
-_STRUCTURE_SET, _IMPLICIT = "1.2.840.10008.5.1.4.1.1.481.3", "1.2.840.10008.1.2"
+_STRUCTURE_SET = "1.2.840.10008.5.1.4.1.1.481.3"
+_IMPLICIT = "1.2.840.10008.1.2"
 #: Largest number of a region.
 MAX_NUMBER = 2**31 - 1
 _STUDY = "1.2.840.10008.3.1.2.3.1"

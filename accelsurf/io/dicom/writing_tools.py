@@ -17,7 +17,8 @@ from accelsurf.io.dicom.sources import library, quiet
 #: What the identifiers that highdicom draws at random begin with.
 RANDOM_PREFIX = "1.2.826.0.1.3680043.10.511.3."
 #: Characters that a text of a DICOM value of type LO may have, and SH.
-LO, SH = 64, 16
+LO = 64
+SH = 16
 
 
 def derived_uid(*parts: str) -> str:

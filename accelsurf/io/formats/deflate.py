@@ -16,9 +16,11 @@ from accelsurf.settings import budgets
 TRUNCATED_HINT = "the file is truncated: copy or export it again"
 GZIP_START = b"\x1f\x8b"
 #: Packed bytes that are read at a time, first and at most.
-_FIRST_CHUNK, _LAST_CHUNK = 1 << 16, 1 << 21
+_FIRST_CHUNK = 1 << 16
+_LAST_CHUNK = 1 << 21
 #: Unpacked bytes that are given at a time, at most; beyond the end that a header announces.
-_PIECE, _PIECE_BEYOND = 1 << 23, 1 << 20
+_PIECE = 1 << 23
+_PIECE_BEYOND = 1 << 20
 
 
 def inflate(

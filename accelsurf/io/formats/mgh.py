@@ -14,7 +14,8 @@ from accelsurf.io.formats.deflate import GZIP_START, first_bytes
 from accelsurf.io.formats.raw_header import RawHeader
 from accelsurf.io.headers import with_warnings
 
-_MGH_HEADER, _MGH_VERSION = 284, b"\0\0\0\1"
+_MGH_HEADER = 284
+_MGH_VERSION = b"\0\0\0\1"
 #: From RAS, as FreeSurfer has it, to LPS.
 _TO_LPS = np.diag([-1.0, -1.0, 1.0])
 #: Where the header says if its size of a voxel and its directions count: a whole number of 2 bytes.

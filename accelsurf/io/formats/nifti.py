@@ -50,7 +50,9 @@ _BEGINNINGS = {
 _MAGIC = {1: (344, b"n+1\0"), 2: (4, b"n+2\0\r\n\x1a\n")}
 _PAIR_MAGIC = {1: (344, b"ni1\0"), 2: (4, b"ni2\0\r\n\x1a\n")}
 #: Endings of the two files of a pair, each also packed.
-_HEADER, _VOXELS, _PACKED = ".hdr", ".img", ".gz"
+_HEADER = ".hdr"
+_VOXELS = ".img"
+_PACKED = ".gz"
 _QFORM = ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z")
 #: Bytes before the voxels that are searched for times.
 _MAX_EXTENSION = 1 << 24

@@ -28,7 +28,9 @@ from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.wording import seconds_of
 
 #: Kinds of an axis of space, of time points, and of none that is said; along the others lie the values of a voxel.
-_SPACE, _TIME, _SAYS_NOTHING = ("domain", "space"), ("time",), ("", "???", "none", "list")
+_SPACE = ("domain", "space")
+_TIME = ("time",)
+_SAYS_NOTHING = ("", "???", "none", "list")
 NRRD_KEY = "nrrd_space"
 """Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
 _ITK_NAME = "NrrdImageIO"
@@ -95,7 +97,9 @@ def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
         )
     with library_named("the NRRD header is damaged", "copy or export the file again"):
         fields = _fields([line for line in lines if not _OWN_KEY.match(line)])
-    encoding, skip, stored = fields["encoding"], fields.get("byte skip", 0), _stored(fields)
+    encoding = fields["encoding"]
+    skip = fields.get("byte skip", 0)
+    stored = _stored(fields)
     if encoding not in _ENCODINGS:
         raise InputError(
             f"an NRRD of encoding {encoding} given, raw or gzip expected", "save it as gzip"

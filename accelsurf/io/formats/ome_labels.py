@@ -21,7 +21,9 @@ from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
 from accelsurf.io.headers import check_within_store
 
 _NAME = re.compile(r"[0-9A-Za-z][0-9A-Za-z_.-]{0,63}")
-_VERSION, _GROUP, _MARK = "0.5", "labels", "zarr.json"
+_VERSION = "0.5"
+_GROUP = "labels"
+_MARK = "zarr.json"
 
 
 def check_label_group(image: Path, name: str, overwrite: bool) -> Path:

@@ -37,7 +37,8 @@ _SERIES_KEY = "bioformats2raw.layout"
 #: What the metadata of a group of OME-Zarr have, one of them.
 _KINDS = {"multiscales", "plate", "well", "labels", _SERIES_KEY}
 #: Folders that are looked into for images, and bytes of metadata that are looked at for that.
-_LISTED, _QUICK = 64, 1 << 20
+_LISTED = 64
+_QUICK = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)

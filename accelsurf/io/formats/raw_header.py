@@ -217,7 +217,9 @@ class RawHeader:
         if self.encoding == "raw":
             return values_at(self.data, self.stored, self.offset + begin, count)
         values = np.empty(count, self.stored)
-        raw, present, filled = memoryview(values.view(np.uint8).data), 0, 0
+        raw = memoryview(values.view(np.uint8).data)
+        present = 0
+        filled = 0
         with self.data.open("rb") as stream:
             stream.seek(self.offset)
             for piece in inflate(stream, self.stored_bytes, self.claimed_bytes):

@@ -108,7 +108,9 @@ def _silent(logger: logging.Logger) -> Iterator[None]:
 
 def ply_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
     """The bytes of a .ply file; ``space`` is LPS or RAS."""
-    named, colored, points = "", "", vertices.astype("<f4")
+    named = ""
+    colored = ""
+    points = vertices.astype("<f4")
     if label is not None:
         named = f"comment NAME={ascii_name(label.name)}\n"
         colored = "".join(f"property uchar {part}\n" for part in ("red", "green", "blue"))

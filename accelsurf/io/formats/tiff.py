@@ -52,9 +52,18 @@ from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 Spacing = tuple[float, float, float]
-_SUBFILE, _WIDTH, _HEIGHT, _PHOTOMETRIC, _ORIENTATION = 254, 256, 257, 262, 274
-_BITS, _EXTRA, _FORMAT = 258, 338, 339
-_STRIPS, _STRIP_BYTES, _TILES, _TILE_BYTES = 273, 279, 324, 325
+_SUBFILE = 254
+_WIDTH = 256
+_HEIGHT = 257
+_PHOTOMETRIC = 262
+_ORIENTATION = 274
+_BITS = 258
+_EXTRA = 338
+_FORMAT = 339
+_STRIPS = 273
+_STRIP_BYTES = 279
+_TILES = 324
+_TILE_BYTES = 325
 #: Types of values: whole numbers of any length but bytes, which tifffile leaves as they are.
 _WHOLE = (3, 4, 16)
 _OFFSET = (3, 4, 13, 16, 18)
@@ -97,7 +106,10 @@ _PALETTE_HINT = "save it as grey if its numbers are labels or values, as RGB if 
 _MAX_TILE_EDGE = 1 << 12
 #: Bytes of the entries of a small file: they may be more than its voxels.
 _SLACK = 1 << 16
-_NONE, _LZW, _PACKBITS, _DEFLATE = 1, 5, 32773, (8, 32946)
+_NONE = 1
+_LZW = 5
+_PACKBITS = 32773
+_DEFLATE = (8, 32946)
 _RATIOS = {
     _LZW: budgets.LZW,
     _PACKBITS: budgets.PACKBITS,
@@ -373,7 +385,9 @@ class TiffReader:
 
 def _unfaithful(page: tifffile.TiffPage, colour: int) -> str:
     """Name the property of a page by which its numbers are not those of the image; empty where there is none."""
-    bits, form, samples = page.bitspersample, page.sampleformat, page.samplesperpixel
+    bits = page.bitspersample
+    form = page.sampleformat
+    samples = page.samplesperpixel
     packing, extra = page.compression, page.extrasamples
     is_grey = colour in (0, 1)
     counts = {page.tags[tag].count for tag in (_BITS, _FORMAT) if tag in page.tags}
@@ -971,7 +985,9 @@ def _opened(path: Path, image: TiffImage, t: int, c: int, cache_bytes: int) -> L
     pages = image.stack.pages[t, channel].tolist()
     assert image.stack.file_numbers is not None
     numbers = image.stack.file_numbers[t, channel].tolist()
-    sources, depths, is_packed = [], [], False
+    sources = []
+    depths = []
+    is_packed = False
     for number, group in itertools.groupby(
         zip(numbers, pages, strict=True), key=lambda pair: pair[0]
     ):

@@ -28,7 +28,10 @@ IMAGEJ = "ImageJ="
 #: Beginnings of texts that say what the pages are.
 _MARKS = (IMAGEJ, "<?xml", "<OME", '{"shape": [')
 #: Tags of the description, the numbers of pixels along y and x in a unit, and this unit.
-_DESCRIPTION, _Y_RESOLUTION, _X_RESOLUTION, _RESOLUTION_UNIT = 270, 283, 282, 296
+_DESCRIPTION = 270
+_Y_RESOLUTION = 283
+_X_RESOLUTION = 282
+_RESOLUTION_UNIT = 296
 #: Centimetre, as unit of the resolution.
 _CM = 3
 #: Letters of tifffile for an axis of slices.

@@ -45,7 +45,8 @@ _KNOWN = frozenset(
     )
 )
 #: A check sum behind the packed values, and its bytes.
-_CRC, _CRC_BYTES = "crc32c", 4
+_CRC = "crc32c"
+_CRC_BYTES = 4
 #: In the index of a shard, twice, for a chunk that was left out.
 _LEFT_OUT = 2**64 - 1
 #: Bytes of a chunk that say how long it is: of Blosc 16, of Zstandard 18.

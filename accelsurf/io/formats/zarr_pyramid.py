@@ -26,7 +26,8 @@ from accelsurf.io.headers import LABELS_KEY
 from accelsurf.settings.labels import LabelTable
 
 #: Voxels of a chunk along each axis; of one slice, along the two others.
-CHUNK, SLICE_CHUNK = 64, 512
+CHUNK = 64
+SLICE_CHUNK = 512
 #: So many labels get a colour; programs choose colours for the others.
 MAX_COLORS = 1024
 
@@ -132,7 +133,9 @@ class ZarrPyramid:
         zarr = library()
         from zarr.codecs import ZstdCodec
 
-        self._labels, self._source, self._folder = labels, source, folder
+        self._labels = labels
+        self._source = source
+        self._folder = folder
         self._levels = planned_levels(geometry, labels)
         described = [(str(i), level.spacing, level.offset) for i, level in enumerate(self._levels)]
         method = "nearest" if labels else "mean"

@@ -34,7 +34,8 @@ from accelsurf.settings import budgets
 #: Voxels along an axis: beyond that the numbers of the header are damaged.
 _MAX_AXIS = 1 << 48
 #: What the metadata of an array list, and how much of it at most.
-_LISTS, _MAX_LISTED = ("shape", "chunks", "codecs", "filters"), 16
+_LISTS = ("shape", "chunks", "codecs", "filters")
+_MAX_LISTED = 16
 #: What a group or an array of a Zarr has, one of them.
 MARKS = ("zarr.json", ".zattrs", ".zgroup", ".zarray")
 

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from accelsurf.io.sequences.sources import FileSequence
 
 #: A step between frames that can be meant, seconds.
-_SHORTEST, _LONGEST = 1e-15, 1e12
+_SHORTEST = 1e-15
+_LONGEST = 1e12
 
 
 def read_sequence(

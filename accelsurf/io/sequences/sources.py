@@ -55,7 +55,9 @@ class FileSequence(ImageSequence):
 
     def place(self, geometry: Geometry, times: FrameTimes, notes: Sequence[str] = ()) -> None:
         """Say where and when the frames are."""
-        self.geometry, self.times, self.time_unit = geometry, times.values, times.unit
+        self.geometry = geometry
+        self.times = times.values
+        self.time_unit = times.unit
         self.notes = tuple(note for note in notes if note)
 
     def set_step(self, seconds: float) -> None:

@@ -24,18 +24,20 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.patheffects import AbstractPathEffect
 
-BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = (
-    "#0072B2",
-    "#E69F00",
-    "#009E73",
-    "#D55E00",
-    "#CC79A7",
-    "#56B4E9",
-)
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+VERMILION = "#D55E00"
+PURPLE = "#CC79A7"
+SKY = "#56B4E9"
 YELLOW = "#F0E442"
-INK, GRID, PALE, DARK = "#222222", "#D9D9D9", "#999999", "#101010"
+INK = "#222222"
+GRID = "#D9D9D9"
+PALE = "#999999"
+DARK = "#101010"
 #: The surface, and what it is compared with, in every picture of the program.
-SURFACE, REFERENCE = ORANGE, SKY
+SURFACE = ORANGE
+REFERENCE = SKY
 #: Colours of objects with ids, again from the first when there are more; none is that of the reference.
 OBJECT_COLORS = (SURFACE, GREEN, BLUE, VERMILION, PURPLE)
 #: A style of matplotlib's lines: solid, or lengths of dashes and gaps in widths of the line.
@@ -43,7 +45,10 @@ Dashes = Literal["-"] | tuple[float, tuple[float, ...]]
 SOLID: Dashes = "-"
 DASHED: Dashes = (0, (4.5, 2))
 #: Height of the numbers at ticks and in legends, of labels, of titles, and of the heading of a picture, pixels.
-TICK_SIZE, LABEL_SIZE, TITLE_SIZE, HEADING_SIZE = 11, 12, 14, 17
+TICK_SIZE = 11
+LABEL_SIZE = 12
+TITLE_SIZE = 14
+HEADING_SIZE = 17
 
 #: Width that a title has at least, pixels, above narrow axes in the middle of a panel.
 MIN_TITLE = 240

@@ -16,7 +16,8 @@ from accelsurf.io.files import SPACE_HINT, staging, write_bytes
 
 FORMATS = (".mp4", ".gif", ".webp")
 #: Smallest and largest side of a movie, pixels: smaller text cannot be read, larger pictures encoders refuse.
-MIN_SIDE, MAX_SIDE = 160, 4096
+MIN_SIDE = 160
+MAX_SIDE = 4096
 
 Picture = NDArray[np.uint8]
 

@@ -46,9 +46,16 @@ if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
 
 #: Width of a picture, of its margins and of the space between panels, pixels.
-WIDTH, LEFT, RIGHT, GAP = 1386, 78, 30, 92
+WIDTH = 1386
+LEFT = 78
+RIGHT = 30
+GAP = 92
 #: Height of the title, of a panel, of a large one, of the energies, and below a panel.
-TOP, PANEL, LARGE, LOW, BELOW = 74, 378, 560, 200, 84
+TOP = 74
+PANEL = 378
+LARGE = 560
+LOW = 200
+BELOW = 84
 
 
 def preview_png(content: PreviewContent) -> bytes:
@@ -73,11 +80,9 @@ def preview_png(content: PreviewContent) -> bytes:
     if content.geometry.slice_axis is not None:
         return _png_2d(content, content.geometry.slice_axis)
     ranges = shown_ranges(content)
-    window, main, native = (
-        content_window(content, ranges),
-        main_views(content),
-        native_plane(content.geometry),
-    )
+    window = content_window(content, ranges)
+    main = main_views(content)
+    native = native_plane(content.geometry)
     low = [
         view for view in main if view.plane != native and _is_low(view, ranges, content.geometry)
     ]
@@ -153,7 +158,9 @@ def _png_2d(content: PreviewContent, axis: int) -> bytes:
     ranges = shown_ranges(content)
     tall, wide = (_length(content.geometry, order[i]) for i in IN_PLANE[plane])
     pixels = min(748 / wide, 748 / tall)  # per mm
-    left, high, right = max(wide * pixels, 340), max(tall * pixels, 320), 340
+    left = max(wide * pixels, 340)
+    high = max(tall * pixels, 320)
+    right = 340
     # As wide as its title, so that none is cut off.
     width = max(LEFT + left + GAP + 20 + right + 90, text_width(content.title, HEADING_SIZE) + 40)
     canvas = Canvas(width, TOP + high + BELOW, content.title)

@@ -14,7 +14,8 @@ from accelsurf.grid.orientation import IN_PLANE, PLANES, DisplayOrientation
 from accelsurf.output.pictures.preview_content import PreviewContent
 
 #: What is shown around the object: so much of its extent to each side, and at least so many voxels.
-MARGIN, MIN_MARGIN = 0.3, 6
+MARGIN = 0.3
+MIN_MARGIN = 6
 #: Slices through further clicks at most, the latest.
 MAX_CLICK_SLICES = 3
 
@@ -185,7 +186,9 @@ def second_view(content: PreviewContent, is_flat: bool) -> SliceView | None:
     Of what the main slices show already, where to click next is shown in the plane across; with ``is_flat`` the other
     planes are low, and the slice half-way to an end of the object says more.
     """
-    views, main, geometry = uncertain_views(content), main_views(content), content.geometry
+    views = uncertain_views(content)
+    main = main_views(content)
+    geometry = content.geometry
     if content.next_clicks and not is_flat:
         place = displayed(content.next_clicks[0], geometry)
         views += [

@@ -55,7 +55,8 @@ MIN_FOR_ID = 7
 #: Width of a name at most, pixels.
 MAX_NAME = 110
 #: Width of a click's mark, and its distance from a name, pixels.
-MARK, AWAY = 14, 24
+MARK = 14
+AWAY = 24
 #: A slice with more voxels along a side is drawn smaller: nobody sees them all.
 MAX_VOXELS = 1024
 REFERENCE_DASHES: Dashes = (0, (1.5, 1.5))

@@ -63,20 +63,29 @@ from accelsurf.track.records import SurfacePiece
 #: Ids are not written into a picture of more objects than these.
 MAX_NAMES = 40
 #: Frames in a strip at most, and in a line of it.
-MAX_FRAMES, COLUMNS = 12, 4
+MAX_FRAMES = 12
+COLUMNS = 4
 #: Width of a panel of a strip, of the space between panels, of the title and below a panel, pixels; a panel's height.
-PANEL, GAP, TOP, BELOW = 320, 14, 56, 34
-LOWEST, HIGHEST = 100.0, 480.0
+PANEL = 320
+GAP = 14
+TOP = 56
+BELOW = 34
+LOWEST = 100.0
+HIGHEST = 480.0
 #: Width and height of a movie, of the margin around a panel and of the lines above it, pixels.
 MOVIE_SIZE = (960, 540)
-MOVIE_MARGIN, MOVIE_TOP = 12, 58
+MOVIE_MARGIN = 12
+MOVIE_TOP = 58
 #: Surfaces that a movie shows side by side.
 PANELS = ("predicted", "corrected")
 #: Length of a movie, s, and its frames per second at least and at most.
-SECONDS, SLOWEST, FASTEST = 8.0, 2.0, 15.0
+SECONDS = 8.0
+SLOWEST = 2.0
+FASTEST = 15.0
 #: Width and height of the curves, pixels; how many are named, and drawn, at most.
 CURVES_SIZE = (900, 460)
-MAX_NAMED_CURVES, MAX_CURVES = 18, 200
+MAX_NAMED_CURVES = 18
+MAX_CURVES = 200
 #: Volumes below this, ml, are written as mm3.
 SMALL = 0.1
 

@@ -34,9 +34,11 @@ from accelsurf.track.output.frames import (
 from accelsurf.track.records import Lineage, SurfacePiece
 
 #: Name of the file that describes the folder, and its version.
-MARK, VERSION = "surfaces.json", 1
+MARK = "surfaces.json"
+VERSION = 1
 #: Standard deviation, voxels, that smooths the stair steps of a label map, and voxels around it.
-_SOFT, _AROUND = 0.8, 4
+_SOFT = 0.8
+_AROUND = 4
 #: How far each voxel is from 0 at least, where 1 is a step from outside to inside.
 _LEAST = 0.05
 #: Velocity of a row that is only drawn.
@@ -198,7 +200,9 @@ def _label_maps(folder: Path, name: str) -> ImageSequence:
 def _check_about(folder: Path, sequence: ImageSequence) -> None:
     try:
         about = read_json(folder / MARK)
-        version, frames, shape = about["version"], int(about["frames"]), tuple(about["shape"])
+        version = about["version"]
+        frames = int(about["frames"])
+        shape = tuple(about["shape"])
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{folder}: {MARK} cannot be read ({error})", _TRACK) from None
     if version != VERSION or (frames, shape) != (len(sequence), sequence.geometry.shape):

@@ -92,7 +92,10 @@ class Actions:
         overwrite: bool = False,
         frames: SequenceView | None = None,
     ) -> None:
-        self.session, self.scene, self.folder, self.overwrite = session, scene, folder, overwrite
+        self.session = session
+        self.scene = scene
+        self.folder = folder
+        self.overwrite = overwrite
         self.frames = frames
         self.message = ""
         self.object_id: int | None = None

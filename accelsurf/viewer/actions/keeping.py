@@ -31,7 +31,9 @@ class Keeper:
     """
 
     def __init__(self, sessions: UnsavedSessions, actions: Actions, opened: OpenedImage) -> None:
-        self._sessions, self._actions, self.opened = sessions, actions, opened
+        self._sessions = sessions
+        self._actions = actions
+        self.opened = opened
         earlier = opened.unsaved
         self._file: Path | None = None if earlier is None else earlier.file
         #: Content of the file: configuration, corrections, step.

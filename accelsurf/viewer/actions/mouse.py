@@ -87,13 +87,16 @@ class SliceScroll:
 
 
 #: Buttons, as browsers number them.
-LEFT, MIDDLE, RIGHT = 0, 1, 2
+LEFT = 0
+MIDDLE = 1
+RIGHT = 2
 #: Number in place of a button's, for a press on the slider of a slice.
 SLIDE = 3
 #: Degrees that the camera turns per pixel of a picture 720 high.
 TURN = 0.45
 #: Ends of the slider: voxels of the smallest spacing, and parts of the image's longest side.
-LEAST, MOST = 0.5, 0.4
+LEAST = 0.5
+MOST = 0.4
 #: Seconds without a move after which a mouse is still.
 STILL = 0.5
 
@@ -116,7 +119,10 @@ class MouseFeature(Feature):
         self._tools = tuple(kind(actions) for kind in TOOLS)
         self.tool: Tool = self._tools[0]
         #: The tile in which a button is down, that button, and the button it acts as: with shift, left is as middle.
-        self._tile, self._pressed, self._button, self._at = "", LEFT, LEFT, (0.0, 0.0)
+        self._tile = ""
+        self._pressed = LEFT
+        self._button = LEFT
+        self._at = (0.0, 0.0)
         self._moved_at, self.gesture, self._scrolled = 0.0, 0, SliceScroll()
         self._unit, self._per = read_in("mm", actions.scene.unit)
 
@@ -220,7 +226,9 @@ class MouseFeature(Feature):
         pixel = self._pixel(x, y)
         if not self._tile:
             return
-        right, up, self._moved_at = pixel[0] - self._at[0], pixel[1] - self._at[1], time.monotonic()
+        right = pixel[0] - self._at[0]
+        up = pixel[1] - self._at[1]
+        self._moved_at = time.monotonic()
         self._at = pixel
         if self._button == LEFT and self._uses_tool(self._tile):
             at = self.actions.scene.pick(*pixel)
@@ -331,7 +339,8 @@ class MouseFeature(Feature):
 
 
 #: Touches that are counted; and the largest magnitude of the number by which a screen knows each.
-MAX_TOUCHES, MAX_NUMBER = 10, 2**31
+MAX_TOUCHES = 10
+MAX_NUMBER = 2**31
 #: Least distance of two touches, pixels: it is a divisor.
 NEAR = 10.0
 

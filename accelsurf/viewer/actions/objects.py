@@ -36,7 +36,9 @@ _COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 class Split(Tool):
     """Splits off the component under a click."""
 
-    name, key, text = "split", "Q", "Split"
+    name = "split"
+    key = "Q"
+    text = "Split"
     tip = "Click in a part of an object: what is connected to it becomes an object of its own"
 
     def __init__(self, actions: AllActions) -> None:

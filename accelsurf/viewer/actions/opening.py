@@ -41,9 +41,12 @@ from accelsurf.viewer.core.status import error_line
 from accelsurf.viewer.core.unsaved import Unsaved
 
 #: Seconds that a session has at the end of the program to end its step, the same after a signal, and to finish a save.
-STEP_SECONDS, HURRIED_SECONDS, SAVING_SECONDS = 10.0, 0.5, 600.0
+STEP_SECONDS = 10.0
+HURRIED_SECONDS = 0.5
+SAVING_SECONDS = 600.0
 #: Letters of a path that a page sends, and of a message.
-MAX_PATH, MAX_MESSAGE = 1024, 300
+MAX_PATH = 1024
+MAX_MESSAGE = 300
 #: Answers to a question, and the words of their buttons.
 ANSWERS = {
     "open": "Open",
@@ -107,7 +110,9 @@ class Opening:
     ) -> None:
         self.actions: Actions | None = None
         self.message, self.failed = "", False
-        self._config, self._recent, self._served = config, recent, served
+        self._config = config
+        self._recent = recent
+        self._served = served
         self._hints = recent.hints
         self._sessions = recent.unsaved
         self._keeper: Keeper | None = None

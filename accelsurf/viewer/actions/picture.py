@@ -13,7 +13,8 @@ from accelsurf.viewer.scene.colors import THEMES
 from accelsurf.viewer.scene.space import VIEWS
 
 #: Smallest and largest size of a picture, pixels.
-MIN_SIZE, MAX_SIZE = (320, 200), (3840, 2400)
+MIN_SIZE = (320, 200)
+MAX_SIZE = (3840, 2400)
 #: Most pixels of a device for one of a usual screen, along each side.
 MAX_RATIO = 4.0
 

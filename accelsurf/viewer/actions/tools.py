@@ -20,7 +20,9 @@ from accelsurf.viewer.scene.space import Picked
 class Look(Tool):
     """Moves the slices through the point."""
 
-    name, key, text = "look", "V", "Look"
+    name = "look"
+    key = "V"
+    text = "Look"
     tip = "Click or drag in a slice: the other slices go through that place"
 
     def __init__(self, actions: AllActions) -> None:
@@ -47,7 +49,9 @@ class Look(Tool):
 class Ball(Tool):
     """Places a ball from which the run starts."""
 
-    name, key, text = "ball", "B", "Ball"
+    name = "ball"
+    key = "B"
+    text = "Ball"
     tip = "Press in a slice and drag: a ball to start from"
 
     def __init__(self, actions: AllActions) -> None:
@@ -78,7 +82,9 @@ class Ball(Tool):
 class Size(Tool):
     """Presses in an object and draws its size out."""
 
-    name, key, text = "size", "S", "Size"
+    name = "size"
+    key = "S"
+    text = "Size"
     tip = "Press in the object and drag outwards until the outline fits, or only click"
 
     def __init__(self, actions: AllActions) -> None:
@@ -202,7 +208,9 @@ class CorrectionTool(Tool):
 class Inside(CorrectionTool):
     """Marks voxels that are inside."""
 
-    name, key, text = "inside", "I", "Inside"
+    name = "inside"
+    key = "I"
+    text = "Inside"
     tip = "Click or draw on what is missing: it is in the object, and stays in it"
 
     def press(self, at: Picked) -> None:
@@ -235,7 +243,9 @@ class Outside(Inside):
     """Marks voxels that are not."""
 
     side: Side = "outside"
-    name, key, text = "outside", "O", "Outside"
+    name = "outside"
+    key = "O"
+    text = "Outside"
     tip = "Click or draw on what is too much: it is not in the object, and stays out of it"
 
 
@@ -243,7 +253,9 @@ class Grow(CorrectionTool):
     """Adds the voxels that the brush covers."""
 
     kind: Literal["add", "remove"] = "add"
-    name, key, text = "grow", "G", "Grow"
+    name = "grow"
+    key = "G"
+    text = "Grow"
     tip = "Draw: what the brush covers is added, until the surface moves on"
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
@@ -256,7 +268,9 @@ class Shrink(Grow):
 
     side: Side = "outside"
     kind: Literal["add", "remove"] = "remove"
-    name, key, text = "shrink", "K", "Shrink"
+    name = "shrink"
+    key = "K"
+    text = "Shrink"
     tip = "Draw: what the brush covers is removed, until the surface moves on"
 
 

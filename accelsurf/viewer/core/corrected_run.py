@@ -137,7 +137,9 @@ class Corrections:
 
     def correct_again(self, run: Run) -> str:
         """Make those that are wanted of a run that has ended; the first that does not fit ends them. Return a line."""
-        wanted, self._wanted, line = self._wanted, (), ""
+        wanted = self._wanted
+        self._wanted = ()
+        line = ""
         for number, correction in enumerate(wanted, 1):
             said = f"correction {number} of {len(wanted)}"
             try:
@@ -246,7 +248,9 @@ class Corrections:
         """Return the frame to draw: of each object a copy of the box in which it is."""
         prepared, surfaces = run.prepared, []
         for surface in refiner.surfaces:
-            box, corner, shape = self._boxes[surface.id], surface.corner, surface.psi.shape
+            box = self._boxes[surface.id]
+            corner = surface.corner
+            shape = surface.psi.shape
             part = None if box is None else _within(counted_from(box, corner), shape)
             psi = (
                 surface.psi[:0, :0, :0] if part is None or not surface.inside else surface.psi[part]

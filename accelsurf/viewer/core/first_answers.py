@@ -64,7 +64,9 @@ class FirstAnswers:
         clicks = run.objects[0].context.clicks
         if self._run is not run or self._clicks is not clicks:
             taken, *others = _answers(run) or (None,)
-            self._run, self._clicks, self._left = run, clicks, others
+            self._run = run
+            self._clicks = clicks
+            self._left = others
             self._found = (
                 () if taken is None else (_described(run, taken.number, taken.volume_mm3, True),)
             )

@@ -112,12 +112,10 @@ class SurfaceFrame:
         cls, state: ObjectState, level: pyramid.Level, max_voxels: int | None, first: Index
     ) -> SurfaceFrame:
         """Copy the drawn part of an object; parameters as of `Frame.of`."""
-        record, surface, corner, quantities = (
-            state.record,
-            state.surface,
-            state.corner,
-            _quantities(state),
-        )
+        record = state.record
+        surface = state.surface
+        corner = state.corner
+        quantities = _quantities(state)
         ranges = _band_box(surface)
         if ranges is None:
             nothing = np.zeros((0, 0, 0), np.float32)
@@ -146,7 +144,9 @@ class SurfaceFrame:
     @classmethod
     def of_result(cls, segmented: SegmentedObject, level: pyramid.Level) -> SurfaceFrame:
         """Copy the drawn part of an object of a result; ``level`` is the image's grid."""
-        record, corner, inside = segmented.history[-1], corner_of(segmented.box), segmented.psi < 0
+        record = segmented.history[-1]
+        corner = corner_of(segmented.box)
+        inside = segmented.psi < 0
         box = bounding_box(inside, 2)
         if box is None or inside.all():
             nothing = np.zeros((0, 0, 0), np.float32)
@@ -478,7 +478,9 @@ def _quantities(state: ObjectState) -> dict[str, BandQuantity]:
     # Not with the module: frames are known before the solver is loaded, which who has a state has done.
     from accelsurf.flows.flowable_mass import FlowableMass
 
-    quantities, fields, flow = {}, state.fields, state.flow
+    quantities = {}
+    fields = state.fields
+    flow = state.flow
     if fields is not None:
         quantities["speed"] = BandQuantity(fields.cells, -fields.speed)
         quantities["force"] = BandQuantity(fields.cells, -np.asarray(fields.force, np.float32))

@@ -15,7 +15,8 @@ from accelsurf.viewer.core.unsaved import UnsavedSessions
 #: Largest number of images that are listed.
 MAX_RECENT = 12
 #: Bytes of the list that are read at most, and letters of a path.
-_MAX_BYTES, _MAX_LETTERS = 1 << 16, 4096
+_MAX_BYTES = 1 << 16
+_MAX_LETTERS = 4096
 
 
 class Recent(NamedTuple):

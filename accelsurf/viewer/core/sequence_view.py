@@ -32,7 +32,9 @@ class SequenceView:
     def __init__(
         self, sequence: ImageSequence, home: int = 0, tracks: SavedTracks | None = None
     ) -> None:
-        self.sequence, self.home, self.tracks = sequence, home, tracks
+        self.sequence = sequence
+        self.home = home
+        self.tracks = tracks
         self._level = pyramid.levels(sequence.geometry.shape, sequence.geometry.spacing, 1)[0]
         self._volumes: OrderedDict[int, Volume] = OrderedDict()
         self._drawn: OrderedDict[int, Frame] = OrderedDict()

@@ -21,7 +21,8 @@ from accelsurf.image.slice_stack import linear
 from accelsurf.settings.wording import size_setting
 
 #: By which factor more is looked at when a drag comes near its end, and at which part of that.
-FARTHER, NEAR_END = 4.0, 0.8
+FARTHER = 4.0
+NEAR_END = 0.8
 
 
 @dataclass(frozen=True, eq=False)

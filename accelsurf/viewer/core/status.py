@@ -142,7 +142,8 @@ def error_line(error: BaseException) -> str:
 
 
 #: Frames per second at most, and the share of the time that making and drawing them may take while the run plays.
-FRAME_RATE, DRAWING_SHARE = 15.0, 0.06
+FRAME_RATE = 15.0
+DRAWING_SHARE = 0.06
 
 
 class ViewSlot:
@@ -180,7 +181,9 @@ class ViewSlot:
     def put(self, view: View, version: int, seconds: float) -> None:
         """Put a view of a version of the state there; ``seconds`` is the time to make it."""
         with self._lock:
-            self._view, self._wanted, self._version = view, False, version
+            self._view = view
+            self._wanted = False
+            self._version = version
         pause = max(1.0 / FRAME_RATE, (seconds + self._drawing_seconds) / DRAWING_SHARE)
         self._next_time = time.perf_counter() - seconds + pause
 

@@ -143,7 +143,9 @@ class Timeline:
     ) -> None:
         self.volume, self._channels = volume, tuple(channels)
         self.checkpoints = CheckpointHistory(checkpoint_mb)
-        self._playing, self._last_step, self._message = False, -1, ""
+        self._playing = False
+        self._last_step = -1
+        self._message = ""
         self.log, self.corrections = ChangeLog(), Corrections(config.refine, on_progress)
         self._written: set[Path] = set()
         self.objects, self.answers = ObjectCommands(self, config), FirstAnswers()
@@ -292,7 +294,9 @@ class Timeline:
                 return
             # It plays without an end: one more step, then it pauses.
             last_step = self.step_number + 1
-        self._playing, self._last_step, self._message = True, last_step, ""
+        self._playing = True
+        self._last_step = last_step
+        self._message = ""
         self.corrections.leave()
 
     def go_on(self, last_step: int) -> None:
@@ -348,7 +352,9 @@ class Timeline:
     def restart(self) -> None:
         """Go to the start and forget all edits and corrections but the settings in force."""
         run, before = self.run, self._now()
-        base, now, config = run.config.at(-1), run.settings, run.config
+        base = run.config.at(-1)
+        now = run.settings
+        config = run.config
         changed = {
             key: getattr(now, key)
             for key in RunConfig.model_fields
@@ -414,7 +420,9 @@ class Timeline:
         UsageError
             When a setting is not valid; nothing is changed then.
         """
-        run, step, edits = self.run, self.step_number, self._edits_so_far()
+        run = self.run
+        step = self.step_number
+        edits = self._edits_so_far()
         run.check(Correction(step=step, **settings))
         altered, said = edits_with(run.config, edits, step, settings), in_words(settings)
         if altered != edits:
@@ -575,7 +583,9 @@ class Timeline:
 
     def _go_back_to(self, moment: Moment) -> None:
         """Go to the settings and corrections of a moment; a correction alone is made, or taken back, at once."""
-        run, config, step = self.run, moment.config, moment.step
+        run = self.run
+        config = moment.config
+        step = moment.step
         if config == run.config and self.corrections.go_to(run, moment.refinements):
             return
         self.corrections.want(moment.refinements)
@@ -595,7 +605,9 @@ class Timeline:
 
     def _replace_edits(self, edits: tuple[Correction, ...], said: str) -> None:
         """Continue with other edits from the present step; the steps made after it are forgotten."""
-        run, step, before = self.run, self.step_number, self._now()
+        run = self.run
+        step = self.step_number
+        before = self._now()
         if edits == before.config.edit and run.stop is None:
             return
         for edit in edits:

@@ -23,7 +23,9 @@ from accelsurf.viewer.core.notes import read_note, write_note
 #: Largest number of sessions that are kept; the oldest goes first.
 MAX_NOTES = 20
 #: Bytes of one that are read at most, files that are looked at, and letters of a path.
-_MAX_BYTES, _MAX_FILES, _MAX_LETTERS = 1 << 22, 1000, 4096
+_MAX_BYTES = 1 << 22
+_MAX_FILES = 1000
+_MAX_LETTERS = 4096
 _NAME = re.compile(r"[0-9a-f]{16}\.json")
 #: Version of their form.
 _VERSION = 2
@@ -164,7 +166,10 @@ def _parsed(file: Path, note: Any) -> Unsaved | None:
     """A session from the content of its file; None where it is none, or where its program still runs."""
     try:
         pid, began = note["process"]
-        name, path, step, image = note["name"], note["path"], note["step"], note["image"]
+        name = note["name"]
+        path = note["path"]
+        step = note["step"]
+        image = note["image"]
         if note["version"] != _VERSION or _runs(int(pid), float(began)):
             return None
         texts = (name, image) if path is None else (name, image, path)

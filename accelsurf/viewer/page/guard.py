@@ -173,7 +173,9 @@ class PageGuard:
     """
 
     def __init__(self, host: str, token: str, files: Callable[[], Mapping[str, Path]]) -> None:
-        self._host, self._token, self._files = host, token, files
+        self._host = host
+        self._token = token
+        self._files = files
         self.connections = ConnectionLimit()
         self._server: Any = None
 

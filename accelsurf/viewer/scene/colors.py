@@ -34,15 +34,20 @@ THEMES = {
 }
 #: Surfaces and contours of the objects, in order of their ids; the first, also the accent of controls; the reference:
 #: as in the pictures of reports.
-OBJECT_COLORS, SURFACE, REFERENCE = canvas.OBJECT_COLORS, canvas.SURFACE, canvas.REFERENCE
+OBJECT_COLORS = canvas.OBJECT_COLORS
+SURFACE = canvas.SURFACE
+REFERENCE = canvas.REFERENCE
 #: Text on the accent; the accent of thin lines and of text, which on light must be darker to be read.
-ON_SURFACE, EDGE = "#101010", {"dark": SURFACE, "light": "#8F5F00"}
+ON_SURFACE = "#101010"
+EDGE = {"dark": SURFACE, "light": "#8F5F00"}
 #: Of error messages, which also begin with a word that says so.
 ALARM = {"dark": "#FF9A7A", "light": "#B03A00"}
 #: The cursor's lines; a ball that is being placed.
-CURSOR, MARK = YELLOW, PURPLE
+CURSOR = YELLOW
+MARK = PURPLE
 #: Clicks.
-INSIDE, OUTSIDE = GREEN, VERMILION
+INSIDE = GREEN
+OUTSIDE = VERMILION
 
 
 class Shade(NamedTuple):

@@ -15,7 +15,11 @@ from accelsurf.viewer.scene.overlay import FlatLine, Label, Pixels
 
 #: Place of the right end in the tile, from 0 to 1, and height of the first line; from one line to the next, heights of
 #: text; coloured part of its height, and the width of the rim, pixels of a usual screen.
-RIGHT, TOP, LINE, SWATCH, RIM = 0.985, 0.985, 1.4, 0.7, 1.0
+RIGHT = 0.985
+TOP = 0.985
+LINE = 1.4
+SWATCH = 0.7
+RIM = 1.0
 
 
 class Legend:

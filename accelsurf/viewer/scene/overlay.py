@@ -14,9 +14,11 @@ from accelsurf.grid.orientation import LETTERS
 from accelsurf.settings.wording import in_unit
 
 #: Height of text, parts of the window's height, and the smallest that can be read, pixels of a usual screen.
-TEXT, MIN_TEXT = 1 / 50, 12
+TEXT = 1 / 50
+MIN_TEXT = 12
 #: Thickness of a scale bar, and of the letters' edges on the cube of directions, pixels of a usual screen.
-BAR, EDGE = 4.0, 1.0
+BAR = 4.0
+EDGE = 1.0
 #: Pixels of an inch, so that the size of text in points is that in pixels: VTK would scale it a second time.
 DPI = 72
 

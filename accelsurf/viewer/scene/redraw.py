@@ -39,7 +39,9 @@ class Redraw:
         #: Renderer over a tile, drawn after it -> the tile.
         self._overlays: dict[vtkRenderer, pv.Renderer] = {}
         self._seconds = 0.0
-        self._hurries, self.is_painted, self._is_empty = False, False, True
+        self._hurries = False
+        self.is_painted = False
+        self._is_empty = True
         #: Where each tile was seen from when it was drawn last; and the size of our last picture, until it is painted.
         self._sights: dict[vtkRenderer, tuple[Any, ...]] = {}
         self._unpainted: tuple[int, int] | None = None

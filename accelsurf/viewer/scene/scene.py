@@ -140,11 +140,9 @@ class Scene:
         return {"shape": (2, 4), "groups": [([0, 1], [0, 1])], "border": False}
 
     def _build(self) -> None:
-        plotter, upright, image = (
-            self.plotter,
-            DisplayOrientation.of(self.geometry),
-            self.volume.array,
-        )
+        plotter = self.plotter
+        upright = DisplayOrientation.of(self.geometry)
+        image = self.volume.array
         flat = self.geometry.slice_axis
         context = TileContext(self._redraw, self.styles, self.theme, self.anatomical, self.unit)
         places = (

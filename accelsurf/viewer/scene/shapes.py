@@ -184,7 +184,9 @@ def add_actor(
     mapper.SetInputData(mesh)
     mapper.ScalarVisibilityOff()
     actor = pv.Actor(mapper=mapper)
-    actor.prop.color, actor.prop.opacity, actor.prop.lighting = color, opacity, is_lit
+    actor.prop.color = color
+    actor.prop.opacity = opacity
+    actor.prop.lighting = is_lit
     renderer.add_actor(actor, reset_camera=False, render=False)
     return actor
 
@@ -209,7 +211,8 @@ def _to_world(
 
 
 #: Dashes around a closed line, and how opaque a predicted surface is.
-DASHES, TRANSLUCENT = 24, 0.25
+DASHES = 24
+TRANSLUCENT = 0.25
 
 
 def dashed(lines: NDArray[np.float64]) -> NDArray[np.float64]:

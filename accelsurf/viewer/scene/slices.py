@@ -125,9 +125,14 @@ def _in_plane(
 FILL = 0.97
 #: The slider: its distance from the sides of the tile (parts of its width), thickness of track and handle, width of the
 #: handle, height of the strip along the lower edge in which a press takes it (pixels of a usual screen).
-SIDE, TRACK, HANDLE, WIDE, STRIP = 0.02, 2.0, 11.0, 9.0, 17.0
+SIDE = 0.02
+TRACK = 2.0
+HANDLE = 11.0
+WIDE = 9.0
+STRIP = 17.0
 #: Largest enlargement, and smallest, from the size that fits the tile.
-MAX_ZOOM, MIN_ZOOM = 40.0, 0.5
+MAX_ZOOM = 40.0
+MIN_ZOOM = 0.5
 #: Between the image and the middle of a letter, heights of text.
 LETTER = 0.8
 #: Length of the arms of a click's mark, of the longer side of the image.
@@ -172,8 +177,13 @@ class SliceTile:
         plane: int,
         context: TileContext,
     ) -> None:
-        self.renderer, self.plane, self.stack, self._context = renderer, plane, stack, context
-        self._image, self._window, self._is_smooth = image, window, True
+        self.renderer = renderer
+        self.plane = plane
+        self.stack = stack
+        self._context = context
+        self._image = image
+        self._window = window
+        self._is_smooth = True
         self._vertical, self._horizontal = IN_PLANE[plane]
         self.index = -1
         #: Actor of each line, and its width in pixels of a usual screen.
@@ -190,11 +200,9 @@ class SliceTile:
         self._picture.SetTexture(self._texture.texture)
         camera = renderer.camera
         camera.parallel_projection = True
-        camera.focal_point, camera.position, camera.up = (
-            middle,
-            (middle[0], middle[1], 100.0),
-            (0.0, 1.0, 0.0),
-        )
+        camera.focal_point = middle
+        camera.position = (middle[0], middle[1], 100.0)
+        camera.up = (0.0, 1.0, 0.0)
         camera.clipping_range = (1.0, 200.0)
         renderer.camera_set = True
         renderer.SetInteractive(False)

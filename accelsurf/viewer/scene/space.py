@@ -124,7 +124,8 @@ def _clipped(first: Floats, last: Floats, shape: tuple[int, ...]) -> tuple[float
 
 
 #: Width of the edges of the volume, of the ways of tracked objects, pixels of a usual screen.
-BOX, WAY = 1.0, 2.0
+BOX = 1.0
+WAY = 2.0
 #: Voxels of psi from which a surface is drawn coarsely.
 COARSE_VOXELS = 400_000
 #: Where the camera is, as a direction (x, y, z) in LPS, and which direction is up; it begins at `corner`.
@@ -154,7 +155,9 @@ class SpaceTile:
     """
 
     def __init__(self, plotter: pv.Plotter, geometry: Geometry, context: TileContext) -> None:
-        self.renderer, self._context, theme = plotter.renderer, context, context.theme
+        self.renderer = plotter.renderer
+        self._context = context
+        theme = context.theme
         self._geometry = geometry
         #: The surfaces drawn now, of each object, world mm.
         self.meshes: list[pv.PolyData] = []
@@ -457,10 +460,8 @@ class SpaceTile:
     def _add_surface(self) -> pv.Actor:
         actor = add_actor(self.renderer, pv.PolyData(), SURFACE, is_lit=True)
         style = actor.prop
-        style.interpolation, style.ambient, style.specular, style.specular_power = (
-            "Gouraud",
-            0.15,
-            0.2,
-            20.0,
-        )
+        style.interpolation = "Gouraud"
+        style.ambient = 0.15
+        style.specular = 0.2
+        style.specular_power = 20.0
         return actor

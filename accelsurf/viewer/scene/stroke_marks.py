@@ -24,7 +24,8 @@ from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import SpaceTile
 
 #: How much of the picture below shows through, of 255; the depth of the layer in a tile, below the contours.
-OPACITY, DEPTH = 160, 1.5
+OPACITY = 160
+DEPTH = 1.5
 COLORS = {"inside": INSIDE, "outside": OUTSIDE}
 #: Colours (red, green, blue, opacity) of voxels outside all strokes, of strokes inside and outside.
 _TABLE = np.array(

@@ -70,9 +70,15 @@ class Tiles:
         slices: Mapping[str, SliceTile],
         chart: pv.Renderer,
     ) -> None:
-        self._space, self._slices, self._chart = space, slices, chart
-        self.redraw, self._window, self.pixel_ratio = redraw, redraw.window, 1.0
-        self.layout, self.shows_chart, self.shows_space = "one", True, space is not None
+        self._space = space
+        self._slices = slices
+        self._chart = chart
+        self.redraw = redraw
+        self._window = redraw.window
+        self.pixel_ratio = 1.0
+        self.layout = "one"
+        self.shows_chart = True
+        self.shows_space = space is not None
         self._is_tall = False
         #: Half the mm that the tile in 3D had to be high for the whole image, when it was shown last.
         self._fitted = 0.0
@@ -118,7 +124,10 @@ class Tiles:
         large = large if large in names else names[0]
         places = viewports(layout, names, large, chart, self._is_tall)
         self._note_fitted()
-        self.layout, self.large, self.shows_chart, self.shows_space = layout, large, chart, space
+        self.layout = layout
+        self.large = large
+        self.shows_chart = chart
+        self.shows_space = space
         renderers = {"energies": self._chart, **{name: self.renderer(name) for name in self.names}}
         for name, renderer in renderers.items():
             # A tile that is not shown has no place, so that nothing is picked in it.
@@ -210,7 +219,8 @@ LAYOUTS = ("one", "four", "slices", "single")
 #: Part of the height that the chart takes where it is a strip.
 STRIP = 0.2
 #: Part of the width that the large tile takes beside others; height of the picture in 3D beside that of a slice there.
-LARGE, SPACE = 0.6, 0.8
+LARGE = 0.6
+SPACE = 0.8
 #: Least area of another slice to be the large one, in areas of the first slice.
 MUCH = 1.5
 

@@ -43,7 +43,9 @@ class CanvasEvents(QObject):
 
     def __init__(self, actions: Actions, canvas: QtInteractor, refresh: Callable[[], None]) -> None:
         super().__init__(canvas)
-        self._actions, self._canvas, self._refresh = actions, canvas, refresh
+        self._actions = actions
+        self._canvas = canvas
+        self._refresh = refresh
         canvas.setMouseTracking(True)
         canvas.setAttribute(Qt.WidgetAttribute.WA_AcceptTouchEvents)
         canvas.installEventFilter(self)

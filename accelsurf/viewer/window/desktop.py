@@ -60,7 +60,8 @@ from accelsurf.viewer.window.slices_panel import PicturePanel, SlicesPanel
 #: How often the window looks for something new, milliseconds.
 POLL_MS = 15
 #: Width of the page of keys where there is room, and the margin beside it, pixels.
-HELP_WIDTH, HELP_MARGIN = 1240, 12
+HELP_WIDTH = 1240
+HELP_MARGIN = 12
 
 
 def application() -> QApplication:

@@ -14,7 +14,8 @@ from subprocess import PIPE
 from accelsurf.viewer.scene.headless import GraphicsError
 
 #: Packages that only the window needs, and those that only the page needs.
-WINDOW_PACKAGES, PAGE_PACKAGES = ("PySide6", "pyvistaqt"), ("trame",)
+WINDOW_PACKAGES = ("PySide6", "pyvistaqt")
+PAGE_PACKAGES = ("trame",)
 INSTALL = 'pip install "accelsurf[viewer]"'
 _PROBE = "from PySide6.QtWidgets import QApplication; QApplication([]); print('opened')"
 _SECONDS = 60

@@ -192,7 +192,9 @@ NOTHING = "none"
 #: How long after the last change the value of a slider is emitted, milliseconds.
 DELAY_MS = 250
 #: Largest number that a box can have; its width with three digits after the point and that of one more, pixels.
-MAX_BOX, WIDTH, DIGIT = 1e12, 74, 8
+MAX_BOX = 1e12
+WIDTH = 74
+DIGIT = 8
 
 
 class Amount(QWidget):
