@@ -33,14 +33,14 @@ def selected(channels: int, time_points: int, options: ReadOptions) -> list[tupl
     channels, time_points : int
         How many of them the file has.
     options : ReadOptions
-        What was asked for.
+        The requested channel or time point.
 
     Raises
     ------
     InputError
         For a sequence of which no time point was named, and for more than `MAX_CHANNELS` channels.
     UsageError
-        When there is no such channel or time point.
+        When the channel or time point does not exist.
 
     Examples
     --------
@@ -119,7 +119,7 @@ def check_index(name: str, plural: str, n: int, asked: int | None) -> None:
 
 
 def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:
-    """One value per pixel from red, green, blue (and alpha), and what a person should know about that.
+    """Convert red, green, blue (and alpha) to one value per pixel; return also a note on this for the user.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def read_channels(path: str | os.PathLike[str], options: ReadOptions = AS_IT_IS)
     Returns
     -------
     list of Volume
-        The channels in their order, without those of one value; one for an ordinary image.
+        The channels in their order, without constant ones; one for an ordinary image.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def is_blank(array: NDArray[Any]) -> bool:
 
 
 def read_volumes(path: Path, form: ImageFormat, header: Any, available: int) -> list[Volume]:
-    """Read the channels of an image whose header was read, into so many bytes of memory at most."""
+    """Read the channels of an image whose header was read, within a number of bytes of memory."""
     if form.read_channels is None:
         return [load(form.read)(path, header, available)]
     volumes: list[Volume] = load(form.read_channels)(path, header, available)
@@ -226,7 +226,7 @@ def read_further(paths: tuple[str, ...], options: ReadOptions = AS_IT_IS) -> lis
     ----------
     paths : tuple of str
     options : ReadOptions, optional
-        Those of the image; a file is read with those of them that its format has.
+        Options of the image; a file is read with the ones that its format has.
 
     Raises
     ------

@@ -35,7 +35,7 @@ from accelsurf.io import seals
 
 #: Signals that end a program on request.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-#: In a staging folder: new files, old ones, new ones of a run that mends an unfinished set, what goes, and the lock.
+#: In a staging folder: new files, old ones, new ones of a run that mends an unfinished set, discards, and the lock.
 _NEW = "new"
 _OLD = "old"
 _AGAIN = "again"
@@ -44,7 +44,7 @@ _LOCK = "lock"
 #: Another process looks for a moment if the writer of a set is dead, and holds its lock then.
 _TRIES = 10
 _TRY_SECONDS = 0.03
-#: What Windows calls a junction by: a link between folders.
+#: Reparse tag of a junction on Windows: a link between folders.
 _JUNCTION = 0xA0000003
 #: Foreign staging folders that a warning names.
 _NAMED = 3
@@ -65,7 +65,7 @@ SUFFIX = ".accelsurf"
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let both signals wait until the end of a short piece of work, such as some renames; then they act as before."""
+    """Let both signals wait until the end of a short piece of work, for example renames; then they act as before."""
     if threading.current_thread() is not threading.main_thread():
         yield  # signals are handled in the main thread alone
         return
@@ -143,7 +143,7 @@ class FileSet:
 
     @property
     def earlier(self) -> tuple[Path, ...]:
-        """Folders with what a killed run has left of an unfinished set, with its reports, old and new."""
+        """Folders with the files that a killed run has left of an unfinished set, with its reports, old and new."""
         return (self._claim.folder / _NEW, self._claim.folder / _OLD) if self._mends else ()
 
     def discard(self) -> None:
@@ -163,9 +163,9 @@ class FileSet:
         last : str, optional
             The file that names the others: no old one stands beside new files, and no new one beside old files.
         remove : iterable of str
-            Names of old files that go; those of staging files and of files that are not there are ignored.
+            Names of old files to remove; names of staging files and of files that are not there are ignored.
         mends : bool
-            False where the files are not the whole set, as those of a run that failed: it stays unfinished if it was.
+            False where the files are not the whole set, as after a failed run: an unfinished set stays unfinished then.
 
         Raises
         ------
@@ -255,7 +255,7 @@ class FileSet:
             raise
 
     def _has_folder(self, name: str) -> bool:
-        """Test if the staging file of a name, or what it replaces, is a folder: the system does not exchange these."""
+        """Test if the staging file of a name, or the old file, is a folder: the system does not exchange these."""
         return (self.staging / name).is_dir() or (self.folder / name).is_dir()
 
 
@@ -267,7 +267,7 @@ def open_set(
     inputs: Sequence[Path] = (),
     mend: bool = False,
 ) -> Iterator[FileSet]:
-    """Prepare a set of files. What a killed process has left of new files is removed first.
+    """Prepare a set of files. New files that a killed process has left are removed first.
 
     Parameters
     ----------
@@ -555,7 +555,7 @@ def refuse_links(folder: Path, hint: str = "") -> None:
     ----------
     folder : Path
     hint : str, optional
-        What to do, of a folder that the user does not name.
+        Advice, where the user does not name the folder.
 
     Raises
     ------
@@ -602,7 +602,7 @@ class InputFiles:
             folders.setdefault(path.absolute().parent, path)
             if path.is_symlink():
                 folders.setdefault(path.resolve().parent, path)
-        for folder, path in folders.items():  # what lies in a folder goes with it
+        for folder, path in folders.items():  # the content of a folder goes with it
             for parent in {folder, *folder.parents, folder.resolve(), *folder.resolve().parents}:
                 self._put(parent, path)
 
@@ -624,7 +624,7 @@ class InputFiles:
         ----------
         outputs : iterable of Path
         place : str, optional
-            What else to choose, for the hint.
+            Another place to choose, for the hint.
 
         Raises
         ------

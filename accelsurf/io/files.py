@@ -56,14 +56,14 @@ def library_named(what: str, hint: str) -> Iterator[None]:
     Parameters
     ----------
     what : str
-        What is damaged.
+        The damage, for the message.
     hint : str
-        What to do.
+        Advice to the user.
     """
     try:
         yield
     except (AccelsurfError, MemoryError, OSError) as error:
-        # What is damaged is no matter of the disk; gzip says it by an OSError without a number.
+        # Damage is no fault of the disk; gzip reports it by an OSError without a number.
         if not isinstance(error, OSError) or error.errno is not None:
             raise
         raise InputError(f"{what} ({one_line(error)})", hint) from error
@@ -123,21 +123,21 @@ def file_version(found: os.stat_result) -> tuple[int, ...]:
 
 @contextmanager
 def staging(path: Path, folder_marks: tuple[str, ...] = ()) -> Iterator[FileSet]:
-    """Staging files of an output and of what belongs to it, removed afterwards whatever happens; see `FileSet.commit`.
+    """Staging files of an output and of its further files, removed afterwards whatever happens; see `FileSet.commit`.
 
     They have their final names in a folder of their own, because an .mhd header repeats the name of its data.
 
     Parameters
     ----------
     path : Path
-        What is to be written.
+        The output.
     folder_marks : tuple of str
         A folder that is there already is replaced if it has one of these files, else never.
 
     Raises
     ------
     OutputError
-        When nothing can be written there, or the work inside raises what a full disk makes Python or ITK raise.
+        When nothing can be written there, or the work inside raises an error of Python or ITK on a full disk.
     """
     try:
         if path.is_dir() and not any((path / mark).is_file() for mark in folder_marks):
@@ -159,16 +159,16 @@ def staging(path: Path, folder_marks: tuple[str, ...] = ()) -> Iterator[FileSet]
 
 @contextmanager
 def undone_on_failure(path: Path, files: FileSet, undo: Callable[[], None]) -> Iterator[None]:
-    """Turn what goes wrong while staging files are written into one line with the name of the file, after ``undo``.
+    """Turn an error while staging files are written into one line with the name of the file, after ``undo``.
 
     Parameters
     ----------
     path : Path
-        What is to be written.
+        The output.
     files : FileSet
         The set of its staging files, whose folder no message names.
     undo : callable
-        Removes what was written.
+        Removes the written files.
     """
     try:
         yield
@@ -204,12 +204,12 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def check_bytes(staged: Path, content: bytes) -> None:
-    """Refuse a staging file that does not hold what was meant to be in it.
+    """Refuse a staging file that differs from its intended content.
 
     Raises
     ------
     OutputError
-        With what differs.
+        With the difference.
     """
     size = staged.stat().st_size
     if size != len(content):
@@ -224,7 +224,7 @@ def check_bytes(staged: Path, content: bytes) -> None:
 
 
 def incomplete(staged: Path, reason: str) -> str:
-    """The message about a staging file that is not what was meant."""
+    """The message about a staging file that differs from its intended content."""
     return f"{staged.name}: cannot be written ({reason})"
 
 
@@ -250,7 +250,7 @@ def sha256(path: str | os.PathLike[str]) -> str:
 
 
 def written_at(path: Path) -> list[int]:
-    """Return number of files, bytes and the newest time, ns: what changes when a file, or one of a folder, is written.
+    """Return number of files, bytes and the newest time, ns: they change when a file, or one of a folder, is written.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def _folder_sha256(folder: Path) -> str:
 def _names_in(folder: Path) -> list[str]:
     """Names of the files of an image in a folder."""
     names = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    # What is written about an OME-Zarr image, in its labels, is not the image; in other folders all files count.
+    # The labels of an OME-Zarr image, in its folder, are not the image; in other folders all files count.
     besides = "labels/" if (folder / "zarr.json").is_file() else None
     return sorted(name for name in names if besides is None or not name.startswith(besides))
 
@@ -299,7 +299,7 @@ def open_table(file: str) -> Iterator[TextIO]:
 
 
 def columns_in(system: System, world: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns of a table of places in a system, by those of one in world mm.
+    """Return the columns of a table of places in a system, by the columns of a table in world mm.
 
     Examples
     --------
@@ -324,14 +324,14 @@ def read_table(
     world : sequence of str
         Columns that a table has; see `columns_in` for the other systems.
     form : str
-        What is expected, for messages.
+        The expected form, for messages.
     read_row : callable
         Called with the values of a row by column, its line number, and the system of places.
 
     Raises
     ------
     InputError
-        When it is no such table; the message names the file.
+        When it is no table of this form; the message names the file.
     """
     with open_table(file) as stream:
         try:

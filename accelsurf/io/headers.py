@@ -1,4 +1,4 @@
-"""Headers of images: the format of a file, by its name or its content, and what its header says before voxels are read.
+"""Headers of images: the format of a file, by its name or its content, and the claims of its header, without voxels.
 
 A header may name files in its own folder only. Metadata have the keys given here. Times of
 frames are a step and its unit, or where these cannot say them, a line of text (`FrameTimes.text`).
@@ -52,21 +52,21 @@ FRAME_KEY = "frame_seconds"
 
 
 def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any]:
-    """Read the header of a file without its voxels; return its format and what the header claims.
+    """Read the header of a file without its voxels; return its format and the claims of the header.
 
     Parameters
     ----------
     path : Path
         A file, or a folder that is an image.
     options : ReadOptions, optional
-        What is asked for beside.
+        Requested options.
 
     Raises
     ------
     UsageError
-        When the format has not what is asked for.
+        When the format does not have a requested option.
     InputError
-        When there is no such file, no format has its ending, or it is empty, is not of that format, is damaged, or
+        When the file does not exist, no format has its ending, or it is empty, is not of that format, is damaged, or
         points to a data file that does not exist, or outside of its folder; GeometryError when its header does not
         describe a grid.
     """
@@ -102,7 +102,7 @@ def format_of(path: Path) -> ImageFormat:
     Raises
     ------
     InputError
-        When there is no such file, it is empty, or of no known format.
+        When the file does not exist, is empty, or of no known format.
     """
     check_name(path)
     if path.is_dir():
@@ -191,7 +191,7 @@ def counts(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[int, int]:
 
 
 def count_values(path: Path, options: ReadOptions = AS_IT_IS) -> int:
-    """Count the values of an image, those of all channels together, by its header alone.
+    """Count the values of an image, all channels together, by its header alone.
 
     Raises
     ------
@@ -274,7 +274,7 @@ def check_name(path: Path) -> None:
     Raises
     ------
     InputError
-        With what to do.
+        With advice.
     """
     name = os.fspath(path)
     try:
@@ -297,7 +297,7 @@ def check_data_file(path: Path, data: Path) -> None:
     Raises
     ------
     InputError
-        With what to do.
+        With advice.
     """
     _check_data_folder(path, data)
     if not data.is_file():
@@ -367,7 +367,7 @@ def shows_patient(image: volume.Volume) -> bool:
 
 
 def size_question(image: volume.Volume, path: Path) -> str:
-    """Ask about an image that is larger than what mm are used for: its lengths may be um. Empty where it is not.
+    """Ask about an image that is too large for lengths in mm: they may be in um. Empty where it is not.
 
     A patient is up to 3 m long; any other image in mm is asked about from 1 m, or 300 l, on.
     """
@@ -455,7 +455,7 @@ class FrameTimes:
 
     @classmethod
     def regular(cls, count: int, seconds: float | None) -> FrameTimes:
-        """Frames from time 0 on, so many seconds apart; or where that is not known, counted.
+        """Frames from time 0 on, ``seconds`` apart; or where that is None, counted.
 
         Raises
         ------
@@ -469,7 +469,7 @@ class FrameTimes:
 
     @classmethod
     def from_text(cls, text: str, count: int) -> FrameTimes:
-        """Read what `text` has written for a number of frames; one number for several frames is the step between them.
+        """Read the output of `text` for a number of frames; one number for several frames is the step between them.
 
         Raises
         ------
@@ -525,7 +525,7 @@ class FrameTimes:
 
 
 def single_precision(value: float) -> float:
-    """The shortest number that has the same single precision: what is meant where a header holds 0.0399999991.
+    """The shortest number that has the same single precision: the intended one where a header holds 0.0399999991.
 
     Examples
     --------

@@ -1,8 +1,8 @@
 """Read and write volumes, in the formats of `accelsurf.settings.file_formats`.
 
-What is read is checked before it is believed: the header is parsed first (`accelsurf.io.headers`), then the memory that
-the volume needs is compared with what there is, then the voxels are counted, and only then are they read. What is
-written appears whole or not at all, on exactly the grid it was read with.
+A file is checked before it is believed: the header is parsed first (`accelsurf.io.headers`), then the memory that the
+volume needs is compared with the available memory, then the voxels are counted, and only then are they read. An output
+appears whole or not at all, on exactly the grid it was read with.
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ def read(
     path : path-like
         A file that ends in one of `accelsurf.io.image_suffixes`.
     options : ReadOptions, optional
-        Which channel, time point or series, and what else the file does not say.
+        Channel, time point or series to read, and values that the file does not give.
     memory_bytes : int, optional
-        Memory to plan with; by default what the machine has available now.
+        Memory to plan with; by default the memory of the machine available now.
 
     Returns
     -------
     Volume
-        Voxels in their own type (as float when the header scales them), on a grid in mm, LPS; ``metadata`` holds what
-        `write` needs to give the same header back, and under "warning" what the user should know about the file.
+        Voxels in their own type (as float when the header scales them), on a grid in mm, LPS; ``metadata`` holds the
+        entries for `write` to give the same header back, and under "warning" a note on the file for the user.
 
     Raises
     ------
     UsageError
-        When the format has not what ``options`` ask for.
+        When the format does not have a requested option.
     InputError
         When the file is missing, damaged, incomplete, not a 3D image of real numbers, or larger than the memory;
         GeometryError when its header does not describe a grid of perpendicular axes.
@@ -182,7 +182,7 @@ def write_labels(
 
 
 def _write(volume: Volume, path: Path, labels: bool) -> None:
-    """Write a volume, with what the format does for label maps."""
+    """Write a volume, by the format's writer of label maps if ``labels`` and if it has one."""
     with naming(path):
         headers.check_name(path)
     stem, suffix = split_name(path)
@@ -200,7 +200,7 @@ def _write(volume: Volume, path: Path, labels: bool) -> None:
         target.rename(files.staging / path.name)
         files.commit(
             last=path.name
-        )  # of .mhd the data file first: a header never names what is not there
+        )  # of .mhd the data file first: a header never names an absent file
 
 
 def label_type(largest: int) -> np.dtype[Any]:
@@ -233,7 +233,7 @@ def _check_staged(volume: Volume, staged: Path, name: str) -> None:
     Raises
     ------
     OutputError
-        With what differs.
+        With the difference.
     """
     try:
         found = read(staged, memory_bytes=sys.maxsize)
@@ -261,7 +261,7 @@ def _storable(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _check_writable(array: NDArray[Any], form: ImageFormat, suffix: str) -> None:
-    """Refuse what a format cannot hold."""
+    """Refuse an array that a format cannot hold."""
     if form.only_2d and array.shape[0] > 1:
         raise UsageError(
             f"a volume of {array.shape[0]} slices given, a {suffix} holds one",

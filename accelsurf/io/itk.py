@@ -1,4 +1,4 @@
-"""SimpleITK's reader and writers, and its images. What its libraries print is no line beside ours but a refusal.
+"""SimpleITK's reader and writers, and its images. A line of its libraries becomes a refusal, no line beside ours.
 
 libtiff, libpng and others print to standard error and go on, with values that may be wrong.
 """
@@ -21,7 +21,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 
-#: Standard error and ITK's warnings are those of all threads: one at a time takes them.
+#: Standard error and ITK's warnings belong to all threads: one at a time takes them.
 _LISTENING = Lock()
 #: How lines of libraries begin or end, where lines of other threads are among them.
 _LIBRARY_LINE = re.compile(
@@ -76,7 +76,7 @@ def save(
     writer.SetImageIO(itk_name)
     writer.SetFileName(str(path))
     writer.SetUseCompression(compress)
-    # Its libraries print about a full disk and go on: what they wrote is read back, and told in one line.
+    # Its libraries print about a full disk and go on: the file is read back, and the fault told in one line.
     listened(lambda: writer.Execute(image), refuses=False)
 
 
@@ -104,7 +104,7 @@ def volume_of(image: sitk.Image) -> Volume:
 
 
 def listened(work: Callable[[], _T], refuses: bool = True) -> _T:
-    """Return what a call of ITK returns, without what its libraries print.
+    """Return the result of a call of ITK, without the lines that its libraries print.
 
     ITK's own warnings are switched off: accelsurf checks the file and reports a problem in one line.
 

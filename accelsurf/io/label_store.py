@@ -147,7 +147,7 @@ class LabelStore:
         self._close()
 
     def discard(self) -> None:
-        """Remove what was written; after `finish` this does nothing."""
+        """Remove the written files; after `finish` this does nothing."""
         self._close()
 
     def __enter__(self) -> LabelStore:

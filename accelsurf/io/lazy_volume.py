@@ -1,6 +1,6 @@
 """Images that stay where they are: a box of voxels is read when it is asked for.
 
-`accelsurf.io.read` brings a whole image into memory; `open_volume` reads its header only. What a box holds is the same,
+`accelsurf.io.read` brings a whole image into memory; `open_volume` reads its header only. A box holds the same values,
 voxel by voxel, in the same type. Unpacked pieces are held up to a number of bytes (`ChunkCache`).
 """
 
@@ -40,7 +40,7 @@ CACHE_BYTES = 1 << 28
 class Opening:
     """Arguments of `open_volume` beside the name of the image; see there.
 
-    ``again`` is true where the same image was opened before, so that what there is to say of it has been said.
+    ``again`` is true where the same image was opened before, so that its warnings have been given.
     """
 
     level: Level = 0
@@ -302,7 +302,7 @@ def open_volume(
         When the image is missing, damaged, too short, or packed as a whole, so that no box can be read by itself;
         GeometryError as `accelsurf.io.read`.
     UsageError
-        When there is no such level, channel or time point.
+        When the level, channel or time point does not exist.
     """
     return _opened(Path(path), Opening(level, channel_index, time_index, cache_bytes, spacing))
 
@@ -369,7 +369,7 @@ def checked_level(level: Level, shapes: Sequence[tuple[int, ...]]) -> int:
     Raises
     ------
     UsageError
-        When there is no such level.
+        When the level does not exist.
 
     Examples
     --------

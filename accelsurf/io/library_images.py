@@ -56,7 +56,7 @@ def as_volume(
     spacing : float or (hz, hy, hx), optional
         mm, of an array; 1 by default. A text is read as --spacing is: x, y, z, with a unit if wanted ("0.2,0.2,1um").
     name : str, optional
-        What messages call it.
+        Name of the image in messages.
     grid : Geometry, optional
         Of an array without a spacing.
 
@@ -105,7 +105,7 @@ def array_of(image: ImageLike, geometry: Geometry, name: str) -> NDArray[Any]:
     geometry : Geometry
         The grid.
     name : str
-        What messages call it.
+        Name of the image in messages.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def from_library(value: Any, name: str = "the image") -> Any:
         any order, others in theirs; evenly spaced coordinates in mm, or in the unit of their attribute ``units``, LPS;
         the attribute ``direction`` as ITK writes it. An xarray without coordinates is an array.
     name : str, optional
-        What messages call it.
+        Name of the image in messages.
 
     Raises
     ------

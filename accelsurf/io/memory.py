@@ -27,7 +27,7 @@ def available_cores() -> int:
 
 
 def check_memory(size_xyz: Sequence[int], voxel_bytes: int, available: int) -> None:
-    """Refuse an image that does not fit, with what the solver adds.
+    """Refuse an image that does not fit into the memory together with the solver's arrays.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def check_memory(size_xyz: Sequence[int], voxel_bytes: int, available: int) -> N
     Raises
     ------
     InputError
-        With what it needs.
+        With the memory that it needs.
     """
     needed = math.prod(size_xyz) * (voxel_bytes + _SOLVER_BYTES_PER_VOXEL)
     if needed > available:

@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 #: Corners at open edges are made one within the first of these distances with which the surface closes, in units of its
-#: largest coordinate: what rounding makes of 64-bit floats, of 32-bit floats, and of numbers of six digits. Closer than
+#: largest coordinate: the rounding of 64-bit floats, of 32-bit floats, and of numbers of six digits. Closer than
 #: half of it they always are one.
 TOLERANCES = (2.0**-45, 2.0**-18, 2.0**-15)
 #: And never farther apart than this share of the usual open edge, so that small triangles stay.
@@ -46,7 +46,7 @@ def read_mesh(path: str | Path, space: str = "") -> tuple[NDArray[np.float64], N
     path : str or Path
         In one of the formats of `accelsurf.settings.mesh_formats` that can be read.
     space : {"", "lps", "ras"}
-        What its points are, where the file does not say it; LPS unless given.
+        Space of its points, where the file does not say it; LPS unless given.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def read_mesh(path: str | Path, space: str = "") -> tuple[NDArray[np.float64], N
 def closed_mesh(
     points: NDArray[Any], triangles: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the same surface with points at the same place made one; refuse what is damaged or open.
+    """Return the same surface with points at the same place made one; refuse a damaged or open one.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def _open(triangles: Ints) -> Ints:
 def _welded(places: Floats, cell: float) -> Ints:
     """For each place (n, 3) the number of the first that it is one with: those in a cell of a lattice are.
 
-    Eight lattices, each shifted by half a cell along some axes: what is closer than that shares a cell in one of them.
+    Eight lattices, each shifted by half a cell along some axes: places closer than that share a cell in one of them.
     """
     from scipy import sparse
 
@@ -235,7 +235,7 @@ def voxels_in_mesh(
     geometry : Geometry
         The grid.
     space : {"", "lps", "ras"}
-        What its points are, as of `read_mesh`.
+        Space of its points, as of `read_mesh`.
     box : tuple of slice, optional
         By default the whole grid.
 

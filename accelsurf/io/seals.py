@@ -1,4 +1,4 @@
-"""Seals of files and folders that this user's runs have made: those of somebody else cannot have them.
+"""Seals of files and folders that this user's runs have made: files of somebody else cannot have them.
 
 A report lists the files of its run, and a later run removes some of these. A report that came with somebody's data may
 list any file. So each entry has a seal: a keyed checksum (HMAC) of the name and the content of the file. The key lies

@@ -33,7 +33,7 @@ FORMAT = 4
 _AGAIN = "run from the start again"
 _TREE = "tree"
 _END = ".npy"
-#: What a field of a plain type may hold.
+#: Types of the values that a field of a plain type may hold.
 _PLAIN: dict[Any, Any] = {
     int: Integral,
     float: Real,
@@ -75,7 +75,7 @@ def read_state(
     checked : callable
         Returns the state, or raises a ValueError where its parts do not fit together.
     hint : str, optional
-        What to do where it is refused.
+        Advice where it is refused.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
 def _arrays(content: bytes) -> dict[str, np.ndarray]:
     """The members of a file by name; an error of any kind where one is no array, or longer than the file.
 
-    `numpy.load` would allocate what a header announces before it looks how much there is.
+    `numpy.load` would allocate the announced size before it looks how much there is.
     """
     arrays: dict[str, np.ndarray] = {}
     with zipfile.ZipFile(io.BytesIO(content)) as archive:

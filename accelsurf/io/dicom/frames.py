@@ -136,18 +136,18 @@ class Frame:
     uids : tuple of str
         Of study, series, instance and frame of reference.
     labels : dict of str to str
-        modality, description, number, unit, class; kind: what it is if it is no slice of a volume, else empty.
+        modality, description, number, unit, class; kind: type of an object that is no slice of a volume, else empty.
     image_type : tuple of str
     pixel : tuple
         Bits stored, bits allocated, whether signed, samples per pixel, photometric interpretation.
     phase : dict of str to str
-        What may tell apart slices at one place.
+        Elements that may tell apart slices at one place.
     times : dict of str to float
-        When it is, seconds, by what says so, and what else gives the order of slices at one place; see `_times`.
+        Times in seconds, and other numbers that give the order of slices at one place, by name; see `_times`.
     has_table : bool
-        Whether a table gives the values of what is stored, in place of slope and intercept.
+        Whether a table maps stored numbers to values, in place of slope and intercept.
     padding : tuple of float or None
-        Lowest and highest of what is stored where there is no image.
+        Lowest and highest stored number where there is no image.
     """
 
     path: Path
@@ -178,7 +178,7 @@ def frames_of(path: Path, of_segmentation: bool = False) -> list[Frame]:
     ----------
     path : Path
     of_segmentation : bool
-        Whether all frames of a segmentation are wanted: of what is no slice of a volume the first stands for all.
+        Whether all frames of a segmentation are wanted; else the first stands for all, as in any object but slices.
 
     Returns
     -------
@@ -382,7 +382,7 @@ def _rescaling(path: Path, dataset: Any, name: str, default: float) -> float:
 def _padding(
     path: Path, dataset: Elements, bits: int, is_signed: bool
 ) -> tuple[float, float] | None:
-    """Lowest and highest of what is stored where there is no image."""
+    """Return the lowest and the highest stored number where there is no image."""
     for kind in ("", "Float", "DoubleFloat"):
         value = dataset.get(f"{kind}PixelPaddingValue")
         if value is None or value == "":
@@ -451,7 +451,7 @@ def _phase(path: Path, dataset: Any, number: int, count: int) -> dict[str, str]:
 
 
 def _times(dataset: Elements, number: int, elapsed: Floats) -> dict[str, float]:
-    """Seconds: offset from the first, since the heart's trigger, in the file, of the day; and what gives the order."""
+    """Times, s (from the first, since the heart's trigger, in the file, of the day), and numbers that give order."""
     content = _group(dataset, number, "FrameContentSequence")
     trigger = number_of(
         _group(dataset, number, "CardiacSynchronizationSequence"), "NominalCardiacTriggerDelayTime"

@@ -24,7 +24,7 @@ _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
 _COLOURS = 3
 #: Markers of the frame headers of JPEG and JPEG-LS.
 _FRAME_HEADERS = {*range(0xC0, 0xD0), 0xF7} - {0xC4, 0xC8, 0xCC}
-#: What a packed image ends with, in all kinds of JPEG, and how many bytes may follow it.
+#: End mark of a packed image, in all kinds of JPEG, and the number of bytes that may follow it.
 _END_OF_IMAGE = b"\xff\xd9"
 _TAIL = 1024
 #: The elements that describe pixels.
@@ -86,7 +86,7 @@ def read_values(frames: Sequence[Frame]) -> tuple[NDArray[Any], str]:
     Returns
     -------
     ndarray, shape (n, rows, columns), and str
-        The values, and what a person should know about them.
+        The values, and a note on them for the user.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def _check_fits(values: NDArray[Any], dtype: np.dtype[Any], frame: Frame) -> Non
 
 
 def _scaled(stored: NDArray[Any], dataset: Any, frame: Frame, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """The values of what is stored: by a table, or by slope and intercept."""
+    """The values of stored numbers: by a table, or by slope and intercept."""
     if frame.has_table:
         with damage_of(frame.path, "its table of values cannot be read"):
             first = dataset.ModalityLUTSequence[0].LUTDescriptor[1]
@@ -162,7 +162,7 @@ def _scaled(stored: NDArray[Any], dataset: Any, frame: Frame, dtype: np.dtype[An
 
 
 def _fill(values: NDArray[Any], padding: NDArray[np.bool_], is_inverse: bool) -> str:
-    """Give padding, where there is no image, the image's darkest value, in place; return what was done."""
+    """Give padding, where there is no image, the image's darkest value, in place; return a note on the change."""
     count = int(padding.sum())
     if count == padding.size:
         raise InputError("every voxel is padding: there is no image", "is it the right series?")
@@ -256,7 +256,7 @@ def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
     packed = pydicom.encaps.get_frame(
         dataset.PixelData, frame.number, number_of_frames=frame.frames
     )
-    if _END_OF_IMAGE not in packed[-_TAIL:]:  # its decoders fill what is missing with grey
+    if _END_OF_IMAGE not in packed[-_TAIL:]:  # its decoders fill the missing part with grey
         raise InputError(
             f"{frame.path.name}: its compressed pixels have no end mark; cut short?",
             "copy it again",

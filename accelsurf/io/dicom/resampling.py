@@ -2,7 +2,7 @@
 
 The grid has the axes and the pixels of the slices. Along the normal its step is the (lower) median of their distances,
 changed so that the first and the last slice lie on it. Where slices are tilted or shifted it is made wider, so that no
-part of a slice is lost; what lies beyond a slice has the smallest value of all.
+part of a slice is lost; voxels beyond a slice have the smallest value of all.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class RegularGrid:
     aside : ndarray, shape (n, 2)
         Place of its first pixel on the grid: (row, column), in pixels.
     text : str
-        What was done, for a person.
+        Note on the resampling for the user.
     """
 
     geometry: Geometry

@@ -1,8 +1,7 @@
 """DICOM Segmentation objects: a label map as segments with names and colours, referring to the slices it was made of.
 
-highdicom builds the object. It gets one source slice with clean values, and the grid's own planes: what it would take
-from the source by itself, it takes only from series without any irregularity. The references to the source are
-written here, slice by slice.
+highdicom builds the object. It gets one source slice with clean values, and the grid's own planes: by itself it copies
+values only from a source without any irregularity. The references to the source are written here, slice by slice.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ MAX_SEGMENT = 65535
 _SINGLE_FRAME = "1.2.840.10008.5.1.4.1.1.2"
 _RLE = "1.2.840.10008.1.2.5"
 _EXPLICIT = "1.2.840.10008.1.2.1"
-#: Code, scheme, meaning. Tissue is what Slicer gives to segments that nothing is known of.
+#: Code, scheme, meaning. Slicer gives Tissue to segments that nothing is known of.
 _TISSUE = ("85756007", "SCT", "Tissue")
 _DEFORMABLE_MODELS = ("123111", "DCM", "Deformable Models")
 _SEGMENTATION = ("113076", "DCM", "Segmentation")
@@ -53,7 +52,7 @@ class Algorithm:
     version : str
         Of accelsurf.
     parameters : dict of str to str
-        Settings that say what was done, by name.
+        Settings of the run, by name.
     """
 
     version: str
@@ -76,13 +75,13 @@ def segmentation_bytes(
     labels : ndarray (nz, ny, nx)
         0 outside; every other value is the id of a segment.
     geometry : Geometry
-        Its grid, with slices parallel to those of the source.
+        Its grid, with slices parallel to the source's.
     source : SourceImages
     segments : sequence of LabelEntry
         In the order of their ids. A binary object numbers them from 1 on, a label map by their ids.
     algorithm : Algorithm
     seed : str
-        What the identifiers follow from.
+        Text from which the identifiers are derived.
     as_labelmap : bool
         One frame a slice with the ids, compressed (RLE); else one bit a voxel, one frame a slice and segment.
 
@@ -96,7 +95,7 @@ def segmentation_bytes(
     UsageError
         Without a segment, or with an id beyond 65535 as a label map.
     InputError
-        When the grid's slices are not parallel to those of the source, or a package is missing.
+        When the slices of the grid and of the source are not parallel, or a package is missing.
     """
     ids, numbers = _segment_numbers(segments, as_labelmap)
     values = _numbered(labels, ids, numbers)
@@ -145,7 +144,7 @@ def _segment_numbers(
 def _description_of_object(
     source: SourceImages, algorithm: Algorithm, seed: str, as_labelmap: bool
 ) -> dict[str, Any]:
-    """Identifiers, dates, and what made it."""
+    """Identifiers, dates, and the program that made the object."""
     return dict(
         series_instance_uid=derived_uid(seed, "series"),
         series_number=source.series_number * 100 + (2 if as_labelmap else 1),
@@ -179,7 +178,7 @@ def _numbered(labels: NDArray[Any], ids: NDArray[Any], numbers: NDArray[Any]) ->
 def _clean_slice(source: SourceImages, planes: dict[str, Any]) -> Any:
     """A slice without pixels: patient, study and frame of reference of the source, in the first of the planes.
 
-    highdicom takes orientation and measures from it if they are nearly those of the planes: so they are the same.
+    highdicom takes orientation and measures from it if they nearly agree with the planes: so they are equal here.
     """
     dataset = data_set(
         **source.patient,
@@ -250,7 +249,7 @@ def _description(
 def _refer(
     dataset: Any, geometry: Geometry, source: SourceImages, by_slice: Sequence[Sequence[Frame]]
 ) -> None:
-    """References to the objects of the source: all of them, and those of each frame's plane."""
+    """Refer to all objects of the source, and from each frame to the objects in its plane."""
     every = [reference(*instance) for instance in source.instances]
     series = data_set(SeriesInstanceUID=source.series_uid, ReferencedInstanceSequence=every)
     filled(dataset, SourceImageSequence=every, ReferencedSeriesSequence=[series])

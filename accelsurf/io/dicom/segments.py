@@ -57,16 +57,16 @@ class Segments:
     file : Path
     kind : {"BINARY", "FRACTIONAL", "LABELMAP"}
     full : int
-        Of fractions: what is stored for 1.
+        Of fractions: the stored number for 1.
     background : int
-        Of a label map: what is stored where there is no segment.
+        Of a label map: the stored number where there is no segment.
     frames : tuple of Frame
     geometry : Geometry
         The grid that holds all frames.
     places : tuple of int
         Slice of the grid of each frame.
     numbers : tuple of int
-        Segment of each frame; 0 for those of a label map.
+        Segment of each frame; 0 for the frames of a label map.
     table : LabelTable
         Segments by number, with names and colours.
     """
@@ -97,7 +97,7 @@ class Segments:
 
 
 def parse_segments(file: Path, root: Path) -> Segments:
-    """Read what a segmentation says of its segments, and prove that its frames lie on a grid.
+    """Read the description of the segments of a segmentation, and prove that its frames lie on a grid.
 
     Parameters
     ----------

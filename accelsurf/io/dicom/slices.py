@@ -1,7 +1,7 @@
 """Places of the slices of a volume: their order along the normal, and whether that is a regular grid.
 
 The order of slices follows from where they lie, never from their numbers or names. A grid is one where no slice lies
-farther than `TOLERANCE_MM` from its place. Of what is none, each fault is told with the names of the files.
+farther than `TOLERANCE_MM` from its place. Otherwise each fault is told with the names of the files.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Fault:
 
 @dataclass(frozen=True, eq=False)
 class Slices:
-    """Slices in their order, and what is wrong with it.
+    """Slices in their order, and its faults.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Slices:
         Of the first pixels, mm.
     faults : tuple of Fault
     note : str
-        What a person should know about it; empty for nothing.
+        Note on it for the user; empty for none.
     """
 
     frames: tuple[Frame, ...]
@@ -103,7 +103,7 @@ class Slices:
 
 
 def ordered(volume: DicomVolume, root: Path, spacing: Spacing | None = None) -> Slices:
-    """Put slices in their order along the normal, and find what is wrong with it.
+    """Put slices in their order along the normal, and find the faults of this order.
 
     Parameters
     ----------

@@ -124,7 +124,7 @@ def pixel_for_pixel(frame: Frame, geometry: Geometry, k: int) -> bool:
 
 
 def read_source_images(frames: Sequence[Frame]) -> SourceImages:
-    """Read what else is needed of the slices of a volume than where they lie: of patient, study and dates.
+    """Read the attributes of a volume's slices beside their places: patient, study and dates.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def _text(header: Any, keyword: str) -> str:
     try:
         with quiet():
             value = header.get(keyword)
-    except Exception:  # what a damaged value raises has no end; it is as none
+    except Exception:  # a damaged value may raise any error; it counts as missing
         return ""
     return "" if value is None else str(value).strip().strip("\0")
 

@@ -35,7 +35,7 @@ _PIXELS = (0x7FE0_0008, 0x7FE0_0009, 0x7FE0_0010)
 _UNDEFINED = 0xFFFF_FFFF
 _ITEM = (0xFFFE, 0xE000)
 _END = (0xFFFE, 0xE0DD)
-#: A read of more bytes is compared with what is left of the file before they are allocated.
+#: A read of more bytes is compared with the rest of the file before they are allocated.
 _LARGE = 1 << 16
 #: Pieces of packed pixels that are counted.
 _MAX_PIECES = 1 << 20
@@ -209,9 +209,7 @@ def library(name: str = "pydicom") -> ModuleType:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Without the packages' warnings and log lines about values that break the standard: what matters is checked here,
-    and told.
-    """
+    """Silence warnings and log lines of the packages on values that break the standard: our checks tell the faults."""
     loggers = [logging.getLogger(name) for name in _LOGGERS]
     levels = [logger.level for logger in loggers]
     with warnings.catch_warnings():
@@ -227,13 +225,13 @@ def quiet() -> Iterator[None]:
 
 @contextmanager
 def damage_of(file: Path, what: str) -> Iterator[None]:
-    """Turn what the packages raise about damaged files, of which there is no end, into an InputError.
+    """Turn errors of any type that the packages raise about damaged files into an InputError.
 
     Parameters
     ----------
     file : Path or Member
     what : str
-        What is wrong, as "the header is damaged".
+        The fault, as "the header is damaged".
     """
     with quiet(), library_named(f"{file.name}: {what}", "copy it again"):
         yield
@@ -298,8 +296,8 @@ def series_of(file: Path) -> tuple[str, bool]:
 def _read(
     file: Path, tags: Sequence[str | int] | None, stops: tuple[int, ...]
 ) -> tuple[Any, PixelBytes | None]:
-    """The elements, and where reading stopped at pixels what there is of them; the first of ``stops`` ends it, or what
-    comes after.
+    """Read the elements before the first tag in ``stops`` (with a single stop: at or beyond it); return also the extent
+    of the pixels, if reading stopped there.
     """
     pydicom = library()
     seen: list[tuple[int, int]] = []
@@ -312,7 +310,7 @@ def _read(
 
     wanted = None if tags is None else [pydicom.tag.Tag(tag) for tag in tags]
     with damage_of(file, "no DICOM, or damaged"), _Bounded(file) as data:
-        if _DEFLATED in data.read(_LARGE):  # without a limit to what it unpacks to
+        if _DEFLATED in data.read(_LARGE):  # without a limit to the unpacked size
             what = f"{file.name}: its elements are deflated"
             raise InputError(what, "unpack it first, as dcmconv --write-xfer-little IN OUT does")
         data.seek(0)

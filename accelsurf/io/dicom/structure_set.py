@@ -1,6 +1,6 @@
 """DICOM RT Structure Sets: regions as closed contours in the planes of the slices that they were made of.
 
-A region with a hole has a contour for it, and what is inside an odd number of contours of a plane belongs to the region
+A region with a hole has a contour for it, and points inside an odd number of contours of a plane belong to the region
 (exclusive or): so nearly every program reads contours of the type CLOSED_PLANAR. The data set is written by pydicom
 in implicit VR: with explicit VR a value, and so a contour, could have 65534 bytes only.
 """
@@ -68,21 +68,21 @@ def structure_set_bytes(
     Parameters
     ----------
     regions : sequence of Region
-        Their numbers are those of the label map.
+        Numbered as in the label map.
     geometry : Geometry
-        The grid whose slices the contours lie in, parallel to those of the source.
+        The grid whose slices the contours lie in, parallel to the source's.
     source : SourceImages
     version : str
         Of accelsurf.
     seed : str
-        What the identifiers follow from.
+        Text from which the identifiers are derived.
 
     Raises
     ------
     UsageError
         Without a region, or with an id that no region can have.
     InputError
-        When the grid's slices are not parallel to those of the source, or a package is missing.
+        When the slices of the grid and of the source are not parallel, or a package is missing.
     """
     if not regions:
         raise UsageError(

@@ -37,7 +37,7 @@ class DicomVolume:
     ----------
     frames : tuple of Frame
     phase : dict of str to str
-        What tells it apart from the other volumes of its series; empty where there is none.
+        Elements that tell it apart from the other volumes of its series; empty where there are none.
     """
 
     frames: tuple[Frame, ...]
@@ -63,7 +63,7 @@ class LeftOut:
     name : str
         As messages say it.
     kind : str
-        What it is; empty for a damaged one.
+        Kind of object; empty for a damaged one.
     reason : str
         Why a damaged one cannot be read.
     series : str

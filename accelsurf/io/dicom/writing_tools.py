@@ -1,6 +1,6 @@
 """Identifiers and dates of DICOM objects that do not change from run to run.
 
-pydicom and highdicom make identifiers at random and take dates from the clock. Here both follow from what is written:
+pydicom and highdicom make identifiers at random and take dates from the clock. Here both follow from the content:
 the same run gives the same bytes.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.sources import library, quiet
 
-#: What the identifiers that highdicom draws at random begin with.
+#: Prefix of the identifiers that highdicom draws at random.
 RANDOM_PREFIX = "1.2.826.0.1.3680043.10.511.3."
 #: Characters that a text of a DICOM value of type LO may have, and SH.
 LO = 64
@@ -54,14 +54,14 @@ def short_text(text: str, length: int = LO) -> str:
 
 
 def fix(dataset: Any, seed: str, date: str, time: str) -> None:
-    """Replace, wherever it is in a data set, what highdicom drew at random or took from the clock.
+    """Replace highdicom's random identifiers, and its dates and times from the clock, anywhere in a data set.
 
     Parameters
     ----------
     dataset : pydicom.Dataset
         Changed in place.
     seed : str
-        What the identifiers follow from. The same random one becomes the same derived one everywhere.
+        Text from which the identifiers are derived. The same random one becomes the same derived one everywhere.
     date, time : str
         As DICOM writes them.
     """

@@ -1,1 +1,1 @@
-"""One file for each file format: what its header claims, whether the file is whole, how it is written."""
+"""One file for each file format: claims of its header, check that the file is whole, writer."""

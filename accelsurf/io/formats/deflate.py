@@ -52,7 +52,7 @@ def inflate(
                     if chunk[:2] != GZIP_START:
                         return
                     stream = zlib.decompressobj(47)
-                # Beyond what is announced in small pieces: no more of it is unpacked than is needed to refuse it.
+                # Beyond the announced bytes in small pieces: no more are unpacked than are needed to refuse the file.
                 piece = stream.decompress(chunk, int(min(_PIECE, max(-beyond, _PIECE_BEYOND))))
                 beyond += len(piece)
                 if beyond > 0:

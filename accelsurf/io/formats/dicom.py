@@ -72,9 +72,9 @@ class DicomHeader:
     slices : Slices
         In their order.
     grid : RegularGrid or None
-        What they are put on where they lie on no grid.
+        Grid for the resampling, where they lie on none.
     notes : tuple of str
-        What a person should know.
+        Warnings for the user.
     options : ReadOptions
         As given.
     """
@@ -119,12 +119,12 @@ def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Se
     notes = notes_on_left_out(contents, volume.uid, file)
     try:
         return on_grid(slices, options, notes)
-    except GeometryError as error:  # a file that cannot be read may be what is missing
+    except GeometryError as error:  # a file that cannot be read may be the missing slice
         raise GeometryError("; ".join((error.message, *notes)), error.hint) from error
 
 
 def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
-    """The files of a path, what is in them, and the file itself where one was given.
+    """The files of a path, their contents, and the file itself where one was given.
 
     Raises
     ------
@@ -370,7 +370,7 @@ def listing(path: Path) -> list[dict[str, Any]]:
     if (segmentation := segmentation_of(contents)) is not None:
         return [_segmentation_entry(segments.parse_segments(segmentation, files.root), files)]
     if not contents.volumes:
-        volume_of(contents, AS_IT_IS, None)  # says what there is
+        volume_of(contents, AS_IT_IS, None)  # its error names the contents
     volumes = contents.volumes if file is None else volumes_of_file(contents, file)
     numbered = [
         (number, volume) for number, volume in enumerate(contents.volumes, 1) if volume in volumes

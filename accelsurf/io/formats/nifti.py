@@ -89,13 +89,13 @@ def import_nibabel_for(path: Path) -> None:
     """Import nibabel for a NIfTI as if pydicom were not installed; nothing where either is loaded already.
 
     nibabel uses pydicom for data sets in DICOM that the header of a NIfTI may carry, which accelsurf does not look at.
-    Where it is installed nibabel imports it at once, and with it requests and urllib3. What imports pydicom afterwards
+    Where it is installed nibabel imports it at once, and with it requests and urllib3. A later import of pydicom
     finds it. For the program alone: who imports accelsurf has nibabel with all.
 
     Parameters
     ----------
     path : Path
-        What will be read.
+        The image to read.
     """
     is_nifti = path.is_file() and split_name(path)[1].startswith(".nii")
     if is_nifti and not {"nibabel", "pydicom"} & sys.modules.keys():
@@ -401,7 +401,7 @@ def _extensions_in(raw: bytes, order: str) -> Iterator[tuple[int, str]]:
     Parameters
     ----------
     raw : bytes
-        What lies between the header with its four flags and the voxels.
+        Bytes between the header with its four flags and the voxels.
     order : str
         Byte order of the header.
     """
@@ -493,7 +493,7 @@ def parse_header(raw: bytes, is_pair: bool = False) -> NiftiHeader:
             f"the header gives spacing (x,y,z) = ({p1:g}, {p2:g}, {p3:g}), three positive numbers expected",
             hint="correct pixdim[1..3] in the header",
         )
-    # Zero is what some writers leave in vox_offset; the voxels of a single file cannot start before its header ends.
+    # Some writers leave zero in vox_offset; the voxels of a single file cannot start before its header ends.
     offset = int(vox_offset) if is_pair else max(int(vox_offset), HEADER_BYTES[version] + 4)
     grid = NiftiGrid(
         shape=(size[2], size[1], size[0]),
@@ -541,7 +541,7 @@ def _scaling(header: Any) -> tuple[float, float]:
             f"the header scales by slope {slope:g} and intercept {intercept:g}, a finite intercept expected",
             "correct scl_inter in the header",
         )
-    # Whole numbers stay what they are.
+    # Whole numbers stay whole.
     is_rounded = intercept == 0 and abs(slope - 1) < _SLOPE_ROUNDING
     return (1.0 if is_rounded else slope), intercept
 

@@ -38,7 +38,7 @@ class NiftiGrid:
     units : int
         The byte ``xyzt_units``.
     qform_code, sform_code : int
-        Which of the two transforms are set, and what world each refers to.
+        Code of the world that each of the two transforms refers to; 0 where it is not set.
     qform : tuple of float
         Quaternion b, c, d and offset x, y, z.
     sform : tuple of float
@@ -121,7 +121,7 @@ class NiftiGrid:
         return Geometry(self.shape, (hz, hy, hx), (x, y, z), _RAS_TO_LPS @ direction)
 
     def check_forms(self) -> None:
-        """Refuse forms that are no transforms, and a sheared sform where the sform is what counts.
+        """Refuse forms that are no transforms, and a sheared sform where the sform counts.
 
         With a qform of another kind beside it (a scanner qform and an atlas sform), the qform places the image and the
         sform is only given back on writing.

@@ -1,7 +1,7 @@
 """NRRD: pynrrd takes the fields of a header, numpy and zlib the voxels; ITK writes.
 
-ITK does not read: it takes a spacing that is no number for 1, and the axes of right-anterior-superior-time for those of
-LPS. Checked here are sizes, units and kinds of axes. A segmentation of 3D Slicer is an NRRD with the names and colours
+ITK does not read: it takes a spacing that is no number for 1, and the axes of right-anterior-superior-time for LPS.
+Checked here are sizes, units and kinds of axes. A segmentation of 3D Slicer is an NRRD with the names and colours
 of its segments.
 """
 
@@ -254,7 +254,7 @@ def _other_axis(fields: Mapping[str, Any]) -> int | None:
 
 
 def _along(fields: Mapping[str, Any], lines: Sequence[str], place: int) -> dict[str, Any]:
-    """Arguments of `RawHeader` that say what the axis beside those of space is.
+    """Arguments of `RawHeader` for the axis that is not spatial.
 
     A list of 3D Slicer may be a sequence; lines of its own say so. An axis that says nothing and runs slowest is time,
     since channels run fastest.

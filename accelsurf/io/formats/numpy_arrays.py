@@ -1,6 +1,6 @@
 """Arrays of numpy: .npy. They keep no grid.
 
-numpy reads the header, and no objects, which it would unpickle. It does not compare what a header claims with the size
+numpy reads the header, and no objects, which it would unpickle. It does not compare the header's claims with the size
 of the file; that is done here.
 """
 

@@ -27,7 +27,7 @@ _MARK = "zarr.json"
 
 
 def check_label_group(image: Path, name: str, overwrite: bool) -> Path:
-    """Refuse beforehand what cannot be written.
+    """Refuse beforehand a label map that cannot be written.
 
     Parameters
     ----------

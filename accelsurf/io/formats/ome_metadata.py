@@ -4,7 +4,7 @@ Versions 0.4 and 0.5 differ in the place of the metadata only. Axes of space are
 lengths may have any unit. Axes along lines of the body say from which side of the patient to which their
 coordinates increase (RFC-4 of OME-NGFF); the words for quadrupeds are taken as DICOM places both kinds of patients:
 dorsal where posterior is, cranial and rostral where superior is. For other directions OME-Zarr has nothing: accelsurf
-keeps them in an attribute of its own when it writes, with what `accelsurf.image.volume.Volume` calls metadata, and
+keeps them in an attribute of its own when it writes, with the metadata of `accelsurf.image.volume.Volume`, and
 which chunks it wrote.
 """
 
@@ -222,7 +222,7 @@ def _other_kind(ome: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _level(dataset: Mapping[str, Any], common: Any, axes: int) -> OmeLevel:
-    """A level by its own transformations, and then those of all levels."""
+    """Return a level by its own transformations, and then the common ones."""
     path = str(dataset["path"])
     if (
         not path
@@ -294,7 +294,7 @@ def _space_axes(axes: Sequence[OmeAxis]) -> tuple[int, ...]:
 def _placed(
     axes: Sequence[OmeAxis], finest: OmeLevel, stored: Floats | None, metadata: dict[str, str]
 ) -> tuple[Floats, dict[str, str]]:
-    """The directions of the axes, and the metadata with what is to be said of them."""
+    """The directions of the axes, and the metadata with warnings about them."""
     order = _space_axes(axes)[::-1]
     words, notes = [axes[i].orientation for i in order], []
     direction = direction_of(words)
@@ -415,7 +415,7 @@ def attributes_of(
 def _words(geometry: Geometry, metadata: Mapping[str, str]) -> list[str] | None:
     """The orientation of the axes z, y and x that is written; None where nothing is said.
 
-    The world is a patient's. Only where the lengths are those of a microscope, and nothing says that the axes have a
+    The world is a patient's. Only where the lengths have a microscope's unit, and nothing says that the axes have a
     meaning, is it not said: the cells of a dish have no left side.
     """
     is_dish = (

@@ -34,7 +34,7 @@ from accelsurf.io.memory import check_memory
 from accelsurf.settings.reading import AS_IT_IS, Level, ReadOptions
 
 _SERIES_KEY = "bioformats2raw.layout"
-#: What the metadata of a group of OME-Zarr have, one of them.
+#: Keys of metadata; a group of OME-Zarr has one of them.
 _KINDS = {"multiscales", "plate", "well", "labels", _SERIES_KEY}
 #: Folders that are looked into for images, and bytes of metadata that are looked at for that.
 _LISTED = 64
@@ -67,7 +67,7 @@ class OmeHeader:
 
     @property
     def values(self) -> int:
-        """Number of values that are read, those of all channels together; of the finest level where none was named."""
+        """Number of values that are read, all channels together; of the finest level where none was named."""
         places = selected(self.count("channel"), self.count("time"), self.options)
         level = self.options.level if isinstance(self.options.level, int) else 0
         array = open_array(self.folder, self.ome.levels[min(level, len(self.ome.levels) - 1)].path)
@@ -94,7 +94,7 @@ class OmeHeader:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on all time points: what the metadata do not say, and how many chunks are missing.
+        """Notes on all time points: gaps of the metadata, and the number of missing chunks.
 
         Raises
         ------
@@ -254,7 +254,7 @@ def open_ome_zarr(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume
     path : Path
         The folder, as it was given.
     header : OmeHeader
-        What it claims.
+        Claims of its metadata.
     opening : Opening
         Which level, channel and time point.
 
@@ -263,7 +263,7 @@ def open_ome_zarr(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume
     InputError
         When there are several channels or time points and none was named.
     UsageError
-        When there is no such level, channel or time point.
+        When the level, channel or time point does not exist.
     """
     asked = replace(
         header.options, channel_index=opening.channel_index, time_index=opening.time_index
@@ -280,7 +280,7 @@ def _opened(
     cache_bytes: int,
     listed: bool = False,
 ) -> tuple[LazyVolume, ZarrVoxels]:
-    """A level of the image of a time point and a channel; ``listed``: which says what is missing of it."""
+    """Open a level of a time point and a channel; if ``listed``, with a warning about missing chunks."""
     grids = _grids(header)
     number = checked_level(level, [grid.shape for grid in grids])
     voxels = _voxels(header, number, {"time": place[0], "channel": place[1]}, cache_bytes)

@@ -154,7 +154,7 @@ class _Chunk(NamedTuple):
 
 
 def _chunks(path: Path) -> Iterator[_Chunk]:
-    """Yield the chunks of a PNG before its end; what follows is none, whatever length it names."""
+    """Yield the chunks of a PNG before its end; bytes beyond are no chunks, whatever length they name."""
     with path.open("rb") as file:
         file.seek(len(_START))
         while len(start := file.read(8)) == 8 and start[4:] != b"IEND":

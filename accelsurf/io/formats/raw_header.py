@@ -92,7 +92,7 @@ class RawHeader:
         Raises
         ------
         InputError
-            When what it says is damaged.
+            When the text of the times is damaged.
         """
         if self.times_text:
             return FrameTimes.from_text(self.times_text, self.time_points)
@@ -100,7 +100,7 @@ class RawHeader:
 
     @property
     def values(self) -> int:
-        """Number of values that are read, those of all channels together."""
+        """Number of values that are read, all channels together."""
         return math.prod(self.geometry.shape) * len(self.selected())
 
     @property
@@ -303,7 +303,7 @@ def read_raw(path: Path, header: RawHeader, available: int) -> Volume:
     path : Path
         The file.
     header : RawHeader
-        What its header claims.
+        Claims of its header.
     available : int
         Bytes of memory.
 
@@ -352,7 +352,7 @@ def open_raw(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
     path : Path
         The file.
     header : RawHeader
-        What its header claims.
+        Claims of its header.
     opening : Opening
         Has no more to say here.
 

@@ -45,7 +45,7 @@ class SliceFolder:
     files : tuple of Path
         In the order of the slices.
     headers : tuple
-        What each claims.
+        Claims of each file.
     form : ImageFormat
         Of the files.
     geometry : Geometry
@@ -78,7 +78,7 @@ def fitting_names(path: Path, stores: bool = False) -> tuple[Path, list[str]]:
     Raises
     ------
     InputError
-        When there is no such folder, or a file is a JPEG.
+        When the folder does not exist, or a file is a JPEG.
     """
     folder, pattern = (path, "*") if path.is_dir() else (path.parent, path.name)
     if not folder.is_dir():
@@ -201,7 +201,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _gaps(names: Sequence[str]) -> str:
-    """Warning of numbers that are missing between those of the names; empty where none is."""
+    """Warning of gaps in the numbers of the names; empty where there is none."""
     numbers = [[int(n) for n in re.findall(r"[0-9]+", name)] for name in names]
     if len({len(some) for some in numbers}) != 1 or not numbers[0]:
         return ""

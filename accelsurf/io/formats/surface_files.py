@@ -1,7 +1,7 @@
 """Surface files, PLY, STL, OBJ and VTP, with the space and the unit that their headers say.
 
 trimesh reads them, all but VTP. It writes no comment with the space of the points (``SPACE=RAS``, as 3D Slicer has it),
-so they are written here; name and colour are those of the label, if there is one.
+so they are written here; name and colour are the label's, if there is one.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def _plain_obj(content: bytes) -> bytes:
 
 
 def _header(content: bytes, kind: str) -> str:
-    """The header of a binary STL, or what comments and names of the file say, a line each."""
+    """The header of a binary STL, or the comments and names of the file, a line each."""
     if kind == "stl" and len(content) >= _STL_HEADER + 4:
         (count,) = struct.unpack_from("<I", content, _STL_HEADER)
         if len(content) == _STL_HEADER + 4 + _STL_TRIANGLE * count:
@@ -177,7 +177,7 @@ def polydata(
     ends : ndarray
         Where each cell ends in them.
     kind : {"Polys", "Lines"}
-        What the cells are.
+        Type of the cells.
     space : str
         "LPS" or "RAS".
     label : LabelEntry, optional
@@ -240,7 +240,7 @@ class MeshContent(NamedTuple):
     triangles : ndarray (m, 3)
         Point numbers.
     header : str
-        What the file says of itself in comments and names, with ``SPACE=`` and ``UNIT=`` among it.
+        Header, comments and names of the file, with ``SPACE=`` and ``UNIT=`` among them.
     """
 
     points: NDArray[Any]
@@ -254,9 +254,9 @@ def is_ras(header: str, given: str = "") -> bool:
     Parameters
     ----------
     header : str
-        What the file says of itself.
+        Header, comments and names of the file.
     given : {"", "lps", "ras"}
-        What the user says. It counts where the header says nothing, or a space that is not understood.
+        Space given by the user. It counts where the header says nothing, or a space that is not understood.
 
     Raises
     ------

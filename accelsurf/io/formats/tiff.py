@@ -1,7 +1,7 @@
 """TIFF images: stacks, hyperstacks of ImageJ, OME-TIFF also of several files, pyramids; one or more channels at a time.
 
 tifffile reads and unpacks the pages. It drops a tag that is damaged, ends a stack where the next page is damaged, cuts
-off what is too much in a strip and fills up what is missing, all in silence or with a line in a log. So the entries of
+off the surplus of a strip and fills up missing bytes, all in silence or with a line in a log. So the entries of
 each page are compared with the file before tifffile reads them, and its strips before and after they are unpacked.
 """
 
@@ -85,7 +85,7 @@ class TagRule(NamedTuple):
     most: int
 
 
-#: The tags that say what the voxels are and where they lie.
+#: Tags that describe the voxels and their places.
 _RULES = {
     **dict.fromkeys((_SUBFILE, _WIDTH, _HEIGHT, _PHOTOMETRIC, _ORIENTATION), TagRule(_WHOLE, 1)),
     # Compression, order of bits, values of a pixel, rows of a strip, planes, unit of the resolution, predictor, tiles.
@@ -269,7 +269,7 @@ class TiffReader:
                 self._spent += length
             if (rule := _RULES.get(tag)) is None:
                 continue
-            # What an entry does not fill is zero: other bytes are of a longer value.
+            # The rest of an entry is zero: other bytes are of a longer value.
             is_short = rule.types != _TEXT and any(field[length:])
             is_known = kind in rule.types and (kind not in _OF_BIG_TIFF or form.is_bigtiff)
             if tag in tags or not is_known or not 0 < n <= rule.most or is_short or not is_within:
@@ -346,7 +346,7 @@ class TiffReader:
         Raises
         ------
         InputError
-            With what is missing.
+            With the numbers found and expected.
         """
         expected = math.prod(page.chunked)
         for tile, strip in ((_TILES, _STRIPS), (_TILE_BYTES, _STRIP_BYTES)):
@@ -384,7 +384,7 @@ class TiffReader:
 
 
 def _unfaithful(page: tifffile.TiffPage, colour: int) -> str:
-    """Name the property of a page by which its numbers are not those of the image; empty where there is none."""
+    """Name the property of a page by which its numbers are not the image's values; empty where there is none."""
     bits = page.bitspersample
     form = page.sampleformat
     samples = page.samplesperpixel
@@ -450,7 +450,7 @@ def _check_packing(page: tifffile.TiffPage) -> None:
 
 
 def _announced_bytes(page: tifffile.TiffPage) -> NDArray[np.int64]:
-    """Bytes of each strip or tile of a page when it is unpacked; of a tile, with what goes beyond the image."""
+    """Bytes of each strip or tile of a page when it is unpacked; of a tile, with its part beyond the image."""
     wide, high = page.tilewidth, page.tilelength
     if not page.is_tiled:
         wide, high = page.imagewidth, page.rowsperstrip
@@ -615,8 +615,8 @@ def _unpacked_page(page: tifffile.TiffPage) -> NDArray[Any]:
         contents.append(page.parent.filehandle.read(length))
     if page.compression != _LZW:
         return _joined(page, contents)
-    # libtiff prints about damages, and goes on. It unpacks what is announced and does not tell whether more follows: of
-    # the first and the last strip it is asked for one byte more.
+    # libtiff prints about damages, and goes on. It unpacks the announced bytes and does not tell whether more follow:
+    # of the first and the last strip it is asked for one byte more.
     ends = {contents[n]: int(_announced_bytes(page)[n]) for n in (0, -1)}
     longer = partial(_longer_lzw, ends)
     if itk.listened(longer, refuses=False):
@@ -627,7 +627,7 @@ def _unpacked_page(page: tifffile.TiffPage) -> NDArray[Any]:
 def _joined(page: tifffile.TiffPage, contents: list[bytes]) -> NDArray[Any]:
     """Unpack the strips or tiles of a page one by one, and join them."""
     compression, announced = page.compression, _announced_bytes(page).tolist()
-    page.compression = tifffile.COMPRESSION.NONE  # tifffile shall place what is unpacked already
+    page.compression = tifffile.COMPRESSION.NONE  # tifffile shall place bytes already unpacked
     out = np.zeros(page.shaped, page.dtype)
     for number, (packed, count) in enumerate(zip(contents, announced, strict=True)):
         values, index, shape = page.decode(_unpacked(compression, packed, count), number)
@@ -700,7 +700,7 @@ class TiffImage:
     data : Path
         The file.
     stack : TiffStack
-        Which page is what; its numbers are those of the pages in ``parts``.
+        Arrangement of the pages; it numbers them as ``parts`` does.
     parts : tuple of TiffPart
         Of each file, the pages that are used, at the level that is read.
     grids : tuple of Geometry
@@ -743,7 +743,7 @@ class TiffImage:
 
     @property
     def values(self) -> int:
-        """Number of values that are read, those of all channels together."""
+        """Number of values that are read, all channels together."""
         places = selected(self.channels, self.stack.time_points, self.options)
         return len(places) * math.prod(self.geometry.shape)
 
@@ -756,7 +756,7 @@ def parse_tiff(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
     InputError
         When it is none, is damaged, its pages differ, or it is of a kind that is not read.
     UsageError
-        When there is no such level.
+        When the level does not exist.
     """
     try:
         with path.open("rb") as file:
@@ -913,7 +913,7 @@ def _repeated(part: TiffPart, count: int, size: int) -> TiffPart:
 
 
 def _spacing(stack: TiffStack, options: ReadOptions) -> tuple[Spacing, dict[str, str]]:
-    """The size of a voxel (z, y, x), mm, and what is said of the image."""
+    """The size of a voxel (z, y, x), mm, and metadata of the image."""
     notes = []
     said = stack.lengths
     spacing, reason = said.spacing, f" ({said.reason})" if said.reason else ""
@@ -966,7 +966,7 @@ def open_tiff(path: Path, header: TiffImage, opening: Opening) -> LazyVolume:
     path : Path
         The file.
     header : TiffImage
-        What it claims.
+        Its claims.
     opening : Opening
         How many bytes of unpacked pages are held.
 

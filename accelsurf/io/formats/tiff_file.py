@@ -64,7 +64,7 @@ def write_pages(
         Of a type in `STORED`.
     description : str
     remedy : str
-        What to write where the file is too large.
+        Other output to recommend where the file is too large.
     **tags
         Of all pages, as of `tifffile.TiffWriter.write`.
 

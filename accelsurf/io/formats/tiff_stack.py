@@ -25,7 +25,7 @@ from accelsurf.settings.wording import mm_of, seconds_of, unit_name
 
 #: The description of the first page of a file of ImageJ begins so.
 IMAGEJ = "ImageJ="
-#: Beginnings of texts that say what the pages are.
+#: Beginnings of texts that describe the pages.
 _MARKS = (IMAGEJ, "<?xml", "<OME", '{"shape": [')
 #: Tags of the description, the numbers of pixels along y and x in a unit, and this unit.
 _DESCRIPTION = 270
@@ -128,7 +128,7 @@ def number(text: str, name: str) -> float:
     ----------
     text : str
     name : str
-        What it is, for the message.
+        Name of the number, for the message.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def stack_of(page: tifffile.TiffPage, pages: int, samples: int) -> TiffStack:
     Raises
     ------
     InputError
-        When it says other than what is there; ValueError and others of damaged numbers.
+        When it contradicts the pages; ValueError and others of damaged numbers.
     """
     text, is_ended = description_of(page)
     if not is_ended and any(text.startswith(mark) or mark.startswith(text) for mark in _MARKS):

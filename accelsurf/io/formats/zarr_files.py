@@ -1,8 +1,8 @@
 """The files of the chunks of an array: one for each chunk, or shards with many. zarr unpacks them.
 
-Of a Blosc chunk that is cut short numcodecs returns what lies in the memory behind it, or what was there before; memory
-is taken as chunks claim it. So the head of a chunk is compared with its file before zarr reads it. What is missing is
-told apart from what is damaged, and from what a shard itself says was left out.
+For a Blosc chunk that is cut short numcodecs returns the memory behind it, or earlier content; memory is allocated as
+chunks claim it. So the head of a chunk is compared with its file before zarr reads it. Missing chunks are told apart
+from damaged ones, and from chunks that a shard itself marks as left out.
 """
 
 from __future__ import annotations
@@ -193,7 +193,7 @@ class ChunkFiles:
         Raises
         ------
         ValueError
-            With what differs.
+            With the numbers of bytes.
         """
         announced = 0
         if self._packing == "blosc":

@@ -1,8 +1,8 @@
-"""An OME-Zarr 0.5 that is written box by box: the finest level first, then the coarser ones from what was written.
+"""An OME-Zarr 0.5 that is written box by box: the finest level first, then the coarser ones from the written voxels.
 
 A coarser voxel is the mean of a block of two voxels along each axis that is halved (at the end of an axis of odd size,
-of what there is), or for label maps the first voxel of the block, which is where the level then has its voxel. The axes
-that are halved are those of the solver's own levels: voxels become more cubic.
+of the rest), or for label maps the first voxel of the block, which is where the level then has its voxel. The axes
+are halved as in the solver's own levels: voxels become more cubic.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from accelsurf.settings.labels import LabelTable
 #: Voxels of a chunk along each axis; of one slice, along the two others.
 CHUNK = 64
 SLICE_CHUNK = 512
-#: So many labels get a colour; programs choose colours for the others.
+#: Number of labels that get a colour; programs choose colours for the others.
 MAX_COLORS = 1024
 
 
@@ -105,7 +105,7 @@ class ZarrPyramid:
     Parameters
     ----------
     folder : Path
-        What it makes.
+        The folder to make.
     geometry : Geometry
         Of the finest level.
     dtype : numpy.dtype

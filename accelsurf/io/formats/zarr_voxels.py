@@ -1,11 +1,11 @@
 """Arrays of a Zarr, read chunk by chunk. The only place that imports zarr for reading; it is an extra.
 
-zarr reads and checks the metadata, and unpacks the chunks one by one, after `zarr_files` has compared them with what
-they announce.
+zarr reads and checks the metadata, and unpacks the chunks one by one, after `zarr_files` has compared them with
+their announced sizes.
 
 A chunk that is not in the store has the fill value: so says Zarr, and stores of label maps consist of little else. A
 store that accelsurf has written says which chunks it had, so that one that is missing is a fault. In others those that
-are missing are counted, and a warning says what stands in their place. A store that has gone would read as nothing but
+are missing are counted, and a warning names the value in their place. A store that has gone would read as nothing but
 missing chunks: the metadata of the array are therefore looked for after each reading.
 """
 
@@ -33,10 +33,10 @@ from accelsurf.settings import budgets
 
 #: Voxels along an axis: beyond that the numbers of the header are damaged.
 _MAX_AXIS = 1 << 48
-#: What the metadata of an array list, and how much of it at most.
+#: Lists in the metadata of an array, and their largest number of entries.
 _LISTS = ("shape", "chunks", "codecs", "filters")
 _MAX_LISTED = 16
-#: What a group or an array of a Zarr has, one of them.
+#: Files of metadata; a group or an array of a Zarr has one of them.
 MARKS = ("zarr.json", ".zattrs", ".zgroup", ".zarray")
 
 
@@ -70,7 +70,7 @@ def open_array(folder: Path, path: str) -> Any:
     Raises
     ------
     InputError
-        When there is no such array, or none of real numbers, or a link to it leads out of the group.
+        When the array does not exist, is none of real numbers, or a link to it leads out of the group.
     """
     zarr = library()
     check_within_store(folder, folder / path)
@@ -116,14 +116,14 @@ def read_mark(folder: Path, mark: Path) -> Any:
 
 
 def _check_claims(said: Any) -> None:
-    """Refuse an array of so many axes or codecs that zarr would be busy with them alone."""
+    """Refuse an array with too many axes or codecs: zarr would be busy with them alone."""
     for key, given in said.items() if isinstance(said, dict) else ():
         if key in _LISTS and isinstance(given, list) and len(given) > _MAX_LISTED:
             raise ValueError(f"its {key} has {len(given)} entries, at most {_MAX_LISTED} expected")
 
 
 class ZarrVoxels:
-    """The voxels of an array with more axes than those of space, perhaps.
+    """The voxels of an array that may have further axes than space.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ class ZarrVoxels:
             whole[axis] = at
             inside[axis] = slice(at * widths[axis], min((at + 1) * widths[axis], int(shape[axis])))
         found = self._unpacked(tuple(whole), tuple(inside))
-        # The axes that are left are those of space in the order of the array.
+        # The axes that are left are the spatial ones in the order of the array.
         found = found.transpose(np.argsort(np.argsort(self._order)))
         return np.array(found.reshape((1,) * self._flat + found.shape), self.dtype, order="C")
 
@@ -226,7 +226,7 @@ class ZarrVoxels:
             return np.asarray(self._array[inside])
         except MemoryError:
             raise
-        except Exception as error:  # each codec raises errors of its own, bz2 those of the system
+        except Exception as error:  # each codec raises errors of its own, bz2 the system's
             raise self._damage(place, error) from error
 
     def _damage(self, place: tuple[int, ...], error: Exception) -> InputError:

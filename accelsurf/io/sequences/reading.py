@@ -38,25 +38,25 @@ def read_sequence(
         A NIfTI, NRRD or MetaImage with a fourth axis, an OME-Zarr or TIFF with an axis T, an .npy (t, z, y, x), a
         folder of frames or a pattern of their names (``frames/*.tif``; in the order of the numbers in them).
     frame_time : float, optional
-        Seconds from one frame to the next; by default what the file says. Where it says nothing the frames are counted.
+        Seconds from one frame to the next; by default from the file. Where it says nothing the frames are counted.
     frames_from_slices : bool
         Whether the slices of one volume are the frames, as of a stack in TIFF that does not name its axis.
     options : ReadOptions, optional
         As for `accelsurf.io.read`.
     memory_bytes : int, optional
-        Memory to plan with; by default what the machine has when a frame is read.
+        Memory to plan with; by default the available memory when a frame is read.
 
     Returns
     -------
     ImageSequence
-        ``notes`` has what a person should know, as gaps in the numbers of files.
+        ``notes`` has warnings for the user, as on gaps in the numbers of files.
 
     Raises
     ------
     InputError
         As `accelsurf.io.read`, and when there is no sequence, or the frames lie on several grids.
     UsageError
-        When the format has not what is asked for, or ``frame_time`` is no positive number.
+        When the format does not have a requested option, or ``frame_time`` is no positive number.
     """
     found = open_sequence(
         path,

@@ -42,11 +42,11 @@ class FileSequence(ImageSequence):
     Parameters
     ----------
     path : Path
-        What was given.
+        The given path.
     options : ReadOptions
         How it is read.
     memory_bytes : int or None
-        Memory to plan with; None for what there is when a frame is read.
+        Memory to plan with; None for the available memory when a frame is read.
     """
 
     def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
@@ -61,7 +61,7 @@ class FileSequence(ImageSequence):
         self.notes = tuple(note for note in notes if note)
 
     def set_step(self, seconds: float) -> None:
-        """Let frames be so many seconds apart; where files are missing between them, as many times that."""
+        """Place frames ``seconds`` apart; where files are missing between them, a multiple of that."""
         places = self.times if self.time_unit == "frame" else range(len(self.times))
         self.times, self.time_unit = tuple(place * seconds for place in places), "s"
 
@@ -104,7 +104,7 @@ class FileFrames(FileSequence):
 
     @property
     def frame_values(self) -> int:
-        """Number of values of a frame, those of all channels together."""
+        """Number of values of a frame, all channels together."""
         return int(with_time(self.header, 0).values)
 
     def read(self, number: int) -> list[Volume]:
@@ -180,7 +180,7 @@ class FrameFolder(FileSequence):
 
     @property
     def frame_values(self) -> int:
-        """Number of values of a frame, those of all channels together."""
+        """Number of values of a frame, all channels together."""
         return int(self._parsed(self.files[0])[1].values)
 
     def _parsed(self, file: Path) -> tuple[ImageFormat, Any]:
@@ -202,7 +202,7 @@ def with_time(header: Any, number: int) -> Any:
 
 
 def holds_frames(path: Path) -> bool:
-    """Test if a path is a folder with a file for each frame, or a pattern of such files."""
+    """Test if a path is a folder with a file for each frame, or a pattern of the files' names."""
     if headers.is_pattern(path):
         return True
     if not path.is_dir() or headers.is_stored(path):
@@ -236,7 +236,7 @@ def frame_files(path: Path) -> list[Path]:
 
 
 def times_of_names(names: Sequence[str]) -> tuple[FrameTimes, str]:
-    """The times of frames by the numbers in the names of their files, and what is to be said of it.
+    """The times of frames by the numbers in the names of their files, and a note on them.
 
     The first is at 0. Numbers are divided by their largest common step.
 

@@ -165,7 +165,7 @@ class SequenceWriter:
         Raises
         ------
         UsageError
-            When there is no such frame, or the array has another shape or type.
+            When the frame does not exist, or the array has another shape or type.
         OutputError
             When the disk is full or gone; nothing is left behind then.
         """
@@ -210,7 +210,7 @@ class SequenceWriter:
         return tuple(self.path.with_name(name) for name in names)
 
     def abort(self) -> None:
-        """Remove what was written; after `commit` this does nothing."""
+        """Remove the written files; after `commit` this does nothing."""
         self._stack.close()
 
     def __enter__(self) -> SequenceWriter:
@@ -284,7 +284,7 @@ def sequence_suffixes() -> tuple[str, ...]:
 
 
 def _written_form(path: Path, dtype: np.dtype[Any], geometry: Geometry) -> ImageFormat:
-    """The format of a path; an error where it does not hold such frames."""
+    """The format of a path; an error where it cannot hold the frames."""
     headers.check_name(path)
     suffix = headers.split_name(path)[1]
     form = image_format(suffix)
