@@ -17,7 +17,7 @@ MAX_SAMPLES = 300_000
 OBJECT_ENDS = (2.0, 98.0)
 AROUND_ENDS = (3.0, 97.0)
 IMAGE_ENDS = (1.0, 99.0)
-#: Largest width of the window over the object's own range, so that differences near its edge show.
+#: Largest width of the window, in widths of the object's own range, so that differences near its edge show.
 MAX_OBJECT_WIDTHS = 4.0
 #: Width, in voxels, of the rim of neighbours around an object; part of the rim beyond which neighbours count.
 RIM = 3

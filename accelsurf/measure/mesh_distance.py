@@ -44,7 +44,7 @@ def largest_distance(first: Surface, second: Surface, limit: float = np.inf) -> 
     step, largest = mean_side(first), 0.0
     for sampled, index in ((second, TriangleIndex(first)), (first, TriangleIndex(second))):
         points = samples(sampled, step)
-        # The farthest come first by a cheap upper bound: points bound to be nearer than a found one need no search.
+        # The farthest come first by a cheap upper bound: a point bound below a found distance needs no search.
         bounds = index.bounds(points)
         order = np.argsort(-bounds, kind="stable")
         begin = 0

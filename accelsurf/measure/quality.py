@@ -64,8 +64,8 @@ MIN_EDGE = 0.005
 GRADIENT_SAMPLES = 1 << 18
 #: Least number of planes in a slab for each plane of its halo.
 MIN_SLAB_HALOS = 4
-#: A part counts from this fraction of the object's volume on; most voxels of a neck to either side of it; most parts
-#: that are examined.
+#: A part counts from this fraction of the object's volume on; largest half width of a neck, voxels; most parts that
+#: are examined.
 LARGE_PART = 0.05
 NECK = 2
 MAX_PARTS = 200

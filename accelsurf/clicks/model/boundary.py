@@ -2,7 +2,7 @@
 
 A window's blocks may be several voxels wide. Near the boundary that they give, the mean values of the object and of
 its surroundings are known block by block; a small network weighs the place of a voxel's value between these means
-against the place of the voxel between the blocks.
+against the blocks' F and the distance from their boundary.
 """
 
 from __future__ import annotations
