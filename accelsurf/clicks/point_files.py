@@ -28,7 +28,7 @@ _SYSTEMS = {
     "ijk": Suffix("vox"),
     "2": Suffix("vox"),
 }
-#: Columns of a table, and what their numbers are: Slicer's tables of control points, napari's points.
+#: Columns of a table, and their coordinate system: Slicer's tables of control points, napari's points.
 _COLUMNS: dict[tuple[str, ...], Suffix] = {
     ("r", "a", "s"): Suffix(ras=True),
     ("l", "p", "s"): Suffix(),
@@ -47,7 +47,7 @@ _EXPECTED = (
 
 
 class _Points(NamedTuple):
-    """Points as a file has them: rows of numbers, and what they are."""
+    """Points as a file has them: rows of numbers, and their coordinate system."""
 
     rows: list[tuple[float, ...]]
     suffix: Suffix

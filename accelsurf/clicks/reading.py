@@ -54,7 +54,7 @@ _PATH_FORM = "path:X,Y,Z,R;X,Y,Z,R;..."
 _FINE = 0.4
 
 Floats = NDArray[np.float64]
-#: Kinds of clicks besides those of starts -> the form in which they are written.
+#: Kinds of clicks besides the kinds of starts -> the form in which they are written.
 KINDS = {"point": "point:X,Y,Z", "path": _PATH_FORM, "stroke": "stroke:FILE"}
 #: A voxel whose centre lies on a ball or a stroke is clicked, up to this part of the radius: a ball of one voxel has 7.
 _ROUNDED = 1e-6
@@ -258,7 +258,7 @@ def read_clicks(
 
 
 def _within(window: Window, clicks: Sequence[Click]) -> list[Click]:
-    """Return clicks of the whole grid counted from the window's first voxel; what lies beyond is left out."""
+    """Return clicks of the whole grid counted from the window's first voxel; voxels beyond are left out."""
     return list(Clicks(tuple(clicks), window.geometry.shape).on_box(window.box).clicks)
 
 
@@ -324,7 +324,7 @@ def check_contradictions(
     Raises
     ------
     InputError
-        With the first such voxel, as index and in mm.
+        With the first of these voxels, as index and in mm.
     """
     boxes = np.array(
         [[(side.start, side.stop) for side in click.box] for click in clicks.clicks]
@@ -347,7 +347,7 @@ def check_contradictions(
 
 
 def check_left(before: Clicks, after: Clicks) -> None:
-    """Refuse later clicks that leave nothing clicked inside of an object that had such voxels ``before``.
+    """Refuse later clicks that leave no voxel clicked inside of an object that had some ``before``.
 
     Raises
     ------

@@ -123,7 +123,7 @@ def counted_from(box: Box, corner: Corner) -> Box:
 def with_halo(
     made: Callable[[Box], NDArray[Any]], box: Box, shape: Sequence[int], halo: Sequence[int]
 ) -> NDArray[Any]:
-    """Return the values that are made of a box, a view of those of a box that is ``halo`` (z, y, x) voxels wider.
+    """Return the values that are made of a box, a view of the values of a box ``halo`` (z, y, x) voxels wider.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def with_halo(
         Returns the values of a box of the grid; near faces of the box that are none of the grid they may be wrong.
     box : tuple of slice
     shape, halo : sequence of 3 ints
-        Of the grid; how far from such a face they may be wrong.
+        Of the grid; how far from these faces they may be wrong.
 
     Examples
     --------
@@ -248,9 +248,9 @@ def slabs(shape: Sequence[int], multiple: int = 1, at_least: int = 1) -> Iterato
     shape : sequence of 3 ints
         (nz, ny, nx).
     multiple : int, optional
-        Each run but the last has a multiple of so many planes.
+        Each run but the last has a multiple of this number of planes.
     at_least : int, optional
-        Each run but the last has so many planes or more.
+        Each run but the last has at least this number of planes.
 
     Examples
     --------

@@ -89,7 +89,7 @@ def click_bounds(clicks: Clicks, grid: Level, known: KnownDistances | None = Non
     grid : Level
         Whole. A voxel of a coarser level is on the side of the clicks that it holds; one with clicks of both is free.
     known : dict, optional
-        Distances to clicks that other objects are near to as well; what is missing is added.
+        Distances to clicks that other objects are near to as well; missing ones are added.
 
     Examples
     --------

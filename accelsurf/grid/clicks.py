@@ -138,7 +138,7 @@ class Clicks:
         return Clicks(tuple(click for click in self.clicks if click.side == side), self.shape)
 
     def on_box(self, box: Box) -> Clicks:
-        """Return the clicks on a part of the grid, counted from its first voxel; what lies beyond is left out."""
+        """Return the clicks on a part of the grid, counted from its first voxel; voxels beyond are left out."""
         nz, ny, nx = (s.stop - s.start for s in box)
         clipped = (_click_on_box(click, box) for click in self.clicks)
         return Clicks(tuple(click for click in clipped if click is not None), (nz, ny, nx))

@@ -212,8 +212,8 @@ class Geometry:
     def matches(self, other: Geometry, tolerance_mm: float | None = None) -> bool:
         """Test if two grids have the same shape and lie at the same place.
 
-        Comparing positions, not header entries, accepts the rounding of file formats: what counts is how far
-        corresponding voxels lie from one another.
+        Comparing positions, not header entries, accepts the rounding of file formats: the distance between
+        corresponding voxels counts.
 
         Parameters
         ----------
@@ -230,7 +230,7 @@ class Geometry:
         return self._corner_distance(other) <= tolerance and self._axes_agree(other, tolerance)
 
     def difference(self, other: Geometry) -> str:
-        """One line that says what differs between two grids; empty when nothing does.
+        """One line with the differences between two grids; empty when there are none.
 
         Examples
         --------

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Corner, bounding_box, slabs
 
-#: An axis is halved together with the finest if its spacing is at most so many times larger: voxels become more cubic.
+#: Largest spacing, over the finest, of an axis that is halved together with the finest one: voxels become more cubic.
 MAX_SPACING_RATIO = math.sqrt(2.0)
 #: Smallest number of voxels along an axis that is halved: a coarser grid resolves no object.
 MIN_VOXELS = 8
@@ -295,7 +295,7 @@ def _along(array: NDArray[np.float32], axis: int, where: slice) -> NDArray[np.fl
 def min_component_depth(psi: NDArray[np.float32]) -> float:
     """Return the depth, voxels, of the thinnest component of {psi < 0}: from its innermost voxel to the outside.
 
-    0 where nothing is inside. What lies beyond the border counts as inside.
+    0 where nothing is inside. Voxels beyond the border count as inside.
 
     Examples
     --------

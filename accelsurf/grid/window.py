@@ -1,11 +1,11 @@
 """A window: a box of a grid on which a run is made, that is large enough to have the bytes of a run on the whole.
 
-What a run does depends on the image near its surface and on a few numbers of the whole image. So a run in a window is
+A run depends on the image near its surface and on a few numbers of the whole image. So a run in a window is
 that on the whole grid as long as nothing that it looks at comes near a face of the window that is no face of the grid:
 an *open face*. `LeavesWindow` says that something did; a larger window is then taken, and the run begins again.
 
 Grids of a pyramid have the same blocks in the window as in the whole: its first voxel is a multiple of the coarsest
-block, and its number of voxels is that of the whole but for such a multiple (along axes that are halved).
+block, and its number of voxels is that of the whole but for a multiple of it (along axes that are halved).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy as np
 from accelsurf.grid.boxes import Box, Corner, corner_of, counted_from
 from accelsurf.grid.geometry import Geometry
 
-#: Nothing that a run looks at may come so near to an open face, voxels: stencils, smoothing of what lies there, and
-#: voxels that enter the band within a step.
+#: Least distance of a run's voxels from an open face, voxels: room for stencils, smoothing, and voxels that enter the
+#: band within a step.
 GUARD = 8
 
 
@@ -32,7 +32,7 @@ class LeavesWindow(Exception):
 
 
 class NeedsLevels(Exception):
-    """A run goes over more levels than its window's blocks are those of: at least ``count``."""
+    """A run goes over more levels than the ``levels`` of its window: at least ``count``."""
 
     def __init__(self, count: int) -> None:
         super().__init__(f"{count} levels")
@@ -49,7 +49,7 @@ class Window(NamedTuple):
     box : tuple of slice
         The window's voxels.
     levels : int
-        On so many levels of a pyramid, from the finest on, its blocks are those of the whole grid.
+        Number of levels of a pyramid, from the finest on, on which it has the blocks of the whole grid.
     """
 
     geometry: Geometry
@@ -133,7 +133,7 @@ class Window(NamedTuple):
 
 
 def aligned(box: Box, geometry: Geometry, blocks: Sequence[int]) -> Box:
-    """Return the smallest box around another on which the blocks of a pyramid are those of the whole grid.
+    """Return the smallest box around another on which a pyramid has the blocks of the whole grid.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Corner
 
-#: An image has so many values in single precision, unless it has fewer itself.
+#: Least number of values of an image in single precision, unless it has fewer itself.
 MIN_STEPS = 256
 MAX_VALUE = 1e30
 MIN_RANGE = 1e-30

@@ -55,7 +55,7 @@ class ImageFilters(NamedTuple):
         spacing: Sequence[float],
         box: Box,
     ) -> NDArray[np.float32]:
-        """The bytes of a box of the whole image, filtered, of which only the box and what lies around it are read.
+        """The bytes of a box of the whole image, filtered; only the box and its surroundings are read.
 
         Parameters
         ----------
@@ -69,7 +69,7 @@ class ImageFilters(NamedTuple):
         -------
         ndarray of the box's shape, float32
         """
-        # A dilation at the faces of the halo lacks what lies beyond it, and the erosion reads that far again.
+        # A dilation at the faces of the halo lacks the voxels beyond it, and the erosion reads that far again.
         halo = [
             2 * int(self.closing / h) if n > 1 else 0 for n, h in zip(shape, spacing, strict=True)
         ]

@@ -17,12 +17,12 @@ MAX_SAMPLES = 300_000
 OBJECT_ENDS = (2.0, 98.0)
 AROUND_ENDS = (3.0, 97.0)
 IMAGE_ENDS = (1.0, 99.0)
-#: The window is at most so many times as wide as the object's own range, so that differences near its edge show.
+#: Largest width of the window, in widths of the object's own range, so that differences near its edge show.
 MAX_OBJECT_WIDTHS = 4.0
-#: What touches an object lies within so many voxels of it; it counts where it is more than this part of that rim.
+#: Width, in voxels, of the rim of neighbours around an object; part of the rim beyond which neighbours count.
 RIM = 3
 TOUCHING = 0.005
-#: A rim is looked for in so many voxels, of some of the slices.
+#: Most voxels in which a rim is looked for, in some of the slices.
 MAX_RIM = 1 << 22
 #: Windows of CT by name, level (the value of the middle grey) and width, Hounsfield units.
 CT_WINDOWS = {
@@ -31,9 +31,9 @@ CT_WINDOWS = {
     "lung": (-600.0, 1500.0),
     "brain": (40.0, 80.0),
 }
-#: Of a CT without an object: what radiologists begin with.
+#: Of a CT without an object: the window that radiologists begin with.
 SOFT_TISSUE = CT_WINDOWS["soft-tissue"]
-#: What stands for a window that follows from object and image.
+#: Name of a window that follows from object and image.
 AUTO = "auto"
 
 
@@ -123,9 +123,9 @@ def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> G
     Returns
     -------
     GreyWindow
-        With an object: from the values around it and of what touches it, brighter or darker, so that the two differ;
+        With an object: from the values around it and of its neighbours, brighter or darker, so that the two differ;
         but not wider than `MAX_OBJECT_WIDTHS` times its own range around its median. Else `SOFT_TISSUE` for values that
-        are Hounsfield units, or percentiles of what is not the most frequent value (the zeros around a stripped brain).
+        are Hounsfield units, or percentiles of all but the most frequent value (the zeros around a stripped brain).
     """
     stride = max(1, math.ceil((image.size / MAX_SAMPLES) ** (1 / 3)))
     part = tuple(slice(None, None, stride if n > 2 * stride else 1) for n in image.shape)
@@ -170,9 +170,9 @@ def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> G
 def _touching(
     image: NDArray[Any], inside: NDArray[np.bool_] | None, low: float, high: float
 ) -> tuple[float, float]:
-    """Return the typical value of what touches an object and is darker than ``low``, and brighter than ``high``.
+    """Return the typical values of an object's neighbours darker than ``low``, and brighter than ``high``.
 
-    The bounds themselves where nothing is. At the ribs a spleen that is all white would leak unseen.
+    The bounds themselves where there are none. At the ribs a spleen that is all white would leak unseen.
     """
     box = None if inside is None else bounding_box(inside, RIM)
     if inside is None or box is None:
@@ -192,7 +192,7 @@ def _touching(
 
 
 def is_hounsfield(values: NDArray[Any]) -> bool:
-    """Test if values look like those of a CT: air near -1000, much of it and of soft tissue, nothing far below air.
+    """Test if values look like CT: air near -1000, much of it and of soft tissue, nothing far below air.
 
     Examples
     --------

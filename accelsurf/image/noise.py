@@ -13,16 +13,16 @@ from accelsurf.grid.geometry import axis_steps
 #: Of a normal distribution: median absolute second difference, in standard deviations.
 SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
 #: Area weight of `area_against_noise` where the noise is as strong as the contrast, in voxels of the smallest spacing:
-#: what the clicks' model takes there, too (`accelsurf.clicks.model.surface`).
+#: the clicks' model has the same there (`accelsurf.clicks.model.surface`).
 WEIGHT = 0.3
-#: Second differences of about so many voxels tell the noise of an image.
+#: Approximate number of voxels whose second differences tell the noise of an image.
 SAMPLES = 1 << 18
 
 
 def area_against_noise(deviation: float, shape: Sequence[int], spacing: Sequence[float]) -> float:
     """Weight of the area (mm, times the square of the image's unit) beside squared differences from means.
 
-    A surface that follows the noise gains in the sum of squares what its area costs here: both grow with the variance.
+    A surface that follows the noise gains in the sum of squares as much as its area costs: both grow with the variance.
 
     Parameters
     ----------
@@ -77,6 +77,6 @@ def noise_of_samples(samples: Sequence[NDArray[np.float32]]) -> float:
 
 
 def _evenly(count: int, apart: int) -> NDArray[np.int64]:
-    """Every so many of the indices up to ``count``, the same counted from the other end."""
+    """Indices up to ``count``, one in ``apart``, the same counted from the other end."""
     half = np.arange((count - 1) // 2, -1, -apart)[::-1]
     return np.union1d(half, count - 1 - half)

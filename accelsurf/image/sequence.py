@@ -23,9 +23,9 @@ class ImageSequence(ABC):
     geometry : Geometry
         Grid of every frame.
     source : str
-        File or folder, or what else the frames come from.
+        File or folder, or another source of the frames.
     notes : tuple of str
-        What a person should know of it: gaps, times that were guessed.
+        Remarks for the user: gaps, times that were guessed.
     """
 
     times: tuple[float, ...]
@@ -49,7 +49,7 @@ class ImageSequence(ABC):
         Raises
         ------
         UsageError
-            When there is no such frame.
+            When there is no frame of that number.
         InputError
             When it cannot be read.
         """

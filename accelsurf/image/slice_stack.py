@@ -244,7 +244,7 @@ class SliceStack:
         return self.to_place(ends[_BITS, np.arange(3)])
 
     def outline(self, across: float, low: ArrayLike, high: ArrayLike) -> Floats:
-        """Corners (n, 2), mm, of what a plane cuts of a box, around; none beside it.
+        """Corners (n, 2), mm, of the section of a box by a plane, around; none beside it.
 
         Parameters
         ----------
@@ -337,7 +337,7 @@ class SliceStack:
 def linear(
     array: NDArray[Any], index: Sequence[Floats], largest: float | None = None
 ) -> NDArray[np.float32]:
-    """Values between voxels, linear along each axis; beyond the array those of its border.
+    """Values between voxels, linear along each axis; beyond the array the border's values.
 
     Parameters
     ----------

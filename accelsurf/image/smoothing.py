@@ -1,4 +1,4 @@
-"""Gaussian smoothing with a width in mm, and gradients of what is smoothed."""
+"""Gaussian smoothing with a width in mm, and gradients of smoothed images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, with_halo
 from accelsurf.image.kernels.smoothing import smooth_across_rows, smooth_rows
 
-#: A Gaussian ends so many standard deviations from its middle; one narrower than this (voxels) does nothing.
+#: A Gaussian ends this number of standard deviations from its middle; one narrower than this (voxels) does nothing.
 REACH = 4.0
 MIN_WIDTH = 1e-15
 
@@ -23,7 +23,7 @@ def gaussian_mm(
 ) -> NDArray[np.float32]:
     """Smooth an image by a Gaussian, along each axis of more than one voxel.
 
-    Beyond its border the image is mirrored: what leaves it there comes back, so its mean stays.
+    Beyond its border the image is mirrored: values that leave it there come back, so its mean stays.
 
     Parameters
     ----------
@@ -107,14 +107,14 @@ def gaussian_on_box(
 
     def smoothed(around: Box) -> NDArray[np.float32]:
         values = read(around).astype(np.float32, copy=False)
-        # What is wrong at faces of the halo reaches no further than the halo is wide.
+        # Errors at faces of the halo reach no further than the halo is wide.
         return gaussian_mm(values, spacing, sigma) if sigma > 0 else values
 
     return np.ascontiguousarray(with_halo(smoothed, box, shape, halo))
 
 
 def reach_of(width: float, widths: float = REACH) -> int:
-    """Reach (voxels) of the weights of a Gaussian of a ``width`` in voxels, that ends after so many ``widths``."""
+    """Reach (voxels) of the weights of a Gaussian of a ``width`` in voxels, that ends at ``widths`` times its width."""
     return int(widths * width + 0.5) if width > MIN_WIDTH else 0
 
 

@@ -28,12 +28,12 @@ def plain_array(value: Any, name: str) -> NDArray[Any]:
     ----------
     value : array_like
     name : str
-        What messages call it.
+        Name in messages.
 
     Raises
     ------
     InputError
-        When values of it are masked: what they stand for is not known.
+        When values of it are masked: their meaning is not known.
 
     Examples
     --------
@@ -63,7 +63,7 @@ class Volume:
     geometry : Geometry
         The grid, of the same shape.
     metadata : dict of str to str, optional
-        What the file's header said beyond the grid; `accelsurf.io.write` uses it to give the same header back.
+        Entries of the file's header beyond the grid; `accelsurf.io.write` uses it to give the same header back.
     source : Path, optional
         The file it was read from.
 
@@ -274,7 +274,7 @@ def array_on_grid(value: Volume | NDArray[Any], geometry: Geometry, name: str) -
     geometry : Geometry
         The image's grid.
     name : str
-        What messages call it.
+        Name in messages.
 
     Raises
     ------

@@ -5,7 +5,7 @@ Marching squares (scikit-image) on psi; the vertices lie so that the contours en
 runs along the outer edges of the border pixels, half a pixel outside their centres, and that part counts in its length.
 
 Shown as an image, with x to the right and y down, the object lies to the left of the direction in which a contour
-runs: outer contours run counter-clockwise, those of holes clockwise. (In a slice across another axis, the last of its
+runs: outer contours run counter-clockwise, hole contours clockwise. (In a slice across another axis, the last of its
 two array axes is the one to the right.)
 """
 
@@ -61,7 +61,7 @@ class Contours:
 
     @cached_property
     def area(self) -> float:
-        """Area of the object, mm2: what the outer curves enclose less the holes."""
+        """Area of the object, mm2: the area within the outer curves less the holes."""
         total = np.zeros(3)
         for loop in self.loops:
             offsets = (

@@ -106,7 +106,7 @@ def _row_ends(inside: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _corners(voxels: NDArray[np.int64], geometry: Geometry, flat_axis: int | None = None) -> Floats:
-    """The corners of voxels in world mm, each once; those of an image of one slice, or along an axis, are flat."""
+    """The corners of voxels in world mm, each once; flat for an image of one slice, or along an axis."""
     thick = [n > 1 and axis != flat_axis for axis, n in enumerate(geometry.shape)]
     signs = (
         np.array(np.meshgrid(*[(-1, 1) if wide else (0,) for wide in thick], indexing="ij"))
@@ -146,7 +146,7 @@ def _longest(points: Floats, with_across: bool = True) -> tuple[Floats, Floats]:
 
 
 def _farthest(points: Floats) -> Floats:
-    """The two points that are farthest apart; the distances of so many are not stored at once."""
+    """The two points that are farthest apart; distances are computed in batches, to bound the memory."""
     from scipy.spatial.distance import cdist
 
     points = points[_far_enough(points)]

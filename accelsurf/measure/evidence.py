@@ -1,8 +1,8 @@
-"""Evidence for a surface, place by place: is there an edge, does what is outside differ, and is a click near?
+"""Evidence for a surface, place by place: an edge, different values outside, and a click nearby.
 
 At places on the surface the image is sampled along the normal: one step outside (I_o), one inside (I_i) and three
-inside (I_d). A step is `STEP` voxels. The noise is the median of |I_i - I_d|: what the image differs by within the
-object over the same distance as across its surface. So contrasts have no unit and need no range of the image.
+inside (I_d). A step is `STEP` voxels. The noise is the median of |I_i - I_d|: the difference within the object over
+the same distance as across its surface. So contrasts have no unit and need no range of the image.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from accelsurf.grid.boxes import (
     widened,
 )
 
-#: Voxels of a step; the surface is sampled at about so many places; sigma, voxels, that normals are smoothed with.
+#: Voxels of a step; approximate number of sampled places on the surface; sigma, voxels, that normals are smoothed with.
 STEP = 1.5
 SAMPLES = 20_000
 NORMAL_SIGMA = 1.0
@@ -37,7 +37,7 @@ HALF_MODEL = 1.5
 LIKE = 2.5
 #: A patch of the surface is a Gaussian of this part of the object's radius (that of the ball of its volume).
 PATCH = 0.3
-#: Patches that are looked at one after another lie so many radii of a patch apart.
+#: Distance between patches that are looked at one after another, in radii of a patch.
 APART = 3.0
 #: Least noise, as a part of the deviation of the object's values and of those beside it.
 MIN_NOISE = 0.05
@@ -182,7 +182,7 @@ def _first_largest(totals: Floats, among: Mask) -> int:
 
 
 def eroded(mask: Mask, voxels: int = 1) -> Mask:
-    """Voxels of a mask with no other voxel within so many voxels; beyond the array the mask continues."""
+    """Voxels of a mask with no other voxel within a number of voxels; beyond the array the mask continues."""
     reach = [voxels if n > 1 else 0 for n in mask.shape]
     deep = mask.copy()
     offsets = np.indices([2 * r + 1 for r in reach]).reshape(3, -1).T - reach
@@ -222,7 +222,7 @@ def _places(inside: Mask, rim: Mask, spacing: Sequence[float]) -> tuple[NDArray[
 
 
 def _sampled(values: Image, index: NDArray[np.int64], normal: Floats, voxels: float) -> Floats:
-    """The image at places (n,) so many voxels outward; linear, the border's values beyond the border."""
+    """The image at places (n,) a number of voxels outward; linear, the border's values beyond the border."""
     at = (index + voxels * normal).T
     return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest"), np.float64)
 

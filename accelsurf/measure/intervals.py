@@ -3,11 +3,11 @@
 A voxel that the surface passes holds a share f of the object, and the image there is I = f I_in + (1 - f) I_out, for
 any blur and any thickness of the slices, as both keep sums. With I_in and I_out as they are nearby, in the object and
 beside it, the volume is that of the voxels within plus the sum of f over a shell around the surface. White noise of
-deviation s in I is s / |I_in - I_out| in f, so that of the volume is known. Area and diameter are those of the surface
+deviation s in I is s / |I_in - I_out| in f, so the volume's is known. Area and diameter are measured on the surface
 f = 1/2, smoothed the more, the more noise there is. Smoothing takes away edges and tips, as blur has before; twice the
 width takes away more, and by how much tells edges from round sides, whose area and length it hardly changes.
 
-The rest has no formula: the levels nearby are those of something else, the edge is doubtful, the surface is far off.
+The rest has no formula: the levels nearby belong to something else, the edge is doubtful, the surface is far off.
 It grows with the layer of voxels on the surface, with the noise, with how the contrast differs along the surface, and
 with how far the shell had to be moved. Mean errors, which the estimates are free of, and deviations come from phantoms
 (`benchmarks/intervals.py`).
@@ -33,7 +33,7 @@ from accelsurf.measure.surface_mesh import Surface, crossings
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-#: Half the shell's thickness, and where what is beside the object ends: voxels along the surface's normal.
+#: Half the shell's thickness, and the end of the surroundings: voxels along the surface's normal.
 SHELL = 1.5
 BESIDE = 3.0
 #: Levels nearby are means over a Gaussian of this sigma: voxels, of slices thicker than two pixels more pixels.
@@ -78,7 +78,7 @@ class Estimates(NamedTuple):
 
 
 class _Weights(NamedTuple):
-    """Weights of what tells the error of a measure, see `signs`.
+    """Weights of the predictors of a measure's error, see `signs`.
 
     Attributes
     ----------
@@ -122,20 +122,20 @@ WEIGHTS = {
 #: part of the object that was missed: the volumes of these err by more than deviations in proportion tell.
 VARIATION_OF_NOISE = 0.25
 UNEVEN = 0.1
-#: An interval whose high end is more than so many times the low one tells nothing.
+#: Largest ratio of an interval's high end to the low one: a wider interval tells nothing.
 MAX_RATIO = 3.0
 #: In more noise the intervals of the diameter held it in less than 9 of 10 phantoms of the fit: none is given.
 MAX_NOISE_OF_DIAMETER = 0.5
 
 
 class EdgeMeasures(NamedTuple):
-    """Measures of an object by its shares of voxels, and what tells how sure they are.
+    """Measures of an object by its shares of voxels, and predictors of their errors.
 
     Attributes
     ----------
     volume_mm3, area_mm2, diameter_mm : float
     area_lost, diameter_lost : float
-        Logarithms of area and diameter over those of the surface that is smoothed twice as much.
+        Logarithms of area and diameter over the values of the surface that is smoothed twice as much.
     noise_mm3 : float
         Standard deviation of the volume by the noise of the image.
     layer_mm3 : float
@@ -197,17 +197,17 @@ def error(found: EdgeMeasures, key: str, weights: _Weights) -> tuple[float, floa
 
 
 def measure_at(found: EdgeMeasures, key: str, off: float) -> float:
-    """Return a measure with an error of so many of its units: the logarithm's, but for the volume."""
+    """Return a measure changed by ``off`` of its units: of the logarithm's, but for the volume."""
     value = float(getattr(found, key))
     change = off * units(found)[key]
     return max(value + change, 0.0) if key == "volume_mm3" else value * math.exp(change)
 
 
 def signs(found: EdgeMeasures, key: str) -> tuple[float, ...]:
-    """Return what tells the error of a measure.
+    """Return the predictors of a measure's error.
 
     1, variation, noise, their product, how far the shell was moved, how thin the object is; of area and diameter also
-    the root of what smoothing took away, in its unit, and the product of that and the noise.
+    the root of the loss by smoothing, in its unit, and the product of that and the noise.
     """
     common = (
         1.0,
@@ -415,8 +415,7 @@ def _measure_shell(
 def _depth(psi: Image, spacing: tuple[float, float, float]) -> tuple[Image, Image]:
     """Return psi in voxels along its normal, and the extent of a voxel along that, mm.
 
-    Where psi is constant, and where it is more than the shell and what is beside it take, the depth is infinite and the
-    extent 0.
+    Where psi is constant, and beyond the shell and the surroundings, the depth is infinite and the extent 0.
     """
     flat, near = psi.ravel(), np.flatnonzero(np.abs(psi) <= 1.01 * BESIDE * max(spacing))
     slopes = [

@@ -1,6 +1,6 @@
 """Agreement of two label maps, label by label, each in a box around it.
 
-A label is compared with the same label of the other map. The definitions are those of `metrics` and `surface_dice`. A
+A label is compared with the same label of the other map. For the definitions see `metrics` and `surface_dice`. A
 label that one map alone has is missed or made up: Dice, Jaccard index (IoU) and surface Dice are 0, the distances
 undefined, since there is no surface to measure to. One that neither has is undefined in all, and a mean over cases
 leaves it out, as nnU-Net does.
@@ -26,7 +26,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import Mask, Metrics, agreement, check_same_grid, surface_dice
 from accelsurf.settings.labels import IdRanges, holds
 
-#: Ids up to this are looked for in a list; larger ones are sorted, so many voxels at a time.
+#: Ids up to this are looked for in a list; larger ones are sorted, this number of voxels at a time.
 _MAX_LISTED = 65_535
 _SORTED_VOXELS = 1 << 21
 
@@ -123,8 +123,8 @@ def evaluate_labels(
     pred, ref : LabelMap
         The map to judge, and the reference.
     labels : tuple of (int, int), optional
-        Ranges of labels. Without any, all that one of the maps has; with some, those of them that one of the maps has,
-        and those named one by one in any case.
+        Ranges of labels. Without any, all labels of either map; with some, the labels in them that either map has,
+        and labels named one by one in any case.
     tolerances : sequence of float, optional
         Of surface Dice, in mm.
 
@@ -159,7 +159,7 @@ def evaluate_object(
 ) -> LabelAgreement:
     """Compare two label maps on the same grid; all labels that count are one object.
 
-    Parameters and errors are those of `evaluate_labels`.
+    For parameters and errors see `evaluate_labels`.
     """
     check_same_grid(pred.volume, ref.volume)
     return _compare(pred, ref, None, tolerances)

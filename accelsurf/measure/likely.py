@@ -1,4 +1,4 @@
-"""Record of the quality of a result, the probability that it is good, and what speaks most against it.
+"""Record of the quality of a result, the probability that it is good, and the measure that speaks most against it.
 
 The probability is a logistic model of a few measures, calibrated by ``scripts/study quality``. There are two:
 ``clicks`` for a result whose model of clicks says how sure it is, and ``image`` for all others. The study writes them
@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 if TYPE_CHECKING:
     from accelsurf.clicks.model import Answer
 
-#: Radius of a correction (object's radii), what it keeps (Dice), and how sure the model was of the opposite, where no
-#: click has corrected a result.
+#: Radius of a correction (object's radii), Dice of the objects before and after it, and how sure the model was of the
+#: opposite, where no click has corrected a result.
 USUAL = {"correction": 0.37, "unchanged": 0.77, "surprise": 0.3}
 #: Largest probability of an ambiguous result: no measure of it tells which object was meant.
 UNSURE = 0.45
@@ -91,7 +91,7 @@ class Quality(NamedTuple):
     rests : tuple of Plateau
         Plateaus of the front before it broke through.
     warnings : tuple of str
-        What is uncertain, each with a command to try next.
+        Reasons for uncertainty, each with a command to try next.
     notes : tuple of str
         Remarks worth knowing and mostly harmless.
     answers : tuple of Answer
@@ -220,7 +220,7 @@ def warning_threshold(found: Quality) -> float:
     """Return the probability below which a warning is given.
 
     Of a corrected result the probability is a lower bound, as no measure of a correction counts: the threshold is the
-    stated one at which half of such results are good.
+    stated one at which half of the corrected results are good.
     """
     model = calibrated_models()[model_kind(found)]
     has_own = is_lower_bound(found) and "threshold_corrected" in model

@@ -15,7 +15,7 @@ from accelsurf.measure.surface_mesh import Surface
 Floats = NDArray[np.float64]
 #: Points looked up at once, for the sake of memory.
 BATCH = 1 << 14
-#: The first so many of the points that may be the farthest.
+#: Number of points looked up first, of the points that may be the farthest.
 FIRST = 1 << 8
 #: Parts of the side of a large triangle on which points are taken, at most.
 MAX_PARTS = 64
@@ -44,7 +44,7 @@ def largest_distance(first: Surface, second: Surface, limit: float = np.inf) -> 
     step, largest = mean_side(first), 0.0
     for sampled, index in ((second, TriangleIndex(first)), (first, TriangleIndex(second))):
         points = samples(sampled, step)
-        # The farthest come first by a bound that is cheap: what lies nearer than one that was found need not be found.
+        # The farthest come first by a cheap upper bound: a point bound below a found distance needs no search.
         bounds = index.bounds(points)
         order = np.argsort(-bounds, kind="stable")
         begin = 0

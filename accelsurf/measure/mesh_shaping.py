@@ -1,4 +1,4 @@
-"""Meshes made smoother or coarser for what comes after, with the largest distance to the surface as it was extracted.
+"""Meshes made smoother or coarser for further use, with the largest distance to the surface as it was extracted.
 
 Every operation keeps the mesh closed and facing outward; one that does not is undone, with a warning.
 """
@@ -77,7 +77,7 @@ def shape(exact: Surface, options: MeshOptions) -> ShapedMesh:
     Raises
     ------
     UsageError
-        When what is wanted cannot be had within the error, or the smoothing is too long for the mesh; InputError when
+        When the request cannot be met within the error, or the smoothing is too long for the mesh; InputError when
         a package lacks.
 
     Examples
@@ -158,7 +158,7 @@ def _sound_or_old(new: Surface, old: Surface, key: str, warnings: list[str]) -> 
 
 
 def smoothed(surface: Surface, length: float) -> Surface:
-    """Flatten bumps: of those of this wavelength half remains, of shorter ones less; the volume stays.
+    """Flatten bumps: half remains of bumps of this wavelength, less of shorter ones; the volume stays.
 
     Taubin's two steps, along and against the umbrella vector of each vertex: p + l L p, then p + m L p. A wave of
     length w on triangles with sides h has the eigenvalue k = (pi h / w)^2, and is multiplied by (1 - l k)(1 - m k) in

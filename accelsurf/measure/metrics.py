@@ -1,18 +1,18 @@
 """Agreement of two label maps: overlap, volume, distances between their surfaces in mm, and surface Dice.
 
-Definitions, so that numbers can be compared with those of other programs:
+Definitions, so that numbers can be compared with other programs:
 
 - The object is every voxel with a label > 0; several labels count as one object (`label_metrics` compares each alone).
-- Its *surface* is the set of centres of its border voxels: those with a face neighbour that is not object. What lies
-  outside the volume is not object, so an object cut by the volume's border has a surface there. An axis of one voxel
+- Its *surface* is the set of centres of its border voxels: those with a face neighbour that is not object. Voxels
+  outside the volume are no object, so an object cut by the volume's border has a surface there. An axis of one voxel
   (a 2D image) has no neighbours: the surface of a 2D object is its outline.
 - *Distances* are Euclidean, between voxel centres in mm, with the voxel size along each axis. For each border voxel of
   one map the nearest border voxel of the other is taken, and the other way round.
 - *Hausdorff*: the largest of all these. *HD95*: the larger of the two directed 95th percentiles. *Mean surface
   distance*: the mean over both sets together (average symmetric surface distance, ASSD).
 
-Border voxel centres lie up to half a voxel inside the object in both maps, which cancels; and they are what MONAI,
-medpy and the medical challenges use. For distances finer than a voxel compare meshes with an exact surface
+Border voxel centres lie up to half a voxel inside the object in both maps, which cancels; and MONAI, medpy and
+the medical challenges use them too. For distances finer than a voxel compare meshes with an exact surface
 (`accelsurf.phantoms.recipes.distance_at`).
 """
 
@@ -46,7 +46,7 @@ class Metrics:
     """Agreement of a predicted label map with a reference; NaN where a number has no meaning.
 
     With both objects empty every ratio and distance is NaN (there is nothing to agree on; a mean over cases should
-    leave such a case out, as nnU-Net does). With one of them empty Dice and IoU are 0 and the distances NaN, because
+    leave the case out, as nnU-Net does). With one of them empty Dice and IoU are 0 and the distances NaN, because
     there is no surface to measure to. The volume difference in percent is relative to the reference, NaN without one.
 
     Attributes
@@ -100,7 +100,7 @@ def evaluate(
     Raises
     ------
     GeometryError
-        When the grids differ; the message says in what.
+        When the grids differ; the message names the differences.
     InputError
         When a label is NaN, or a label map cannot be used, as `accelsurf.read_labels` and `accelsurf.segment`.
 
@@ -134,7 +134,7 @@ def check_same_grid(pred: Volume, ref: Volume) -> None:
     Raises
     ------
     GeometryError
-        The message says in what the grids differ.
+        The message names the differences.
     """
     if not pred.geometry.matches(ref.geometry):
         raise GeometryError(

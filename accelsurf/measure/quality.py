@@ -36,7 +36,7 @@ Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 #: A note is made beyond these: fraction of the surface on the border, and without an edge; contrast across the surface
-#: in units of the noise; relative growth over the last steps; share of the object unlike what was learned. A Gaussian
+#: in units of the noise; relative growth over the last steps; share of the object unlike the learned values. A Gaussian
 #: has 1.2 % beyond the bounds.
 MAX_ON_BORDER = 0.2
 MAX_WITHOUT_EDGE = 0.4
@@ -45,27 +45,27 @@ MAX_GROWTH = 0.02
 LAST_STEPS = 20
 MAX_UNLIKE = 0.1
 #: A result of clicks is ambiguous where it has this part of the image's corners, or one of them and this part has its
-#: grey values; or where it is so many times as large
-#: as the clicks, in so many parts of at least this part of it, with `MAX_ON_BORDER` of its surface on the border.
+#: grey values; or where it is `MANY_CLICKS` times as large
+#: as the clicks, in `MANY_PIECES` parts of at least `SPECK` of it, with `MAX_ON_BORDER` of its surface on the border.
 MANY_CORNERS = 0.75
 MANY_CLICKS = 150.0
 MANY_PIECES = 4
 SPECK = 1e-4
 #: An outside click is said to take away much from this share of the object on.
 MAX_TAKEN = 0.5
-#: A plateau is noted where the object has grown to so many times its size since.
+#: A plateau is noted where the object has grown since, by more than this factor.
 MIN_BURST = 1.1
-#: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from
-#: its surface, and above this fraction of the image's range over the scale that gradients are computed at.
+#: A gradient is an edge if it is above this percentile of the gradients inside the object, at least this number of
+#: voxels from its surface, and above this fraction of the image's range over the scale of the gradients.
 INTERIOR_PERCENTILE = 75.0
 INTERIOR_DEPTH = 3
 MIN_EDGE = 0.005
-#: Gradients inside the object are sampled at about so many voxels.
+#: Approximate number of voxels at which gradients inside the object are sampled.
 GRADIENT_SAMPLES = 1 << 18
-#: A slab has at least so many planes for each plane around it that is needed besides.
+#: Least number of planes in a slab for each plane of its halo.
 MIN_SLAB_HALOS = 4
-#: A part counts from this fraction of the object's volume on; a neck is at most so many voxels to either side; so many
-#: parts are examined.
+#: A part counts from this fraction of the object's volume on; largest half width of a neck, voxels; most parts that
+#: are examined.
 LARGE_PART = 0.05
 NECK = 2
 MAX_PARTS = 200
@@ -164,7 +164,7 @@ def measured(  # noqa: PLR0913
 ) -> Quality:
     """Measure the quality of a result, without its probability, warnings and notes.
 
-    The parameters are those of `assess`.
+    For the parameters see `assess`.
     """
     inside, spacing = labels > 0, geometry.spacing
     finest = [row for row in history if row.level == 0]
@@ -200,7 +200,7 @@ def measured(  # noqa: PLR0913
 
 
 def _along_surface(found: Evidence | None) -> dict[str, Any]:
-    """The measures along the surface; those of a result of which nothing is known where it has none."""
+    """The measures along the surface; without a surface, the values of no evidence."""
     if found is None:
         return {"contrast": 0.0, "evidence": 0.0, "clicked": 0.0, "inside_like": 1.0, "drift": 0.0}
     means = {"evidence": float(found.of_image.mean()), "clicked": float(found.click.mean())}
@@ -411,7 +411,7 @@ def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
 
 
 def _around(inside: Mask, margin: int) -> Box:
-    """The object's box with so many voxels around it; a box without voxels when there is no object."""
+    """The object's box with a margin of voxels around it; a box without voxels when there is no object."""
     return bounding_box(inside, margin) or (slice(0, 0), slice(0, 0), slice(0, 0))
 
 
@@ -517,14 +517,14 @@ def parts_beyond_necks(inside: Mask) -> int:
     del parts, body
     cores, count = ndimage.label(places.eroded(padded, NECK))
     large = LARGE_PART * np.count_nonzero(padded)
-    # A core grows by at most so many voxels to either side.
+    # A core grows by at most NECK + 1 voxels to either side.
     rooms = (
         math.prod(s.stop - s.start + 2 * (NECK + 1) for s in core)
         for core in ndimage.find_objects(cores)
     )
     if sum(room >= large for room in rooms) < 2:
         return 1
-    # Only so many parts can be large; numbered as bytes they need a quarter of the memory.
+    # Fewer than MAX_PARTS parts can be large; numbered as bytes they need a quarter of the memory.
     sizes = np.bincount(cores.ravel(), minlength=count + 1)
     sizes[0] = 0
     order = np.argsort(-sizes, kind="stable")[: min(count, MAX_PARTS)]

@@ -1,6 +1,6 @@
 """Figures of an object that need no reference: its size, where it lies, its extents, and the image within it.
 
-Volume and surface are those of the surface, sub-voxel; all others are over the voxels whose centres are inside. Extents
+Volume and area are measured on the surface, sub-voxel; all others are over the voxels whose centres are inside. Extents
 are taken between the outer corners of voxels, so that a box of voxels has the length of its edges.
 """
 
@@ -24,7 +24,7 @@ PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
 
 class MeasuredObject(Protocol):
-    """An object of a result, with what `statistics` reads of it: see `accelsurf.run.result.SegmentedObject`."""
+    """An object of a result, as `statistics` reads it: see `accelsurf.run.result.SegmentedObject`."""
 
     @property
     def box(self) -> Box:

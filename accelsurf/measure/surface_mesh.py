@@ -262,7 +262,7 @@ def writer_for(path: str | Path, space: str, shape: Shape) -> tuple[Callable[...
     space : {"lps", "ras"}
         Its coordinates.
     shape : {"surface", "contour"}
-        What is written.
+        Kind of the file's content.
 
     Raises
     ------

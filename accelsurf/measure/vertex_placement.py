@@ -8,8 +8,8 @@ mend that:
    ends disagree, as at a ridge of psi between two walls, of the parabola with the smaller of the two, or 0.
 2. `balanced`: a triangle inscribed in a surface of curvature tensor K lies below it by the sum of e . K e / 24 over its
    edges e, on average; the segments of a contour in an image of one slice by e . K e / 12. Each vertex moves outwards
-   by the mean of that over its triangles, weighted by their areas: to leading order the mesh then encloses what the
-   surface does. Along an edge K e is the change of the normal.
+   by the mean of that over its triangles, weighted by their areas: to leading order the mesh then encloses the
+   surface's volume. Along an edge K e is the change of the normal.
 """
 
 from __future__ import annotations
@@ -42,18 +42,18 @@ MIN_IN_PLANE = 0.2
 #: Cosine between the normals at the ends of an edge up to which there is a curvature: a surface of radius 1 voxel, or
 #: an edge of the object, turns by more.
 MIN_COSINE = 0.5
-#: A part is small where psi on its side stays within so many voxels of the coarsest axis.
+#: A part is small where psi on its side stays within this number of voxels of the coarsest axis.
 THICK = 2.0
 #: Cosine between the normals of psi at the ends of a side below which a face needs more than its curvature, ...
 TURNED = 0.8
-#: ... if that between the normals of the mesh is below this. The walls of a thin sheet, where psi is flat as well, have
-#: what they need, and beside the ridge between them the cubic errs.
+#: ... if that between the normals of the mesh is below this. The walls of a thin sheet, where psi is flat as well, need
+#: no more, and beside the ridge between them the cubic errs.
 BENT = 0.97
 #: Least slope of psi over a voxel along the normal, on one side: else psi is no distance there.
 SMALL_MIN_SLOPE = 0.7
 #: Largest slope between two voxels.
 MAX_SLOPE = 1.1
-#: Steps, each by the mean of what is left.
+#: Steps, each by the mean of the remainder.
 STEPS = 4
 #: Rounds in which a step is averaged among neighbours, so that single vertices do not stick out.
 SMALL_ROUNDS = 1

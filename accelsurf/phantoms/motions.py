@@ -44,7 +44,7 @@ TURNING = (1.4, 0.8, 0.8)
 #: Part of the radius by which a beating body swells and shrinks; most that a deforming one is stretched.
 BEAT = 0.2
 STRETCH = 1.6
-#: Between bodies that pass lie so many voxels.
+#: Gap between bodies that pass, in voxels.
 GAP = 2.0
 
 

@@ -16,7 +16,7 @@ from accelsurf.settings.reading import check_readable
 
 #: Of recipes in `checked`.
 Kind = TypeVar("Kind", bound=BaseModel)
-#: Folder of the recipes in time that come with accelsurf, beside those of single volumes.
+#: Folder of the recipes in time that come with accelsurf, beside the recipes of single volumes.
 SEQUENCES = "sequences"
 
 

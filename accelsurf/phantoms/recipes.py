@@ -82,7 +82,7 @@ class Recipe(BaseModel):
     rotation : triple
         Degrees by which the index axes are turned about the world's x, then y, then z axis.
     background, contrast : float
-        Value outside, and what is added inside; 0 and 1.
+        Value outside, and the increase inside; 0 and 1.
     around : sequence of Neighbour
         Ellipsoids around the object, each over those before it; the object lies over all. None by default.
     antialias : bool
@@ -202,7 +202,7 @@ class Phantom:
     volume_mm3, area_mm2 : float or None
         Of the object itself, exact; None for a vessel, and when the object reaches beyond the volume.
     recipe : Recipe
-        What it was made from.
+        Recipe that it was made from.
     """
 
     image: Volume
@@ -401,7 +401,7 @@ def recipe_from(values: Mapping[str, Any], where: str = "recipe") -> Recipe:
     values : mapping
         As in the TOML file.
     where : str, optional
-        What the message of an error begins with.
+        Beginning of error messages.
 
     Raises
     ------

@@ -46,8 +46,8 @@ class Material(NamedTuple):
 
 
 class TissueRecipe(SequenceRecipe):
-    """Recipe of a phantom of tissue in time: of a `SequenceRecipe`, whose radius is that of the chamber or the cell at
-    rest, on the outside, and of what moves.
+    """Recipe of a phantom of tissue in time: a `SequenceRecipe` with the tissue that moves. Its radius is the chamber's
+    or the cell's at rest, on the outside.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class TissueRecipe(SequenceRecipe):
     travel : (x, y, z)
         Way of the whole in a frame.
     inside, outside : float
-        Mean values: of wall or cell, and of cavities and what is around.
+        Mean values: of wall or cell, and of cavities and surroundings.
     speckle : float
         From 0, none, to 1, fully developed.
     coherence : float

@@ -124,7 +124,7 @@ def _of_labels(
     geometry: Geometry,
     margin: int,
 ) -> list[ObjectStart]:
-    """Starts of the ids of a label map, after it is clear what their boxes cost."""
+    """Starts of the ids of a label map, after a check of the size of their boxes."""
     places = np.where(labels > 0, np.searchsorted(found, labels) + 1, 0).astype(np.int32)
     boxes = [
         widened(box, geometry.shape, (margin, margin, margin))
@@ -142,7 +142,7 @@ def _of_labels(
 
 
 def _check_boxes(name: str, boxes: list[Box], geometry: Geometry) -> None:
-    """Refuse objects whose boxes together need too many voxels: those of an image that was taken for a label map."""
+    """Refuse objects whose boxes together need too many voxels, as with an image that was taken for a label map."""
     voxels = sum(math.prod(s.stop - s.start for s in box) for box in boxes)
     image = math.prod(geometry.shape)
     given = f"objects {name}: the boxes around {len(boxes)} objects in an image of {image} voxels"
@@ -355,7 +355,7 @@ def ball_start(
     geometry: Geometry,
     margin: int,
 ) -> ObjectStart:
-    """The union of balls; the parameters are those of `ball_box`.
+    """The union of balls; for the parameters see `ball_box`.
 
     Raises
     ------

@@ -64,9 +64,9 @@ KINDS: dict[str, str] = {
 
 
 class Start(NamedTuple):
-    """A start, parsed: its ``kind``, its ``numbers`` and what these are, or its ``file``.
+    """A start, parsed: its ``kind``, its ``numbers`` and their ``system``, or its ``file``.
 
-    ``word`` is what follows the kind or the file: ``dark``, ``otsu``, ``ras``; ``ids`` are the labels asked for, as
+    ``word`` is the text after the kind or the file: ``dark``, ``otsu``, ``ras``; ``ids`` are the labels asked for, as
     ranges.
     """
 
@@ -221,9 +221,9 @@ def build(
     volume : Volume
         The image; thresholds are in its units.
     image : ndarray, shape (nz, ny, nx), optional
-        What thresholds are applied to instead of the volume's own array (the presmoothed image).
+        Values that thresholds are applied to instead of the volume's own array (the presmoothed image).
     window : Window, optional
-        The volume is this part of a larger one, to whose grid the starts belong: psi is what it is there.
+        The volume is this part of a larger one, to whose grid the starts belong: psi is the same as there.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Answers to the first click: the likeliest, a part of it, and all that is alike and connected.
 
-What is alike is found by values alone. It goes as far as they go, through every contact with something as bright: an
-answer that a person may choose, never the likeliest.
+Alike voxels are found by values alone, through every contact with something as bright: an answer that a person may
+choose, never the likeliest.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ LOW = 0.25
 HIGH = 0.7
 #: Levels at which other answers are looked for.
 LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
-#: A rim of at least so many steps around the answer tells what is beyond it; as wide as the answer is deep.
+#: Values beyond the answer are learned in a rim as wide as the answer is deep; least width of it, in steps.
 RIM = 2.0
-#: Gaussians are cut off at so many deviations.
+#: Gaussians are cut off at this number of standard deviations.
 REACH = 4.0
 #: Numbers of the answers to a first click.
 LIKELIEST = 1
@@ -53,7 +53,7 @@ class Answer(NamedTuple):
     level : float or None
         From which probability on a block belongs to it; None of all that is alike and connected.
     volume_mm3 : float or None
-        About its volume; None of what is alike, as long as nobody has asked for that.
+        Approximate volume; None of all that is alike, as long as nobody has asked for that.
     number : int
         1 the likeliest, 2 a part of it, 3 all that is alike and connected.
     """
@@ -87,7 +87,7 @@ class Levels:
         self._sorted = np.sort(self.blocks.ravel())[::-1]
 
     def volume(self, level: float) -> float:
-        """Volume (mm3) of what is connected to the click at a level."""
+        """Volume (mm3) of the blocks connected to the click at a level."""
         return float(np.searchsorted(-self._sorted, -level, "left")) * self.window.block_mm3
 
     def volume_spread(self) -> float:
@@ -134,7 +134,7 @@ def grown(window: Window, box: Box, inside: Mask) -> Alike:
     """All that is alike and connected to an answer.
 
     Values in the answer, a voxel below its boundary, and in a rim around it give the ratio (p - q)/(p + q) of their
-    densities p and q; the score is its negative. What is below 0 and connected to the answer by faces is alike.
+    densities p and q; the score is its negative. Voxels below 0 connected to the answer by faces are alike.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """The object's boundary within a block: voxels near it go to the side that their values, and those around them, suit.
 
-A window's blocks may be several voxels wide. Near the boundary of what they say, the mean values of the object and of
-what is beyond are known block by block; a small network weighs how a voxel's value lies between them against what
-the blocks say of its place.
+A window's blocks may be several voxels wide. Near the boundary that they give, the mean values of the object and of
+its surroundings are known block by block; a small network weighs the place of a voxel's value between these means
+against the blocks' F and the distance from their boundary.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.image.blocks import block_means, on_voxels
 from accelsurf.image.smoothing import gaussian_mm
 
-#: Voxels are looked at up to this part of a block and so many voxels from the boundary.
+#: Largest distance from the boundary of the voxels looked at: this part of a block, plus this number of voxels.
 REACH = 0.75
 MORE = 1.0
-#: Means are over so many blocks along each axis; voxels nearer to the boundary than so many count little in them.
+#: Blocks along each axis in a mean; distance from the boundary, in voxels, up to which voxels count little in it; their
+#: weight.
 AROUND = 3
 MIXED = 1.0
 LITTLE = 0.02
-#: Where both sides differ by so many spreads, the image counts half; where by more, it counts fully.
+#: Contrast of both sides, in spreads, at which the image counts half; at a larger one it counts fully.
 CLEAR = 1.0
 #: Smoothing of the values that are looked at beside the voxel's own, in voxels.
 SMOOTHING = 1.0
@@ -120,7 +121,7 @@ def at_boundary(
 ) -> Floats:
     """Return 1 - 2 p of the probability p that a voxel is inside near a boundary with contrast, the field elsewhere.
 
-    The parameters are those of `features_near`.
+    For the parameters see `features_near`.
     """
     features, where = features_near(image, spacing, field, inside, steps, near)
     out, contrast = field.copy(), np.exp(features["contrast"])

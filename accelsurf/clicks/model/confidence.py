@@ -21,7 +21,7 @@ class Confidence(NamedTuple):
     spread : float
         Logarithm of how much larger the first answer is at a low probability than at a high one.
     correction : float or None
-        Radius of the last click that corrected what was shown, over the object's; None where there was none.
+        Radius of the last click that corrected the object, over the object's radius; None where there was none.
     unchanged : float or None
         Dice of the object before that click with the object after it.
     taken : float

@@ -1,8 +1,8 @@
 """Even surroundings of a click: the largest ball around it in which nothing differs.
 
 The radius of a click says how deep the object is around it. A point, or a small ball, in a large object says too
-little: nothing differs in the windows that it is first read in, and no window tells where the object ends. Such a
-click is read as a person's ball in what is even around it, which is a part of the object, whatever the object is.
+little: nothing differs in the windows that it is first read in, and no window tells where the object ends. It is
+read as a person's ball in the homogeneous region around it, which is a part of the object, whatever the object is.
 """
 
 from __future__ import annotations
@@ -24,41 +24,41 @@ from accelsurf.clicks.model.windows import (
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click
 
-#: A click is read anew from this radius on of what is even around it, in the smallest spacings: within less, the
-#: nearest window of a point shows what differs.
+#: A click is read anew from this radius of the homogeneous region on, in the smallest spacings: around a smaller region
+#: the nearest window of a point shows the differences.
 FROM = 7.5
 #: And where it is below this part of that radius; it is then read with the second part. Drawn balls and discs in noise
 #: are found with .6 to .8 of their radius (benchmarks/notes/clicks-reading.md).
 TOO_SMALL = 0.5
 READ = 0.7
-#: Its radius is known where it is at most so many times that one.
+#: The click's radius is sure up to this multiple of the region's radius.
 SURE = 1.1
 #: A click's inscribed radius is at most this part of the image's middle side: an object needs surroundings.
 OF_IMAGE = 0.35
-#: A click is larger than people make them from so many of the smallest spacings on.
+#: Radius, in the smallest spacings, beyond which a click is larger than people make them.
 BEYOND = 9.0
-#: It is read as one of so many too, whose radius still says something of the object's (`windows.LARGEST`).
+#: It is also read as one of this radius, which still tells something of the object's (`windows.LARGEST`).
 PEOPLES = 7.0
 #: A shell is this much wider than the ball in it, and this part of a spacing at least.
 WIDER = 1.15
 MIN_WIDER = 0.75
-#: A mean, or a spread, differs from so many of its standard errors on; a value from so many spreads on, and where more
-#: than this part of a shell and so many voxels do.
+#: Least difference of a mean or a spread, in standard errors; of a value, in spreads. Values of a shell may differ in
+#: this part of it, plus this number of voxels.
 ERRORS = 5.0
 FAR = 4.0
 FAR_PART = 1e-3
 FAR_VOXELS = 2
 #: Values that differ by less are the same; of the image's range between percentiles.
 SAME = 1e-6
-#: A ball is looked at in about so many voxels along its radius.
+#: Approximate number of samples along a ball's radius.
 FINE = 12
-#: No ball grows beyond so many of the smallest spacings.
+#: A ball of this radius, in the smallest spacings, grows no further.
 MAX_STEPS = 128.0
-#: The middle moves by these parts of the radius, to where a ball wider by `WIDER` is even; at most so often.
+#: The middle moves by these parts of the radius, to where a ball wider by `WIDER` is even; most moves.
 MOVES = (0.5, 0.25)
 MAX_MOVES = 24
-#: What has less noise than this part of a window's range has none. The networks know no image without: then its blocks
-#: get noise of the second part. In CT the noise of tissue is a hundredth of the range from air to bone, and is enough.
+#: Noise below this part of a window's range counts as none. The networks know no image without: then its blocks get
+#: noise of the second part. In CT the noise of tissue is a hundredth of the range from air to bone, and is enough.
 NO_NOISE = 1e-3
 DITHER = 0.02
 
@@ -96,9 +96,9 @@ class AsRead(NamedTuple):
     ----------
     seed : Seed
     noise : float or None
-        Standard deviation of what is even around it; None where nothing even is known.
+        Standard deviation in the homogeneous region around it; None where no region is known.
     is_sure : bool
-        What is even around it is as deep as the click says.
+        The homogeneous region around it is as deep as the click says.
     """
 
     seed: Seed
@@ -107,12 +107,12 @@ class AsRead(NamedTuple):
 
 
 def as_large(seed: Seed, scene: Scene) -> AsRead:
-    """Return a first click as it is read: as large as what is even around it says, and as the image has room for.
+    """Return a first click as it is read: as large as the homogeneous region around it says, and as fits the image.
 
     Raises
     ------
     LeavesWindow
-        When what is even comes near an open face of the scene's part.
+        When the homogeneous region comes near an open face of the scene's part.
     """
     radius, most = inscribed_radius(seed, scene), OF_IMAGE * _middle_side(scene)
     even = even_ball(scene, seed)
@@ -243,7 +243,7 @@ def _shell(ball: _Values, radius: float) -> _Values:
 
 
 def _is_like(part: _Values, known: _Values) -> bool:
-    """Test if values, and those of each sector, look like known ones."""
+    """Test if values, in all and in each sector, look like known ones."""
     count, of_known = part.values.shape[1], known.values.shape[1]
     if count == 0:
         return True  # beyond the image, or between voxels
@@ -262,7 +262,7 @@ def _is_like(part: _Values, known: _Values) -> bool:
 
 
 def _is_longer(seed: Seed, radius: float, scene: Scene) -> bool:
-    """Test if a click goes farther from its middle than a radius: such a stroke says more than a ball of it."""
+    """Test if a click goes farther from its middle than a radius: a stroke, which says more than its ball."""
     voxels = np.argwhere(seed.click.mask) + [side.start for side in seed.click.box]
     apart = ((voxels - seed.core[0]) * np.asarray(scene.spacing)) ** 2
     return bool(apart.sum(axis=1).max() > radius**2)

@@ -33,15 +33,15 @@ Features = dict[str, NDArray[np.floating]]
 #: Smoothing before anything is learned, of the smallest side of a block; and of the wide maps, in blocks.
 SMOOTHING = 0.6
 WIDE = 1.5
-#: Values are cut at so many spreads.
+#: Values are cut at this number of spreads.
 CUT = 12.0
-#: A change by one spread is as long as so many blocks on a shortest path.
+#: Length of a change by one spread on a shortest path, in blocks.
 CHANGE = 16.0
 #: Links of the walk fall off by this; its residual at the end, and most iterations.
 SHARPNESS = 20.0
 TOLERANCE = 2e-2
 ITERATIONS = 200
-#: An object has about so many times the volume of its largest ball; spread of the logarithm.
+#: Typical volume of an object over that of its largest ball; spread of the logarithm.
 TIMES_BALL = 5.5
 BALL_SPREAD = 1.2
 #: Of a flat image, an area counts as its power: as the volume of something round.
@@ -51,7 +51,7 @@ RAY = 10
 #: Bins of the histograms of values, and the least density.
 BINS = np.linspace(-CUT, CUT, 97)
 LEAST = 1e-4
-#: A length beyond so many radii counts as this.
+#: Longer lengths, in radii, count as this.
 FAR = 20.0
 
 
@@ -81,7 +81,7 @@ class Looks:
         return times_from(seeds, self.values, self.window.size.tolist(), tissue)
 
     def paths(self, seeds: Mask) -> Floats:
-        """Geodesic distance from seeds, where a change of the values is what costs."""
+        """Geodesic distance from seeds, longer across changes of the values."""
         return np.asarray(shortest_paths(seeds, self.z[None], self.relative, CHANGE))
 
     def walk(self, outside: Mask) -> Floats:
@@ -165,7 +165,7 @@ def features_of_first(window: Window) -> Features:
 def features_of_later(
     window: Window, before: Mask, number: int, count: int
 ) -> tuple[Features, Mask]:
-    """Features for what a later click changes, and the blocks that are on its side already.
+    """Features for the change by a later click, and the blocks that are on its side already.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def _ranks(order: NDArray[np.int64], shape: Sequence[int]) -> Floats:
 
 
 def _levels(name: str, times: Floats, order: NDArray[np.int64], looks: Looks) -> Features:
-    """Slowness of the front where a block arrives, what differs beyond it, edges along it; volume to the likeliest."""
+    """Slowness of the front where a block arrives, contrast across it, edges along it; volume to the likeliest."""
     first, count = int(np.count_nonzero(looks.window.mine)), len(order)
     sizes = np.unique(
         np.geomspace(min(max(first, 8), 0.9 * count), 0.95 * count, 60).astype(np.int64)

@@ -15,11 +15,11 @@ from accelsurf.grid.clicks import Click
 from accelsurf.kernels.grid import Grid
 
 CROSS = ndimage.generate_binary_structure(3, 1)
-#: Cost per mm, see `accelsurf.clicks.kernels.arrival.cost_at`; gradients count in so many median ones.
+#: Cost per mm, see `accelsurf.clicks.kernels.arrival.cost_at`; unit of gradients, in median gradients.
 COST = (0.02, 0.1, 50.0, 0.15, 2.0, 16.0)
 EDGE = 6.0
-#: A click of fewer voxels learns from its neighbours too. A spread is at least so many median gradients per voxel, and
-#: at least this part of the range of the values.
+#: A click of fewer voxels learns from its neighbours too. Least spread: a number of median gradients per voxel, and
+#: a part of the range of the values.
 MIN_VOXELS = 20
 MIN_SPREAD = 3.0
 MIN_RANGE = 1e-3

@@ -1,4 +1,4 @@
-"""The model of clicks on an object that a mask shows: the mask, and what clicks have changed since."""
+"""The model of clicks on an object that a mask shows: the mask, and the changes by clicks since."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from accelsurf.grid.boxes import (
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import axis_steps
 
-#: F rises from 0 at the mask's boundary to 1 within so many of the smallest spacings, and falls to -1 as far inside.
+#: Distance outside of the mask's boundary, in the smallest spacings, at which F reaches 1; it is -1 as far inside.
 RAMP = 2.0
 
 
@@ -94,14 +94,14 @@ def corrected_model(
     previous: ClickModel | None = None,
     asked: Mapping[str, Network] | None = None,
 ) -> ClickModel:
-    """Return the model of a mask after clicks: what they change is read from the image near them, all else is the mask.
+    """Return the model of a mask after clicks: changes are read from the image near them, all else is the mask.
 
     Parameters
     ----------
     scene : Scene
     given : GivenMask
     clicks : Clicks
-        Those of one object, see `Clicks.of`; none need be inside.
+        Clicks of one object, see `Clicks.of`; none need be inside.
     previous : ClickModel, optional
         The model after the first of these clicks: the result is the same, sooner.
     asked : mapping of str to Network, optional

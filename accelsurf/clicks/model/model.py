@@ -1,8 +1,8 @@
 """The model of clicks on an object: a score map F, and the object that it shows, click by click.
 
 The first inside click is read in windows from near to far until the answer ends within one. Each later click is read
-in a window of its own, with what was shown before it, and changes that toward its side alone, in what is connected to
-it. So the model after some clicks follows from the model before the last one, and from nothing else.
+in a window of its own, with the object before it, and changes that toward its side alone, in voxels connected to it.
+So the model after some clicks follows from the model before the last one, and from nothing else.
 """
 
 from __future__ import annotations
@@ -76,21 +76,21 @@ JUST = 1e-3
 SIDE = 0.2
 #: F is kept on a box that is larger than the object by this part of it.
 AROUND = 0.25
-#: A click corrects what was shown where more than this part of it is on the other side there.
+#: A click corrects the object where more than this part of the click is on the other side.
 WRONG = 0.1
 #: The objects of F below this and above its negative are compared.
 LEVEL = 0.2
 #: A stated size is met up to this factor; nearer to it the image decides.
 ABOUT = 1.25
-#: A stated size is looked for in a window of at least so many times that volume.
+#: Least volume of a window in which a stated size is looked for, over that size.
 ROOM = 4.0
-#: Two readings of a click make it ambiguous where one object has so many times the volume of the other.
+#: Ratio of the objects' volumes beyond which two readings of a click make it ambiguous.
 FACTOR = 2.0
-#: The volume of an answer that is not taken is of its fitted voxels in a window of at most so many; else of places
-#: between blocks, at most so many to a side of each.
+#: The volume of an answer that is not taken is of its fitted voxels in a window of at most this number; else of
+#: places between blocks, at most this number to a side of each.
 MAX_FITTED = 4_000_000
 FINE = 3
-#: The boundary is fitted with so many blocks around what a click has turned.
+#: The boundary is fitted with this margin, in blocks, around the voxels that a click has turned.
 WIDE = 3
 
 
@@ -112,7 +112,7 @@ class ClickModel:
     spread : float
         Logarithm of how much larger the first answer is from a low probability on than from a high one.
     correction : float or None
-        Radius of the last click that corrected what was shown, over that of the object; None where none did.
+        Radius of the last click that corrected the object, over that of the object; None where none did.
     unchanged : float or None
         Dice of the object before that click with the object after it.
     taken : float
@@ -181,7 +181,7 @@ def click_model(
     ----------
     scene : Scene
     clicks : Clicks
-        Those of one object, see `Clicks.of`.
+        Clicks of one object, see `Clicks.of`.
     size_mm3 : float, optional
         About the object's volume.
     answer : int, optional
@@ -282,7 +282,7 @@ def first_blocks(
     answer: int = 1,
     network: Network | None = None,
 ) -> FirstBlocks:
-    """Return an answer to the first click on blocks, which is what it shows but for its boundary; see `first_model`.
+    """Return an answer to the first click on blocks, final but for its boundary; see `first_model`.
 
     A click that is larger than people make them is read as smaller ones too. The first of these whose answer is smaller
     by a factor is taken, and the larger answer is in place of a part of it.
@@ -404,7 +404,7 @@ class _Score(NamedTuple):
 
 
 def _on_voxels(shown: Shown, click: Click, asked: Mapping[str, Network]) -> _Score:
-    """Bring a first answer to voxels, around what it shows, with its boundary fitted to the image."""
+    """Bring a first answer to voxels, around its object, with its boundary fitted to the image."""
     window = shown.window
     score = -window.on_voxels(shown.field)
     tight = bounding_box(score < 0)
@@ -486,7 +486,7 @@ def is_right(model: ClickModel, click: Click) -> bool:
 
 
 def clicked_inside(model: ClickModel) -> Mask:
-    """Return what is clicked inside, on the box of the model."""
+    """Return the mask of the inside clicks, on the box of the model."""
     clicked = np.zeros(model.field.shape, np.bool_)
     for click in model.clicks.clicks:
         if click.side == "inside":
@@ -587,7 +587,7 @@ def with_click(
 def within_reach(
     after: ClickModel, before: ClickModel, click: Click, spacing: Spacing
 ) -> ClickModel:
-    """Return the model after a click where that reaches and what changed is connected to it; elsewhere that before.
+    """Return the model after a click where changes are in its reach and connected to it; elsewhere the model before.
 
     Parameters
     ----------
@@ -641,7 +641,7 @@ def _to_end_of_part(click: Click, model: ClickModel, spacing: Spacing) -> float:
 
 
 def without_cut_off(model: ClickModel, before: ClickModel) -> ClickModel:
-    """A model without what its last click has cut off from all inside clicks, where that is less than what remains."""
+    """A model without the part that its last click has cut off from all inside clicks, where the rest is no smaller."""
     held = clicked_inside(model)
     remains = connected_to(model.inside, held)
     cut = model.inside & ~remains & connected_to(before.inside_on(model.box), held)
@@ -664,7 +664,7 @@ def _windows(
 ) -> Iterator[Window]:
     """Windows around the last click with room for a size, from near to far, until one holds all of the image.
 
-    Those of a click whose radius says little of the object's go on beyond the last scale.
+    Windows of a click whose radius says little of the object's go on beyond the last scale.
     """
     for scale in SCALES:
         window = window_around(scene, seeds, scale)
@@ -707,7 +707,7 @@ def _signed(probability: Floats, level: float, found: Mask) -> Floats:
 
 
 def _touches(found: Mask, window: Window) -> bool:
-    """Test if what was found goes on beyond the window: at its faces it is as wide as a part of the click's ball."""
+    """Test if an object goes on beyond the window: at its faces it is as wide as a part of the click's ball."""
     across = np.pi * window.radius**2 / window.width**2
     count = np.count_nonzero(found & window.faces)
     return bool(count > 0 and count >= ACROSS * across)

@@ -16,7 +16,7 @@ from scipy.special import expit
 from accelsurf.clicks.kernels.dense import layer
 
 Floats = NDArray[np.float32]
-#: Features are cut at so many standard deviations.
+#: Features are cut at this number of standard deviations.
 CUT = 5.0
 #: Windows are filled up to a multiple of this, for blocks of blocks.
 MULTIPLE = 4
@@ -42,10 +42,10 @@ class Network:
     names : tuple of str
         Of the features, in their order.
     middle, spread : ndarray (n,) float32
-        What features are standardised by; an unknown feature, nan, counts as its mean.
+        Means and standard deviations of the features; an unknown feature, nan, counts as its mean.
     layers : tuple of Layer
     around : tuple of Layer
-        Those of `logits_around`, which see the answers around a block; none: there are none.
+        Layers of `logits_around`, which see the answers around a block; may be empty.
     """
 
     names: tuple[str, ...]
@@ -95,15 +95,15 @@ def standardised(values: Floats, middle: Floats, spread: Floats) -> Floats:
 
 
 def logits_around(layers: Sequence[Layer], features: Floats, answer: Floats) -> Floats:
-    """Logits of each block by what is around it: convolutions at three resolutions.
+    """Logits of each block by its surroundings: convolutions at three resolutions.
 
-    The first layer works on blocks; then come means of 2x2x2 blocks and of 4x4x4, and the way back, where what was seen
-    before is added. Each layer but the last has a rectifier.
+    The first layer works on blocks; then come means of 2x2x2 blocks and of 4x4x4, and the way back, where earlier
+    outputs of a resolution are added. Each layer but the last has a rectifier.
 
     Parameters
     ----------
     layers : sequence of (weights, biases)
-        Eight; the rows of a convolution's weights are those of the neighbours (z, y, x), the last axis first, and in
+        Eight; the rows of a convolution's weights belong to the neighbours (z, y, x), the last axis first, and in
         each the channels.
     features : ndarray (n, nz, ny, nx), float32
         Standardised.
@@ -172,7 +172,7 @@ def save(path: Path, made: Mapping[str, Network]) -> None:
 
 
 def load(file: Path | IO[bytes]) -> dict[str, Network]:
-    """Read what `save` wrote."""
+    """Read networks by name from a file that `save` wrote."""
     with np.load(file, allow_pickle=False) as held:
         out = {}
         for name in sorted({key.partition(".")[0] for key in held.files}):

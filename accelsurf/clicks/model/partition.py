@@ -1,9 +1,9 @@
 """Objects that part a space: each voxel belongs to the click that comes to it at the lowest cost.
 
 One model for all of them. One march from all clicks says which voxels are whose; a path is about as long as its worst
-place is unlike the clicks, as in a watershed, and where nothing differs the nearer click has the voxel. What is no
-object competes with a tissue of its own. The shares of the objects around each voxel say where, between voxels, two of
-them meet. The cost is that of the volume and of the sum of the objects' boxes.
+place is unlike the clicks, as in a watershed, and where nothing differs the nearer click has the voxel. The
+background competes with a tissue of its own. The shares of the objects around each voxel say where, between voxels,
+two of them meet. The cost is that of the volume and of the sum of the objects' boxes.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from accelsurf.image.smoothing import gaussian_mm
 #: Smoothing of the image before anything is learned from it, and of the shares of objects; of the smallest spacing.
 SMOOTHING = 0.3
 SHARES = 0.7
-#: Shares are cut at so many of their widths.
+#: Shares are cut at this number of their widths.
 REACH = 4.0
 #: Cost per mm where a voxel looks like the clicks; the power of how many spreads it differs by, and most of these.
 LEAST = 0.2
 POWER = 4
 MAX_SPREADS = 10.0
-#: What a front goes through: an image of costs.
+#: Medium of a front: an image of costs.
 _COSTS = Tissue(
     np.zeros(1), np.ones(1), np.ones(1), np.array((LEAST, 0.0, 0.0, 1.0, 0.0, MAX_SPREADS**POWER))
 )
-#: The same for what is no object, which is all around: how far it lies from a click says next to nothing.
+#: The same for the background, which is all around: how far it lies from a click says next to nothing.
 _GROUND = _COSTS._replace(weights=np.array((0.05 * LEAST, *_COSTS.weights[1:])))
-#: Labels of voxels of what is no object, or of an outside click; and where no front comes.
+#: Label of voxels of the background or of an outside click; and of voxels where no front comes.
 NOBODY = 0
 UNREACHED = -1
 
@@ -56,7 +56,7 @@ class Basins(NamedTuple):
     labels : ndarray (nz, ny, nx) int32
         Number of the owner from whose clicks a front comes first; `NOBODY`, `UNREACHED`.
     boxes : list of tuple of slice
-        Of the voxels of each number, with room for what its share reaches.
+        Of the voxels of each number, with room for the reach of its share.
     first, second : ndarray (nz, ny, nx) float32
         The largest share of a number in the voxels around each, and the next.
     largest : ndarray (nz, ny, nx) int32
@@ -81,7 +81,7 @@ class BasinsOnce:
     def of(
         self, images: Sequence[Floats], spacing: Spacing, clicks: Clicks, mask: Mask | None
     ) -> Basins:
-        """The basins of clicks as one object sees them; those of the last time where clicks and images are the same."""
+        """The basins of clicks as one object sees them; the last ones again where clicks and images are the same."""
         if not all(click.side == "inside" or click.owner is not None for click in clicks.clicks):
             return basins_of(
                 images, spacing, clicks.clicks, mask
@@ -204,7 +204,7 @@ def _with_shares(
 
 
 def _share(found: Basins, number: int, spacing: Spacing) -> Floats:
-    """The share of a number in what is around each voxel of its box."""
+    """The share of a number in the surroundings of each voxel of its box."""
     mine = found.labels[found.boxes[number]] == number
     return gaussian_mm(mine.astype(np.float32), spacing, SHARES * min(spacing))
 
@@ -219,7 +219,7 @@ def partition_model(
 ) -> ClickModel:
     """Make the model of one of several objects that touch.
 
-    F is the largest share of another object in what is around a voxel, less that of its own.
+    F is the largest share of another object in the surroundings of a voxel, less that of its own.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def partition_model(
     mask : ndarray (nz, ny, nx) of bool, optional
         The object lies in it.
     basins : BasinsOnce, optional
-        Of the run, so that what its objects share is computed once.
+        Of the run: they are computed once for its objects.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Weight of the area that suits an object of clicks, and what keeps its size under that weight.
+"""Weight of the area that suits an object of clicks, and the offset that keeps its size under that weight.
 
 With a weight alpha of the area the surface comes to lie where F = -alpha H, inside of F = 0 wherever it is convex. So
 F is lowered by alpha times the mean of H over the boundary: the area smooths the object and does not shrink it.
@@ -16,16 +16,16 @@ from accelsurf.grid.boxes import bounding_box
 from accelsurf.image.blocks import block_means, coarsening
 from accelsurf.image.noise import SECOND_DIFFERENCE
 
-#: Noise and contrast are read off within so many voxels of the boundary, along each axis.
+#: Distance from the boundary, in voxels along each axis, within which noise and contrast are measured.
 REACH = 4
-#: Weight of the area, of the smallest spacing, without noise; and what noise of the contrast's size adds. More noise
-#: adds no more.
+#: Weight of the area, of the smallest spacing, without noise; and the increase by noise of the contrast's size. More
+#: noise adds no more.
 AREA = 0.1
 NOISY_AREA = 0.2
-#: Parallel surfaces are so many of the smallest spacings away; larger boxes are coarsened to so many voxels.
+#: Distance of the parallel surfaces, in the smallest spacings; most voxels of a box, larger ones are coarsened.
 APART = 2.0
 MOST = 40_000
-#: F is lowered by so much at most: on a tiny object the area would otherwise outweigh what the clicks say.
+#: F is lowered by this at most: on a tiny object the area would otherwise outweigh the clicks.
 MAX_OFFSET = 0.2
 
 
@@ -130,7 +130,7 @@ def _room(voxels: int, step: int, margin: int) -> int:
 
 
 def offset(area_weight_mm: float, curvature: float) -> float:
-    """Find what F is lowered by for a weight of the area (mm) and a mean curvature (1/mm); 0 of a hollow object.
+    """Return the decrease of F for a weight of the area (mm) and a mean curvature (1/mm); 0 of a hollow object.
 
     Examples
     --------

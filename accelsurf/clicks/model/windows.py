@@ -24,16 +24,16 @@ Mask = NDArray[np.bool_]
 Spacing = tuple[float, float, float]
 #: Most blocks of a window; larger blocks are taken above.
 MOST = 42_000
-#: The object around a click is taken to be at least so many of the smallest spacings deep.
+#: Least depth that the object around a click is taken to have, in the smallest spacings.
 MIN_RADIUS = 1.5
-#: People click balls of half the object's depth: the object's inscribed radius is so many radii of the click.
+#: People click balls of half the object's depth: inscribed radius of the object, in radii of the click.
 DEEPER = 2.0
-#: A click of at least so many of the smallest spacings is as large as clicks get.
+#: Radius, in the smallest spacings, from which on a click is as large as clicks get.
 LARGEST = 7.5
 #: Parts of a box that the object in it is taken to fill: a ball fills half, half of the objects in drawn scenes fill
 #: between .2 and .45.
 IN_BOX = (0.25, 0.5)
-#: Voxels of a click count as its core from this part of the largest depth on; at most so many are used.
+#: Voxels of a click count as its core from this part of the largest depth on; largest number of voxels used.
 CORE = 0.95
 CORE_VOXELS = 64
 
@@ -50,7 +50,7 @@ SCALES = (Scale(3.6, 5.0), Scale(2.2, 9.0), Scale(1.3, 16.0), Scale(0.8, 30.0))
 
 
 class Scene(NamedTuple):
-    """Images that clicks are made in, and what is known of them.
+    """Images that clicks are made in, their extent, and bounds of the object.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class Window:
     steps : ndarray (3,) int
         Voxels of a block along z, y, x.
     values : ndarray (nz, ny, nx) float32
-        Means of the blocks; of several channels their combination in which the click differs most from what is around.
+        Means of the blocks; of several channels the combination in which the click differs most from its surroundings.
     weights : tuple of float
         Of the channels in that combination.
     mine, theirs : ndarray (nz, ny, nx) of bool
@@ -225,7 +225,7 @@ class Window:
         return np.sqrt(out).astype(np.float32)
 
     def blocks_of(self, seed: Seed) -> Mask:
-        """Blocks of which a click has half, and those of its core."""
+        """Blocks of which a click has half, and blocks of its core."""
         out, count = np.zeros(self.values.shape, np.bool_), int(np.prod(self.steps))
         low, shape = np.array([side.start for side in self.box]), np.array(self.values.shape)
         voxels = np.argwhere(seed.click.mask) + [side.start for side in seed.click.box]
@@ -284,7 +284,7 @@ def seed_of(click: Click, scene: Scene) -> Seed:
 
 
 def radius_of_count(count: int, scene: Scene) -> float:
-    """Radius (mm) of a ball, in a flat image of a disc, of so many voxels."""
+    """Radius (mm) of a ball, in a flat image of a disc, with a number of voxels."""
     area = count * float(np.prod(scene.spacing[1:]))
     return float(
         np.sqrt(area / np.pi)
@@ -370,7 +370,7 @@ def window_around(scene: Scene, seeds: Sequence[Seed], scale: Scale) -> Window:
 
 
 def _weights(channels: Sequence[Floats], mine: Mask) -> tuple[float, ...]:
-    """Weights of the channels by which a click differs most from what is around it, in spreads (Fisher, 1936)."""
+    """Weights of the channels by which a click differs most from its surroundings, in spreads (Fisher, 1936)."""
     values = np.stack([channel.ravel() for channel in channels]).astype(np.float64)
     sample, rest = values[:, mine.ravel()], values[:, ~mine.ravel()]
     least = 1e-6 * max(float(np.ptp(values)), 1e-20) ** 2 * np.eye(len(values))
