@@ -238,7 +238,7 @@ def evolve(
     ------
     Step
         ``step.record`` is the record of the step, a line of the trace; ``step.object_id`` is the object's id;
-        ``step.surface`` is the present surface (``.psi``, ``.labels``): copy values you need, the next step moves it.
+        ``step.surface`` is the present surface (``.psi``, ``.labels``): copy values to keep, the next step moves it.
         While ``step.record.level`` is above 0 it lies on a coarser grid than the image; with ``levels=1`` it never
         does.
 

@@ -259,7 +259,7 @@ def shown_warnings() -> Iterator[None]:
 def open_missing() -> None:
     """Open streams that were closed before the program began on the null device.
 
-    Else the next file that is opened would get their number, and the prints of a library would land in it.
+    Else the next file that is opened would get their number, and the output of a library would land in it.
     """
     for number in range(3):
         try:

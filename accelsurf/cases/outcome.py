@@ -87,8 +87,8 @@ def _end_of(whose: str, result: Result, segmented: SegmentedObject) -> str:
 def _try_of(result: Result, segmented: SegmentedObject) -> str:
     """One command for an object without a surface; empty where none is known to help (benchmarks/hints.py).
 
-    A warning of before the first step names the cause where there is one. A start that is clicked cannot vanish, and
-    tells the appearance of the object.
+    A warning from before the first step gives the cause. A start that is clicked cannot vanish, and shows the
+    appearance of the object.
     """
     if segmented.stop.reason not in EMPTY:
         return ""

@@ -212,7 +212,7 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
 
 
 def _wrong_name(error: BaseException) -> str | None:
-    """Return the fault of a file's name that the system does not take for one; None for other errors.
+    """Return the fault of a file name that the system refuses; None for other errors.
 
     Most functions of Path raise an error for these names: whoever gave one, no file has it.
     """

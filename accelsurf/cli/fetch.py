@@ -157,5 +157,5 @@ class _Bounded:
         self._file.write(data)
 
     def flush(self) -> None:
-        """Write the bytes that wait."""
+        """Write buffered bytes."""
         self._file.flush()

@@ -324,7 +324,7 @@ def _source_of(path: Path, image: Path | None) -> _Source:
 
 
 def _way_without_state(reports: Iterable[Report]) -> str:
-    """Return the hint where none of some reports lists a state."""
+    """Return the hint where no report lists a state."""
     documents = [report.document for report in reports if report.document is not None]
     if any(document.get("kind") == "tracking" for document in documents):
         return "a tracking is corrected by accelsurf track --correct 'frame=N inside=point:X,Y,Z'"

@@ -1,4 +1,4 @@
-"""The folder of a run's files: their place, rules of replacement, and their appearance at once.
+"""The folder of a run's files: their names, rules of replacement, and the commit of all at once.
 
 `OutputFolder.plan` names the files, `OutputFolder.stage` refuses files that may not be replaced and gives a hidden
 folder to write in, `OutputFolder.commit` puts all in place, the report last. Only files of these names are replaced,

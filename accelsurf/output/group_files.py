@@ -208,7 +208,7 @@ def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str,
 
 
 def not_of_groups(work: Path) -> list[Path]:
-    """Return the paths in the folder of the groups that these have not written, sorted."""
+    """Return the paths in the folder of the groups that no group has written, sorted."""
     if not work.is_dir():
         return [work] if os.path.lexists(work) else []
     others = []

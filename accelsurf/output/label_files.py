@@ -98,8 +98,8 @@ def bids_table(result: Result, table: LabelTable, path: Path) -> None:
 
 
 def table_of(config: RunConfig) -> LabelTable:
-    """Return names and colours of labels: the table of the settings, else of a label map of objects; then single ones
-    of the settings.
+    """Return names and colours of labels: from the table of the settings, else from a label map of objects; then from
+    settings of single labels.
 
     Raises
     ------

@@ -203,7 +203,7 @@ def folder_of(config: RunConfig, source: Path, folder: Path) -> Path:
 
 
 def renamed(config: RunConfig, source: Path, name: str, names: dict[str, str]) -> dict[str, str]:
-    """Names of the files by kind as a layout has them; a failed run's beside a result stay as they are."""
+    """Names of the files by kind as a layout has them; names of a failed run beside a result stay."""
     if name.endswith(FAILED):
         return names
     ending = names["labels"].removeprefix(f"{name}_seg")

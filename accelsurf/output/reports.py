@@ -26,7 +26,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFields
 
-#: Suffix of the name of the case in the names of a failed run's files, where a result stands already.
+#: Suffix of a failed run's case name in the names of its files, where a result stands already.
 FAILED = "_failed"
 #: Ends of the names of a case's files, after the name of the case.
 _KINDS = re.compile(

@@ -41,14 +41,14 @@ class Budget:
     def check(
         self, needed: int, given: str = "", factor: int = 1, kind: type[AccelsurfError] = InputError
     ) -> None:
-        """Refuse a need above the limit.
+        """Refuse a number above the limit.
 
         Parameters
         ----------
         needed : int
             The number needed.
         given : str
-            Its subject in the message; ``what`` by default.
+            Subject of the message; the limited quantity by default.
         factor : int
             Times the limit.
         kind : type

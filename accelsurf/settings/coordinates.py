@@ -61,7 +61,7 @@ class Coordinates(NamedTuple):
 
     @property
     def vox(self) -> bool:
-        """Test if they are voxels; places on a scale have no answer before `on`."""
+        """Test if they are voxels; for places on a scale `on` comes first."""
         assert self.system in ("", "vox")
         return self.system == "vox"
 

@@ -98,7 +98,7 @@ class Correction(BaseModel):
         their radius and depth, and moves at most a share of the object.
     new : int, optional
         Id of an object that begins at the clicks, beside the others; one that has this id already begins anew. With
-        ``split``: of the part that is split off.
+        ``split``: id of the part that is split off.
     size : str, optional
         About how large the new object is, as the setting of this name.
     merge : tuple of int
@@ -287,7 +287,7 @@ def click_by_click(
     Parameters
     ----------
     corrections : sequence of Correction
-        From `corrections_in_order`; the beginning of an object keeps its clicks together.
+        From `corrections_in_order`; an object that begins keeps its clicks together.
     clicks : sequence of (str, str)
         Side and place of each click, as given.
 

@@ -37,7 +37,7 @@ class MeshFormat:
     auto : tuple of str
         Of which of the two ``--mesh auto`` writes it.
     read : str or callable, optional
-        Of the bytes of a file, returns points (n, 3), triangles (m, 3), and the file's text about itself,
+        Of the bytes of a file, returns points (n, 3), triangles (m, 3), and the file's description of itself,
         in which SPACE=RAS is looked for, if it can say that; anything that it raises is reported as a damaged file.
         None: starts cannot be read from it.
     """

@@ -224,7 +224,7 @@ class RunConfig(SettingFields):
         ----------
         **changes
             New values by field name. With a ``preset`` among them, its values replace defaults and the values of
-            the former preset; settings given otherwise stay.
+            the former preset; other given settings stay.
 
         Raises
         ------

@@ -182,7 +182,7 @@ def size_text(mm: float, unit: str = "mm", power: int = 1, digits: int = 4) -> s
 
 
 def rounded_text(value: float, digits: int = 4) -> str:
-    """Return a number rounded to some significant digits, without an exponent.
+    """Return a number rounded to ``digits`` significant digits, without an exponent.
 
     Examples
     --------

@@ -35,7 +35,7 @@ INK = "#222222"
 GRID = "#D9D9D9"
 PALE = "#999999"
 DARK = "#101010"
-#: The surface, and the one to compare with, in every picture of the program.
+#: Colours of the surface and of its reference in every picture of the program.
 SURFACE = ORANGE
 REFERENCE = SKY
 #: Colours of objects with ids, again from the first when there are more; none is that of the reference.

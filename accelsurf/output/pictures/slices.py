@@ -293,7 +293,7 @@ def name_section(
         free &= np.hypot(*(places - shown.pixels(*mark)).T) > AWAY
     depths = np.where(free, depth[rows, columns], -1.0) if free.any() else depth[rows, columns]
     best = int(np.argmax(depths))
-    # In a section without free pixels the name is written beside it.
+    # In a section without a free place the name is written beside it.
     shown.axes.annotate(
         drawable(name),
         (x[columns[best]], y[rows[best]]),
