@@ -7,7 +7,7 @@ import os
 import sys
 from typing import NoReturn
 
-#: So many new containers before Python looks for cycles among the youngest. What is imported, loaded and drawn makes
+#: Number of new containers before Python looks for cycles among the youngest. Imports, loading and drawing make
 #: 400,000 that stay, which Python's own 700 would have looked through 450 times; steps make none that stay.
 GC_THRESHOLD = 500_000
 #: The same for commands that go on for hours: an image that is in a cycle shall not stay for long.

@@ -1,4 +1,4 @@
-"""The errors of accelsurf: each has what was given, what was expected, and what to do about it.
+"""The errors of accelsurf: each has the value given, the expected one, and advice.
 
 The command line turns them into one line, a hint and an exit code; in Python the hint travels as a note, so a
 traceback shows it below the message.
@@ -27,16 +27,16 @@ class AccelsurfError(Exception):
     Parameters
     ----------
     message : str
-        What was given and what was expected. Line breaks are folded, so that ``str(error)`` is one line.
+        The value given and the expected one. Line breaks are folded, so that ``str(error)`` is one line.
     hint : str, optional
-        What to do about it; empty when there is nothing to advise.
+        Advice; empty when there is none.
 
     Attributes
     ----------
     message, hint : str
         The two texts, each one line.
     exit_code : int
-        What the command line returns for this family.
+        Exit code of the command line for this family.
     kind : str
         Short machine-readable name of the family, as written in reports.
 

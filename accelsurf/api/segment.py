@@ -69,11 +69,11 @@ def segment(
     spacing : float, str or (hz, hy, hx), optional
         mm, for an array only, in the order of its axes; 1 by default. A text is as of ``--spacing``: x, y, z, with a
         unit if wanted ("0.2,0.2,1um"), in which sizes are then shown. Clicks and starts are x, y, z.
-    channels : sequence of such images, optional
+    channels : sequence of images, optional
         Further ones, on the same grid.
     config : RunConfig, optional
     energy : str or Energy or callable, optional
-        A name; an `accelsurf.energies.Energy`, or what makes one of `Result.image` and (hz, hy, hx) mm.
+        A name; an `accelsurf.energies.Energy`, or a callable that makes one of `Result.image` and (hz, hy, hx) mm.
     on_step : callable, optional
         Called with each `StepRecord`; a true return value ends the run with the reason ``interrupted``.
     on_warning : callable, optional
@@ -81,9 +81,9 @@ def segment(
     checkpoint_to : path-like, optional
         File of the run's state, see the setting ``checkpoint``: where it exists the run continues, to the same bytes.
     **options
-        Settings by name, over those of ``config``. A start, mask, foreground, background or click may also be an array,
+        Settings by name, over ``config``. A start, mask, foreground, background or click may also be an array,
         an image, a mesh with ``vertices`` and ``faces``, or balls (x, y, z, r); a click also (x, y, z). All in mm, LPS.
-        Of a LazyVolume texts only, and ``max_memory`` for the run, as "4GB" (0.8 of what is free).
+        Of a LazyVolume texts only, and ``max_memory`` for the run, as "4GB" (0.8 of the free memory).
 
     Returns
     -------
@@ -93,7 +93,7 @@ def segment(
     ------
     UsageError
         When an option is unknown or out of bounds, a start cannot be parsed, or an energy is incomplete; InputError
-        when the image, the start, what an energy of your own returns, or ``checkpoint_to`` cannot be used.
+        when the image, the start, a value of your own energy, or ``checkpoint_to`` cannot be used.
 
     Examples
     --------
@@ -238,7 +238,7 @@ def evolve(
     ------
     Step
         ``step.record`` is the record of the step, a line of the trace; ``step.object_id`` is the object's id;
-        ``step.surface`` is the present surface (``.psi``, ``.labels``): copy what you need, the next step moves it.
+        ``step.surface`` is the present surface (``.psi``, ``.labels``): copy values to keep, the next step moves it.
         While ``step.record.level`` is above 0 it lies on a coarser grid than the image; with ``levels=1`` it never
         does.
 

@@ -1,7 +1,7 @@
 """Every kernel compiled and stored before it is needed: small runs that use all flows, terms and kinds of start.
 
 A kernel is compiled for the types of its arguments. Those do not depend on the size of an image, so runs of a few
-thousand voxels compile what large ones need.
+thousand voxels compile the kernels of large ones.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Existing outputs are refused before anything is computed. The files of a run appear all at once or not at all. A report
 says how the case ended, also when it failed; a failed run leaves an earlier result as it was. ``--resume`` goes on from
-what an earlier run has left.
+the state of an earlier run.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Log:
     checksum : str or None
         SHA-256 of the image's file or files, once it was read.
     voxels : str or None
-        SHA-256 of what was read; None of an image that is read in parts.
+        SHA-256 of the values read; None of an image that is read in parts.
     written : list of int or None
         Of an image that is read in parts: when its files were written.
     geometry : Geometry or None
@@ -92,7 +92,7 @@ class Log:
         self.geometry = geometry
 
     def note_voxels(self, channels: Sequence[Volume]) -> None:
-        """Keep what tells the image from another, whatever file it comes from."""
+        """Keep the checksum of the image's voxels, whatever file they come from."""
         from accelsurf.image.volume import voxels_sha256
 
         self.voxels = self.timed("load", lambda: voxels_sha256(channels))
@@ -127,9 +127,9 @@ class Finished:
     result : Result
     log : Log
     code : int
-        0 for a good result, or the exit code of what is wrong with it.
+        0 for a good result, or the exit code of ``error``.
     error : AccelsurfError or None
-        What is wrong with it.
+        The shortcoming of the result.
     """
 
     place: OutputFolder
@@ -204,7 +204,7 @@ def run_case(
 
 
 def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finished:
-    """Write the outputs of a result, those of a failed run beside a result that stands; remove its checkpoint."""
+    """Write the outputs of a result, of a failed run beside a result that stands; remove its checkpoint."""
     from accelsurf.output import outputs
 
     place = case.place

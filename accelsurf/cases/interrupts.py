@@ -1,7 +1,7 @@
 """Signals and standard streams: SIGINT (Ctrl-C) and SIGTERM give a line, an exit code, and complete files.
 
-Lines about errors and doubts are short, on one line, in characters that a terminal prints. What a command has computed
-and written does not depend on whether somebody can read what it prints.
+Lines about errors and doubts are short, on one line, in characters that a terminal prints. The results and
+files of a command do not depend on whether somebody can read its messages.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Interrupts:
         self._ending = False
         self._reported = False
         self._replaced: dict[int, Any] = {}
-        self._hooks: list[Any] = []  # what Python did with exceptions that it cannot raise
+        self._hooks: list[Any] = []  # Python's hooks for exceptions that it cannot raise
 
     @classmethod
     def current(cls) -> Interrupts:
@@ -122,7 +122,7 @@ class Interrupts:
         Parameters
         ----------
         question : str
-            What is finished first, for that line.
+            The work that is finished first, for that line.
         """
         before, self._question = self._question, question
         try:
@@ -166,7 +166,7 @@ class Interrupts:
         Parameters
         ----------
         kind : str, optional
-            First words of the line, such as "error: ".
+            First words of the line, like "error: ".
         """
         if self.count and not self._reported:
             self._reported = True
@@ -205,7 +205,7 @@ def default_handling() -> Iterator[None]:
 
 
 def resuming_command() -> str:
-    """Return the command line that goes on with what this one has left."""
+    """Return the command line that resumes this one."""
     words = [word for word in sys.argv[1:] if word != "--resume"]
     return shlex.join(["accelsurf", *words, "--resume"])
 
@@ -240,7 +240,7 @@ def printable(text: str, length: int) -> str:
 
 @contextmanager
 def shown_warnings() -> Iterator[None]:
-    """Print each warning of accelsurf once, as a line; those of libraries go the usual way."""
+    """Print each warning of accelsurf once, as a line; warnings of libraries go the usual way."""
     with warnings.catch_warnings():
         usual, seen = warnings.showwarning, set[str]()
 
@@ -259,7 +259,7 @@ def shown_warnings() -> Iterator[None]:
 def open_missing() -> None:
     """Open streams that were closed before the program began on the null device.
 
-    Else the next file that is opened would get their number, and what a library prints would land in it.
+    Else the next file that is opened would get their number, and the output of a library would land in it.
     """
     for number in range(3):
         try:

@@ -79,7 +79,7 @@ def _doubts(result: Result, segmented: SegmentedObject) -> list[str]:
 
 
 def _end_of(whose: str, result: Result, segmented: SegmentedObject) -> str:
-    """Say how an object's evolution ended, and what to try."""
+    """Say how an object's evolution ended, and give the command to try."""
     tried, stop = _try_of(result, segmented), segmented.stop
     return f"{whose}: {stop.reason} after {stop.steps} steps: {stop.message}{f'; try {tried}' if tried else ''}"
 
@@ -87,8 +87,8 @@ def _end_of(whose: str, result: Result, segmented: SegmentedObject) -> str:
 def _try_of(result: Result, segmented: SegmentedObject) -> str:
     """One command for an object without a surface; empty where none is known to help (benchmarks/hints.py).
 
-    What was seen before the first step is the cause where it was seen. A start that is clicked cannot vanish, and tells
-    what the object looks like.
+    A warning from before the first step gives the cause. A start that is clicked cannot vanish, and shows the
+    appearance of the object.
     """
     if segmented.stop.reason not in EMPTY:
         return ""

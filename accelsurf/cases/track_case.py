@@ -123,7 +123,7 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
         except BaseException as error:
             outputs.abort(error)
             if isinstance(error, AccelsurfError) or not case.state.exists():
-                with suppress(OutputError):  # what went wrong first matters more
+                with suppress(OutputError):  # the first error matters more
                     _remove_state(case)
             note_state(watcher, case.state)
             raise

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from accelsurf.grid.window import Window
 
 ProgressKind = Literal["bar", "json", "none"]
-#: What the bar shows until the first step, when nothing else moves.
+#: Text of the bar until the first step, when nothing else moves.
 PREPARING = "preparing"
 #: Said before the first kernel of a command is compiled: where kernels can be stored, and where they cannot.
 COMPILING = "note: compiling, once: up to a minute of the processor (all: accelsurf warmup)"
@@ -71,7 +71,7 @@ class Watcher:
         max_steps : int
             Its largest number of steps.
         then : str, optional
-            What follows that step.
+            The action after that step.
         """
         from accelsurf.kernels.storage import first_compilation
 
@@ -214,7 +214,7 @@ class Bar:
         Format of the count, of a task of rich.
     total : int
     **fields
-        First ``state``, and what else ``count`` has.
+        First ``state``, and further fields of ``count``.
     """
 
     def __init__(self, label: str, count: str, total: int, **fields: Any) -> None:

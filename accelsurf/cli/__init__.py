@@ -105,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     Parameters
     ----------
     argv : sequence of str, optional
-        Arguments without the program's name; those of the process by default.
+        Arguments without the program's name; the arguments of the process by default.
     """
     interrupts = Interrupts()
     code = 1
@@ -212,9 +212,9 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
 
 
 def _wrong_name(error: BaseException) -> str | None:
-    """Say what is wrong with the name of a file that the system takes for none; None of other errors.
+    """Return the fault of a file name that the system refuses; None for other errors.
 
-    Most functions of Path raise an error where such a name is asked about: whoever gave it, no file has it.
+    Most functions of Path raise an error for these names: whoever gave one, no file has it.
     """
     if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
         name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "a file"
@@ -264,7 +264,7 @@ def _as_parsed(arguments: Sequence[str]) -> list[str]:
 
 
 def _say(code: int, message: str, hint: str) -> int:
-    """Print one line about an error, and one about what to do, to stderr; return the code."""
+    """Print one line about an error, and one with the hint, to stderr; return the code."""
     say("error: " + printable(message, MAX_ERROR))
     if hint:
         say("hint: " + printable(hint, MAX_HINT))

@@ -1,6 +1,6 @@
 """``accelsurf batch``: many images or sequences, each as ``segment`` or ``track`` does it, in worker processes.
 
-The settings are those of images, or with ``--track`` those of tracking; never a mixture.
+The settings are for images, or with ``--track`` for tracking; never a mixture.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class BatchOptions:
 
     @property
     def limits(self) -> Limits:
-        """Limits of what runs at once; options that do not go with others are refused.
+        """Limits of the cases that run at once; options that do not go with others are refused.
 
         Raises
         ------
@@ -235,7 +235,7 @@ def _configs(
 
 
 def _print_plan(work: Batch, scheduler: str | None) -> int:
-    """Print what each case needs and what would run at once; some failed where one cannot be run."""
+    """Print the needs of each case and the number that would run at once; some failed where one cannot be run."""
     from accelsurf.batch.admission import plan_rows
     from accelsurf.batch.run import SOME_FAILED
     from accelsurf.cases.interrupts import MAX_ERROR, printable

@@ -171,7 +171,7 @@ def _tolerances(text: str | None) -> tuple[float, ...]:
 
 
 def _pairs(pred: str | None, ref: str | None, table: Path | None) -> tuple[list[Pair], bool]:
-    """Return one pair, or those of a table or of two folders, and whether they may be many."""
+    """Return one pair, or the pairs of a table or of two folders, and whether they may be many."""
     from accelsurf.batch.pairs import Pair, in_folders, in_table, is_folder_of_maps, label_file
 
     if table is not None:

@@ -157,5 +157,5 @@ class _Bounded:
         self._file.write(data)
 
     def flush(self) -> None:
-        """Write what is waiting."""
+        """Write buffered bytes."""
         self._file.flush()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
     from accelsurf.settings.reading import ReadOptions
 
-#: Topics of `accelsurf info TOPIC`, and what each tells.
+#: Topics of `accelsurf info TOPIC`, and the content of each.
 _TOPICS = {
     "versions": "accelsurf, Python and the libraries, as a report has them",
     "presets": "settings for a kind of scan, with the reason of each value",
@@ -81,7 +81,7 @@ def info(
 
 
 def _show_topics(known: Mapping[str, Any]) -> None:
-    """Print the version, and the topics with what each has."""
+    """Print the version, and the topics with their content."""
     print(f"accelsurf {known['versions']['accelsurf']}")
     print("\naccelsurf info IMAGE describes an image, accelsurf info FOLDER the results in it.")
     print("accelsurf info TOPIC tells about:\n")
@@ -139,7 +139,7 @@ def _lengths(mm: Sequence[float], unit: str) -> str:
 
 
 def _show_results(reports: Sequence[Path], as_json: bool) -> None:
-    """Print what the results of a folder are, by their reports."""
+    """Print the results of a folder, by their reports."""
     from accelsurf.cases.interrupts import MAX_HINT, printable
     from accelsurf.io.files import read_json
     from accelsurf.output.document import to_json
@@ -155,7 +155,7 @@ def _show_results(reports: Sequence[Path], as_json: bool) -> None:
 
 
 def _summary(report: object) -> dict[str, str]:
-    """Return what a report says of image, end, volume and quality."""
+    """Return image, end, volume and quality as a report has them."""
     from accelsurf.settings.wording import size_text
 
     document = report if isinstance(report, dict) else {}

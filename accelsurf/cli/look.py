@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
     from accelsurf.settings.reading import ReadOptions
 
-#: The finest level of a store with at most so many voxels is shown, unless told.
+#: Most voxels of a level of a store: the finest level within this limit is shown, unless told.
 MAX_VOXELS = 1 << 27
 #: It chooses the level itself.
 ReadWithoutLevel = settings_class(
@@ -88,7 +88,7 @@ def look(
         raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
     volumes, grid = _read(source, level, run_config(reading).reading)
     _say_notes(volumes, source)
-    from accelsurf.output.pictures.look import look_png  # loads what draws
+    from accelsurf.output.pictures.look import look_png  # loads modules that draw
 
     geometry = volumes[0].geometry
     place = None if at is None else _place(at, grid)
@@ -157,7 +157,7 @@ def _said_of(volumes: list[Volume]) -> str:
 
 
 def _read(source: Path, level: int | None, requested: ReadOptions) -> tuple[list[Volume], Geometry]:
-    """The channels of an image, of a store those of a level, and the grid that indices belong to.
+    """Return the channels of an image, or of a level of a store, and the grid that indices belong to.
 
     That is the grid of the level that was requested, else of the finest.
     """

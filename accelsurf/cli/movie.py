@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from accelsurf.viewer.scene.scene import Scene
 
 MOVIE = Group("Movie", sort_key=0)
-#: It draws the run; ``color`` is what it colours surfaces by.
+#: It draws the run; ``color`` is the quantity that colours surfaces.
 RunSettings = settings_class(
     "RunSettings", groups=WITHOUT_FILES, further=("name", "label_table", "window")
 )
@@ -184,7 +184,7 @@ def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
 
 
 def _refuse_with_tracks(look: Look, preview: bool, reference: Path | None) -> None:
-    """Refuse what a movie of tracks, in slices, does not have."""
+    """Refuse options that a movie of tracks, in slices, does not have."""
     changed = [field.name for field in fields(Look) if getattr(look, field.name) != field.default]
     for name in [*changed, *["reference"] * (reference is not None)]:
         raise UsageError(

@@ -54,7 +54,7 @@ class GroupTask:
         Of each whole channel, as `accelsurf.large.many_objects.numbers_needed` returns them.
     config : RunConfig
     starts : ManyStarts
-        Those of the group alone.
+        The starts of the group alone.
     others : Boxes
         Where objects begin that are not in the group.
     other_ids : tuple of int

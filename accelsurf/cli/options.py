@@ -1,4 +1,4 @@
-"""Options that several commands share. Those of a run are made from RunConfig, so that the two cannot differ."""
+"""Options that several commands share. Options of a run are made from RunConfig, so that the two cannot differ."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def run_config(
     settings : instance of a `settings_class`, or None
         Options of the command line.
     file : Path or mapping, optional
-        TOML file of ``--config``, or what is in it.
+        TOML file of ``--config``, or its content.
     **forced
         Fields that the command itself sets; a preset among them counts as one that was given as an option.
 

@@ -79,7 +79,7 @@ class BatchProgress:
     count : int
         Number of cases.
     what : str, optional
-        What they are called.
+        Noun for them, in the plural.
     """
 
     def __init__(self, display: Display, count: int, what: str = "cases") -> None:

@@ -210,7 +210,7 @@ def _mend(
     strict: bool,
     display: Display | None,
 ) -> int:
-    """Mend a label map; the outputs are those of a run that begins with it."""
+    """Mend a label map; the outputs are the same as of a run that begins with it."""
     from accelsurf.cases.case import run_case
     from accelsurf.cases.watcher import Watcher
     from accelsurf.output.folder import OutputFolder
@@ -261,7 +261,7 @@ class _CorrectedRun:
 
 
 def _lines_of(changes: Sequence[Change]) -> list[str]:
-    """Return what a correction has moved, for each object that was looked at."""
+    """Return the changes of a correction in words, for each object that was looked at."""
     many = len(changes) > 1
     return [f"{change.text}{f' (object {change.object_id})' if many else ''}" for change in changes]
 
@@ -315,7 +315,7 @@ def _source_of(path: Path, image: Path | None) -> _Source:
         raise InputError(
             f"{state_path}: is not as its report says: missing, damaged or of another run", _STATE
         )
-    from accelsurf.correct.state_file import read_state  # loads what a run needs
+    from accelsurf.correct.state_file import read_state  # loads modules of a run
 
     state = read_state(state_path)
     given = GivenImage.of_report(report.document or {}, report.path)
@@ -324,7 +324,7 @@ def _source_of(path: Path, image: Path | None) -> _Source:
 
 
 def _way_without_state(reports: Iterable[Report]) -> str:
-    """Return what to do where none of some reports lists a state."""
+    """Return the hint where no report lists a state."""
     documents = [report.document for report in reports if report.document is not None]
     if any(document.get("kind") == "tracking" for document in documents):
         return "a tracking is corrected by accelsurf track --correct 'frame=N inside=point:X,Y,Z'"

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from cyclopts.help import HelpPanel
     from rich.console import Console, ConsoleOptions
 
-#: Commands with so many options that their help is cut, and options that it shows.
+#: Commands whose help is cut, because of many options, and options that it shows.
 COMMANDS = ("segment", "refine", "view", "movie", "batch", "track")
 SHOWN = {
     "--answer",
@@ -34,7 +34,7 @@ SHOWN = {
 
 
 class ShortHelp(DefaultFormatter):
-    """Draws what a panel has of arguments and of options that are `SHOWN`, each with the first sentence of its text."""
+    """Draws the arguments of a panel and its options that are `SHOWN`, each with the first sentence of its text."""
 
     def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
         """Draw a panel, or nothing where none of its entries is shown."""

@@ -24,7 +24,7 @@ from accelsurf.phantoms.recipes import Recipe
 if TYPE_CHECKING:
     from accelsurf.phantoms.tissues import TissuePhantom
 
-#: Columns of the table of the bodies, as far as they go those of a table of tracks.
+#: Columns of the table of the bodies, as far as they go the columns of a table of tracks.
 COLUMNS = (
     "frame",
     "time",
@@ -145,7 +145,7 @@ def _written(
     overwrite: bool,
     write: Callable[[FileSet, dict[str, Path]], dict[str, Any]],
 ) -> dict[str, Path]:
-    """Write a set of files by ``write``, which returns what is known of them, and last the facts."""
+    """Write a set of files by ``write``, which returns the facts, and these last."""
     paths = {kind: folder / f"{name}{end}" for kind, end in ends.items()}
     with OutputFolder(folder, name, overwrite=overwrite).stage(paths) as files:
         facts = write(files, paths)

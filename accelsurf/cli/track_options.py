@@ -1,4 +1,4 @@
-"""Options of ``accelsurf track``: made from the settings of tracking, and those of the run on each frame."""
+"""Options of ``accelsurf track``: made from the settings of tracking, and of the run on each frame."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def track_config(
     track : TrackSettings, SequenceSettings or None
     frame : FrameSettings or None
     file : Path or mapping, optional
-        TOML file of ``--config``, or what is in it: settings of the run, and a table ``track``.
+        TOML file of ``--config``, or its content: settings of the run, and a table ``track``.
     **forced
         Settings of either kind, over all others.
 

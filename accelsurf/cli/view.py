@@ -57,7 +57,7 @@ class FirstImage:
     reference : Path or None
         Labels to compare with.
     tracks : Path or None
-        Folder of what ``accelsurf track`` has found in it.
+        Folder of its tracks, from ``accelsurf track``.
     times : TrackConfig
         How a sequence is read.
     given : GivenImage or None
@@ -72,14 +72,14 @@ class FirstImage:
     given: GivenImage | None = None
 
     def start_reading(self) -> Callable[[], OpenedImage]:
-        """Begin to read; return what waits for the image.
+        """Begin to read; return a function that waits for the image.
 
         A single image is read in a thread. Of a sequence headers and one frame are read, when it is waited for.
 
         Raises
         ------
         InputError
-            When the header cannot be read; what is wrong with the rest is raised by what is returned.
+            When the header cannot be read; other errors are raised by the returned function.
         UsageError
             When a time between frames was given for a single image.
         """
@@ -141,7 +141,7 @@ class FirstImage:
 
 @contextmanager
 def loading() -> Iterator[None]:
-    """Let Python not look for garbage while many modules are loaded, nor afterwards among what they are made of.
+    """Let Python not look for garbage while many modules are loaded, nor afterwards among their objects.
 
     The searches are a sixth of the time of loading. One over all that was loaded, of which nothing is garbage, takes as
     long as the window's first picture.
@@ -152,7 +152,7 @@ def loading() -> Iterator[None]:
         yield
     finally:
         gc.freeze()
-        # Less than the program's: a window is open for hours, and what it has shown may be in a cycle.
+        # Less than the program's: a window is open for hours, and images that it has shown may be in a cycle.
         gc.set_threshold(min(gc.get_threshold()[0], 50_000))
         if was_enabled:
             gc.enable()
@@ -371,14 +371,14 @@ def _load_window() -> None:
 def front_end(page: PageOptions, begin: Callable[[], None]) -> PageOptions:
     """Check that the window, or else the page, can be shown here.
 
-    Where the packages of the window are missing, but not those of the page, the page opens.
+    Where the packages of the window are missing, but not the page's, the page opens.
 
     Parameters
     ----------
     page : PageOptions
     begin : callable
-        Begins to read what is to be shown at once, when nothing that is known at once is in the way. Then what draws it
-        is loaded too, while another process tries whether it can.
+        Begins to read the image to show, when nothing that is known at once is in the way. Then the modules that draw
+        it are loaded too, while another process tries whether they can.
 
     Raises
     ------
@@ -425,7 +425,7 @@ def _open_window(
     Raises
     ------
     AccelsurfError
-        With what is wrong with the settings of that run.
+        With the fault in the settings of that run.
     """
     from accelsurf.viewer.window.desktop import application
     from accelsurf.viewer.window.main_window import MainWindow
@@ -445,8 +445,8 @@ def _open_window(
 def ending(
     opening: Opening, listener: Callable[[], None], usual: Sequence[int] = ()
 ) -> Iterator[None]:
-    """Let window or page end itself when a signal comes, see `Interrupts.calling`; then end its sessions, and say what
-    is kept.
+    """Let window or page end itself when a signal comes, see `Interrupts.calling`; then end its sessions, and say
+    the work that is kept.
     """
     from accelsurf.cases.interrupts import Interrupts
 

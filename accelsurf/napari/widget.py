@@ -17,7 +17,7 @@ import accelsurf
 if TYPE_CHECKING:
     from napari import Viewer
 
-#: What a press in the image does.
+#: Actions of a press in the image.
 MOVE = "moves the image"
 INSIDE = "clicks inside"
 OUTSIDE = "clicks outside"
@@ -83,7 +83,7 @@ def answered(
 
 
 def answer_or_error(*given: Any) -> accelsurf.Result | str:
-    """Return what `answered` returns, or the line of its error: napari 0.9 stumbles over errors of workers."""
+    """Return the result of `answered`, or the line of its error: napari 0.9 stumbles over errors of workers."""
     try:
         return answered(*given)
     except accelsurf.AccelsurfError as error:
@@ -200,7 +200,7 @@ class ClickWidget(QWidget):
         return self._target
 
     def _set_steps(self, steps: list[accelsurf.Result]) -> None:
-        """Set the results so far, and show the last one; what was painted by hand elsewhere stays."""
+        """Set the results so far, and show the last one; voxels painted by hand elsewhere stay."""
         before, self._steps = self._steps, steps
         self._describe()
         if self._target is not None:
@@ -252,7 +252,7 @@ class ClickWidget(QWidget):
         return press._replace(radius=min(press.radius, far / 2.0), size_mm3=volume)
 
     def ask(self, press: Press) -> None:
-        """Have a press answered beside the window; those of a drag that wait for it are out of date."""
+        """Have a press answered beside the window; presses of a drag that wait for it are out of date."""
         self._waiting = [*(other for other in self._waiting if not other.is_first), press]
         if self._worker is None:
             self._answer_next()
@@ -297,7 +297,7 @@ class ClickWidget(QWidget):
         self._waiting, self._target = (
             [],
             self._target and self._target._replace(),
-        )  # what is under way is late
+        )  # the answer under way is late
         self._set_steps(self._steps[:-1])
 
     def begin_object(self) -> None:

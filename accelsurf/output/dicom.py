@@ -25,7 +25,7 @@ from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
 
-#: Settings that change no voxel, beside those of the files that are written.
+#: Settings that change no voxel, beside the settings of output files.
 _FREE = ("threads", "reproducible")
 
 

@@ -73,13 +73,13 @@ def build(  # noqa: PLR0913
     Parameters
     ----------
     status, exit_code : {"ok", "failed", "interrupted"}, int
-        How the run ended, and what the command returns.
+        How the run ended, and the exit code of the command.
     argv : sequence of str, optional
         The command line.
     config : RunConfig, optional
         Settings of the run; None when they were not valid.
     source, error : mapping, optional
-        The input, from `describe_input`; what went wrong, from `describe_error`.
+        The input, from `describe_input`; the error, from `describe_error`.
     result : Result, optional
         None when the run failed before there was one.
     seconds : mapping of str to float, optional
@@ -128,7 +128,7 @@ def report_of(result: Result) -> dict[str, Any]:
 
 
 def describe_config(config: RunConfig | None, result: Result | None) -> dict[str, Any] | None:
-    """Return the settings of a run; ``energy`` is what the run had: ``custom: ClassName`` for one of the user's own."""
+    """Return the settings of a run; ``energy`` is the one used: ``custom: ClassName`` for one of the user's own."""
     if config is None:
         return None
     settings = config.model_dump(mode="json")
@@ -142,7 +142,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
 
     ``resolved_settings`` has the values used for settings that depend on image and grid: ``flow`` and why;
     ``presmooth_mm``; ``scale``, the values of each channel that became 0 and 1; ``step_voxels`` and
-    ``limiter_percentile``; ``diffusion``, a rate or free; ``stop``: motion of less than so many voxels in so many
+    ``limiter_percentile``; ``diffusion``, a rate or free; ``stop``: motion below a number of voxels in a number of
     steps; ``half_width_voxels`` of the band; ``levels``; after corrections ``reach_mm``, how far from its clicks each
     could move the surface, and ``moved_mm``, how far the farthest voxel is that it moved.
 
@@ -263,7 +263,7 @@ def describe_levels(result: Result) -> list[dict[str, Any]]:
 def describe_mass(result: Result) -> dict[str, Any] | None:
     """Return the part of the report about conserved mass; None for a flow that has none.
 
-    ``correction`` is the part of the mass that had to be added to conserve it, ``cure`` what is done where the mass
+    ``correction`` is the part of the mass that had to be added to conserve it, ``cure`` the remedy where the mass
     potential would make the flow ill-posed, and ``clamped_fraction_largest`` the largest share of surface where it was.
     """
     cure = {
@@ -283,7 +283,7 @@ def describe_mass(result: Result) -> dict[str, Any] | None:
 
 
 def describe_error(error: BaseException) -> dict[str, str]:
-    """Return the report's entry about an error: its type, one line, and what to do.
+    """Return the report's entry about an error: its type, one line, and a hint.
 
     Examples
     --------
@@ -383,7 +383,7 @@ def describe_input(
     checksum : str, optional
         SHA-256 of the file, from `accelsurf.io.sha256`.
     voxels : str, optional
-        SHA-256 of what was read, from `accelsurf.image.volume.voxels_sha256`.
+        SHA-256 of the values read, from `accelsurf.image.volume.voxels_sha256`.
     written : sequence of int, optional
         Of an image that is read in parts, from `accelsurf.io.files.written_at`.
 
@@ -417,7 +417,7 @@ def describe_output(path: str | Path, kind: str, staged: Path | None = None) -> 
     path : str or Path
         The file.
     kind : str
-        What it is: labels, surface, contour, trace, preview, sdf, ...
+        Kind of file: labels, surface, contour, trace, preview, sdf, ...
     staged : Path, optional
         Where its content is until all files of the run are complete.
     """
@@ -434,7 +434,7 @@ def describe_staged(files: FileSet, kinds: Mapping[str, str]) -> list[dict[str, 
     ----------
     files : FileSet
     kinds : mapping of str to str
-        Kind by name; a file that belongs to another one, such as the voxels of an .mhd header, has none: it is "data".
+        Kind by name; a file that belongs to another one, like the voxels of an .mhd header, has none: it is "data".
     """
     names = [
         *kinds,

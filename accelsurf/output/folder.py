@@ -1,9 +1,9 @@
-"""The folder of a run's files: where they go, what may be replaced there, and how they appear.
+"""The folder of a run's files: their names, rules of replacement, and the commit of all at once.
 
-`OutputFolder.plan` names the files, `OutputFolder.stage` refuses what may not be replaced and gives a hidden folder to
-write in, `OutputFolder.commit` puts all in place, the report last. Only files of these names are replaced, and of the
-others only those are removed that a report lists with the user's own seal. Inputs are never replaced. Nothing of a run
-is loaded here: a command knows its files, and can refuse, before anything is computed.
+`OutputFolder.plan` names the files, `OutputFolder.stage` refuses files that may not be replaced and gives a hidden
+folder to write in, `OutputFolder.commit` puts all in place, the report last. Only files of these names are replaced,
+and of the others only those are removed that a report lists with the user's own seal. Inputs are never replaced.
+Nothing of a run is loaded here: a command knows its files, and can refuse, before anything is computed.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ class OutputFolder:
         """Return all files that the command reads: none of them may be replaced."""
         return inputs_of(self.source, config, *self.further)
 
-    # ------------------------------------------------------------------------------------------------ what is there
+    # ----------------------------------------------------------------------------------------------- existing files
 
     def refuse_left(self, *states: Path) -> None:
         """Refuse to lose the state of a run that was stopped, in one of ``states``.
@@ -219,7 +219,7 @@ class OutputFolder:
         return replace(self, resume=True, overwrite=self.overwrite or is_free)
 
     def holds_result(self, planned: Iterable[Path] = ()) -> bool:
-        """Test if the folder has files that a failed run must not replace: any but those of an earlier failure.
+        """Test if the folder has files that a failed run must not replace: any but files of an earlier failure.
 
         Parameters
         ----------
@@ -306,10 +306,10 @@ class OutputFolder:
     def outdated(
         self, written: Collection[str], failed: bool, earlier: Iterable[Report] = ()
     ) -> list[str]:
-        """Return the names of the files that go when those of a new run come; a warning names those that stay.
+        """Return the names of the files that go when a new run's files come; a warning names those that stay.
 
         These are the files of the report there, and of the ``earlier`` ones that a killed run has left; of a run that
-        did not fail also those of a failed one before it. Without ``overwrite`` only reports go, and files that are
+        did not fail also the files of a failed one before it. Without ``overwrite`` only reports go, and files that are
         named as of a failed run.
         """
         failures = self.path / report_name(self.name + FAILED)
@@ -362,7 +362,7 @@ def _is_table_of_clicks(objects: str | None) -> bool:
     """Test if the objects begin as clicks; if a table cannot be read, the run reports the error."""
     if objects is None or not objects.lower().endswith(".csv"):
         return False
-    from accelsurf.clicks.tables import has_sides  # loads what a run needs
+    from accelsurf.clicks.tables import has_sides  # loads modules of a run
 
     try:
         return has_sides(objects)
@@ -426,7 +426,7 @@ def refuse_existing(
     Parameters
     ----------
     paths : mapping of str to Path
-        All that may be written, by kind; what a standing ``report`` lists may be removed.
+        All files that may be written, by kind; files that a standing ``report`` lists may be removed.
     overwrite : bool
     inputs : sequence of Path, optional
         Files that are read: none of them is replaced or removed.
@@ -529,7 +529,7 @@ def naming_final(files: FileSet) -> Iterator[None]:
     Raises
     ------
     OutputError
-        Instead of one that names a staging file, and of what a full disk makes Python raise.
+        Instead of one that names a staging file, and of Python's error for a full disk.
     """
     try:
         yield
@@ -570,7 +570,7 @@ def named_files(given: RunConfig | TrackConfig) -> list[Path]:
 def inputs_of(
     image: Path | None, config: RunConfig | TrackConfig | None, *further: Path | None
 ) -> list[Path]:
-    """Return all files that a run reads: image, what its settings name, ``further`` files, and data files of headers.
+    """Return all files that a run reads: image, files of its settings, ``further`` files, and data files of headers.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The image of a finished run as it was given, from its report: every later command opens it by this one value.
 
 An image is given by a path (a file, a folder, a pattern of names) and options of reading: which series, level, channel
-or time point, the size of a voxel. What is read again must be the same volume.
+or time point, the size of a voxel. The volume read again must be the same.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class GivenImage:
     reading : ReadOptions
         How it was read.
     voxels : str or None
-        SHA-256 of what was read, from `accelsurf.image.volume.voxels_sha256`; None where it was read in parts.
+        SHA-256 of the values read, from `accelsurf.image.volume.voxels_sha256`; None where it was read in parts.
     files : str or None
         SHA-256 of its file or files, by which reports without ``voxels`` know it.
     geometry : Geometry or None
@@ -77,7 +77,7 @@ class GivenImage:
 
     @classmethod
     def of_entry(cls, entry: Any, path: Path, reading: ReadOptions) -> GivenImage:
-        """Return what the entry of a report knows of an image; nothing where it is none."""
+        """Return the image that the entry of a report describes; only path and reading without an entry."""
         known: dict[str, Any] = entry if isinstance(entry, dict) else {}
         voxels, files = _text(known.get("voxels_sha256")), _text(known.get("sha256"))
         written = known.get("written")
@@ -92,7 +92,7 @@ class GivenImage:
         moved : Path or None
             Where it was moved to; None: where the run found it.
         hint : str
-            What to do when it is not there.
+            Advice when it is not there.
 
         Raises
         ------
@@ -110,13 +110,13 @@ class GivenImage:
         Parameters
         ----------
         hint : str
-            What to do when it is another image.
+            Advice when it is another image.
 
         Raises
         ------
         InputError
-            As `accelsurf.io.channels.read_channels`, and when another volume is read than the run had; the message says
-            what differs.
+            As `accelsurf.io.channels.read_channels`, and when another volume is read than the run had; the message
+            names the difference.
         """
         volumes = channels.read_channels(self.path, self.reading)
         self.check(volumes, hint)
@@ -128,7 +128,7 @@ class GivenImage:
         Raises
         ------
         InputError
-            With what differs.
+            With the difference.
         """
         differs = "" if self.geometry is None else self.geometry.difference(volumes[0].geometry)
         if not differs and self.voxels is None:
@@ -138,7 +138,7 @@ class GivenImage:
         self._refuse(differs, hint)
 
     def check_files(self, hint: str) -> None:
-        """Refuse files with other bytes than those of the run; where these are not known nothing is checked.
+        """Refuse files with other bytes than the run's; where these are not known nothing is checked.
 
         Raises
         ------
@@ -150,7 +150,7 @@ class GivenImage:
 
     @property
     def is_same(self) -> bool:
-        """True if the files have the bytes that they had, or what is read of them is the same; unknown is False.
+        """True if the files have the bytes that they had, or the volume read is the same; unknown is False.
 
         Of an image that was read in parts, if its files were not written since.
 
@@ -201,7 +201,7 @@ def settings_of(report: Mapping[str, Any], where: Path) -> RunConfig | TrackConf
 
 
 def is_there(path: Path) -> bool:
-    """Test if a path names a file or a folder, or a pattern that a file fits; False for what no file can be called.
+    """Test if a path names a file or a folder, or a pattern that a file fits; False for impossible names.
 
     Examples
     --------

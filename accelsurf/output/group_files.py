@@ -94,7 +94,7 @@ TYPES: dict[str, type] = {kind.__name__: kind for kind in (GroupRecord, Stop)}
 
 
 class FinishedGroup(Protocol):
-    """The result of a group, with what its files have of it: see `accelsurf.large.group_run.GroupResult`."""
+    """The part of a group's result that its files hold: see `accelsurf.large.group_run.GroupResult`."""
 
     @property
     def objects(self) -> Sequence[SegmentedObject]:
@@ -135,7 +135,7 @@ class FinishedGroup(Protocol):
 def write_group(
     folder: Path, result: FinishedGroup, names: Mapping[str, str], space: Literal["lps", "ras"]
 ) -> None:
-    """Write what a group has left.
+    """Write the files of a group.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def write_near(folder: Path, ids: Sequence[int]) -> None:
 
 
 def read_group(folder: Path) -> GroupRecord | None:
-    """Return what a group has left; None where there is nothing, or something that is none of ours."""
+    """Return the record of a group; None where there is none, or files that are not ours."""
     try:
         record = _read(folder)
         if not record.near and not _are_meshes(folder, record.rows, record.meshes):
@@ -208,7 +208,7 @@ def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str,
 
 
 def not_of_groups(work: Path) -> list[Path]:
-    """Return what lies in the folder of the groups and was not written there by them, sorted."""
+    """Return the paths in the folder of the groups that no group has written, sorted."""
     if not work.is_dir():
         return [work] if os.path.lexists(work) else []
     others = []
@@ -230,7 +230,7 @@ def _is_of_a_group(path: Path) -> bool:
 def _staged(folder: Path) -> Iterator[Path]:
     """Give a folder to write in, which gets its name at the end, unless another worker was faster.
 
-    What cannot be read there goes.
+    An unreadable group of that name is removed.
     """
     staged = Path(tempfile.mkdtemp(prefix=_DRAFT, dir=folder.parent))
     try:
@@ -270,5 +270,5 @@ def _write_meshes(
 
 
 def _plain(value: Any) -> Any:
-    """A value as it is read from JSON: numbers of numpy as those of Python."""
+    """Return a value as it is read from JSON: numbers of numpy become numbers of Python."""
     return json.loads(json.dumps(value, default=lambda number: number.tolist()))

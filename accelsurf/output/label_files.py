@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
     from accelsurf.run.result import Result
 
-#: What the one object of a run without ids is called.
+#: Name of the one object of a run without ids.
 ONE = "object"
 
 
@@ -29,7 +29,7 @@ def entries_of(result: Result, table: LabelTable) -> list[LabelEntry]:
 
 
 def check_label_settings(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
-    """Refuse what cannot be made of an image, before anything is computed.
+    """Refuse label files that cannot be made of an image, before anything is computed.
 
     Raises
     ------
@@ -98,8 +98,8 @@ def bids_table(result: Result, table: LabelTable, path: Path) -> None:
 
 
 def table_of(config: RunConfig) -> LabelTable:
-    """Return what is known of labels: the table of the settings, else that of a label map of objects; then names and
-    colours of the settings.
+    """Return names and colours of labels: from the table of the settings, else from a label map of objects; then from
+    settings of single labels.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def _label_map_of(config: RunConfig) -> str | None:
 def given_labels(config: RunConfig) -> LabelTable:
     """Return `table_of` where settings or the file of the objects name labels, else an empty table.
 
-    What draws objects has colours of its own for those that nothing was said of.
+    Pictures have colours of their own for objects without an entry.
 
     Raises
     ------

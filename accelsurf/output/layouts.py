@@ -1,6 +1,6 @@
 """Names and folders that other tools expect: BIDS derivatives, and folders of label maps as of nnU-Net.
 
-Only the label map, and what BIDS wants beside it, gets another name. The other files of a run keep theirs: BIDS is told
+Only the label map and the extra files of BIDS get other names. The other files of a run keep theirs: BIDS is told
 to leave them alone, by a ``.bidsignore``.
 """
 
@@ -59,7 +59,7 @@ ENTITIES = (
 )
 #: Formats of label maps in BIDS.
 _NIFTI = ("nii.gz", "nii")
-#: Files of a run that BIDS has no names for, and those of a batch.
+#: Files of a run that BIDS has no names for, and files of a batch.
 _IGNORED = (
     "*_surface*.*",
     "*_contour*.*",
@@ -94,7 +94,7 @@ class BidsName:
     entities : dict of str to str
         In the order of BIDS.
     suffix : str
-        What was measured, as T1w.
+        The modality, as T1w.
     """
 
     entities: dict[str, str]
@@ -129,7 +129,7 @@ class BidsName:
 
     @property
     def label_map(self) -> str:
-        """Name of the label map, without its ending. The suffix of the image tells those of two images apart."""
+        """Name of the label map, without its ending. The suffix of the image tells two images apart."""
         entities = {
             **self.entities,
             "seg": "accelsurf",
@@ -147,7 +147,7 @@ class BidsName:
 
 
 def check_layout(config: RunConfig, source: Path, folder: Path, name: str) -> None:
-    """Refuse what a layout cannot have, before anything is computed.
+    """Refuse settings and images that a layout cannot have, before anything is computed.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def check_layout(config: RunConfig, source: Path, folder: Path, name: str) -> No
     folder : Path
         Of its files.
     name : str
-        What their names begin with.
+        Beginning of their names.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def folder_of(config: RunConfig, source: Path, folder: Path) -> Path:
 
 
 def renamed(config: RunConfig, source: Path, name: str, names: dict[str, str]) -> dict[str, str]:
-    """Names of the files by kind as a layout has them; those of a failed run beside a result stay as they are."""
+    """Names of the files by kind as a layout has them; names of a failed run beside a result stay."""
     if name.endswith(FAILED):
         return names
     ending = names["labels"].removeprefix(f"{name}_seg")
@@ -233,7 +233,7 @@ def sidecar(source: Path, energy: str) -> str:
 
 
 def complete(config: RunConfig, source: Path, folder: Path) -> None:
-    """Write what a data set of BIDS has once, where it is not there yet: its description, and what to leave alone.
+    """Write the files that a data set of BIDS has once, unless they exist: its description, and paths to leave alone.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Meshes of a result as its settings want them: smoother or coarser, and their statistics.
 
-Commands ask here what can be written before they load what writes it.
+Commands check the settings of meshes here before they load the modules that make them.
 """
 
 from __future__ import annotations
@@ -56,16 +56,16 @@ def check_mesh_settings(config: RunConfig) -> None:
 
 
 def options_of(config: RunConfig) -> MeshOptions:
-    """Return what the settings want of meshes."""
+    """Return the options of meshes from the settings."""
     from accelsurf.measure.mesh_shaping import MeshOptions
 
     return MeshOptions(config.mesh_smooth, config.mesh_faces, config.mesh_error)
 
 
 def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any], tuple[str, ...]]:
-    """Return a surface as the settings want it, what the report says of it, and warnings.
+    """Return a surface as the settings want it, its statistics for the report, and warnings.
 
-    Where they cannot be had together, the surface stays as it was extracted, and a warning says what can: a result is
+    Where they cannot be had together, the surface stays as it was extracted, and a warning gives advice: a result is
     not thrown away for its mesh.
 
     Raises

@@ -69,7 +69,7 @@ def write_result(
     image : str, optional
         SHA-256 of the image as it was read; without it there is no state.
     meshes : MeshNotes, optional
-        What is said of meshes that were made smoother or coarser is added.
+        Statistics and warnings of meshes that were made smoother or coarser are added.
 
     Raises
     ------
@@ -232,7 +232,7 @@ def _likely(result: Result) -> str:
 
 
 def preview_content(result: Result, title: str) -> PreviewContent:
-    """Return what a picture of a result shows.
+    """Return the content of a picture of a result.
 
     Parameters
     ----------

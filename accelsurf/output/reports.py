@@ -26,15 +26,15 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFields
 
-#: What the names of a failed run's files have after the name of the case, where a result stands already.
+#: Suffix of a failed run's case name in the names of its files, where a result stands already.
 FAILED = "_failed"
-#: What follows the name of a case in the names of its files.
+#: Ends of the names of a case's files, after the name of the case.
 _KINDS = re.compile(
     r"(seg|labels|segmentation|labelmap|rtstruct|dseg|rest\d+_seg|sdf|surface|contour|objects|state|run|trace|preview|"
     r"statistics|report|case|tracks|curves|surfaces|geff|res|movie|film)([._].*)?",
     re.IGNORECASE,
 )
-#: Kinds of the values of a report; what need not be there may be None.
+#: Kinds of the values of a report; optional ones may be None.
 _REPORT: dict[str, Any] = {
     "status": str,
     "outputs": list,
@@ -44,7 +44,7 @@ _REPORT: dict[str, Any] = {
     "objects": (list, NoneType),
     "quality": (dict, NoneType),
 }
-#: Settings that change nothing of what a run leaves, and those that it may set itself.
+#: Settings that change no file of a run, and settings that it may choose itself.
 _WITHOUT_EFFECT = ("threads", "checkpoint")
 _OPEN = ("seed", "energy")
 
@@ -75,7 +75,7 @@ class ListedFile(NamedTuple):
 
 
 class Report:
-    """The report of a run: what it says, and what of it is still so. Of a file that is none it says nothing.
+    """The report of a run: its entries, and the files that are still as listed. Of another file it is empty.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def _is_output_entry(entry: object) -> bool:
 
 
 def _is_path(text: str) -> bool:
-    """Test if a text can be the path of a file: of what is none, systems do not say that it is not there."""
+    """Test if a text can be the path of a file: for other texts systems do not say that it is not there."""
     try:
         os.lstat(text)
     except ValueError:  # no text of this system

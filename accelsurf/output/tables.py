@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
     from accelsurf.run.result import Result
 
-#: Of quality, what the tables have.
+#: Entries of quality in the tables.
 _QUALITY = ("probability", "warnings")
 
 
@@ -45,7 +45,7 @@ def objects_trace_csv(histories: Mapping[int, Iterable[StepRecord]]) -> str:
 
 def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
     """Return a table of several objects, one row each, from `describe_objects`; missing values are empty."""
-    # What a run cost is not the same after it was taken up again.
+    # The cost of a run is not the same after it was taken up again.
     plain = [
         key for key in objects[0] if key not in ("centroid", "quality", "message", "cells_visited")
     ]

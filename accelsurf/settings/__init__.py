@@ -1,1 +1,1 @@
-"""Every setting of a run, stated once: its unit, bounds, default, help, and what it acts on."""
+"""Every setting of a run, stated once: its unit, bounds, default, help, and scope."""

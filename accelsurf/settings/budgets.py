@@ -21,15 +21,15 @@ class Budget:
     Attributes
     ----------
     what : str
-        What is limited, as messages and the reference page say it.
+        The limited quantity, as in messages and on the reference page.
     limit : int
         The largest number that is accepted.
     unit : str
-        What is counted.
+        Unit of the limit, as ``bytes``.
     hint : str
-        What to do where more is needed.
+        Advice where more is needed.
     per : str
-        What the limit is multiplied by; empty where it stands for itself.
+        Quantity that the limit is multiplied by; empty where it stands for itself.
     """
 
     what: str
@@ -41,14 +41,14 @@ class Budget:
     def check(
         self, needed: int, given: str = "", factor: int = 1, kind: type[AccelsurfError] = InputError
     ) -> None:
-        """Refuse what would spend more.
+        """Refuse a number above the limit.
 
         Parameters
         ----------
         needed : int
-            What it would spend.
+            The number needed.
         given : str
-            What spends it, for the message; ``what`` by default.
+            Subject of the message; the limited quantity by default.
         factor : int
             Times the limit.
         kind : type

@@ -80,7 +80,7 @@ def viewer_settings(where: Literal["first", "more"]) -> tuple[str, ...]:
 
 
 def kind_of(key: str) -> Literal["switch", "slider", "list", "text"]:
-    """With what the viewer changes a setting.
+    """Return the kind of control that the viewer has for a setting.
 
     Examples
     --------

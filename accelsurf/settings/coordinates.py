@@ -13,7 +13,7 @@ from accelsurf.grid.orientation import DisplayOrientation, index_of_scales, scal
 #: mm in a unit.
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "nm": 1e-6}
 _SUFFIX = re.compile(rf"(?s)(.*?)(vox|({'|'.join(UNITS_MM)})?(ras|lps|grid)?)")
-#: What may stand at the end of a place, for messages.
+#: Valid ends of a place, for messages.
 SUFFIXES = "a unit (mm, cm, um, nm), ras for RAS, vox for voxel indices, or grid for the scales of pictures"
 
 
@@ -23,7 +23,7 @@ POINT_FILES = (".mrk.json", ".fcsv", ".csv", ".txt")
 _FILE_KINDS = ("label", "mesh", "stroke")
 
 
-#: What the numbers of a place are: voxel indices; mm along the scales of pictures, or there in the unit of the image;
+#: Meaning of the numbers of a place: voxel indices; mm along the scales of pictures, or there in the unit of the image;
 #: else mm, LPS.
 System = Literal["", "vox", "grid", "shown"]
 
@@ -61,7 +61,7 @@ class Coordinates(NamedTuple):
 
     @property
     def vox(self) -> bool:
-        """Test if they are voxels; `on` comes first, which alone knows what a place on a scale is."""
+        """Test if they are voxels; for places on a scale `on` comes first."""
         assert self.system in ("", "vox")
         return self.system == "vox"
 
@@ -84,7 +84,7 @@ class Coordinates(NamedTuple):
         ]
         if (
             len(places) == 2
-        ):  # what was lower along a scale is higher along an axis that runs the other way
+        ):  # the lower end along a scale is the higher one along an axis that runs the other way
             ends = list(zip(*places, strict=True))
             places = [tuple(map(min, ends)), tuple(map(max, ends))]
         radius = [number / min(geometry.steps) for number in numbers[3 * len(places) :]]
@@ -92,7 +92,7 @@ class Coordinates(NamedTuple):
 
 
 def split_suffix(text: str) -> tuple[str, Suffix]:
-    """Return a text of places without its end, and what that says.
+    """Return a text of places without its end, and the meaning of that end.
 
     Examples
     --------
@@ -135,7 +135,7 @@ def box_of(text: str) -> Coordinates | None:
     if corners[0] is None or corners[1] is None:
         return None
     first, second = corners[0].numbers, corners[1].numbers
-    if suffix.ras and len(first) == len(second) == 3:  # what was lower along x and y is higher
+    if suffix.ras and len(first) == len(second) == 3:  # lower along x and y is now higher
         first, second = (*second[:2], first[2]), (*first[:2], second[2])
     return Coordinates((*first, *second), suffix.system)
 

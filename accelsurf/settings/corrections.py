@@ -20,8 +20,8 @@ _WHOLE = re.compile(r"[0-9]{1,18}")
 #: Largest id of an object.
 MAX_ID = 2**32 - 1
 _CLICKS = ("inside", "outside")
-#: Keys that are read only in corrections of a finished run: the key that says what is done, and what it may be given
-#: with.
+#: Keys that are read only in corrections of a finished run: the key of the action, and the keys that may
+#: come with it.
 _KINDS: dict[str, tuple[str, ...]] = {
     "merge": (),
     "remove": (),
@@ -91,27 +91,27 @@ class Correction(BaseModel):
     inside, outside : tuple of str
         Clicks: voxels in the object, and not in it, as the settings of these names; they hold from then on.
     object : int, optional
-        Id of the object that the clicks or the ball are for, where there are several; what one gains is taken from the
-        others. 0, before a step, is no object.
+        Id of the object that the clicks or the ball are for, where there are several; voxels that one gains are taken
+        from the others. 0, before a step, is no object.
     near : float or "auto"
         How far from the clicks the surface may move after the end, mm; beyond it every byte stays. auto follows from
         their radius and depth, and moves at most a share of the object.
     new : int, optional
         Id of an object that begins at the clicks, beside the others; one that has this id already begins anew. With
-        ``split``: of what is split off.
+        ``split``: id of the part that is split off.
     size : str, optional
         About how large the new object is, as the setting of this name.
     merge : tuple of int
         Ids of objects that become the first of them.
     split : str, optional
-        A point, ``point:X,Y,Z``: what is connected to it becomes an object, without the rest of its former one
+        A point, ``point:X,Y,Z``: the part connected to it becomes an object, without the rest of its former one
         (``object``; by default that in which the point lies).
     add : str, optional
         A ball, ``ball:X,Y,Z,R``, that is added to the object before a step.
     remove : str or int, optional
         Before a step: a ball that is removed from the object. Else the id of an object that is not wanted.
     to_edges : float, optional
-        The whole border is brought to the image's edges, by at most so many mm; no click is needed.
+        The whole border is brought to the image's edges, by at most this length in mm; no click is needed.
     islands, holes : str, optional
         Parts of the object that are smaller than this volume, as ``50mm3``, are removed, but for the largest; parts
         smaller than this that it encloses are filled.
@@ -240,7 +240,7 @@ def corrections_of(value: Any, name: SettingName = "refine") -> tuple[Correction
     Returns
     -------
     tuple of Correction
-        In the order given; those of steps by their steps.
+        In the order given; corrections at steps are sorted by step.
 
     Raises
     ------
@@ -263,7 +263,7 @@ def corrections_of(value: Any, name: SettingName = "refine") -> tuple[Correction
 
 
 def corrections_in_order(table: Mapping[str, Any]) -> tuple[Correction, ...]:
-    """Return the corrections that are given at once: first what is done to an object as a whole, then the clicks.
+    """Return the corrections that are given at once: first actions on an object as a whole, then the clicks.
 
     Raises
     ------
@@ -287,7 +287,7 @@ def click_by_click(
     Parameters
     ----------
     corrections : sequence of Correction
-        From `corrections_in_order`; those of an object that begins keep their clicks together.
+        From `corrections_in_order`; an object that begins keeps its clicks together.
     clicks : sequence of (str, str)
         Side and place of each click, as given.
 
@@ -439,7 +439,7 @@ def _near(value: Any, name: str, form: str) -> float | Literal["auto"]:
 
 
 def _length(key: str, value: Any, name: str, form: str, otherwise: str = "") -> float:
-    """Return a length above 0; messages also name what else may be given."""
+    """Return a length above 0; messages also name the alternatives ``otherwise``."""
     try:
         length = float(value) if not isinstance(value, bool) else -1.0
     except (TypeError, ValueError):

@@ -3,7 +3,7 @@
     expression = item { (" + " | " - ") item }
     item       = [NUMBER "*"] NAME [":" setting { "," setting }]
 
-A sign between two items has a blank on either side, so that numbers such as ``-50`` and ``1e-3`` need no quotes. In a
+A sign between two items has a blank on either side, so that numbers like ``-50`` and ``1e-3`` need no quotes. In a
 TOML file the same is a list of tables:
 
     energy = [{term = "local-region", R = 8}, {term = "geodesic", weight = 0.3}]
@@ -98,7 +98,7 @@ class EnergyText(Written):
         Raises
         ------
         UsageError
-            When there is no such term or setting, or the value is not valid.
+            When the term or the setting does not exist, or the value is not valid.
 
         Examples
         --------

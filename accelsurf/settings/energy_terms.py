@@ -23,7 +23,7 @@ class TermSpec(Spec):
     uses_to_learn : tuple of str
         Settings of the run that it uses only when it ``learns``.
     sees_image : bool
-        Whether it depends on the image. An energy needs one such term.
+        Whether it depends on the image. An energy needs one term that does.
     channels : {"first", "mean", "sum"}
         Of an image of several channels: it sees the first, or is the mean or the sum over all of them.
     signed : bool
@@ -40,7 +40,7 @@ class TermSpec(Spec):
     uses_model : bool
         True if it uses the model of the clicks, which then gives the start, too.
     needs_whole : bool
-        Whether it looks at all of the image, beyond what lies near the surface and `WholeImage` tells.
+        Whether it looks at all of the image, beyond the voxels near the surface and the numbers of `WholeImage`.
     """
 
     uses_to_learn: tuple[str, ...] = ()

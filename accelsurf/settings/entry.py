@@ -64,7 +64,7 @@ class SettingEntry:
     metavar : str
         Placeholder of the value in the help.
     scope : {"run", "energy", "flow", "term"}
-        What it acts on: every run, every named energy, or the flows or terms whose entry names it
+        Where it acts: every run, every named energy, or the flows or terms whose entry names it
         (`accelsurf.settings.flow_specs`, `accelsurf.settings.energy_terms`).
     repeated : bool
         Whether it is a list of texts whose option may be repeated.
@@ -75,12 +75,12 @@ class SettingEntry:
     choice : bool
         Whether the viewer shows it as a list to choose from.
     viewer : {"first", "more", "elsewhere"}
-        Where the viewer shows it: among the common ones, under "more" with its group, or not as a setting: what is
-        clicked and drawn, how the image is read, what objects are called.
+        Where the viewer shows it: among the common ones, under "more" with its group, or not as a setting: clicks
+        and drawings, the reading of the image, names of objects.
     names : callable, optional
         Names that the value is made of, with the meaning of each; they are appended to the help.
     listed : callable, optional
-        What stands for ``{}`` in the help.
+        Returns the text in place of ``{}`` in the help.
     """
 
     group: SettingGroup = SettingGroup.FLOW
@@ -137,7 +137,7 @@ def full_help(field: FieldInfo) -> str:
 
 
 def entry_of(field: FieldInfo) -> SettingEntry:
-    """Return what `setting` has put into a field.
+    """Return the entry that `setting` has put into a field.
 
     Raises
     ------

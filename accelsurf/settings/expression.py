@@ -3,7 +3,7 @@
     item    = NAME [":" setting { "," setting }]
     setting = KEY "=" VALUE | VALUE
 
-They are read once, when the settings of a run are validated: what a text says goes on as a value.
+They are read once, when the settings of a run are validated; from then on a run has values, not texts.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Spec:
     name : str
         As it is written.
     help : str
-        What it is, in a few words.
+        Description in a few words.
     make : str or callable
         ``"module:function"`` or a function, imported when a run begins. Of a term: of
         `accelsurf.run.image_context.TermInputs`, returns the energy and a dict of the settings that it has in the run,
@@ -90,9 +90,9 @@ class Spec:
     settings : mapping of str to Number or Word
         Its settings after the colon, in the order in which values without a key are assigned.
     uses : tuple of str
-        Settings of the run that it uses: a term where its own are not given, a flow besides those of all flows.
+        Settings of the run that it uses: a term where its own are not given, a flow besides the settings of all flows.
     check : callable
-        Of the settings: what was expected where they contradict each other, else an empty text.
+        Of the settings: the expected values where they contradict each other, else an empty text.
     """
 
     name: str

@@ -43,7 +43,7 @@ Layout = Literal["plain", "bids", "nnunet"]
 
 
 class SettingFields(BaseModel):
-    """The fields of `accelsurf.settings.run_config.RunConfig`, without what it does with them."""
+    """The fields of `accelsurf.settings.run_config.RunConfig`, without its methods."""
 
     # Nobody makes a record of a part of the settings: only the class of all of them gets a validator.
     model_config = ConfigDict(

@@ -1,6 +1,6 @@
-"""The formats of images: one entry each, with what it can hold and what reads and writes it.
+"""The formats of images: one entry each, with its capabilities, reader and writer.
 
-From an entry follow what `accelsurf.io` reads and writes, the values and the help of ``--format``, the
+The entries determine the formats of `accelsurf.io`, the values and the help of ``--format``, the
 help of the commands, ``accelsurf info`` and the reference page. Functions are named as ``"module:function"`` and
 imported when a file is read or written, so this module stays light.
 """
@@ -14,7 +14,7 @@ from typing import Any, Literal
 from accelsurf.settings.registry import Registry
 
 Function = str | Callable[..., Any]
-#: What of the grid a file keeps: all of it, the spacing, or the size of a pixel.
+#: Parts of the grid that a file keeps: all of it, the spacing, or the size of a pixel.
 GridFidelity = Literal["all", "spacing", "pixel", "none"]
 #: Types of values that a TIFF can hold here.
 _TIFF_TYPES = ("uint8", "uint16", "uint32", "int8", "int16", "int32", "float32")
@@ -29,13 +29,13 @@ class ImageFormat:
     name : str
         As it is given to ``--format``; also the ending of label maps that are written.
     help : str
-        What it is, in a few words.
+        Description in a few words.
     suffixes : tuple of str
         Endings of its files, in lower case, with the dot; of a folder with any name none. No
         ending of one format ends with that of another.
     parse : str or callable
-        Of a Path, and where the format has ``options`` of `accelsurf.settings.reading.ReadOptions`, returns what the
-        header claims, of any type; raises InputError or GeometryError.
+        Of a Path, and where the format has ``options`` of `accelsurf.settings.reading.ReadOptions`, returns the
+        content of the header, of any type; raises InputError or GeometryError.
     read : str or callable
         Of a Path, that header and the memory in bytes, returns a Volume; raises as `accelsurf.io.read` does.
     write : str or callable, optional
@@ -53,8 +53,8 @@ class ImageFormat:
         Of a Path, that header and an `accelsurf.io.lazy_volume.Opening`, returns a LazyVolume, which is read box by
         box; None: the format is packed as a whole.
     store : str or callable, optional
-        Of a Path, a Geometry, a type of values, metadata and a path to the image or None, returns what label maps are
-        written with box by box (``write``, ``read``, ``finish``, as of `accelsurf.io.LabelStore`); None: it cannot be.
+        Of a Path, a Geometry, a type of values, metadata and a path to the image or None, returns the writer of
+        label maps box by box (``write``, ``read``, ``finish``, as of `accelsurf.io.LabelStore`); None: it cannot be.
     sequence : str or callable, optional
         Of a Path, ReadOptions and the memory in bytes or None, returns the
         `accelsurf.io.sequences.sources.FileSequence` that is in it; None: one time point is read like the other.
@@ -66,7 +66,7 @@ class ImageFormat:
     folder_marks : tuple of str
         Files of which an image of this format has one, where it is a folder; empty: it is a file.
     is_folder : str or callable, optional
-        Of the Path of a folder without such marks, whether what is in it is an image of this format.
+        Of the Path of a folder without these marks, whether its files are an image of this format.
     is_file : str or callable, optional
         Of the Path of a file whose name has no known ending, whether it is of this format.
     listing : str or callable, optional
@@ -79,7 +79,7 @@ class ImageFormat:
     only_2d : bool
         Whether it holds one slice only.
     keeps : {"all", "spacing", "pixel", "none"}
-        What of the grid is read back: all of it, the spacing, the size of a pixel, or no length; the rest is the
+        Parts of the grid that are read back: all of it, the spacing, the size of a pixel, or no length; the rest is the
         world's origin, the world's axes, and lengths of 1 mm.
     white_labels : bool
         Whether a label map of 0 and 1 is written as 0 and 255, which is black and white in every viewer.

@@ -26,7 +26,7 @@ class FlowSpec(Spec):
     half_width : int
         Half width of the narrow band that it needs, in voxels.
     voxel_bytes : int
-        Memory that it takes for each voxel, beside what every run takes.
+        Memory that it takes for each voxel, beside the memory of every run.
     """
 
     half_width: int = 3
@@ -172,7 +172,7 @@ class FlowText(Written):
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The settings that are numbers; words stand for what is chosen when the run begins."""
+        """The settings that are numbers; words stand for values chosen when the run begins."""
         return {key: value for key, value in self.settings.items() if isinstance(value, float)}
 
     def with_setting(self, key: str, value: str) -> FlowText:

@@ -114,7 +114,7 @@ class LabelTable:
 
     @classmethod
     def from_json(cls, text: str) -> LabelTable:
-        """The table of such a text."""
+        """Return the table of a text from `to_json`."""
         return cls(
             {
                 row[0]: LabelEntry(row[0], row[1], (row[2], row[3], row[4]))
@@ -194,7 +194,7 @@ def checked_colors(value: Any) -> Any:
 
 
 def _checked(value: Any, parse: Callable[[str], Any]) -> Any:
-    """A tuple of texts each of which can be parsed; what is none is left to the type of the setting."""
+    """Return a tuple of texts, each of which can be parsed; other values are left to the type of the setting."""
     value = (value,) if isinstance(value, str) else value
     for text in value if isinstance(value, (list, tuple)) else ():
         if isinstance(text, str):
@@ -223,7 +223,7 @@ def parse_ids(text: str, what: str, example: str) -> IdRanges:
     ----------
     text : str
     what, example : str
-        Where it was given, and what is right, for the message.
+        Where it was given, and a valid text, for the message.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Formats of meshes, contours and further files of the objects: one entry each, with what reads and writes it.
+"""Formats of meshes, contours and further files of the objects: one entry each, with its reader and writer.
 
 From an entry follow the values and the help of ``--mesh`` and ``--also``, ``accelsurf info`` and the reference page.
 Functions are named as in `accelsurf.settings.file_formats`.
@@ -13,7 +13,7 @@ from accelsurf.settings.file_formats import Function, label_formats
 from accelsurf.settings.registry import Registry
 
 _FORMATS = "accelsurf.io.formats"
-#: What a mesh file describes: the surface in a volume, or the contours in an image of one slice.
+#: Content of a mesh file: the surface in a volume, or the contours in an image of one slice.
 Shape = Literal["surface", "contour"]
 _SURFACE = f"{_FORMATS}.surface_files"
 _CONTOUR = "accelsurf.measure.contours"
@@ -28,7 +28,7 @@ class MeshFormat:
     name : str
         As it is given to ``--mesh``; also the ending of its files.
     help : str
-        What it is, in a few words.
+        Description in a few words.
     surface : str or callable, optional
         Of the vertices (n, 3) in mm, the triangles (m, 3), "LPS" or "RAS" and a LabelEntry or None, returns the bytes
         of a file, without a label as without name and colour; None: the format holds no surfaces.
@@ -37,7 +37,7 @@ class MeshFormat:
     auto : tuple of str
         Of which of the two ``--mesh auto`` writes it.
     read : str or callable, optional
-        Of the bytes of a file, returns points (n, 3), triangles (m, 3), and a text with what the file says of itself,
+        Of the bytes of a file, returns points (n, 3), triangles (m, 3), and the file's description of itself,
         in which SPACE=RAS is looked for, if it can say that; anything that it raises is reported as a damaged file.
         None: starts cannot be read from it.
     """
@@ -117,7 +117,7 @@ class LabelOutput:
     name : str
         As it is given to ``--also``.
     help : str
-        What it is, in a few words.
+        Description in a few words.
     ending : str
         Of the file's name, after the name of the image.
     write : str or callable
@@ -192,7 +192,7 @@ def also_names() -> tuple[str, ...]:
 
 
 def also_help() -> str:
-    """The same with what each is, as the help says it."""
+    """Return the same names with their descriptions, for the help."""
     texts = (f"{name} ({entry.help})" for name, entry in LABEL_OUTPUTS.items())
     return ", ".join([*texts, "or a format of label maps"])
 

@@ -1,4 +1,4 @@
-"""Messages for invalid settings: what was given, what is expected, which names are valid."""
+"""Messages for invalid settings: the value given, the expected one, the valid names."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def expected(key: str, fields: type[BaseModel] = SettingFields) -> str:
     key : str
         Name of a field.
     fields : type, optional
-        Those of RunConfig by default.
+        The fields of RunConfig by default.
 
     Examples
     --------

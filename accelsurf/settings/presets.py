@@ -1,6 +1,6 @@
 """Presets: settings for a kind of scan, each with the meaning of its values and the scans that it was tried on.
 
-They are in ``presets.toml`` beside this file, which says what a preset may name.
+They are in ``presets.toml`` beside this file, whose head has the rules for their content.
 """
 
 from __future__ import annotations

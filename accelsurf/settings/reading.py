@@ -1,6 +1,6 @@
 """Options of reading an image from a file or folder that holds several, or does not say where its voxels lie.
 
-Check that a path names what can be read: pipes would be waited for, and devices do not end.
+Check that a path can be read: pipes would be waited for, and devices do not end.
 """
 
 from __future__ import annotations
@@ -135,12 +135,12 @@ def spacing_of(text: str) -> Spacing:
 def check_readable(
     path: str | Path, name: str = "", kind: type[AccelsurfError] = InputError
 ) -> None:
-    """Refuse a pipe, a device or a socket; what does not exist, and a folder, is left to who reads it.
+    """Refuse a pipe, a device or a socket; a missing file and a folder are left to the reader.
 
     Parameters
     ----------
     path : str or Path
-        What will be opened, links followed.
+        The path to open, links followed.
     name : str
         The beginning of the message.
     kind : type

@@ -31,7 +31,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     Parameters
     ----------
     what : str
-        What an entry is, for messages.
+        Noun for an entry, for messages.
     *entries
         The built-in ones.
     """

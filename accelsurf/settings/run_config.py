@@ -63,8 +63,8 @@ class RunConfig(SettingFields):
     Raises
     ------
     UsageError
-        When a key is unknown or a value is out of bounds. The message names the key, the value given and what is
-        expected.
+        When a key is unknown or a value is out of bounds. The message names the key, the value given and the
+        expected one.
 
     Examples
     --------
@@ -223,8 +223,8 @@ class RunConfig(SettingFields):
         Parameters
         ----------
         **changes
-            New values by field name. With a ``preset`` among them, its values replace defaults and those of the former
-            preset; what was set otherwise stays.
+            New values by field name. With a ``preset`` among them, its values replace defaults and the values of
+            the former preset; other given settings stay.
 
         Raises
         ------
@@ -236,7 +236,7 @@ class RunConfig(SettingFields):
         >>> RunConfig().replace(flow="gradient").flow
         'gradient'
         """
-        # What was given and what was not must stay so: the defaults of some settings depend on others.
+        # Given settings stay given and defaults stay defaults: the defaults of some settings depend on others.
         present = self.model_dump(include=self.model_fields_set)
         if "preset" in changes:
             under = PRESETS[self.preset].settings if self.preset is not None else {}

@@ -151,7 +151,7 @@ class Interval(NamedTuple):
     seconds: float | None
 
     def is_over(self, steps: int, seconds: float) -> bool:
-        """Return True if so many steps and seconds are an interval or more.
+        """Test if these steps and seconds are an interval or more.
 
         Examples
         --------

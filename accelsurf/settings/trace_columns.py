@@ -23,7 +23,7 @@ class TraceColumn:
     unit : str
         Empty for a number without one.
     help : str
-        What it is.
+        Description.
     value : callable, optional
         Of (surface, energy, flow), at the beginning of each step: the number. It must not change any of them.
     """

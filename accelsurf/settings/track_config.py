@@ -17,9 +17,9 @@ from accelsurf.settings.older import modern
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_fields import TrackFields
 
-#: Table of a configuration file with the settings of tracking; those of the run are at its top level.
+#: Table of a configuration file with the settings of tracking; settings of the run are at its top level.
 TABLE = "track"
-#: Friction that ``auto`` is, per frame (docs/decisions/0033-momentum-between-frames.md has what was measured).
+#: Friction that ``auto`` is, per frame (docs/decisions/0033-momentum-between-frames.md has the measurements).
 AUTO_FRICTION = 0.5
 
 #: Settings of a run that mean another thing in a tracking, or nothing: where both have one, it is that of tracking.
@@ -41,7 +41,7 @@ FRAME_SETTINGS = tuple(
 
 
 class TrackConfig(TrackFields):
-    """Settings of a tracking, and in ``run`` those of the run on each frame.
+    """Settings of a tracking, and in ``run`` the settings of the run on each frame.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class TrackConfig(TrackFields):
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Read a configuration file: settings of the run, and those of tracking in its table ``track``.
+        """Read a configuration file: settings of the run, and settings of tracking in its table ``track``.
 
         Raises
         ------
@@ -160,7 +160,7 @@ class TrackConfig(TrackFields):
 
 
 def split_table(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Split the settings of a configuration file into those of the run and those of tracking.
+    """Split the settings of a configuration file into settings of the run and of tracking.
 
     Raises
     ------

@@ -29,13 +29,13 @@ class TrackFormat:
     name : str
         As it is given to ``--also``.
     help : str
-        What it is, in a few words.
+        Description in a few words.
     ending : str
         Of its name, after the name of the sequence.
     write : str or callable
         Of an `accelsurf.track.output.frames.TrackSet` and a Path, writes it.
     check : str or callable, optional
-        Of the grid, refuses what cannot be written here, before anything is computed.
+        Of the grid, refuses one that this format cannot hold, before anything is computed.
     mark : str
         A file in it, where it is a folder: by this it is known as one that may be replaced. Empty: it is a file.
     """
@@ -91,7 +91,7 @@ TRACK_FORMATS: Registry[TrackFormat] = Registry(
 
 
 def track_format_help() -> str:
-    """The formats with what each is, as the help of ``--also`` says them."""
+    """Return the formats with their descriptions, for the help of ``--also``."""
     return ", ".join(f"{name} ({entry.help})" for name, entry in TRACK_FORMATS.items())
 
 
@@ -112,7 +112,7 @@ def _gains_text(value: Any) -> Any:
 
 
 class TrackFields(BaseModel):
-    """The fields of `accelsurf.settings.track_config.TrackConfig`, without what it does with them."""
+    """The fields of `accelsurf.settings.track_config.TrackConfig`, without its methods."""
 
     # Nobody makes a record of a part of the settings: only the class of all of them gets a validator.
     model_config = ConfigDict(

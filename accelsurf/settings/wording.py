@@ -84,7 +84,7 @@ def escaped(text: str) -> str:
 
 
 def nearest(given: Any, names: Iterable[str]) -> str:
-    """The name that comes nearest to what was given; empty if none is like it.
+    """Return the name nearest to the given one; empty if none is like it.
 
     Examples
     --------
@@ -101,7 +101,7 @@ def nearest(given: Any, names: Iterable[str]) -> str:
 
 
 def did_you_mean(given: Any, names: Iterable[str]) -> str:
-    """A question to put before a hint, with a blank behind it; empty if no name is like what was given.
+    """Return a question to put before a hint, with a blank behind it; empty if no name is like the given one.
 
     Examples
     --------
@@ -113,7 +113,7 @@ def did_you_mean(given: Any, names: Iterable[str]) -> str:
 
 
 def mm_of(unit: str) -> float:
-    r"""Millimetres of a unit of length; 0 for what is none, as pixel.
+    r"""Return the millimetres of a unit of length; 0 for other texts, as pixel.
 
     Examples
     --------
@@ -138,7 +138,7 @@ def unit_name(mm: float) -> str:
 
 
 def seconds_of(unit: str) -> float:
-    """Seconds of a unit of time; 0 for what is none. Abbreviations are as they are written: Ms is a million seconds.
+    """Seconds of a unit of time; 0 for other texts. Abbreviations are as they are written: Ms is a million seconds.
 
     Examples
     --------
@@ -182,7 +182,7 @@ def size_text(mm: float, unit: str = "mm", power: int = 1, digits: int = 4) -> s
 
 
 def rounded_text(value: float, digits: int = 4) -> str:
-    """Return a number with so many digits, without an exponent.
+    """Return a number rounded to ``digits`` significant digits, without an exponent.
 
     Examples
     --------

@@ -35,7 +35,7 @@ INK = "#222222"
 GRID = "#D9D9D9"
 PALE = "#999999"
 DARK = "#101010"
-#: The surface, and what it is compared with, in every picture of the program.
+#: Colours of the surface and of its reference in every picture of the program.
 SURFACE = ORANGE
 REFERENCE = SKY
 #: Colours of objects with ids, again from the first when there are more; none is that of the reference.
@@ -311,7 +311,7 @@ def write_title(axes: Axes, text: str) -> None:
 def write_legend(
     axes: Axes, lines: Sequence[Any], names: Sequence[str], place: Any, **options: Any
 ) -> None:
-    """Write what lines are, on a light ground."""
+    """Write a legend of lines, on a light ground."""
     legend = axes.legend(
         lines,
         ["line"] * len(lines),

@@ -112,7 +112,7 @@ def _check_staged(staged: Path, count: int) -> None:
 
 def _mp4(path: Path, frames: Iterable[Picture], size: tuple[int, int], fps: float) -> int:
     ffmpeg = _ffmpeg()
-    # yuv420p and faststart: what any browser and any slide show plays.
+    # yuv420p and faststart: any browser and any slide show plays them.
     writer = ffmpeg.write_frames(
         str(path),
         size,

@@ -70,7 +70,7 @@ def preview_png(content: PreviewContent) -> bytes:
     Parameters
     ----------
     content : PreviewContent
-        What to show.
+        Content of the picture.
 
     Returns
     -------

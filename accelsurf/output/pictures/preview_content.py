@@ -107,7 +107,7 @@ class PreviewContent:
     steps_left_out : int
         Steps of corrections, whose energies compare with no others and are not in ``history``.
     window : GreyWindow, optional
-        Which values are black and white; from the object and what is around it unless given.
+        Values that are black and white; from the object and its surroundings unless given.
     unit : str
         Of lengths in the file, in which scale bars are; places are in mm, as settings take them.
     labels : LabelTable

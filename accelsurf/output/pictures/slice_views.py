@@ -13,7 +13,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, PLANES, DisplayOrientation
 from accelsurf.output.pictures.preview_content import PreviewContent
 
-#: What is shown around the object: so much of its extent to each side, and at least so many voxels.
+#: Margin around the object: a share of its extent to each side, and a number of voxels at least.
 MARGIN = 0.3
 MIN_MARGIN = 6
 #: Slices through further clicks at most, the latest.
@@ -34,7 +34,7 @@ class SliceView:
     index : int
         Voxel along it.
     why : str
-        What it shows, above the slice; empty for a slice through the first click or the largest section.
+        Its title, above the slice; empty for a slice through the first click or the largest section.
     """
 
     plane: int
@@ -183,7 +183,7 @@ def uncertain_views(content: PreviewContent) -> list[SliceView]:
 def second_view(content: PreviewContent, is_flat: bool) -> SliceView | None:
     """The slice beside the main ones: of late growth, where to click next, a click; else another place of the object.
 
-    Of what the main slices show already, where to click next is shown in the plane across; with ``is_flat`` the other
+    A place to click next that a main slice shows already is shown in the plane across; with ``is_flat`` the other
     planes are low, and the slice half-way to an end of the object says more.
     """
     views = uncertain_views(content)

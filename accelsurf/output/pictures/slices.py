@@ -293,7 +293,7 @@ def name_section(
         free &= np.hypot(*(places - shown.pixels(*mark)).T) > AWAY
     depths = np.where(free, depth[rows, columns], -1.0) if free.any() else depth[rows, columns]
     best = int(np.argmax(depths))
-    # In a section without such a place it is written beside it.
+    # In a section without a free place the name is written beside it.
     shown.axes.annotate(
         drawable(name),
         (x[columns[best]], y[rows[best]]),
@@ -452,7 +452,7 @@ def _rim(width: float) -> list[AbstractPathEffect]:
 
 
 def write_line_names(shown: Slice, lines: Sequence[NamedLine]) -> None:
-    """Write what each line is, in the lower left corner."""
+    """Write the name of each line, in the lower left corner."""
     if not lines:
         return
     from matplotlib.lines import Line2D
