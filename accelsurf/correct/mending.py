@@ -50,8 +50,8 @@ from accelsurf.settings.toml import volume_mm3
 
 Mask = NDArray[np.bool_]
 Spacing = tuple[float, float, float]
-#: Sigma of the windows on both sides of the border, in lengths that it may move; least sigma, in largest spacings; half
-#: width of the windows, in sigmas.
+#: Sigma of the windows on both sides of the border, in multiples of its largest move; least sigma, in largest spacings;
+#: half width of the windows, in sigmas.
 WINDOW = 1.5
 MIN_WINDOW = 2.0
 ENDS = 2.5

@@ -77,7 +77,7 @@ class Change(NamedTuple):
         Of the solver.
     stop : Stop
     reach : ClickReach or None
-        How far from the clicks it could change, and the changes of the clicks without a bound; None where all
+        How far from the clicks it could change, and the changes without a bound; None where all
         clicks were on their sides already, and of a change without clicks.
     side : {"inside", "outside"} or None
         On which all clicks were already; None where they were not.

@@ -25,7 +25,7 @@ from accelsurf.settings.wording import volume_text
 from accelsurf.starts.objects import ObjectStart
 
 #: A start will shrink if less than this part of its values lies within the bounds; a window takes in the surroundings
-#: if it has more than this part of the voxels in a shell around the start, whose bounds are in its radii.
+#: if it has more than this part of the voxels in a shell around the start (bounds in its radii).
 _MIN_WITHIN = 0.2
 _MAX_AROUND = 0.5
 SHELL = (3.0, 8.0)

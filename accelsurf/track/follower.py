@@ -38,7 +38,7 @@ from accelsurf.track.momentum import Gains, SurfaceMomentum, Triple
 from accelsurf.track.momentum_models import FlowableMomentum, make_momentum
 from accelsurf.track.records import BAND, Identities, SurfacePiece, TrackedObject
 
-#: Voxels nearer than this, voxels, to a tracked object are part of no other object.
+#: Voxels within this distance, voxels, of a tracked object are part of no other object.
 APART = 2
 #: A run on a frame counts if that on the given frame, from the given surface, leaves it by a mean square of no more
 #: than this, in voxels, in the first and in the second number of steps: half a voxel is the rounding of labels.

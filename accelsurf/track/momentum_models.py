@@ -138,7 +138,7 @@ class FlowableMomentum(SurfaceMomentum):
     def steer(self, seen: ImageMotion, duration: float, variance: float) -> Steered:
         """Set the velocities to an interval's: the momentum's, drawn to the image's by their certainties.
 
-        The next `predict` has no friction: the image's motion has it in it.
+        The next `predict` has no friction: the image's motion includes its effect.
 
         Parameters
         ----------

@@ -53,7 +53,7 @@ class TrackFiles:
         Raises
         ------
         UsageError
-            With files that can be written.
+            With the formats that can be written.
         """
         is_2d = geometry.slice_axis is not None
         shape: Shape = "contour" if is_2d else "surface"
