@@ -47,7 +47,7 @@ class Limits:
     case_timeout : float, optional
         Seconds that a case may take.
     max_memory : str, optional
-        Memory of all cases together, such as 4GB.
+        Memory of all cases together, for example 4GB.
     scheduler : str, optional
         Address of a Dask scheduler.
 
@@ -126,7 +126,7 @@ def need_of(
     clicks : bool
         Whether the run learns from clicks, which takes more.
     options : ReadOptions, optional
-        How the image is read; its channels are read with those of them that their formats have.
+        How the image is read; further channels with the options among them that their formats have.
     flow : str
         Its name.
     """
@@ -141,7 +141,7 @@ def need_of(
 
 
 def need_of_sequence(source: Path, config: TrackConfig) -> Need:
-    """Estimate the memory that a tracking needs: a run on a frame, and what is kept of the frame before it.
+    """Estimate the memory that a tracking needs: a run on a frame, and the data kept of the frame before it.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ class Case:
         Its name, and that of its folder and files.
     image : Path
     settings : mapping of str to (str or tuple of str)
-        Settings of this case, over those of all; text as it is typed.
+        Settings of this case; they override the common ones. Text as it is typed.
     reference : Path or None
         Label map that the result is compared with.
     place : str

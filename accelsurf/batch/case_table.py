@@ -41,14 +41,14 @@ def read_rows(path: Path, what: str, parse: Callable[[list[str], Any], list[T]])
     ----------
     path : Path
     what : str
-        What a row stands for, for messages.
+        The noun for a row in messages.
     parse : callable
-        Of the cells of the first line and a reader of the others, returns what the rows say.
+        Of the cells of the first line and a reader of the others, returns the content of the rows.
 
     Raises
     ------
     InputError
-        With the file, the line and what is wrong in it.
+        With the file, the line and the fault in it.
     """
     with naming(path):
         budgets.CASES.check(path.stat().st_size, "the table")
@@ -75,7 +75,7 @@ def read_cases(path: Path, tracking: bool = False) -> list[Case]:
     """Read a table of cases.
 
     The columns are ``image``, ``id`` (by default the name of the image), ``reference``, and any setting of a run;
-    an empty cell leaves the setting as it is for all. Several values of a cell, such as clicks, are separated by a
+    an empty cell leaves the setting as it is for all. Several values of a cell, for example clicks, are separated by a
     semicolon. Paths are relative to the folder of the table.
 
     Parameters
@@ -83,13 +83,13 @@ def read_cases(path: Path, tracking: bool = False) -> list[Case]:
     path : Path
         A file that ends in one of `SUFFIXES`: cells separated by commas, or by tabs.
     tracking : bool
-        Whether the images are sequences. Then the settings are those of tracking and of the run on each frame, and
+        Whether the images are sequences. Then the settings are tracking's and the ones of the run on each frame, and
         there is no ``reference``.
 
     Raises
     ------
     InputError
-        With the line and what is wrong in it.
+        With the line and the fault in it.
     """
 
     def cases(header: list[str], lines: Iterator[list[str]]) -> list[Case]:
@@ -201,7 +201,7 @@ def _correction(text: str, base: Path) -> str:
     """A correction of a frame, the files of its clicks looked for in the folder of the table."""
     try:
         words = shlex.split(text)
-    except ValueError:  # a quote is missing: the setting says what is expected
+    except ValueError:  # a quote is missing: the setting's error names the form
         return text
     parts = (word.partition("=") for word in words)
     found = (

@@ -17,7 +17,7 @@ from accelsurf.settings.file_formats import input_help
 
 T = TypeVar("T")
 
-#: What makes a name a pattern.
+#: Characters that make a name a pattern.
 _PATTERN = re.compile(r"[*?\[]")
 _SHARD = re.compile(r"([0-9]{1,6})/([0-9]{1,6})")
 #: Set in each task of an array of jobs of SLURM.
@@ -61,8 +61,8 @@ def read_cases(
     Raises
     ------
     InputError
-        When there is none, an id is given twice or is no name, or a reference is missing; UsageError when it cannot be
-        decided what is meant.
+        When there is none, an id is given twice or is no name, or a reference is missing; UsageError when the
+        meaning cannot be decided.
     """
     if not given:
         raise UsageError(

@@ -1,7 +1,7 @@
 """Jobs on a Dask cluster: the same interface as worker processes of this machine, and no scheduler of our own.
 
-The cluster decides what runs where and when, how much memory a worker may have, and how often the job of a worker that
-was lost is run again elsewhere (its setting ``distributed.scheduler.allowed-failures``).
+The cluster decides where and when each job runs, how much memory a worker may have, and how often the job of a lost
+worker is run again elsewhere (its setting ``distributed.scheduler.allowed-failures``).
 """
 
 from __future__ import annotations

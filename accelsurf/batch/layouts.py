@@ -72,7 +72,7 @@ def of_files(images: Sequence[Path]) -> list[Case]:
 
 
 def images_among(paths: Iterable[Path]) -> list[Path]:
-    """Return the files with names of images, in order, without hidden files and those of a run."""
+    """Return the files with names of images, in order, without hidden files and files of a run."""
     of_runs = ("_state.npz", "_checkpoint.npz")
     visible = (
         path for path in paths if not path.name.startswith(".") and not path.name.endswith(of_runs)
@@ -101,7 +101,7 @@ def _channels(images: Sequence[Path]) -> dict[str, dict[int, Path]]:
 
 
 def _is_nnunet(folder: Path, images: Sequence[Path], channels: dict[str, dict[int, Path]]) -> bool:
-    """Return True if names are those of nnU-Net; raise where they may as well number the images of a series."""
+    """Return True if the names follow nnU-Net; raise where they may as well number the images of a series."""
     if sum(map(len, channels.values())) < len(images) or not all(
         0 in numbers for numbers in channels.values()
     ):

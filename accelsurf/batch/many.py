@@ -28,7 +28,7 @@ from accelsurf.settings.run_config import RunConfig
 if TYPE_CHECKING:
     from accelsurf.api.options import ManyOptions
 
-#: What a case may be: a path, or a mapping with ``image`` and, if wanted, ``id``, ``reference`` and settings.
+#: Forms of a case: a path, or a mapping with ``image`` and, if wanted, ``id``, ``reference`` and settings.
 CaseLike = str | Path | Mapping[str, Any]
 
 
@@ -171,7 +171,7 @@ def segment_many(  # noqa: PLR0913
     jobs, scheduler, case_timeout, max_memory, overwrite, resume, strict
         As the options of ``accelsurf batch``.
     **options
-        Settings of all cases by name, over those of ``config``.
+        Settings of all cases by name; they override ``config``.
 
     Returns
     -------

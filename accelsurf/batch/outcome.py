@@ -50,11 +50,11 @@ class CaseTask:
 
     @property
     def run(self) -> RunConfig:
-        """The settings of its run, of a sequence those of the run on each frame."""
+        """The settings of its run; of a sequence, of the run on each frame."""
         return self.config.run if isinstance(self.config, TrackConfig) else self.config
 
     def with_threads(self, threads: int) -> Self:
-        """The same on so many threads."""
+        """The same on a number of threads."""
         run = self.run.model_copy(update={"threads": threads})
         return replace(
             self,
@@ -76,7 +76,7 @@ class Outcome:
     id : str
     status : {"ok", "failed", "waiting"}
     reason : str
-        Why its run ended, or what is wrong.
+        Why its run ended or failed.
     ml : float or None
         Volume of the object, or of all objects.
     probability : float or None
@@ -87,15 +87,15 @@ class Outcome:
     objects, frames : int or None
         Of a sequence: identities, and frames that were done.
     seconds : float or None
-        From file to files; of a sequence those of its frames.
+        From file to files; of a sequence the seconds of its frames.
     folder : str
         Of its files, in the folder of the batch.
     picture : str
         Name of its picture there; empty where it has none.
     hint : str
-        What to do about a failure.
+        Remedy for a failure.
     exit_code : int
-        What `accelsurf segment` or `accelsurf track` would return.
+        Exit code that `accelsurf segment` or `accelsurf track` would return.
     warnings : tuple of str
     details : str
         The traceback of an error that is a bug.

@@ -18,7 +18,7 @@ h2 { font-size: 1.1em; margin: .4em 0; }
 img { max-width: 100%; height: auto; }
 .failed { color: #a00; }
 """
-#: What stands above the numbers of a case, in this order.
+#: Headings of the numbers of a case, in this order.
 _HEADS = {
     "probability": "likely to be good",
     "ml": "ml",
@@ -44,7 +44,7 @@ def page_html(
     files : sequence of str
         Names of the tables beside it.
     columns : sequence of str, optional
-        Of the table in CSV; the page has those of them that it has a heading for.
+        Of the table in CSV; the page has the columns that it has a heading for.
     """
     counts = {
         key: sum(outcome.status == key for outcome in outcomes)

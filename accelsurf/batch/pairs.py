@@ -56,7 +56,7 @@ def label_file(text: str, base: Path | None = None) -> LabelFile:
     Raises
     ------
     UsageError
-        When what follows the @ are no labels.
+        When the text after the @ is no list of labels.
 
     Examples
     --------
@@ -136,7 +136,7 @@ def in_table(path: Path) -> list[Pair]:
     Raises
     ------
     InputError
-        With the line and what is wrong in it.
+        With the line and the fault in it.
     """
     base = path.parent.absolute()
 

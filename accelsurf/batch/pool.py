@@ -156,7 +156,7 @@ class LocalPool:
     Parameters
     ----------
     function : callable
-        Of a payload; what a worker calls. Of a module's top level, as workers import it by its name.
+        Of a payload; called by a worker. Of a module's top level, as workers import it by its name.
     jobs : int
         Jobs at once.
     bytes : int, optional
@@ -166,7 +166,7 @@ class LocalPool:
     limit : int, optional
         Bytes that all workers together may have; beyond it the largest is ended.
     prepare : callable, optional
-        What a worker calls before its first job, whose time does not count.
+        Called by a worker before its first job; its time does not count.
     """
 
     def __init__(
@@ -290,7 +290,7 @@ class LocalPool:
 
     def _heard(self, worker: _Worker) -> Iterator[Ended]:
         """Read the messages of a worker, or find out that it is dead or late."""
-        alive = worker.process.is_alive()  # asked first: what it said before it died counts
+        alive = worker.process.is_alive()  # asked first: messages from before its death count
         try:
             while worker.job is not None and worker.connection.poll():
                 message = worker.connection.recv()
@@ -406,7 +406,7 @@ def serve(
 ) -> None:
     """Run jobs as they come, and send back a pair of result and `Failure` of each, one of them None.
 
-    Ctrl-C in a terminal reaches all processes of a program; what it means is for the one that started this. SIGTERM
+    Ctrl-C in a terminal reaches all processes of a program; the one that started this acts on it. SIGTERM
     ends the process, if ``prepare`` has given it a handler after the state of the job is kept.
 
     Parameters

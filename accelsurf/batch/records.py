@@ -1,6 +1,6 @@
 """Finished cases: a result stands, of the same image with the same settings.
 
-Beside the report of a run lies a record of what it does not say: the checksums of the other files that its settings
+Beside the report of a run lies a record of data that it lacks: the checksums of the other files that its settings
 name, and the Dice. Cases whose result somebody has corrected since, by ``accelsurf refine``, are finished too.
 """
 
@@ -71,7 +71,7 @@ def finished(task: CaseTask) -> Outcome | None:
             return None
         return outcome_of_report(task, report, _dice(task, report, record))
     except (AccelsurfError, LookupError, TypeError, AttributeError):
-        return None  # it is run again, and says what is wrong
+        return None  # it is run again, and its error is reported
 
 
 def _dice(task: CaseTask, report: Mapping[str, Any], record: Mapping[str, Any]) -> float | None:

@@ -109,7 +109,7 @@ class Batch:
     admission : Admission
     shard : Shard or None
     layout : str
-        What the cases were read from.
+        Layout of the cases' source, in words.
     argv : sequence of str
         The command line, for the report.
 
@@ -247,14 +247,14 @@ class Batch:
                 tables.put([ended.value])
 
     def end_early(self, pool: Pool, tables: Tables, exit_code: int) -> None:
-        """End what runs, remove its staging files, and write the tables as they are.
+        """End the running cases, remove their staging files, and write the tables as they are.
 
         Parameters
         ----------
         pool : Pool
         tables : Tables
         exit_code : int
-            What the command returns.
+            Exit code of the command.
         """
         pool.close()
         for task in self.tasks:
@@ -277,7 +277,7 @@ def refuse_results(folder: Path, work: Batch) -> None:
     Raises
     ------
     OutputError
-        With what to do.
+        With the options that help.
     """
     tables = [folder / name for name in reversed(work.names.all)]
     reports = [task.folder / report_name(task.case.id) for task in work.tasks]

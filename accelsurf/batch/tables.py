@@ -20,7 +20,7 @@ from accelsurf.output.folder import naming_final
 
 #: Raised when a key of the report or a column of the table changes its name or its meaning.
 SCHEMA_VERSION = 1
-#: While cases run, tables are written so many seconds apart at least, and so many times the seconds that it takes.
+#: Least time between two writings of the tables while cases run: seconds, and multiples of the time of a writing.
 _APART_SECONDS = 2.0
 _APART_TIMES = 20.0
 
@@ -28,7 +28,7 @@ BatchStatus = Literal["running", "ok", "failed", "interrupted"]
 
 
 class TableNames:
-    """Names of the three tables, those of a shard with its number.
+    """Names of the three tables; a shard's have its number.
 
     Examples
     --------
@@ -127,7 +127,7 @@ class Tables:
         ----------
         status : {"running", "ok", "failed", "interrupted"}
         exit_code : int
-            What the command returns.
+            Exit code of the command.
 
         Raises
         ------

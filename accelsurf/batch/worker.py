@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from accelsurf.batch.run import Batch
     from accelsurf.image.volume import Volume
 
-#: What a case loads, so that a worker has it before its first one.
+#: Modules that a case loads, so that a worker has them before its first case.
 _LOADED = (
     "accelsurf.api.segment",
     "accelsurf.output.outputs",
@@ -43,7 +43,7 @@ _LOADED = (
     "accelsurf.measure.metrics",
 )
 _MEMORY_HINT = "raise --max-memory, lower --jobs, or crop or downsample the image"
-#: Kind of a failure -> exit code of the case, what to do.
+#: Kind of a failure -> exit code of the case, remedy.
 _FAILURES = {
     "error": (
         1,
@@ -163,7 +163,7 @@ def _outputs(place: OutputFolder, config: RunConfig | TrackConfig) -> Iterable[P
 
 
 def make_pool(work: Batch, limits: Limits) -> Pool:
-    """Return the workers of this machine, or those of a cluster."""
+    """Return the workers of this machine, or of a cluster."""
     from accelsurf.batch.pool import LocalPool
 
     if limits.scheduler is not None:
@@ -182,7 +182,7 @@ def make_pool(work: Batch, limits: Limits) -> Pool:
 
 
 class _Silent(NamedTuple):
-    """Display of a worker: what it says is in the tables."""
+    """Display of a worker, silent: its messages are in the tables."""
 
     quiet: bool = True
     progress: ProgressKind | None = "none"

@@ -80,7 +80,7 @@ def part_of_image(
 ) -> Box:
     """The part of the image of one of several objects after a correction.
 
-    What it was ``before``, and its array, from voxel ``corner`` of the image on; with room beyond the region of
+    The part ``before``, and its array, from voxel ``corner`` of the image on; with room beyond the region of
     interest where that cuts the object.
     """
     out = []

@@ -50,27 +50,27 @@ from accelsurf.settings.toml import volume_mm3
 
 Mask = NDArray[np.bool_]
 Spacing = tuple[float, float, float]
-#: Sigma of the windows on both sides of the border: so many times how far it may move, and at least so many of the
-#: largest spacings; they end at so many sigmas.
+#: Sigma of the windows on both sides of the border, in multiples of its largest move; least sigma, in largest spacings;
+#: half width of the windows, in sigmas.
 WINDOW = 1.5
 MIN_WINDOW = 2.0
 ENDS = 2.5
-#: Voxels nearer to the border than so many of the smallest spacings count little in them.
+#: Voxels nearer to the border than this, in smallest spacings, count little in them.
 MIXED = 1.0
 LITTLE = 0.1
-#: Both sides are learned so many times, each time from the object that the last time showed.
+#: Number of times that both sides are learned, each time from the object that the last time showed.
 ROUNDS = 2
 #: Pull to the old place at the rim of the band, of the pull of the clearest edge.
 OLD_PLACE = 0.3
-#: Where the squared difference of both sides is so many of their variances, an edge counts half.
+#: Squared difference of both sides, in their variances, at which an edge counts half.
 CLEAR = 1.0
-#: A voxel is at most so many times likelier on one side; least variance of a side, of the image's range squared.
+#: Largest log-ratio of both sides' likelihoods at a voxel; least variance of a side, of the image's range squared.
 CLEAREST = 3.0
 MIN_VARIANCE = 1e-4
 #: Smoothing of the image before it is looked at, and weight of the area, both of the smallest spacing: stair steps go.
 SMOOTHING = 0.5
 AREA = 0.1
-#: The border of the band is bounded on so many of the largest spacings to either side.
+#: The border of the band is bounded on this number of largest spacings to either side.
 SHELL = 4.0
 #: Voxels of the largest spacing beyond the band that the surface and its stencils see.
 MARGIN = 5.0
@@ -339,7 +339,7 @@ def _tidied(
 
 
 def islands_of(inside: Mask, most: float, held: Mask | None = None) -> Mask:
-    """Return the parts of an object of less than so many voxels, but for the largest, and those with ``held`` voxels.
+    """Return the parts of an object of less than ``most`` voxels, but for the largest and parts with ``held`` voxels.
 
     Examples
     --------
@@ -358,7 +358,7 @@ def islands_of(inside: Mask, most: float, held: Mask | None = None) -> Mask:
 
 
 def holes_of(inside: Mask, most: float, beyond: Mask | None = None) -> Mask:
-    """Return the parts of less than so many voxels that an object encloses, but for those with ``beyond`` voxels.
+    """Return the parts of less than ``most`` voxels that an object encloses, but for parts with ``beyond`` voxels.
 
     A part that reaches a face of the array is not enclosed; of one slice the faces within it count.
 

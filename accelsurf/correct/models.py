@@ -53,7 +53,7 @@ class ObjectModels:
     contexts : dict of int to ImageContext
         Of each object.
     settings : dict of int to RunConfig
-        Of the objects whose settings are not those of the run.
+        Of the objects whose settings are not the run's.
     masks : dict of int to BoxMask
         By the number of the correction: voxels that its new object may not have, or that were split off.
     """
@@ -156,7 +156,7 @@ class ObjectModels:
         self._forget(id)
 
     def begin_given(self, number: int, id: int, mask: BoxMask) -> None:
-        """Take the voxels that an object has after a correction without clicks for what it is; its clicks stay.
+        """Take the voxels that an object has after a correction without clicks as given; its clicks stay.
 
         Parameters
         ----------

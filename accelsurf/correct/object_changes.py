@@ -1,7 +1,7 @@
 """Objects of a finished run that begin, are merged, are split, are removed: exact, voxel by voxel.
 
 A new object begins with the size hypothesis of its clicks and evolves until it has converged. The others do not move;
-those that have voxels of its clicks lose what it gains. Merging and splitting move no surface at all.
+objects with voxels of its clicks lose the voxels that it gains. Merging and splitting move no surface at all.
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ def merge(objects: CorrectedObjects, ids: Sequence[int], workers: Workers) -> Co
     Raises
     ------
     UsageError
-        When there is no such object.
+        When an object does not exist.
     """
     for id in ids:
         check_id(id, objects.ids, "merge")
@@ -345,7 +345,7 @@ def remove(objects: CorrectedObjects, id: int) -> int:
     Raises
     ------
     UsageError
-        When there is no such object, or no other one.
+        When the object does not exist, or no other one does.
     """
     check_id(id, objects.ids, "remove")
     if len(objects.ids) == 1:

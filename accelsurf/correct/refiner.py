@@ -59,7 +59,7 @@ from accelsurf.settings.run_config import RunConfig
 
 #: Voxels of the largest spacing beyond the region that the surface and its stencils see; there they do not move.
 MARGIN = 5.0
-#: What a click did not change is told from this share on of all that it would have changed.
+#: The voxels that a click left are told from this share on of all that it would have changed.
 NAMED_FROM = 0.1
 
 
@@ -77,7 +77,7 @@ class Change(NamedTuple):
         Of the solver.
     stop : Stop
     reach : ClickReach or None
-        How far from the clicks it could change, and what the clicks would have changed without a bound; None where all
+        How far from the clicks it could change, and the changes without a bound; None where all
         clicks were on their sides already, and of a change without clicks.
     side : {"inside", "outside"} or None
         On which all clicks were already; None where they were not.
@@ -109,7 +109,7 @@ class Change(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The effect in words: how many voxels moved, how far from the click, and what was left as it is."""
+        """The effect in words: how many voxels moved, how far from the click, and the voxels left as they were."""
         if not self.voxels:
             return f"nothing changed{f': it is already {self.side}' if self.side else ''}"
         moved = f"moved {self.voxels} voxels in {self.seconds:.2f} s"
@@ -217,7 +217,7 @@ class Refiner:
     def taken(self, place: NDArray[np.float64], id: int) -> BoxMask | None:
         """Voxels that an object which begins at a place, an index (z, y, x) of the region, may not have.
 
-        Those of the others (but for the object ``id``, which begins anew), and for one in which the place lies.
+        The voxels of the others, but for the object ``id``, which begins anew, and for one in which the place lies.
         """
         ids, click = self._objects.ids, point_click(np.rint(place).astype(int).tolist(), id)
         takes = {*self._objects.holders([click]), *([ids.index(id)] if id in ids else [])}
@@ -274,7 +274,7 @@ class Refiner:
 
         Notes
         -----
-        Clicks take the voxels that they contradict from earlier ones. Those of one correction are made one after the
+        Clicks take the voxels that they contradict from earlier ones. Clicks of one correction are made one after the
         other, inside ones first: the surface is the same as after a correction for each.
         All or nothing: of a correction that raises, whatever it raises, nothing stays, and it is none for `undo`.
         """
@@ -482,7 +482,7 @@ class Refiner:
     def _relabelled(
         self, surface: CorrectedSurface, new: Sequence[Click]
     ) -> tuple[list[Click], list[ClickReach]]:
-        """Return the voxels that new clicks relabel: their own and those of their basins, where a side is wrong.
+        """Return the voxels that new clicks relabel: their own and their basins', where a side is wrong.
 
         And how far each click reaches, where there is a model. Nothing where all are on their sides already, and the
         model gives them nothing else.

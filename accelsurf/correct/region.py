@@ -95,7 +95,7 @@ def around_clicks(
 def within_reaches(
     region: NearRegion, clicks: Sequence[Click], reaches: Sequence[float], spacing: Spacing
 ) -> NearRegion:
-    """Return a region without what lies farther from each click than that reaches, mm; the clicks stay."""
+    """Return the part of a region within the reach, mm, of a click; the clicks stay."""
     near = np.zeros(region.mask.shape, np.bool_)
     for click, reach in zip(clicks, reaches, strict=True):
         near |= np.isfinite(distances_within(_voxels([click], region.box), spacing, reach))
@@ -162,7 +162,7 @@ def near_bounds(
     spacing : (hz, hy, hx)
         mm.
     sides : collection of {"inside", "outside"}
-        Those of the clicks: with one of them the surface moves to that side alone.
+        The clicks' sides: with a single one the surface moves to that side alone.
     """
     depth = distances_within(~region.mask, spacing, region.rim)
     beside = _beside(before < 0)
@@ -198,7 +198,7 @@ def _beside(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def united(near: ClickBounds, clicks: ClickBounds) -> ClickBounds:
-    """Both bounds; where they contradict each other, those of the clicks."""
+    """Both bounds; where they contradict each other, the clicks'."""
     known = np.zeros(math.prod(near.shape), np.bool_)
     known[near.cells] = known[clicks.cells] = True
     cells = np.flatnonzero(known)

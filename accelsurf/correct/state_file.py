@@ -82,7 +82,7 @@ class StateFile(NamedTuple):
         Of the image.
     objects : tuple of ObjectFile
     masks : tuple of MaskFile
-        What corrections that change objects are made again with.
+        Masks with which corrections that change objects are made again.
     totals : dict of str to ndarray
         As of `accelsurf.run.result.RunState`.
     levels, edits_done, warnings, late_growth

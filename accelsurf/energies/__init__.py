@@ -1,7 +1,7 @@
 """Energies: each gives its value U and its force f = -dU along the inward normal per area.
 
 The loop calls, in this order: `start` once with the first surface; at each step `value` and `force`; after each motion
-`project`, and after redistancing `follow` with what changed. See `Energy` for the protocol; `ImageEnergy`
+`project`, and after redistancing `follow` with the change. See `Energy` for the protocol; `ImageEnergy`
 and the ``..._at_front`` functions are for energies of your own.
 """
 

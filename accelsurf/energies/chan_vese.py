@@ -35,7 +35,7 @@ class ChanVese(RegionEnergy):
     """U = l1 int_in (I - c1)^2 + l2 int_out (I - c2)^2 + alpha A, f = l1 (I - c1)^2 - l2 (I - c2)^2 + alpha H.
 
     The first variation of the paper's region energy for an inward normal. c1 and c2 are the means inside and
-    outside, at each step those of the present surface (by the envelope theorem they add nothing to f).
+    outside, at each step of the present surface (by the envelope theorem they add nothing to f).
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class ChanVese(RegionEnergy):
     elsewhere : Elsewhere, optional
         `RegionMoments` of the part of the object and of the image that are not on this grid; they count in the means.
     whole : RegionMoments, optional
-        Of the whole image, where this grid is a window of it; by default those of ``image``.
+        Of the whole image, where this grid is a window of it; by default of ``image``.
     """
 
     def __init__(

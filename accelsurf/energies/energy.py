@@ -16,7 +16,7 @@ class Energy(ABC):
     """The protocol of energies. A subclass gives `value` and `force`; all other methods have a default.
 
     The loop calls `start` once; then, in each step, `set_time`, `value` and `force`, `project` after the surface has
-    moved, and `follow` after it was redistanced. What `value` computes for the surface may be stored for the `force`
+    moved, and `follow` after it was redistanced. Results of `value` for the surface may be stored for the `force`
     that follows. An energy with a state that goes from step to step returns it from `state` and sets it in `restore`.
 
     Attributes
@@ -32,7 +32,7 @@ class Energy(ABC):
         """Read a first surface in full, at the cost of its volume. By default nothing is read."""
 
     def follow(self, surface: LevelSet, change: BandChange) -> None:  # noqa: B027
-        """Update by what the last redistancing changed, in O(band). By default nothing is updated."""
+        """Update by the change of the last redistancing, in O(band). By default nothing is updated."""
 
     def set_time(self, surface: LevelSet, time: float) -> None:  # noqa: B027
         """Become the energy of the flow time ``time``, that of the surface. By default it is the same at all times.
@@ -62,7 +62,7 @@ class Energy(ABC):
 
     @property
     def is_disturbed(self) -> bool:
-        """True if more than the energy moves the surface, such as objects beside it; then a rise of U is no error."""
+        """True if more than the energy moves the surface, like objects beside it; then a rise of U is no error."""
         return False
 
     @abstractmethod

@@ -81,7 +81,7 @@ class ImageEnergy(Energy):
 class RegionEnergy(ImageEnergy):
     """Base of energies of the sums over inside and outside, whose force is a polynomial of the image.
 
-    A subclass gives `value` and `polynomial`. The parameters are those of `ChanVese`.
+    A subclass gives `value` and `polynomial`. Parameters as of `ChanVese`.
     """
 
     def __init__(

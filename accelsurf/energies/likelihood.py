@@ -59,8 +59,8 @@ class TwoHistograms(NamedTuple):
 class GaussianLikelihood(RegionEnergy):
     """U = -int_in log p1(I) - int_out log p2(I) + alpha A with Gaussians, f = log(p2/p1) + alpha H.
 
-    f = (log(v1/v2) + (I - m1)^2/v1 - (I - m2)^2/v2)/2. Unless given, means and variances are those of the present
-    surface at each step, which by the envelope theorem adds nothing to f.
+    f = (log(v1/v2) + (I - m1)^2/v1 - (I - m2)^2/v2)/2. Unless given, means and variances are the present
+    surface's at each step, which by the envelope theorem adds nothing to f.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class GaussianLikelihood(RegionEnergy):
     elsewhere : Elsewhere, optional
         `RegionMoments` of the part of the object and of the image that are not on this grid; they count in the models.
     whole : RegionMoments, optional
-        Of the whole image, where this grid is a window of it; by default those of ``image``.
+        Of the whole image, where this grid is a window of it; by default of ``image``.
     min_variance : float, optional
         Smallest variance of a region; by default `least_variance` of ``image``.
     """
@@ -247,7 +247,7 @@ class Parzen:
 class HistogramLikelihood(Energy):
     """U = -int_in log p1(I) - int_out log p2(I) + alpha A with Parzen densities.
 
-    Fixed densities: f = log(p2/p1) + alpha H. Those of the present surface depend on it, and smoothing makes them other
+    Fixed densities: f = log(p2/p1) + alpha H. The present surface's depend on it, and smoothing makes them other
     than the likeliest, so that f has two more terms: it is the exact derivative of U with respect to the histograms.
 
     Parameters

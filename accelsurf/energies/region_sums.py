@@ -13,7 +13,7 @@ from accelsurf.grid.boxes import sum_in_order
 from accelsurf.kernels import motion, region
 from accelsurf.levelset import BandChange, LevelSet
 
-#: Sums (m,) over values that add up: those of two sets of voxels are the sums of both together.
+#: Sums (m,) over values that add up: the sums of two disjoint sets of voxels add up to the sums of both together.
 Summing = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 
 
@@ -40,8 +40,8 @@ def sums_by_plane(
 ) -> NDArray[np.float64]:
     """Sums (m,) of an image (nz, ny, nx), or of its voxels ``where``, plane after plane.
 
-    Those of some voxels have the same bytes on every box that contains them; those of a whole image the same if it is
-    read some planes at a time.
+    The sums of some voxels have the same bytes on every box that contains them; of a whole image, also if it is read
+    some planes at a time.
     """
     return sum_in_order(
         summing(plane.ravel() if where is None else plane[where[z]])

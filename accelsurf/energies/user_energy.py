@@ -77,7 +77,7 @@ class CheckedEnergy(Energy):
             self._energy.set_time(surface, time)
 
     def project(self, surface: LevelSet) -> None:
-        """Bring psi back to where the energy is finite, if the energy has such places."""
+        """Bring psi back to where the energy is finite, if it is infinite anywhere."""
         if self._has("project"):
             self._energy.project(surface)
 
@@ -112,7 +112,7 @@ class CheckedEnergy(Energy):
         return float(value)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """Force f (n,), float32; what is off the front does not count and becomes 0.
+        """Force f (n,), float32; values off the front do not count and become 0.
 
         Raises
         ------

@@ -106,7 +106,7 @@ class BetweenFrames(WeightedSum):
     """U = (1 - s) U_i + s U_(i+1), f likewise, s = (t - t_i)/(t_(i+1) - t_i); before the first frame and after the last
     the energy is theirs.
 
-    For energies whose force is linear in the image, such as `RegionField`, or `ChanVese` with fixed means, it is the
+    For energies whose force is linear in the image, like `RegionField`, or `ChanVese` with fixed means, it is the
     energy of the image that lies between the two. That image is meaningful while an edge moves by less than its own
     width from frame to frame.
 

@@ -16,7 +16,7 @@ STILL = 0.05
 #: window it is at most the share `LEVEL` of that in the first.
 LEVEL_KINETIC = 0.05
 LEVEL = 0.7
-#: So many more windows would move a converged surface by little: 200 steps, or 60 to 100 after coarser levels.
+#: Number of further windows that would move a converged surface by little: 200 steps, 60 to 100 after coarser levels.
 HORIZON = 10
 #: A run has stalled when the last `STALL_STEPS` steps are all shorter than the share `STALLED` of the CFL step, or than
 #: the share `COLLAPSED` of the longest step; steps down to the share `SHORT` are long enough to judge by.
@@ -38,8 +38,8 @@ class StopRule(NamedTuple):
     energy above `LEVEL_KINETIC` of it falls. Where steps are shorter than the share `SHORT` of `StepRecord.cfl_dt`,
     the window is longer in proportion.
 
-    With ``patience`` a run has also converged when so many steps have found no lower potential than one of the run,
-    and the surface still lies there, by ``motion`` and ``far``. What creeps finds a lower one in every step.
+    With ``patience`` a run has also converged when this number of steps has found no lower potential than one of the
+    run, and the surface still lies there, by ``motion`` and ``far``. A creeping surface finds a lower one in each step.
     """
 
     window: int = 20
@@ -71,7 +71,7 @@ class StopRule(NamedTuple):
             return None
         if math.isfinite(self.further):
             twice = math.nan if earlier is None else surface.distance_from(earlier).mean
-            # What oscillates in a window oscillates in ten: only what would be added counts.
+            # An oscillation in one window is one in ten: only the motion that would be added counts.
             if forecast(moved.mean, moved_before, twice, HORIZON) - moved.mean > self.further:
                 return None
         return Reason(

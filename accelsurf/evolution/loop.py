@@ -1,4 +1,4 @@
-"""The loop: one step after another, each yielded with what it did, until a named reason to stop."""
+"""The loop: one step after another, each yielded with its effect, until a named reason to stop."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Evolution:
     stop_at_rest : bool
         Whether to go back to where the front rested when it breaks through from there, and end.
     measures : mapping of str to callable
-        Of (surface, energy, flow): what each record has under ``extra``.
+        Of (surface, energy, flow): the numbers that each record has under ``extra``.
     end : {"lowest", "present"}
         The state after the last of ``max_steps``: that of the lowest energy, or the present one.
 
@@ -109,7 +109,7 @@ class Evolution:
         fields: list[np.ndarray] | None = None,
         corner: Corner = (0, 0, 0),
     ) -> Evolution:
-        """Return the evolution of a surface under solver settings; the other parameters are those of the class."""
+        """Return the evolution of a surface under solver settings; the other parameters are the class's."""
         made = cls(
             surface,
             energy,
@@ -409,7 +409,7 @@ class Evolution:
             surface.advance(plan.speed, plan.dt)
         else:
             surface.advect(plan.velocity, plan.dt)
-        # An energy may be infinite for some surfaces, such as those beyond a mask.
+        # An energy may be infinite for some surfaces, for example beyond a mask.
         self.energy.project(surface)
         removed = surface.remove_small(self.energy.held_cells)
         motion = None if plan.velocity is None else Motion(plan.velocity, plan.dt)

@@ -14,7 +14,7 @@ from accelsurf.flows import Flow
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checkpoint import band_state, complete_state
 
-#: A run goes back when it has found no lower potential in so many steps and the surface has moved away since.
+#: A run goes back when this number of steps has found no lower potential and the surface has moved away since.
 PATIENCE = 60
 #: The same of a run that begins near its end and has found nothing lower than its start: it goes back there and ends.
 PATIENCE_AT_START = 20
@@ -28,7 +28,7 @@ SHORTER = 0.5
 #: Why a run ends that has gone back as often as it may.
 NO_LOWER = "no lower energy was found in {} steps; the surface is the one with the lowest"
 
-#: What to do at a step: stay with the present surface, go back and continue, or go back and end.
+#: Actions at a step: stay with the present surface, go back and continue, or go back and end.
 Decision = Literal["stay", "continue", "end"]
 
 
@@ -103,7 +103,7 @@ def decide(
         return "stay"
     name = None if reason is None else reason.name
     if name in ("vanished", "filled"):
-        # If it happens again, what is left there is smaller than the grid resolves.
+        # If it happens again, the remainder there is smaller than the grid resolves.
         return "continue" if returns < MAX_RETURNS_IF_GONE else "stay"
     if name == "interrupted" or (name is None and (since == 0 or since % patient)):
         return "stay"

@@ -2,7 +2,7 @@
 
 The speed of the front is its rate of volume per area, dV/dt / A, over the last `WINDOW` steps. It rests where that
 falls below `SLOW` of its peak, at its least, and breaks through where it rises again: above `BURST` of the peak and
-twice the least, once the volume has grown by `GROWTH`. What follows is mostly a leak.
+twice the least, once the volume has grown by `GROWTH`. The growth after that is mostly a leak.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Moment(NamedTuple):
 
 
 def front_speed(records: Sequence[StepRecord], now: Moment) -> float | None:
-    """Mean speed of the front over the last `WINDOW` steps, mm per unit of flow time; None before there are so many.
+    """Mean speed of the front over the last `WINDOW` steps, mm per unit of flow time; None with fewer steps.
 
     Growing is above 0.
     """
@@ -86,7 +86,7 @@ def watched(
     surface : LevelSet
         Now.
     fields : StepFields or None
-        What moved the surface last.
+        The fields that moved the surface last.
     """
     slowest, speed = watch.slowest, front_speed(records, now)
     if speed is None or surface.size == 0:
@@ -126,7 +126,7 @@ def _is_slowest(watch: RestWatch, speed: float, now: Moment) -> bool:
     """Test if it grows slower than at any time since it fell below `SLOW`; after an overshoot where it is smallest."""
     if watch.slowest is None:
         return speed < SLOW * watch.peak
-    # What creeps on from a rest is not more at rest later.
+    # A front that creeps on from a rest is not more at rest later.
     slower = STILL * watch.peak < watch.slowest.speed and 0.0 < speed < watch.slowest.speed
     return slower or (speed <= 0.0 and now.volume_mm3 < watch.slowest.volume_mm3)
 

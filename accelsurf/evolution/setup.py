@@ -16,7 +16,7 @@ Measure = Callable[[LevelSet, Energy, Flow], float]
 
 
 class SolverSetup(NamedTuple):
-    """Settings of what moves a surface besides its energy.
+    """Settings of the motion of a surface besides its energy.
 
     ``flow``, not started yet; ``limits`` of the step; ``restart`` or None; ``half_width`` of the band, in voxels of
     each level; stop ``rule`` of the finest level, None to run to the last step; ``max_volume`` (mm3) of the leak guard

@@ -164,7 +164,7 @@ class RestWatch(NamedTuple):
         )
 
     def anew(self) -> RestWatch:
-        """The watch under other settings: it begins anew, and keeps what was found."""
+        """The watch under other settings: it begins anew, and keeps the rests found."""
         return RestWatch(found=self.found)
 
     @property
@@ -194,7 +194,7 @@ class LoopState:
     snapshot : Snapshot or None
         The surface then.
     fields : StepFields or None
-        What moved the surface last on this grid.
+        The fields that moved the surface last on this grid.
     edits : int
         Edits made since the last step.
     budget : EnergyBudget
@@ -207,7 +207,7 @@ class LoopState:
     moved : float
         Its mean distance from there to ``snapshot``, voxels; NaN if there was none.
     rests : RestWatch
-        Where the front rested, and what is needed to find the next place.
+        Where the front rested, and the data to find the next place.
     """
 
     history: list[StepRecord] = field(default_factory=list)
@@ -330,7 +330,7 @@ class Checkpoint(NamedTuple):
 
     @property
     def without_costs(self) -> Checkpoint:
-        """It as a file has it: without what the steps took."""
+        """The checkpoint for a file: without the costs of the steps."""
         return self._replace(loop=replace(self.loop, history=without_costs(self.loop.history)))
 
     @property

@@ -14,7 +14,7 @@ from accelsurf.flows.protocol import EnergyRates, Flow, StepInput, StepLimits
 from accelsurf.levelset import LevelSet
 
 #: Where the speeds reverse in two steps in a row, the estimate of the force stiffness grows by the first factor, up to
-#: so many times the estimate by the peak force: the step becomes shorter by the square root.
+#: this multiple of the estimate by the peak force: the step becomes shorter by the square root.
 STIFFNESS_GROWTH = 1.5
 MAX_STIFFNESS_FACTOR = 16.0
 
@@ -116,7 +116,7 @@ class Accelerated(Flow):
         """Energies from the velocities before, after diffusion, kick, noise and clipping.
 
         Each stage changes the momentum; the work of a change is its product with the mean of the velocities before and
-        after all of them. Only so does what the force works equal the decrease of U: the surface moves by the velocity
+        after all of them. Only so does the work of the force equal the decrease of U: the surface moves by the velocity
         before in the step that ends here, and by the one after in the step that begins.
         """
         before, smoothed, kicked, noisy, after = stages

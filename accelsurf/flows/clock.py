@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 
-#: The last step of a clock whose speeds are those of this moment: below any step, and not 0.
+#: The last step of a clock whose speeds are this moment's: below any step, and not 0.
 NOW = sys.float_info.min
 
 
@@ -54,7 +54,7 @@ class Clock:
         self.time, self.last_dt = self.t0 or 0.0, 0.0
 
     def start_moving(self) -> None:
-        """Start with speeds that are those of this moment, neither at rest nor half a step behind."""
+        """Start with this moment's speeds, neither at rest nor half a step behind."""
         self.last_dt = NOW
 
     def state(self) -> tuple[float | None, float, float]:

@@ -109,7 +109,7 @@ class ConstantDensity(Accelerated):
         energy_rates = self._energy_rates(now.area, (before, smoothed, kicked, noisy, self.beta))
         if diffusion > 0:
             # The surface came here by the speed before diffusion, the transport term has the one after: its work is
-            # less than what the change of the area took, and diffusion has taken so much less.
+            # less than the change of the area took, and diffusion has taken less by that.
             bend = np.float32(0.5 * dm) * np.where(front, now.curvature, np.float32(0.0))
             missing = bend * kicked * (before - smoothed)
             share = self._kinetic(now.area, missing, before) + self._kinetic(

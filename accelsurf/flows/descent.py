@@ -78,8 +78,8 @@ class Descent(Flow):
         """``dt``, shorter if this ``speed`` (n,) would undo more than `UNDONE` of the last step, of speeds `_last`.
 
         The force of a small displacement d is -K d. The Rayleigh quotient of K for the last step d = dt v,
-        (1 - <v+, v>/<v, v>)/dt, is at most its largest eigenvalue, and is near it where the stiffest waves swing: those
-        fall to `UNDONE` of themselves in steps of (1 + UNDONE)/K. What only one step shows is no oscillation.
+        (1 - <v+, v>/<v, v>)/dt, is at most its largest eigenvalue, and is near it where the stiffest waves swing: these
+        fall to `UNDONE` of themselves in steps of (1 + UNDONE)/K. A reversal in only one step is no oscillation.
         """
         surface, area = now.surface, now.area
 

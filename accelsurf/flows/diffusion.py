@@ -35,7 +35,7 @@ def largest_diffusion(surface: LevelSet) -> float:
 class Polynomial(NamedTuple):
     """Polynomial of a step: (1 - ``blend``) P_k(1 + z/``amount``) + ``blend`` P_s(1 + z/``amount``) for z = D dt Lap.
 
-    P_k and P_s are Legendre's. ``amount`` is the largest stable one, in those of one explicit stage; ``stages`` is s,
+    P_k and P_s are Legendre's. ``amount`` is the largest stable one, in units of one explicit stage's; ``stages`` is s,
     ``blended`` k.
     """
 

@@ -50,9 +50,9 @@ class FlowableMass(Accelerated):
 
     The paper's system for surfaces in extended fields, psi with the corrected sign. Kick by the leap-frog (each
     surface element is accelerated by its own force: no curvature term); then psi, V, rho are advected semi-Lagrangian,
-    rho limited and divided by the exact stretch of the area. What the transport then lacks or has too much is
-    given back where it arose (`mass_balance`). Mass that flows through the border of the volume is gone, and what flows
-    in is added: `mass` in the trace changes by that alone. Mass of surface that vanished goes to the surface around, or
+    rho limited and divided by the exact stretch of the area. The lack or excess of the transport then is
+    given back where it arose (`mass_balance`). Mass that flows out through the border of the volume is gone, and inflow
+    is added: `mass` in the trace changes by that alone. Mass of surface that vanished goes to the surface around, or
     over all the rest where there is none: that alone is the `mass_correction` reported.
 
     With ``gravity`` g the mass potential U_mass = g A int 1/2 rho^2 dA acts as well,

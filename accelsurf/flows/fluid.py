@@ -12,7 +12,7 @@ from scipy import ndimage
 from accelsurf.kernels import fluid as kernels
 from accelsurf.levelset import LevelSet, Workers
 
-#: The fastest wave goes at most so many voxels in a sweep.
+#: Most voxels that the fastest wave goes in a sweep.
 MAX_COURANT = 0.4
 #: Where the mass per volume is below this part of its first value there is no velocity.
 DRY = 1e-6
@@ -79,8 +79,8 @@ def transport_fluid(
 ) -> Transported:
     """The fluid after ``dt`` of rho_t + div(rho V) = 0, (rho V)_t + div(rho V V) = -grad(G rho^2/2), G = ``stiffness``.
 
-    Sweeps along the axes there and back, half a step each (Strang), in as many steps as `MAX_COURANT` asks for. What
-    reaches the border of the grid flows out. ``boundary`` sets in place, before a sweep, what lies beyond a surface.
+    Sweeps along the axes there and back, half a step each (Strang), in as many steps as `MAX_COURANT` asks for. Fluid
+    at the border of the grid flows out. ``boundary`` sets in place, before a sweep, the fluid beyond a surface.
     """
     out = fluid.copy()
     left = 0.0

@@ -1,4 +1,4 @@
-"""Local balance of the mass on a moving surface: what was there before a motion is there after it, or has left."""
+"""Local balance of the mass on a moving surface: mass from before a motion is there after it, or has left."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STRIDE = 6.0
 LAYER_WIDTH = 2.5
 #: In a step the balance may change a density by at most this factor.
 MAX_FACTOR = 2.0
-#: What the transport gives at the border is believed within this factor of what flows through it.
+#: The mass that the transport gives at the border is believed within this factor of the flow through it.
 BORDER_RANGE = 2.0
 
 
@@ -60,7 +60,7 @@ def layer_area(surface: LevelSet, width: float = LAYER_WIDTH) -> np.ndarray:
 def predict(surface: LevelSet, mass: np.ndarray, velocity: np.ndarray, dt: float) -> Prediction:
     """Move the ``mass`` (n,) of the cells by ``dt`` of motion.
 
-    What flows through the border may be up to `BORDER_RANGE` times what the velocity (n, 3) there says.
+    The flow through the border may be up to `BORDER_RANGE` times the flow by the velocity (n, 3) there.
     """
     motion = velocity, dt
     there = _deposited(surface, mass, motion)
@@ -78,11 +78,11 @@ def predict(surface: LevelSet, mass: np.ndarray, velocity: np.ndarray, dt: float
 
 
 def balance(surface: LevelSet, mass: np.ndarray, before: Prediction) -> Balance:
-    """Compare the ``mass`` (n,) that the transport gave the cells with what the prediction took there.
+    """Compare the ``mass`` (n,) that the transport gave the cells with the mass that the prediction took there.
 
-    Every node gives back what it lacks, or takes what it has too much, in the shares in which the masses were added to
-    it: sum of mass x factor is the sum of what the nodes should have. Exceptions: nodes where nothing is left of the
-    surface, and nodes at the limit `MAX_FACTOR`; what they lack is missing in the sum.
+    Every node gives back its lack, or takes its excess, in the shares in which the masses were added to it: sum of mass
+    x factor is the sum of the masses that the nodes should have. Exceptions: nodes where nothing is left of the
+    surface, and nodes at the limit `MAX_FACTOR`; their lack is missing in the sum.
     """
     motion = np.zeros((surface.size, 3), np.float32), 0.0
     here = _deposited(surface, mass, motion)

@@ -42,12 +42,12 @@ class StepInput(NamedTuple):
 
 
 class EnergyRates(NamedTuple):
-    """Energy and mass at the beginning of a step, and what the step takes; see `evolution.StepRecord`.
+    """Energy and mass at the beginning of a step, and the energy that it takes; see `evolution.StepRecord`.
 
     ``kinetic`` is the paper's T, ``weight`` the factor w of the potential in T + w U; the others are in the units
     of U: ``friction`` is lost per unit of flow time; this step takes ``smoothing`` (diffusion, limiter) and adds
-    ``noise``. ``friction_before`` is what the step before lost per unit of time at its end, where that is not
-    ``friction``: a descent loses what its force works, and its speeds change from step to step.
+    ``noise``. ``friction_before`` is the loss per unit of time of the step before at its end, where that is not
+    ``friction``: a descent loses the work of its force, and its speeds change from step to step.
     """
 
     kinetic: float = 0.0
@@ -89,7 +89,7 @@ class StepPlan(NamedTuple):
 class Flow(ABC):
     """The protocol of flows. A subclass gives `name` and `move`; all other methods have a default.
 
-    The defaults are those of a flow without momentum: no fields on the surface, no kinetic energy, and nothing to do
+    The defaults suit a flow without momentum: no fields on the surface, no kinetic energy, and nothing to do
     when momentum is set to zero. All flows know the peak force of the run so far, by which they choose their steps.
 
     Attributes
@@ -142,7 +142,7 @@ class Flow(ABC):
         return [0.0 for _ in self.fields]
 
     def change_grid(self, surface: LevelSet, place: np.ndarray) -> None:  # noqa: B027
-        """Take what the flow has beyond its `fields` to the grid of ``surface``.
+        """Take the flow's data beyond its `fields` to the grid of ``surface``.
 
         ``place`` (2, 3): factors and additions that take an index (z, y, x) there to one on the grid before.
         """

@@ -58,7 +58,7 @@ class RegionMass(Accelerated):
     Mass and momentum live on the whole grid of the surface's box, uniform at first, and leave through its border. There
     is no pressure: nothing feels the force but a layer of ``width`` voxels to either side of the surface. The force is
     smeared over it by a cosine and by mass; the surface moves with the mean of V by the same weights. So the fluid
-    gains what the potential loses, and the surface takes along the mass that it sweeps.
+    gains the energy that the potential loses, and the surface takes along the mass that it sweeps.
 
     Kicks by the leap-frog with exact factors of friction and weight (`Clock.kick`); between them fluid and psi move.
 
@@ -101,12 +101,12 @@ class RegionMass(Accelerated):
         self._initialize(surface)
 
     def set_fluid(self, density: np.ndarray, velocity: np.ndarray) -> None:
-        """Replace density (nz, ny, nx) and velocity (3, nz, ny, nx), z y x, mm per unit time; they are those of now."""
+        """Replace density (nz, ny, nx) and velocity (3, nz, ny, nx), z y x, mm per unit time, by present values."""
         self.fluid = make_fluid(density, velocity)
         self.clock.start_moving()
 
     def change_grid(self, surface: LevelSet, place: np.ndarray) -> None:
-        """Take the fluid to the grid of ``surface``, ``place`` as for `regrid_fluid`; what is new is at rest."""
+        """Take the fluid to the grid of ``surface``, ``place`` as for `regrid_fluid`; new fluid is at rest."""
         self.fluid, self._cell = (
             regrid_fluid(self.fluid, place, surface.shape, self.rho),
             surface.voxel_volume,
@@ -163,7 +163,7 @@ class RegionMass(Accelerated):
         after, clipped = self._clipped(now, layer, dt, limits.cfl / dt)
         sums = self._sums(before, after)
         moved = transport_fluid(surface, after, dt, 0.0, self._dry)
-        # What the surface meets in the step slows it in the step.
+        # Fluid that the surface meets in the step slows it in the step.
         first = self._velocity(surface, after, front, layer.normal)
         last = self._means(surface, moved.fluid, front, layer.normal, first * dt)[:, 1:]
         self.fluid, self.mass = moved.fluid, sums.mass

@@ -42,8 +42,8 @@ class RegionPressure(RegionMass):
 
     The fluid is half a step behind the surface. Between two half steps it moves within the surface that is halfway;
     beyond, it is continued along the normals, rho through the value of the balance, V evenly. Mass in the cells that
-    the surface cuts errs by that; it is scaled to what it was, less what left through the border of the volume, and
-    the sum of this is reported as correction.
+    the surface cuts errs by that; it is scaled to its value before, less the outflow through the border of the volume,
+    and the sum of this is reported as correction.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class RegionPressure(RegionMass):
     """
 
     state_names = (*RegionMass.state_names, "_correction", "_potential", "_before")
-    #: Of the trace; |Omega| of now, mm3; and what the fluid weighs within the surface before the last motion.
+    #: Of the trace; |Omega| of now, mm3; and the mass of the fluid within the surface before the last motion.
     _correction = 0.0
     _potential = 0.0
     _volume = 0.0
@@ -88,7 +88,7 @@ class RegionPressure(RegionMass):
         self.mass = 0.0
 
     def change_region(self, surface: LevelSet, before: np.ndarray) -> None:
-        """Fill what is inside now and was not ``before`` (nz, ny, nx) with the density of the start, at rest."""
+        """Fill voxels inside now and not inside ``before`` (nz, ny, nx) with the density of the start, at rest."""
         fluid, new = self.fluid.copy(), (surface.labels > 0) & ~before
         fluid[:, new] = 0.0
         fluid[0, new] = self.rho
@@ -257,7 +257,7 @@ class RegionPressure(RegionMass):
         )
         near, far = out[:, 0], out[:, 1]
         along = (depth + DEPTHS[0]) / (DEPTHS[1] - DEPTHS[0])
-        # What little there is at a void says nothing about the velocity further on.
+        # The little fluid at a void says nothing about the velocity further on.
         along[near[:, 0] < MIN_BEYOND * self.mass / max(self._volume, 1e-300)] = 0.0
         return near[:, 0], near[:, 1:] + (near[:, 1:] - far[:, 1:]) * along[:, None]
 

@@ -186,7 +186,7 @@ class Interaction:
         Raises
         ------
         UsageError
-            When a click is not of a known form, or there is no such object.
+            When a click is not of a known form, or its object does not exist.
         InputError
             When a click lies outside of the image, takes all that was clicked inside, or the clicks of an interaction
             take too much memory; nothing has changed then.
@@ -218,7 +218,7 @@ class Interaction:
         inside, outside
             As of `add`.
         **settings
-            Of the run, over those of the interaction: ``size``, ``answer``.
+            Of the run, in place of the interaction's: ``size``, ``answer``.
         """
         named, beside = self._texts("inside", inside), self._texts("outside", outside)
         config = self._config.replace(inside=named, outside=beside, **settings)

@@ -55,7 +55,7 @@ class GroupResult:
     Attributes
     ----------
     objects : tuple of SegmentedObject
-        In order of their ids; boxes and grids are those of the whole image.
+        In order of their ids; boxes and grids are the whole image's.
     low, high : ndarray (n, 3) of int64
         Of each object, the box of all voxels where another could have met it at any time: the first, and the one after
         the last. Empty where it had no surface at all.
@@ -95,7 +95,7 @@ class Boxes(NamedTuple):
 
 
 def check_settings(config: RunConfig) -> None:
-    """Refuse what depends on all objects at once, or on the whole image.
+    """Refuse settings that depend on all objects at once, or on the whole image.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Many objects in an image that is read in parts: in groups, each as if all were run at once in memory.
 
 Objects matter to each other only where they are neighbours. So they are run in groups, and where an object of one
-group could have met one of another at any time, both groups are run again as one. What is left has the bytes of a run
+group could have met one of another at any time, both groups are run again as one. The result has the bytes of a run
 of all objects on the whole image: see record 0031.
 """
 
@@ -59,7 +59,7 @@ def _first_groups(starts: ManyStarts, margin: int = MARGIN) -> list[Group]:
     ----------
     starts : ManyStarts
     margin : int, optional
-        Voxels around the box of each start. What is found at the end does not depend on it.
+        Voxels around the box of each start. The result does not depend on it.
     """
     return united(
         [(place,) for place in range(len(starts.ids))], starts.low - margin, starts.high + margin
@@ -67,7 +67,7 @@ def _first_groups(starts: ManyStarts, margin: int = MARGIN) -> list[Group]:
 
 
 class Groups:
-    """Groups of objects on their way to those of which no two could have met.
+    """Groups of objects, united until no two of them could have met.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def segment_many_objects(
     on_group : callable, optional
         Called with the ids of each group that has ended, and its result or why it failed.
     **options
-        Settings by name, over those of ``config``.
+        Settings by name; they override ``config``.
 
     Yields
     ------

@@ -95,7 +95,7 @@ class ImageSlabs:
     def on_levels(
         self, grids: Sequence[Level], mapped: Callable[[Planes], Planes] = lambda values: values
     ) -> Iterator[LevelSlab]:
-        """All planes of all levels, each once and those of a level in order; the image is read about once.
+        """All planes of all levels, each once, and in order on a level; the image is read about once.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class ImageSlabs:
         done = [0] * len(grids)
         for planes in self._slices(top.shape[0], max(1, self.planes // top.factors[0])):
             for level, first, values in self._with_finer(grids, planes, mapped):
-                # Blocks share planes with the next ones: what was there before is left out.
+                # Blocks share planes with the next ones: planes of an earlier block are left out.
                 stop = self._own_stop(grids, planes, level)
                 yield LevelSlab(level, done[level], values[done[level] - first : stop - first])
                 done[level] = stop
@@ -158,13 +158,13 @@ class WholeImage:
     source : LazyVolume
         The whole image.
     filters : ImageFilters, optional
-        What it is filtered by.
+        The filters of the image.
     statistics_from : LazyVolume, optional
         The same image on a coarser level, which all numbers are then of. It is filtered by the same lengths.
     slab_bytes : int, optional
         Bytes of a slab as float32.
     numbers : mapping, optional
-        What another one of the same image has found already.
+        Numbers that another one of the same image has found already.
     channel, channels : int, optional
         Which of several channels it is, for errors.
 
@@ -223,7 +223,7 @@ class WholeImage:
 
     @property
     def numbers(self) -> Numbers:
-        """The scale, and what `found` has found so far: for a `WholeImage` in another process."""
+        """The scale, and the results of `found` so far: for a `WholeImage` in another process."""
         return {_SCALE: self.scale, **self._found}
 
     @property
@@ -254,7 +254,7 @@ class WholeImage:
         ValueError
             When ``make`` is another one: it would need all of the image.
         """
-        # Methods of classes are made anew each time that they are named: they are compared by what they are equal to.
+        # Methods of classes are made anew each time that they are named: they are compared by equality.
         ways: list[tuple[Callable[..., Any], Callable[..., Any]]] = [
             (noise_of, self._noise),
             (otsu_level, self._otsu_level),
@@ -282,7 +282,7 @@ class WholeImage:
     ) -> NDArray[np.float64]:
         """The same of any sums; ``kind`` is their name.
 
-        With numbers from a coarser image, those of it, for the number of voxels that the level has.
+        With numbers from a coarser image, its sums, for the number of voxels that the level has.
         """
         if (kind, level) not in self._sums:
             if self._coarse is None:

@@ -36,13 +36,13 @@ from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart
 
-#: Statistics of an image of more voxels are those of a coarser level, where one of at most this number is stored.
+#: Statistics of an image of more voxels are a coarser level's, where one of at most this number is stored.
 MAX_STREAMED = 1 << 31
 #: Growth of a window where it was left, in extents of it; less where the memory is too small for that.
 GROWTH = 1.0
 #: Levels for which a first window has room, where their number is chosen by the start.
 _FIRST_LEVELS = 3
-#: What the voxels of a region of interest have around them: a result ends half a voxel beyond the region.
+#: Margin, voxels, around the voxels of a region of interest: a result ends half a voxel beyond the region.
 _AROUND_REGION = 2
 
 
@@ -94,7 +94,7 @@ class LargeImage:
     def whole(self, config: RunConfig, numbers: Sequence[Numbers] = ()) -> tuple[WholeImage, ...]:
         """Return the numbers of each whole channel, which is read through when it is first asked for.
 
-        ``numbers`` are those of each channel that are known already.
+        ``numbers`` are the known ones of each channel.
         """
         filters = filters_of(config, self.geometry)
         levels, known = (
@@ -254,7 +254,7 @@ def first_window(config: RunConfig, geometry: Geometry) -> Window:
 
 
 def _on_levels(window: Window, count: int) -> Window:
-    """Return the smallest window around another whose blocks are those of the whole grid on a number of levels."""
+    """Return the smallest window around another whose blocks are the whole grid's on a number of levels."""
     return Window(
         window.geometry,
         aligned(window.box, window.geometry, _blocks_of(window.geometry, count)),

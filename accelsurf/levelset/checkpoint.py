@@ -14,8 +14,8 @@ class SurfaceState(NamedTuple):
     """State of a surface for `restore_surface`.
 
     ``cells`` (n,) of the band, uint32 where that is enough; ``psi`` (n,) mm; ``closest_points`` (n, 3), the vectors to
-    them, mm; ``inside`` bits, whether each stretch of a row beyond the band is inside; ``inside_beyond`` number of such
-    voxels; ``requested_half_width`` of the band.
+    them, mm; ``inside`` bits, whether each stretch of a row beyond the band is inside; ``inside_beyond`` number of
+    inside voxels there; ``requested_half_width`` of the band.
     """
 
     cells: np.ndarray

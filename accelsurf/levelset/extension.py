@@ -157,7 +157,7 @@ def advected(
 ) -> list[np.ndarray]:
     """Return fields (n_old,) on a new band, from the points that ``moved`` there.
 
-    The first three are the velocity's components; what it transports, such as a density, is interpolated and limited.
+    The first three are the velocity's components; transported fields, like a density, are interpolated and limited.
     """
     if not fields:
         return []

@@ -24,7 +24,7 @@ from accelsurf.levelset.threads import Workers
 def march_outwards(surface: NarrowBand) -> ClosestPoints:
     """Find closest points as `closest_points.find_closest_points`, with only those beside the surface sought in psi.
 
-    Distances further off are those of a fast march, and the closest points fields that it carries.
+    Distances further off are a fast march's, and the closest points fields that it carries.
     """
     grid = surface.grid
     dense = surface.dense

@@ -39,7 +39,7 @@ from accelsurf.levelset.threads import Workers
 #: are evaluated there; the other band cells get the front's values along the normals. Linear interpolation
 #: at a closest point needs cells up to sqrt(3) voxels off.
 FRONT_WIDTH = 2.0
-#: Components of at most this many voxels are below what the grid resolves (a ball of radius 1.5 voxels).
+#: Components of at most this many voxels are below the resolution of the grid (a ball of radius 1.5 voxels).
 MAX_UNRESOLVED = 14
 NO_CELLS = np.empty(0, np.int64)
 
@@ -298,7 +298,7 @@ class LevelSet:
             transport.advect_psi, self.size, *where, four_columns(velocity), dt, out
         )
         self.dense.psi[self.band.cells] = out
-        # The interpolation at the departure points errs too: what it leaves at the points that V moved is known now.
+        # The interpolation at the departure points errs too: its residue at the points that V moved is known now.
         self._residues = None
         self._find_residues(Motion(velocity, dt))
 
@@ -335,7 +335,7 @@ class LevelSet:
         return int(inside + outside)
 
     def extend_outwards(self, values: np.ndarray, front: np.ndarray) -> None:
-        """Overwrite ``values`` (n,) off the front by those of the front, constant along normals."""
+        """Overwrite ``values`` (n,) off the front by the front's, constant along normals."""
         # Cached for the next field with the same mask.
         if self._extension is None or self._extension.front is not front:
             self._extension = extension_from(self, front)
@@ -428,7 +428,7 @@ class LevelSet:
             self._residues = find_residues(self, motion or Motion(self.band.to_closest, 0.0))
 
     def _replace_band(self, band: Band) -> None:
-        """Replace the band by the one in the dense arrays, and clear what is cached for the old one."""
+        """Replace the band by the one in the dense arrays, and clear the caches for the old one."""
         self.band = band
         self._extension = None
         self._rows = None

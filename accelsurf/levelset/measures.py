@@ -1,4 +1,4 @@
-"""Measures on the band: shares of voxels, area, curvature, displacement, and what a redistancing did to it."""
+"""Measures on the band: shares of voxels, area, curvature, displacement, and its changes by redistancing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from accelsurf.levelset.threads import Workers
 
 
 class NarrowBand(Protocol):
-    """A surface on a narrow band, with what measures, extensions and closest points read of it.
+    """A surface on a narrow band, with the attributes that measures, extensions and closest points read.
 
     It is a `LevelSet`, which says more of each.
     """
@@ -79,7 +79,7 @@ class BandChange(NamedTuple):
     fields: list[np.ndarray]
 
 
-#: A part of the surface that is further than so many voxels from an earlier surface is still moving.
+#: A part of the surface that is further than this, voxels, from an earlier surface is still moving.
 FAR = 2.0
 
 

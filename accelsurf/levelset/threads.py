@@ -69,7 +69,7 @@ class Workers:
     ) -> np.ndarray:
         """Sum the rows that ``kernel(first_plane, last_plane, *args, rows)`` leaves, one per plane, in order.
 
-        Rows of planes with nothing to add are 0: what is summed has the same bytes on every box that contains it.
+        Rows of planes with nothing to add are 0: the sums of a part have the same bytes on every box that contains it.
         """
         rows = np.zeros((shape[0], columns))
         self._run(kernel, math.prod(shape), shape[0], 1, (*args, rows))
@@ -85,7 +85,7 @@ class Workers:
     def _run(
         self, kernel: Callable[..., Any], cells: int, size: int, grain: int, args: tuple[Any, ...]
     ) -> None:
-        """Call a kernel on the ranges of ``0 .. size``, which have so many ``cells``; both are counted."""
+        """Call a kernel on the ranges of ``0 .. size``, which have ``cells`` cells in all; both are counted."""
         self.visited += cells
         began = time.perf_counter()
         self._share_out(kernel, size, grain, args)
@@ -100,7 +100,7 @@ class Workers:
     ) -> None:
         """Distribute ``0 .. size`` in ranges of whole grains over the threads, including this one.
 
-        In as many ranges as are worth their cost, by what a slot took the kernel last time: the bytes are the same.
+        In as many ranges as are worth their cost, by the last time of a slot in the kernel: the bytes are the same.
         """
         name = kernel.__name__
         alone = self._pace.get(name, math.inf) * size
@@ -113,7 +113,7 @@ class Workers:
             took = self._drained(
                 self._pool, kernel, [(i, min(i + step, size)) for i in range(0, size, step)], args
             )
-        # Fewer take what a call takes by itself.
+        # A smaller size takes the overhead of a call.
         if size > grain:
             self._pace[name] = took / size
 

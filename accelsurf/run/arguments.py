@@ -73,7 +73,7 @@ def given_arrays(
 
 
 def surfaces_of(objects: Any) -> list[ObjectStart]:
-    """First surfaces of several objects where they were given as such, in order of their ids; else none."""
+    """First surfaces of several objects where surfaces were given, in order of their ids; else none."""
     if not isinstance(objects, (tuple, list)) or not all(
         isinstance(segmented, ObjectStart) for segmented in objects
     ):
@@ -205,7 +205,7 @@ def with_options(
     config = config or RunConfig()
     known = config.model_fields_set | options.keys()
     if energy is not None and (clicked or "inside" in options):
-        # What clicks choose otherwise; the energy of one's own has no model of them.
+        # Clicks would choose another default; the energy of one's own has no model of them.
         options = {"energy": default_of("energy"), **options}
     if clicked:
         defaults = {"energy": "seeded", "start": ("clicks",)}

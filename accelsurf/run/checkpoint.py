@@ -94,7 +94,7 @@ class CheckpointHeader(NamedTuple):
     Attributes
     ----------
     versions : dict of str to str
-        Of accelsurf and of what its numbers depend on; ``processor`` is the one that the code was compiled for.
+        Of accelsurf and the packages that its numbers depend on; ``processor``, for which the code was compiled.
     run : str
         `_run_digest`.
     settings : dict
@@ -232,7 +232,7 @@ def load_checkpoint(path: str | Path, run: Source) -> RunCheckpoint:
     Raises
     ------
     InputError
-        When the file cannot be read, is damaged, or is of another run; what differs is named.
+        When the file cannot be read, is damaged, or is of another run; the difference is named.
     """
     header, state = read_checkpoint(path)
     refuse_another_run(path, header, checkpoint_header(run))
@@ -263,7 +263,7 @@ def refuse_another_run(path: str | Path, header: CheckpointHeader, here: Checkpo
 
 
 def _run_digest(run: Source) -> str:
-    """SHA-256 of what determines the steps of a run: voxels, grid, starts and settings, but not the number of threads.
+    """SHA-256 of the data that determine the steps of a run: voxels, grid, starts, settings, not the number of threads.
 
     Of an energy of one's own it is the name.
     """

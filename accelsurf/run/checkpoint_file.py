@@ -87,7 +87,7 @@ class CheckpointFile:
         Returns
         -------
         list of str
-            Reasons for which the last bits of the result may differ from those of a run that was never stopped.
+            Reasons for which the last bits of the result may differ from the result of a run that was never stopped.
 
         Raises
         ------

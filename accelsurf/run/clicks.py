@@ -84,7 +84,7 @@ def placed(
     mask_distance: NDArray[np.float32] | None,
     before: Clicks | None,
 ) -> Clicks:
-    """Return clicks after those of ``before``, on the grid of the region of interest.
+    """Return clicks after the clicks of ``before``, on the grid of the region of interest.
 
     Parameters
     ----------
@@ -107,13 +107,13 @@ def placed(
 
     Notes
     -----
-    Clicks that are given at once must agree; later ones take the voxels that they contradict from those of ``before``.
+    Clicks that are given at once must agree; later ones take the voxels that they contradict from ``before``.
     """
     geometry = volume.geometry
     shape = tuple(s.stop - s.start for s in box)
     for click in clicks:
         if click.side == "outside" or click.id == NO_OBJECT:
-            continue  # what lies outside of the mask is outside anyway
+            continue  # voxels outside of the mask are outside anyway
         at = np.argwhere(click.mask) + np.array([s.start for s in click.box])
         here = at - np.array([s.start for s in box])
         lost = ((here < 0) | (here >= np.array(shape))).any(axis=1)
@@ -370,7 +370,7 @@ def balls_of(edit: Correction, geometry: Geometry) -> tuple[BallEdit, ...]:
 
 
 def balls_for(id: int, edit: Correction, balls: Sequence[BallEdit]) -> tuple[BallEdit, ...]:
-    """The balls of an edit for object ``id`` of several: what one object gains is taken from the others."""
+    """The balls of an edit for object ``id`` of several: the gain of one object is taken from the others."""
     if edit.object is None or edit.object == id:
         return tuple(balls)
     return tuple(ball._replace(kind="remove") for ball in balls if ball.kind == "add")

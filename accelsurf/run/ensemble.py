@@ -28,8 +28,8 @@ from accelsurf.run.evolving_object import EvolvingObject
 from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.starts.objects import ObjectStart
 
-#: Objects can touch in a step where the boxes around them, larger by so many voxels on each side, overlap: contact sets
-#: in over one voxel, and none moves by more than one.
+#: Objects can touch in a step where the boxes around them, larger by this number of voxels on each side, overlap:
+#: contact sets in over one voxel, and none moves by more than one.
 NEAR = 2
 #: A converged object moves again when a neighbour is this deep inside it, in voxels of the smallest spacing, and each
 #: further time when it is so much deeper than the last time: two that converge where they overlap would set each other
@@ -61,7 +61,7 @@ class Ensemble:
     meet : bool
         Whether they can touch; False for a single object.
     window : Window, optional
-        What part of a larger grid theirs is.
+        The part of a larger grid that theirs is.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Ensemble:
         Raises
         ------
         LeavesWindow
-            When a surface, or what its energy sees, comes near an open face of the window.
+            When a surface, or the part that its energy sees, comes near an open face of the window.
         """
         steps = self._steps(steps_left, reactivate)
         if self._window is not None:
@@ -122,7 +122,7 @@ class Ensemble:
             for batch in self._batches(meets)
             for step in self._each(EvolvingObject.step, batch)
         ]
-        # What has vanished needs no room.
+        # Vanished objects need no room.
         self._each(
             EvolvingObject.grow_grid,
             [evolving for evolving in moving if evolving.moves and evolving.surface.size],

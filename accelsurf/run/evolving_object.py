@@ -149,7 +149,7 @@ class EvolvingObject:
         return tuple(np.array(self.corner) + self.surface.extent())
 
     def seen(self) -> Box:
-        """The voxels of the level's grid that its step depends on: its box, or its band and what its energy sees."""
+        """The voxels of the level's grid that its step depends on: its box, or its band and the reach of its energy."""
         if self._among_others:
             return box_at(self.corner, self.surface.shape)
         reach = [math.ceil(self._setup.reach / h) for h in self.grid.spacing]
@@ -451,7 +451,7 @@ class EvolvingObject:
 
 
 def roomy_box(low: NDArray[np.int64], high: NDArray[np.int64], reach: float, grid: Level) -> Box:
-    """Return the box for an object between two voxels: its energy sees there what it sees on the whole grid.
+    """Return the box for an object between two voxels: its energy sees the same there as on the whole grid.
 
     Parameters
     ----------

@@ -120,9 +120,9 @@ class ModelInputs(NamedTuple):
     mask : ndarray (nz, ny, nx) of bool or None
         Where it may be.
     partition : BasinsOnce or None
-        What objects share that part the space between them at edges, where nothing else counts; else None.
+        Shared by objects that part the space between them at edges, where nothing else counts; else None.
     window : Window or None
-        What part of the whole grid the images are; None for all of it.
+        The part of the whole grid that the images are; None for all of it.
     answer : int
         Which answer to the first click is taken, from 1.
     given : GivenMask or None
@@ -304,7 +304,7 @@ class ImageContext:
                 ):
                     previous = before.click_model()
                 scene = self.scene()
-                if size is not None:  # what fills the image has no surface
+                if size is not None:  # an object that fills the image has no surface
                     size = min(
                         size, _FILLS * float(np.prod(scene.whole_shape) * np.prod(self.spacing))
                     )
@@ -391,8 +391,8 @@ class ImageContext:
     def sums_of_background(self, channel: int, kind: str, summing: Summing) -> NDArray[np.float64]:
         """Sums of a channel over the background that likelihood learns from; ``kind`` is their name.
 
-        Unless voxels of the background are given, they are those of everything less those of the foreground: the
-        same, wherever the image ends beyond the foreground.
+        Unless voxels of the background are given, they are everything's less the foreground's: the same,
+        wherever the image ends beyond the foreground.
         """
         training, image = self._trained_on(*_NO_SAMPLE), self.images[channel]
         if (channel, kind) not in self._background:
@@ -451,7 +451,7 @@ class TermInputs:
     Attributes
     ----------
     settings : mapping of str to float or str
-        What was written after the colon, by key.
+        The ones written after the colon, by key.
     config : RunConfig
     image : ndarray (nz, ny, nx), float32
         The channel that it sees, on the grid at hand, 0 and 1 at its percentiles.

@@ -38,7 +38,7 @@ class _Growth(NamedTuple):
 class GrowthState(NamedTuple):
     """All growth so far, in the order of steps: id of the object, volume before, and number of cubes of each.
 
-    ``cubes`` and ``sums`` are those of all steps, one after another.
+    ``cubes`` and ``sums`` are all steps' together, one after another.
     """
 
     ids: NDArray[np.int64]
@@ -84,7 +84,7 @@ class LateLeakage:
         fields = step.fields
         if fields is None or not fields.cells.size:
             return
-        # The speed is along the inward normal: below 0 the surface grows. What swings back and forth cancels.
+        # The speed is along the inward normal: below 0 the surface grows. Swings back and forth cancel.
         area = float(np.prod(level.factors)) ** (2 / 3)
         # The cube of each index along an axis, by a table.
         along = [

@@ -24,7 +24,7 @@ class RegionTotals:
     psi : ndarray (nz, ny, nx)
         The object, negative inside; the caller changes it, with `change`.
     totals : mapping of str to ndarray (2, m), optional
-        Those of a saved state, by their names.
+        The totals of a saved state, by their names.
     """
 
     def __init__(

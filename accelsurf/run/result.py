@@ -46,7 +46,7 @@ if TYPE_CHECKING:
         Confidence,
     )  # a viewer without a run imports no compiler
 
-#: Columns of the history that are summed over objects, and those of which the largest counts.
+#: Columns of the history that are summed over objects, and columns of which the largest value counts.
 _SUMMED = (
     "potential",
     "kinetic",
@@ -243,8 +243,8 @@ class SegmentedObject:
     def estimates(self) -> Estimates:
         """Best estimates of the true volume, area and diameter: by the edge in the image, not by the surface alone.
 
-        Where the image has no edge to measure by, and of an image of one slice, volume and area are those of the
-        surface.
+        Where the image has no edge to measure by, and of an image of one slice, volume and area are the
+        surface's.
         """
         return self._by_edge[0]
 
@@ -364,8 +364,8 @@ class Result:
     def labels(self) -> NDArray[np.integer[Any]]:
         """The id of the object that a voxel's centre is inside of, 0 of none; (nz, ny, nx), uint8, uint16 or uint32.
 
-        Of a label map that is mended the type is that of the map, as long as it holds all ids, and the other labels are
-        those of the map.
+        Of a label map that is mended the type is that of the map, as long as it holds all ids, and the other labels
+        stay.
         """
         if not self.has_ids:
             return self._one.labels
@@ -425,7 +425,7 @@ class Result:
 
     @cached_property
     def run_history(self) -> list[StepRecord]:
-        """`history` without corrections, whose potentials are those of their boxes and compare with no others."""
+        """`history` without corrections, whose potentials belong to their boxes and compare with no others."""
         edits = {edit.step for edit in self.config.edit[: self.edits_done]}
         histories = [
             _before_corrections(segmented.history, edits)
@@ -571,7 +571,7 @@ def _combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
     """The history of several objects together, by step.
 
     Energies, mass, volume and area are summed; the columns of `_LARGEST` have the largest value of any object; the
-    other columns are those of the first. An object that has stopped counts with its last record.
+    other columns are the first one's. An object that has stopped counts with its last record.
     """
     records = []
     for step in range(max(map(len, histories))):
@@ -583,7 +583,7 @@ def _combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
 
 
 def _before_corrections(history: list[StepRecord], edits: set[int]) -> list[StepRecord]:
-    """The records of a run without those of corrections after it; ``edits`` are the steps of edits of the run itself.
+    """The records of a run without later corrections; ``edits`` are the steps of edits of the run itself.
 
     A correction counts as an edit before its first step, and replaces the record of the final state.
     """
@@ -668,7 +668,7 @@ class RunState:
     totals : mapping of str to ndarray (2, m)
         Of `accelsurf.run.region_totals.RegionTotals`; empty before the first correction.
     settings : mapping of int to RunConfig
-        Of objects whose settings are not those of the run: those that corrections have begun.
+        Of objects whose settings are not the run's: corrections have begun them.
     masks : mapping of int to BoxMask
         By the number of a correction, on the grid of the region of interest: voxels that its new object may not have,
         or that were split off.

@@ -84,11 +84,11 @@ class Run:
     prepared : PreprocessedInput
         Image and mask, on the grid of the region of interest.
     objects : tuple of EvolvingObject
-        In order of their ids; without what competes for the id 0, "no object".
+        In order of their ids; without the one that competes for the id 0, "no object".
     flow_choice : FlowChoice
         The flow where the settings leave it open.
     window : Window or None
-        What part of a larger grid the volume is.
+        The part of a larger grid that the volume is.
     level : int
         The present level; 0 is the image's own grid.
     workers : Workers

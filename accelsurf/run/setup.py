@@ -71,12 +71,12 @@ def choose_levels(
     has_name : bool
         Whether the energy is one with a name.
     window : Window, optional
-        What ``geometry`` is of a larger grid: there are as many levels as that has.
+        The part of a larger grid that ``geometry`` is: there are as many levels as that grid has.
 
     Raises
     ------
     UsageError
-        When the grid does not have so many; NeedsLevels when the window may be too small for all that there are.
+        When the grid has fewer levels; NeedsLevels when the window may be too small for all that there are.
     """
     spacing, wanted = geometry.spacing, config.levels
     shape = geometry.shape if window is None else window.geometry.shape

@@ -78,7 +78,7 @@ def start_of_run(
     part: WindowInput | None = None,
     labels_given: Volume | NDArray[Any] | None = None,
 ) -> RunStart:
-    """Read and prepare the start of a run; the parameters are those of `accelsurf.run.run.Run`.
+    """Read and prepare the start of a run; parameters as of `accelsurf.run.run.Run`.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def _with_clicks(context: ImageContext, clicks: Clicks | None, id: int) -> Image
 
 
 def _make_models(contexts: Sequence[ImageContext], threads: int) -> None:
-    """Make the models of several objects, some at a time; those of a partition share too much for that."""
+    """Make the models of several objects, some at a time; models of a partition share too much for that."""
     at_once = min(threads, _MODELS_AT_ONCE)
     if contexts[0].model_inputs.partition is not None or at_once < 2:
         return

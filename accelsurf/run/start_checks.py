@@ -25,31 +25,32 @@ from accelsurf.settings.wording import volume_text
 from accelsurf.starts.objects import ObjectStart
 
 #: A start will shrink if less than this part of its values lies within the bounds; a window takes in the surroundings
-#: if it has more than this part of the voxels from so many to so many radii of the start around it.
+#: if it has more than this part of the voxels in a shell around the start (bounds in its radii).
 _MIN_WITHIN = 0.2
 _MAX_AROUND = 0.5
 SHELL = (3.0, 8.0)
-#: A start has outliers if its standard deviation is so many times the median-based one; they lie beyond so many of it.
+#: A start has outliers if its standard deviation is over this multiple of the median-based one; they lie beyond
+#: the second multiple.
 _OUTLYING = 2.0
 FAR = 4.0
-#: Fewest voxels of a start that outliers are looked for in; surroundings and image are sampled at about so many voxels.
+#: Fewest voxels of a start that outliers are looked for in; number of samples of surroundings and image, about.
 MIN_VOXELS = 20
 SAMPLES = 1 << 18
 #: The area cannot pull in a start whose curvature it weighs less than this part of the squared contrast.
 _SAFE = 0.25
-#: What looks like the background has at least this part of the image; values are like the click within so many spreads.
+#: Voxels like the background are at least this part of the image; values within these spreads are like the click.
 _COMMON = 0.05
 _WITHIN = 4.0
 #: A click is background where more than this part of it has the image's least or largest value.
 _ONE_VALUE = 0.9
 #: Values lie at an end of the image's range within this part of it.
 _END = 0.15
-#: A click of fewer voxels is looked at with so many voxels around it.
+#: A click of fewer voxels is looked at with a margin of this width, voxels.
 _FEW = 20
 _AROUND = 2
 #: The part around the click has at least this part of the image's corners.
 _CORNERS = 0.75
-#: What has one value is background where at least this part of the corners has it.
+#: Voxels of one value are background where at least this part of the corners has it.
 _HALF = 0.5
 
 
@@ -66,7 +67,7 @@ def start_checks(
     prepared: PreprocessedInput,
     has_ids: bool,
 ) -> list[str]:
-    """A line for each problem of a start, with what to try; to be called before the first step.
+    """A line for each problem of a start, with a remedy to try; to be called before the first step.
 
     Parameters
     ----------
@@ -178,7 +179,7 @@ def _background_share(image: NDArray[np.float32], click: Click) -> float:
     """Return the share of an image that is background like a click; 0 where the click does not look like it.
 
     The values under the click are the image's least or largest one with no spread, and many voxels have it, half of
-    the corners among them. Or they lie at an end of the range, and what is like them and connected to the click reaches
+    the corners among them. Or they lie at an end of the range, and voxels like them and connected to the click reach
     most corners of the image.
 
     Parameters
@@ -319,7 +320,7 @@ def _outlier_line(
     corner : (int, int, int)
     geometry : Geometry
     option : str
-        What to try, with a star in place of a ball.
+        The option to try, with a star in place of a ball.
     """
     middle = float(np.median(values))
     spread, robust = float(values.std()), NORMAL_MAD * float(np.median(np.abs(values - middle)))

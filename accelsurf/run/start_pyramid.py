@@ -15,7 +15,7 @@ from accelsurf.starts.objects import ObjectStart
 
 
 class StartPyramid:
-    """The start of an object on the levels of a run; those of coarser levels than the present one are released.
+    """The start of an object on the levels of a run; coarser levels than the present one are released.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The server's endpoints: who may ask, what is read of a request, and who works on it."""
+"""The server's endpoints: who may ask, the parts of a request that are read, and who works on it."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ MAX_WAITING = 32
 UNLOGGED = ("healthz", "capabilities", "lease_status", "heartbeat", "set_do_autozoom")
 #: Letters of a line of the log.
 MAX_LINE = 300
-#: Where a request has what it did, for the log.
+#: Key of a request's scope with its effect, for the log.
 _DONE = "accelsurf.done"
 #: Seconds between two looks for clients that are gone.
 SWEEP = 5.0
@@ -268,7 +268,7 @@ class Server:
             except LeaseLostError:
                 status, detail = 410, "the lease is unknown or has ended: claim a new one"
             except LateError as late:
-                # What the client shows may not be what the session has.
+                # The client may show another object than the session has.
                 self.leases.release(request.headers.get(LEASE, ""), "its work took too long")
                 status, detail = (
                     503,
@@ -298,7 +298,7 @@ class Server:
         return answer
 
     def end(self) -> None:
-        """Answer what is asked now with a line that says so: nothing is worked on any more."""
+        """Answer open requests with a line about the end: nothing is worked on any more."""
         self._is_ending = True
         for task in list(self._asked):
             task.cancel()
@@ -306,7 +306,7 @@ class Server:
     # -- the log -------------------------------------------------------------------------------------------
 
     def _log(self, request: Request, error: str, began: float) -> None:
-        """Note a request: of whom, what, and what came of it. Nothing of the image but sizes is noted, and no path."""
+        """Note a request: its client, name and effect. Nothing of the image but sizes is noted, and no path."""
         what = request.url.path.removeprefix("/")
         if what in UNLOGGED and not error:
             return
@@ -353,7 +353,7 @@ class Server:
     # -- reading -------------------------------------------------------------------------------------------
 
     async def _body_parts(self, request: Request, most: int) -> AsyncIterator[bytes]:
-        """Return a body of at most so many bytes, part by part."""
+        """Return a body of at most ``most`` bytes, part by part."""
         said = request.headers.get("Content-Length", "0")
         if said.isdecimal() and int(said[:20]) > most:
             raise Refusal(413, f"a body of {said[:20]} bytes was sent, at most {most} expected")
@@ -419,7 +419,7 @@ class Server:
     async def _with_array(
         self, request: Request, work: Callable[[Any], Done], max_voxels: int, seconds: float
     ) -> Done:
-        """Read a packed array of at most so many voxels, and let the worker do something with it."""
+        """Read a packed array of at most ``max_voxels`` voxels, and let the worker do something with it."""
         free = int(SHARE * psutil.virtual_memory().available)
         # An array that cannot be packed is a little longer than its values.
         most = min(8 * max_voxels, free // 2)
@@ -613,7 +613,7 @@ async def _discarded(request: Request) -> bool:
 
 
 def _parsed(text: bytes, kind: type[Said]) -> Said:
-    """Return what a client says.
+    """Return a client's JSON as a ``kind``.
 
     Raises
     ------
@@ -631,7 +631,7 @@ def _parsed(text: bytes, kind: type[Said]) -> Said:
 
 
 def _response(request: Request, session: ImageSession, is_asked: bool, side: str = "") -> Response:
-    """Return the answer to a prompt: what has changed, if the client asks for it; and note it for the log."""
+    """Return the answer to a prompt: the part that has changed, if the client asks for it; and note it for the log."""
     answer = session.answer() if is_asked else None
     if answer is None:
         changed = "nothing has changed" if is_asked else "no answer is asked for"

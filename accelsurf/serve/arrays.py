@@ -1,4 +1,4 @@
-"""Arrays as the protocol packs them: a header, and chunks of blosc2. What a header claims is checked before memory is.
+"""Arrays as the protocol packs them: a header, and chunks of blosc2. A header's claims are checked before memory is.
 
 An array is ``NNIA``, a version, a codec, the numbers of axes and of letters of the type's name, that name, the shape
 as int64, and a number of chunks as uint32. Each chunk has its size unpacked and packed as uint64, and is a frame of
@@ -34,7 +34,7 @@ MAX_AXES = 4
 #: Bytes of a chunk that is written, and the most of one that is read: blosc2 counts with 31 bits.
 CHUNK = 1 << 30
 MAX_CHUNK = (1 << 31) - 1
-#: A header, and what stands before each chunk.
+#: A header, and the sizes before each chunk.
 _HEADER = struct.Struct("<4sBBBB")
 _SIZES = struct.Struct("<QQ")
 #: The header of a frame: sizes unpacked, of a block, and packed.

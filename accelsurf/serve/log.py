@@ -29,7 +29,7 @@ class Log:
             return
 
     def close(self) -> None:
-        """Write what waits, if that can be done at once."""
+        """Write the waiting lines, if that can be done at once."""
         try:
             self._lines.put(None, timeout=SECONDS)
         except queue.Full:

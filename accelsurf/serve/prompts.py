@@ -1,4 +1,4 @@
-"""Prompts into clicks: the voxels that a point, a rectangle, a stroke or a lasso covers, and what follows from them."""
+"""Prompts into clicks: the voxels that a point, a rectangle, a stroke or a lasso covers, and the clicks that follow."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def outline(grid: Grid, drawn: accelsurf.Click, side: Side) -> list[accelsurf.Cl
 
     With the side inside the object about fills it, and lies nowhere else in the slice: a ball around its deepest place
     is inside, the rim around it is outside, and so is the rest of the slice. The rim is a click by itself, for the
-    model learns more from what is near. With the side outside nothing of it is the object's.
+    model learns more from near voxels. With the side outside nothing of it is the object's.
 
     Parameters
     ----------

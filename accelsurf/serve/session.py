@@ -141,7 +141,7 @@ class ImageSession:
         self._changed, self._waiting = None, 0
 
     def answer(self) -> Answer | None:
-        """Return what has changed since the last answer, if anything."""
+        """Return the part that has changed since the last answer, if any."""
         changed = self._changed
         self._changed = None
         self._waiting = 0
@@ -163,7 +163,7 @@ class ImageSession:
         self._waiting += 1
 
     def _note(self, changed: Box | None) -> None:
-        """Widen what has changed, a box in our order of axes."""
+        """Widen the changed part by a box in our order of axes."""
         if changed is None:
             return
         back = tuple(changed[self._axes.index(axis)] for axis in range(3))
@@ -238,7 +238,7 @@ class Leases:
     Parameters
     ----------
     most : int
-        So many at once.
+        Greatest number of leases at once.
     idle : float
         Seconds without a prompt after which a lease ends.
     clock : callable, optional

@@ -1,4 +1,4 @@
-"""Appearance of an object near its given surface, on both sides, and what it says of the voxels of another frame.
+"""Appearance of an object near its given surface, on both sides, and the odds that it gives voxels of another frame.
 
 Features of a voxel are the mean and the standard deviation of the image in Gaussian windows of several widths. A
 quadratic function of them, Fisher's discriminant, tells the voxels that lie inside near the surface from those outside
@@ -17,7 +17,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.track.boxed_surface import Floats
 from accelsurf.track.records import SurfacePiece
 
-#: Widths (sigma) of the windows, voxels; they end after so many sigmas.
+#: Widths (sigma) of the windows, voxels, and their half width in sigmas.
 SCALES = (1.0, 2.0, 4.0, 6.0)
 END = 3.0
 #: Voxels to either side of the surface that are learned from, and those in which the evidence has its slope.
@@ -150,7 +150,7 @@ def _features(image: Volume, box: Box) -> Floats:
         slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, room, strict=True)
     )
     values = image.array[room]
-    middle = np.float32(values.mean(dtype=np.float64))  # squares of what is left have digits enough
+    middle = np.float32(values.mean(dtype=np.float64))  # squares of the rest have digits enough
     values = values.astype(np.float32) - middle
     found = []
     for sigma in sigmas:

@@ -25,7 +25,7 @@ OnBox = Callable[[Corner, Corner], NDArray[Any]]
 #: Voxels between the band and the edge of its box after the box was laid out, and the fewest before a step.
 MARGIN = 4
 GUARD = 2
-#: Surface that was not there before has the mean of so many cells of the front nearest to it.
+#: Surface that was not there before has the mean of this number of cells of the front nearest to it.
 NEIGHBOURS = 16
 #: A part is an object of its own from this part of the largest one's volume on; smaller ones are left out.
 OWN_PART = 0.2
@@ -171,8 +171,8 @@ class BoxedSurface(NamedTuple):
     def with_room(self, room: Sequence[int] | NDArray[np.int64]) -> BoxedSurface:
         """The surface on a box with at least ``room`` (z, y, x) voxels and a margin around its band; itself if it is.
 
-        Where the box cuts the object it has the border of the grid there, or what has come in over it: the surface
-        is continued straight up to the border.
+        Where the box cuts the object it has the border of the grid there, or the part that has come in over it: the
+        surface is continued straight up to the border.
         """
         shape, corner = np.array(self.surface.shape), np.array(self.corner)
         if not self.surface.size:
@@ -346,7 +346,7 @@ def touching(surfaces: Sequence[SurfacePiece], image: Volume, edge: float) -> li
     image : Volume
         The frame.
     edge : float
-        Value half-way between objects and what is around them.
+        Value half-way between objects and their surroundings.
     """
     labels = np.zeros(image.geometry.shape, np.int32)
     for place, surface in enumerate(surfaces, start=1):

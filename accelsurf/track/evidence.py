@@ -13,12 +13,12 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.track.records import SurfacePiece
 
-#: An object is seen where volume and area are within this factor of what was expected, and the image across the
+#: An object is seen where volume and area are within this factor of the expected ones, and the image across the
 #: surface has at least one over this factor of the structure that it had.
 FACTOR = 2.0
-#: Values across the surface are means over layers of a voxel: so many on either side.
+#: Values across the surface are means over layers of a voxel: this number on either side.
 LAYERS = 3
-#: Places nearer to another object than so many voxels say nothing of this one.
+#: Places nearer to another object than this, voxels, say nothing of this one.
 APART = 2.0
 
 

@@ -58,7 +58,7 @@ def first_objects(
     energy : Energy or callable, optional
         One of the user's own.
     objects : str, Volume or ndarray, optional
-        First voxels of several objects, in place of those of ``config``.
+        First voxels of several objects, in place of the objects in ``config``.
     on_step : callable, optional
 
     Raises
@@ -103,7 +103,7 @@ def given_objects(
     config : RunConfig
         With ``objects`` or ``start``.
     objects : str, Volume or ndarray, optional
-        In place of those of ``config``.
+        In place of the objects in ``config``.
     geometry : Geometry
         Grid of the frame.
 
@@ -121,7 +121,7 @@ def given_objects(
     if isinstance(given, str) and given.lower().endswith(".csv"):
         return None
     if not isinstance(given, str | Volume | np.ndarray):
-        return None  # surfaces, which need not be those of voxels
+        return None  # surfaces may lie between the voxels
     found = read_objects(given, geometry, BAND)
     return tuple((start.id, measured_start(start, geometry)) for start in found)
 

@@ -25,7 +25,7 @@ from accelsurf.track.records import CarriedMesh, SurfacePiece, TrackedObject
 #: A new mesh is made where the volume of a carried one differs from that of its surface by more than this part, or
 #: where more than this part of its triangles has turned over.
 MAX_DIFFERENCE = 0.05
-#: A part or a cavity of at most so many voxels is below what the grid resolves: momentum may lose it.
+#: A part or a cavity of at most this number of voxels is below the grid's resolution: momentum may lose it.
 UNRESOLVED = 14
 VANISHED = "vanished"
 LEFT = "left"
@@ -82,7 +82,7 @@ def _topology_of(piece: SurfacePiece) -> tuple[int, int]:
 
 
 def _parts_of(piece: SurfacePiece, above: int = 0) -> tuple[int, int]:
-    """Numbers of parts inside and outside of more than so many voxels, of an object that no border of the grid cuts."""
+    """Numbers of parts inside and outside of more than ``above`` voxels, of an object that no border cuts."""
     outside = np.pad(piece.psi.squeeze() >= 0, 1, constant_values=True)
     sizes = (np.bincount(ndimage.label(side)[0].ravel())[1:] for side in (~outside, outside))
     inner, outer = (int((size > above).sum()) for size in sizes)
@@ -182,7 +182,7 @@ class Followed:
         self.whole_profile, self.whole_mm3 = whole.profile, max(whole.volume_mm3, self.volume_mm3)
 
     def note_given(self, trust: Trust | None) -> None:
-        """Note what is known of the object by its given surface."""
+        """Note the facts of the object that its given surface shows."""
         self.trust = trust
 
     def note_motion(self, innovation: float, variance: float, likeness: float) -> None:
@@ -233,7 +233,7 @@ class Followed:
         return 0.0 if self.trust is None or self.trust.is_run else self.trust.depth
 
     def inherit(self, parent: Followed) -> None:
-        """Take over what is known of the object that this was a part of."""
+        """Take over the facts of the object that this was a part of."""
         if parent.trust is not None and not parent.trust.is_run:
             self.trust = parent.trust._replace(
                 parts=1, depth=2.0 * self.volume_mm3 / max(self.area_mm2, 1e-300)
@@ -243,7 +243,7 @@ class Followed:
             self.likeness = parent.likeness
 
     def chance(self, now: Profile) -> float:
-        """Chance that a surface that only moves is good: what is left of the structure across it, and its certainty."""
+        """Chance that a surface that only moves is good: the part left of the structure across it, and certainty."""
         assert self.trust is not None  # else it is run
         left = min(1.0, max(0.0, now.strength(self.trust.profile)))
         return left * math.exp(-self.variance / max(self.trust.depth, 1e-6) ** 2)
@@ -281,7 +281,7 @@ class Followed:
         if seen is None or not seen.has_inside or not piece.has_inside:
             return piece
         if self.at_border or lies_on_border(piece, geometry):
-            return piece  # of what lies beyond the border nothing is known
+            return piece  # nothing is known beyond the border
         ratio = volume_in_grid(piece.psi, geometry) / max(self.volume_mm3, 1e-300)
         is_whole = all(map(operator.ge, _parts_of(piece), _parts_of(seen, UNRESOLVED)))
         if 1.0 / FACTOR <= ratio <= FACTOR and is_whole:

@@ -38,20 +38,20 @@ from accelsurf.track.momentum import Gains, SurfaceMomentum, Triple
 from accelsurf.track.momentum_models import FlowableMomentum, make_momentum
 from accelsurf.track.records import BAND, Identities, SurfacePiece, TrackedObject
 
-#: What is nearer to a tracked object than so many voxels is no object of its own.
+#: Voxels within this distance, voxels, of a tracked object are part of no other object.
 APART = 2
 #: A run on a frame counts if that on the given frame, from the given surface, leaves it by a mean square of no more
 #: than this, in voxels, in the first and in the second number of steps: half a voxel is the rounding of labels.
 ROUNDING = 0.3
 TRIED_STEPS = (5, 40)
-#: Least variance, voxels squared, of a predicted surface, and of what an appearance finds.
+#: Least variance, voxels squared, of a predicted surface, and of a surface that an appearance finds.
 MIN_PRIOR_DEVIATION = 0.05
 MIN_VARIANCE = 0.25
 #: Tracks of objects that no runs correct are not trusted in a frame in which their mean quality is lower.
 TRUSTED = 0.6
 #: An object that no runs correct goes on with voxels twice as large from this depth on, voxels.
 HALVED_DEPTH = 4.0
-#: Of an object that the border of the grid cuts at least so many voxels must be there.
+#: Least number of voxels of an object that the border of the grid cuts.
 MIN_CUT = 8
 
 
@@ -123,7 +123,7 @@ class Follower:
         velocity: dict[int, Triple],
         trust: dict[int, Trust],
     ) -> None:
-        """Begin with the objects of a frame; ``velocity`` and ``trust`` of those of which they are known."""
+        """Begin with the objects of a frame; ``velocity`` and ``trust`` of each where they are known."""
         for id, measured in objects:
             followed = self._add(id, measured, arrival, velocity.get(id))
             followed.note_given(trust.get(id))
@@ -321,7 +321,7 @@ class Follower:
         for followed in self.objects:
             sure = bool(clicked & {None, followed.id})
             others = [other.surface for id, other in found.items() if id != followed.id]
-            # Where what a run finds is not the object, the surface that goes with the image still may be.
+            # Where the surface that a run finds is not the object, the one that goes with the image still may be.
             corrects = sure or followed.is_run or followed.appearance is not None
             moves = corrects and followed.goes_with_image and predicted[followed.id].has_inside
             for is_run in (True, False) if moves else (corrects,):
@@ -360,7 +360,7 @@ class Follower:
         )
         if (
             followed.at_border
-        ):  # the prediction knows only what the border has left; more of it may come in
+        ):  # the prediction knows only the part within the border; more of it may come in
             expected = max(expected, min(seen, followed.whole_mm3))
         ratio = expected / followed.volume_mm3 if followed.volume_mm3 > 0 else 1.0
         volumes = seen, expected
@@ -434,7 +434,7 @@ class Follower:
             )
 
     def _look_for_more(self, arrival: Arrival) -> None:
-        """Find objects that come back, and where asked for such as enter."""
+        """Find objects that come back, and new ones that enter where asked for."""
         # Where runs are not believed nothing that a run finds is the object come back.
         absent = [followed for followed in self.objects if followed.missing > 0 and followed.is_run]
         if not absent and self._config.enter == "no":
@@ -551,8 +551,8 @@ def appearing(
 ) -> list[SurfacePiece]:
     """First surfaces of objects that appear in a frame, the largest first.
 
-    They are what is nearer to the values inside ``like`` than to those outside, after a Gaussian of one voxel, does not
-    come near any of the ``surfaces``, and is about as large as these, or is cut by the border of the grid.
+    They are parts whose values are nearer to the ones inside ``like`` than to the ones outside, after a Gaussian of one
+    voxel, that do not come near any of the ``surfaces``, and are about as large as these or cut by the grid's border.
 
     Parameters
     ----------
@@ -563,8 +563,8 @@ def appearing(
     like : Profile
         Values across the surface of a tracked object.
     volumes : (float, float)
-        Of the smallest and the largest tracked object, mm3: what appears lies within a factor of two of them. What the
-        border cuts may be smaller, down to `MIN_CUT` voxels: it has only begun to come in.
+        Of the smallest and the largest tracked object, mm3: new objects lie within a factor of two of them. One that
+        the border cuts may be smaller, down to `MIN_CUT` voxels: it has only begun to come in.
     """
     inner = like.inner
     outer = like.outer

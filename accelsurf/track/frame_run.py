@@ -47,7 +47,7 @@ from accelsurf.track.records import BAND, SurfacePiece
 #: largest extent of an object.
 MIN_AROUND = 12
 AROUND_PART = 0.75
-#: A run is made again on more of the frame where a surface comes so near to the edge of what it saw.
+#: A run is made again on more of the frame where a surface comes this near, voxels, to the edge of the part it saw.
 NEAR_EDGE = 3
 #: A run by an appearance: friction in the time between two frames, speed (voxels in that time) that a logarithm of odds
 #: of 1 gives in it, weight of the area in voxels, and steps at most.
@@ -144,7 +144,7 @@ def measure(
     Returns
     -------
     dict of int to Measured
-        By id; with corrections also what these began, and without what these removed.
+        By id; with corrections also the objects that these began, and none that these removed.
     """
     alone = [
         start
@@ -243,7 +243,7 @@ def _on_box(start: ObjectStart, box: Box) -> ObjectStart:
 
 
 def _core(start: ObjectStart, geometry: Geometry) -> Click:
-    """The deeper part of a prediction as a click: there the model of clicks learns what the object is like."""
+    """The deeper part of a prediction as a click: from it the model of clicks learns the object."""
     return Click(
         "inside",
         box_at(start.corner, start.psi.shape),
@@ -278,7 +278,7 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
 
 
 def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior: float) -> Measured:
-    """Run a surface in a frame, by an appearance, from the momentum that it has; the chance of what it finds is even.
+    """Run a surface in a frame, by an appearance, from the momentum that it has; the chance of its result is even.
 
     The energy is U = int_inside (prior psi_0 - odds) dx + alpha A, psi_0 where it begins. The surface has constant
     density and a constant friction.

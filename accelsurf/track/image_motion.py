@@ -25,17 +25,17 @@ BLUR = 1.5
 #: Radius of the window of a match in voxels of the grid that is matched, and rounds of warping on each scale.
 RADIUS = 3
 ROUNDS = 3
-#: In volumes every so many voxels are matched, along axes that are as fine as the finest and have so many voxels: an
-#: eighth of the cost, and the blur leaves no more. Least blur of what is matched, in its voxels.
+#: Stride of the matches in volumes, voxels, along axes that are as fine as the finest and have at least the second
+#: number of voxels: an eighth of the cost, and the blur leaves no more. Least blur of the matched images, their voxels.
 STRIDE = 2
 MIN_STRIDDEN = 16
 MIN_BLUR = 0.5
-#: The motion of a place of the surface is a mean over so many independent windows along each direction in the surface:
-#: it is smoothed over that.
+#: Independent windows along each direction in the surface over which the motion of a place of it is averaged: it is
+#: smoothed over these.
 WINDOWS = 2.8
 #: Correlation of the neighbourhood with the next frame below which nothing is known of its motion.
 LIKE = 0.65
-#: The neighbourhood whose likeness counts: so many voxels to either side of the surface.
+#: Extent of the neighbourhood whose likeness counts, voxels to either side of the surface.
 NEAR = 4.0
 
 

@@ -77,7 +77,7 @@ class SurfaceMomentum(ABC):
         #: Material points (m, 3), mm along the grid's axes from its first voxel.
         self._points: Floats = np.zeros((0, 3))
 
-    # -- what a model gives --------------------------------------------------------------------------------
+    # -- methods of a model --------------------------------------------------------------------------------
 
     @abstractmethod
     def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
@@ -155,7 +155,7 @@ class SurfaceMomentum(ABC):
     def predict(self, duration: float) -> SurfacePiece:
         """Coast for a time, in the sequence's unit; below 0 it goes back in time. The surface moves, no force acts.
 
-        Velocities are always those of rising time, also after a step back; friction takes from them in both directions.
+        Velocities are always in rising time, also after a step back; friction takes from them in both directions.
         Returns the surface on the frame's grid: see `piece`.
         """
         if duration != 0.0 and self._boxed.surface.size:
@@ -165,8 +165,8 @@ class SurfaceMomentum(ABC):
     def correct(self, piece: SurfacePiece, duration: float, gains: Gains) -> SurfacePiece:
         """Correct surface and velocity by the surface that the frame shows; to be called after `predict`.
 
-        Surface that was not there before gets the mean velocity of what is nearest to it; what is lost takes its mass
-        along.
+        Surface that was not there before gets the mean velocity of the surface nearest to it; lost surface takes its
+        mass along.
 
         Parameters
         ----------
@@ -193,7 +193,7 @@ class SurfaceMomentum(ABC):
             self._points = _onto(new, self._points + way)
         return self.piece
 
-    # -- what it is now ------------------------------------------------------------------------------------
+    # -- present state -------------------------------------------------------------------------------------
 
     @property
     def piece(self) -> SurfacePiece:

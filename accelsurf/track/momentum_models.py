@@ -106,8 +106,8 @@ def _relaid(boxed: BoxedSurface, flow: FlowableMass) -> BoxedSurface:
 
 
 class Steered(NamedTuple):
-    """Mean squares over a surface, mm2: ``innovation``, by what the image's motion differs from the momentum's beyond
-    its own variance, and ``variance`` of the displacement by both.
+    """Mean squares over a surface, mm2: ``innovation``, the difference between the image's motion and the momentum's
+    beyond the image's own variance, and ``variance`` of the displacement by both.
     """
 
     innovation: float
@@ -118,8 +118,8 @@ class FlowableMomentum(SurfaceMomentum):
     """Flowable mass: V_t + (V . grad) V = -a (V - c(t)), psi_t = -V . grad psi; the mass flows with V.
 
     c is the mean of V over the mass, which nothing changes while the surface coasts. The motion is made in a frame
-    that moves by whole voxels along with c: what is left for the grid to resolve is V - c and less than a voxel, so a
-    surface that only travels is as good after any distance. Friction is exact: V - c shrinks by exp(-a t).
+    that moves by whole voxels along with c: the grid has to resolve only V - c and less than a voxel, so a surface
+    that only travels is as good after any distance. Friction is exact: V - c shrinks by exp(-a t).
 
     The fields are V (z, y, x, mm per unit of time) and the density rho.
     """
@@ -136,9 +136,9 @@ class FlowableMomentum(SurfaceMomentum):
         return np.array([float((mass * field).sum()) / total for field in self._fields[:3]])
 
     def steer(self, seen: ImageMotion, duration: float, variance: float) -> Steered:
-        """Set the velocities to those of an interval: the momentum's, drawn to the image's by their certainties.
+        """Set the velocities to an interval's: the momentum's, drawn to the image's by their certainties.
 
-        The next `predict` has no friction: the image has seen what it does.
+        The next `predict` has no friction: the image's motion includes its effect.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class FlowableMomentum(SurfaceMomentum):
         least = MIN_SPREAD * boxed.surface.smallest_spacing**2
         certainty = np.where(in_frame(boxed, points), 1.0 / np.maximum(spread, least), 0.0)
         found, certainty = smoothed_by(boxed, np.where(wide, found, 0.0), certainty)
-        # Of what the image does not show at all nothing is known but the momentum.
+        # Where the image shows no motion at all nothing is known but the momentum.
         known = 0.0 if math.isinf(variance) else 1.0 / max(variance, least)
         total = np.maximum(certainty + known, 1e-30)
         moved = by_momentum + (certainty / total)[:, None] * (found - by_momentum)
@@ -280,7 +280,7 @@ class LastDisplacement(SurfaceMomentum):
 
 
 class NoMomentum(LastDisplacement):
-    """Static restart: each frame begins where the last one ended. What everybody else has; a baseline.
+    """Static restart: each frame begins where the last one ended. The way of other programs; a baseline.
 
     The velocity that it reports is that of its centroid; it moves nothing.
     """
@@ -314,6 +314,6 @@ def make_momentum(
     Raises
     ------
     KeyError
-        When there is no such model.
+        When no model has this name.
     """
     return MODELS[model](friction, workers)

@@ -1,11 +1,11 @@
 """The observer: how a predicted surface must move to be the measured one, and the surface part of the way there.
 
 A surface shows only how far it has moved along its normal (the aperture problem). The shift b of the whole is therefore
-fitted first: such that the predicted surface, shifted by b, lies on the measured one. Only what is left, delta, goes
-along the normal.
+fitted first: the predicted surface, shifted by b, lies on the measured one. Only the rest, delta, goes along the
+normal.
 
-The surfaces of two frames differ by noise, too, which has no momentum. Noise is rough, motion is smooth: what is left
-becomes velocity as far as it is smooth over the surface and more than what the roughness lets expect of noise.
+The surfaces of two frames differ by noise, too, which has no momentum. Noise is rough, motion is smooth: the rest
+becomes velocity as far as it is smooth over the surface and more than the noise that its roughness lets expect.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MAX_ROUNDS = 30
 FITTED = 1e-3
 #: Half width, voxels, of the band in which distances are known for the fit; further off nothing is fitted.
 FIT_WIDTH = 12.0
-#: Points more than so many voxels off count by 1/distance: a place that is really different does not draw the whole.
+#: Points farther off than this, voxels, count by 1/distance: a place that is really different does not draw the whole.
 ROBUST = 1.0
 #: Standard deviation, voxels, of the Gaussian over the surface that separates smooth from rough parts of a motion.
 SMOOTH = 2.5
@@ -183,7 +183,7 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
     Returns
     -------
     ndarray (n,)
-        K_delta E outward: E is the mean over the surface with a Gaussian weight, plus that of what it leaves; K_delta
+        K_delta E outward: E is the mean over the surface with a Gaussian weight, plus that of the remainder; K_delta
         = 1 - `SMOOTH_NOISE` <(1 - E)^2>/<E^2>, at least 0, <> the mean over the surface of outward's squared parts.
     """
     surface, points = predicted.surface, predicted.closest_points()

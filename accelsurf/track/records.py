@@ -18,7 +18,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.images import label_type
 
-#: Voxels around what is inside that a surface has on its box.
+#: Voxels around the inside that a surface has on its box.
 BAND = 5
 END = "end of sequence"
 
@@ -39,7 +39,7 @@ class SurfacePiece(NamedTuple):
         return bool((self.psi < 0).any())
 
     def tight(self) -> SurfacePiece:
-        """The same on the box of what is inside, of which there is something, with `BAND` voxels around."""
+        """The same on the box of the inside, which is not empty, with `BAND` voxels around."""
         inner = bounding_box(self.psi < 0)
         assert inner is not None  # something is inside
         part = widened(inner, self.psi.shape, (BAND, BAND, BAND))
@@ -206,7 +206,7 @@ class _Life:
 class Identities:
     """The identities of a tracking while it goes on, in rising and in falling order of the frames.
 
-    What is a division in one order of the frames is a merging in the other: tracks and links are always told in rising
+    A division in one order of the frames is a merging in the other: tracks and links are always told in rising
     order of time.
     """
 

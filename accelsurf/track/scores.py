@@ -4,7 +4,7 @@ Maska et al., Bioinformatics 30(11), 2014: SEG. Matula et al., PLoS ONE 10(12), 
 R of the reference to the object C of the result with |R and C| > |R| / 2; there is one at most.
 
 TRA compares graphs: a vertex for each object in each frame, an edge from each to the next of its track, and from the
-last of a parent to the first of a child. It counts what a person would have to do to turn the result's graph into the
+last of a parent to the first of a child. It counts the changes by which a person would turn the result's graph into the
 reference's, each with a weight, relative to making the whole graph anew:
 
     TRA = 1 - min(AOGM, AOGM_0) / AOGM_0,   AOGM = 5 NS + 10 FN + FP + ED + 1.5 EA + EC
@@ -101,7 +101,7 @@ class TrackingScores:
     Attributes
     ----------
     seg : float or None
-        Mean overlap (Jaccard index) of the reference's objects with what they match, 0 for one that matches nothing.
+        Mean overlap (Jaccard index) of the reference's objects with their matches, 0 for one that matches nothing.
     det, tra : float or None
         Of objects, and of objects and edges; None where the reference has no object.
     operations : Operations
@@ -314,7 +314,7 @@ def _share(weight: float, anew: float) -> float | None:
 
 
 def _identities(frames: Sequence[_Frame]) -> dict[int, int]:
-    """Assign ids of the result to those of the reference, one to one, so that most voxels agree."""
+    """Assign ids of the result to ids of the reference, one to one, so that most voxels agree."""
     common: Counter[tuple[int, int]] = Counter()
     for frame in frames:
         common.update(frame.common)

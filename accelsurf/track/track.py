@@ -46,7 +46,7 @@ _BEGIN = "begin anew without --resume, with --overwrite"
 
 
 class JoinedSequence(ImageSequence):
-    """The channels of several sequences, frame by frame; times and grid are those of the first.
+    """The channels of several sequences, frame by frame; times and grid are the first one's.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ class Tracking:
     Raises
     ------
     UsageError
-        When there is no such frame.
+        When a frame does not exist.
     InputError
         When the checkpoint is damaged or of another tracking.
     """
@@ -232,7 +232,7 @@ class Tracking:
         """The frames that are not done yet, each in the order of `visits`."""
         while self.done < len(self.visits) and not self.interrupted:
             yield self._step()
-            self.save()  # what the caller did with the frame is done too
+            self.save()  # the caller is done with the frame too
         self._workers.close()
 
     def _step(self) -> FrameResult:
@@ -389,7 +389,7 @@ def track(
     Parameters
     ----------
     sequence : path-like, sequence of image, ndarray, or ImageSequence
-        What `accelsurf.read_sequence` takes or returns, images as `accelsurf.segment` takes them, or an array whose
+        Input or result of `accelsurf.read_sequence`, images as `accelsurf.segment` takes them, or an array whose
         first axis is time, also of dask, torch or xarray.
     config : TrackConfig, optional
     spacing : float, str or (hz, hy, hx), optional
@@ -397,7 +397,7 @@ def track(
     energy, objects, meshes, on_step, checkpoint_to : optional
         As of `Tracking`; the objects also as any image.
     **options
-        Settings by name, of tracking or of the run on each frame, over those of ``config``.
+        Settings by name, of tracking or of the run on each frame; they override ``config``.
 
     Returns
     -------
@@ -407,7 +407,7 @@ def track(
     Raises
     ------
     UsageError, InputError
-        As of `accelsurf.segment`, and when there is no such frame.
+        As of `accelsurf.segment`, and when a frame does not exist.
 
     Examples
     --------
@@ -462,7 +462,7 @@ def _warmup_frame(shift: float) -> Volume:
 
 
 class Header(NamedTuple):
-    """Header of a state: ``versions`` of what the numbers depend on, ``digest`` of the sequence, and ``settings``."""
+    """Header of a state: ``versions`` that the numbers depend on, ``digest`` of the sequence, and ``settings``."""
 
     versions: dict[str, str]
     digest: str

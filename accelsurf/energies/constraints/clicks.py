@@ -87,7 +87,7 @@ class ClickConstraint(ConstrainedEnergy):
 
 
 def without_clicks(energy: Energy) -> Energy:
-    """The energy that clicks constrain, without what else is around both; without clicks the energy itself.
+    """The energy that clicks constrain, without other constraints around both; without clicks the energy itself.
 
     Parameters
     ----------

@@ -108,7 +108,7 @@ class MaskConstraint(ConstrainedEnergy):
         return np.where(stopped, np.float32(0.0), force)
 
     def project(self, surface: LevelSet) -> None:
-        """Cut off what has crossed the boundary; between the surface's motion and its redistancing."""
+        """Cut off the part that has crossed the boundary; between the surface's motion and its redistancing."""
         super().project(surface)
         cells = surface.band.cells
         surface.dense.psi[cells] = np.maximum(surface.dense.psi[cells], self._distance[cells])

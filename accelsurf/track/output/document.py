@@ -175,7 +175,7 @@ def tracks_csv(tracks: TrackSet) -> str:
     """Return a line for each object in each frame, by frame and id; an object that merged of several has all parents.
 
     ``parent`` stands in every line of an object, with ; between several, and is empty where there is none. Positions
-    are those of the centroid, world mm (LPS). ``seen`` is 0 where the frame does not show the object: the line then
+    are the centroid's, world mm (LPS). ``seen`` is 0 where the frame does not show the object: the line then
     has its prediction.
     """
     parents = {

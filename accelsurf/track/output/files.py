@@ -53,7 +53,7 @@ class TrackFiles:
         Raises
         ------
         UsageError
-            With what can.
+            With the formats that can be written.
         """
         is_2d = geometry.slice_axis is not None
         shape: Shape = "contour" if is_2d else "surface"
@@ -88,7 +88,7 @@ class TrackFiles:
                 load(check)(geometry)
 
     def names(self, name: str) -> dict[str, str]:
-        """Name of every file by its kind, without those of single frames."""
+        """Name of every file by its kind, without the files of single frames."""
         ends = {
             "tracks": "tracks.csv",
             "curves": "curves.csv",
@@ -103,7 +103,7 @@ class TrackFiles:
         return files if self.per_frame else {"labels": f"{name}_labels.{self.labels}"} | files
 
     def paths(self, folder: Path, name: str) -> dict[str, Path]:
-        """Every possible file by its kind; of those of single frames, the ones that exist already."""
+        """Every possible file by its kind; of the files of single frames, the ones that exist already."""
         paths = {kind: folder / file for kind, file in self.names(name).items()}
         there = folder.iterdir() if folder.is_dir() else ()
         return paths | {path.name: path for path in sorted(there) if is_of_frame(path.name, name)}
@@ -152,12 +152,12 @@ def read_tracks_table(
     ----------
     path : Path
     parse : callable
-        Of the names of the columns and the lines, returns what they say.
+        Of the names of the columns and the lines, returns their content.
 
     Raises
     ------
     InputError
-        With the file, the line and what is wrong in it.
+        With the file, the line and the fault in it.
     """
     with naming(path):
         budgets.CASES.check(path.stat().st_size, "the table of tracks")

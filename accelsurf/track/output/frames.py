@@ -29,7 +29,7 @@ from accelsurf.io.file_set import refuse_links
 from accelsurf.io.images import label_type
 from accelsurf.track.records import FrameResult, Lineage, SurfacePiece, TrackedObject
 
-#: psi is written up to so many times the largest voxel size from the surface: what contours need.
+#: psi is written up to this distance from the surface, in largest voxel sizes: contours need it.
 _BAND = 3.0
 _PREFIX = "frame_"
 #: Names in the folder of the frames.
@@ -163,7 +163,7 @@ class FrameStore:
         for number in self.numbers():
             try:
                 self.frame_row(number)
-            except Exception:  # numpy and zipfile raise errors of many kinds about what is damaged
+            except Exception:  # numpy and zipfile raise errors of many kinds about damaged files
                 self._path(number).unlink()  # when the machine stopped: it is made again
 
     def numbers(self) -> list[int]:

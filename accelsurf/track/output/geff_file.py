@@ -21,7 +21,7 @@ from accelsurf.track.output.document import ML
 from accelsurf.track.output.frames import FrameRow, ObjectRow, TrackSet
 
 VERSION = "1.1"
-#: Unit and meaning of what is known of a node.
+#: Unit and meaning of a node's properties.
 _NODES = {
     "t": ("frame", "frame number, from 0"),
     "time": (None, "time of the frame"),

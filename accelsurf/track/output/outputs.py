@@ -56,7 +56,7 @@ class TrackOutputs:
     name : str
         First part of their names.
     sequence : ImageSequence
-        What is tracked: grid and times of the frames, and at the end the images that pictures show.
+        The tracked one: grid and times of the frames, and at the end the images that pictures show.
     files : TrackFiles
         Which files.
     run : TrackRun, optional
@@ -114,7 +114,7 @@ class TrackOutputs:
         self.abort(error)
 
     def frames(self) -> list[int]:
-        """The numbers of the frames that are there, rising: of a resumed run also those of the earlier one."""
+        """The numbers of the frames that are there, rising: of a resumed run also the earlier one's."""
         return self._store.numbers()
 
     def add(self, result: FrameResult) -> None:
@@ -145,7 +145,7 @@ class TrackOutputs:
         status : {"ok", "interrupted"}
             "interrupted" where frames lack because the user has ended the run.
         exit_code : int
-            What the command returns.
+            Exit code of the command.
         warnings : sequence of str
 
         Returns
@@ -188,13 +188,13 @@ class TrackOutputs:
         Parameters
         ----------
         error : BaseException, optional
-            Why the run failed. What accelsurf has a line about gets a report, beside a result that stands there.
+            Why the run failed. An `AccelsurfError` gets a report, beside a result that stands there.
         """
         try:
             if not self._set.committed:
                 self._set.discard()
                 if isinstance(error, AccelsurfError):
-                    with suppress(AccelsurfError, OSError):  # what went wrong first matters more
+                    with suppress(AccelsurfError, OSError):  # the first error matters more
                         _write_failure(
                             self._set, self.name, self.files, error, self.sequence, self._run
                         )
@@ -204,7 +204,7 @@ class TrackOutputs:
     # ----------------------------------------------------------------------------------------------------- frames
 
     def _write_meshes(self, result: FrameResult) -> None:
-        """Write the meshes of a frame to the frames' folder; those of objects that it does not show have none."""
+        """Write the meshes of a frame to the frames' folder; objects that it does not show have none."""
         folder, number = self._mesh_folder, f"{result.frame:0{self._digits}d}"
         for old in folder.glob(f"*_t{number}.*"):
             if is_of_frame(old.name, self.name):

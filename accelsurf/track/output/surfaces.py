@@ -75,14 +75,14 @@ class SavedTracks:
     name : str
         First part of the files' names: the name of the sequence.
     sequence : ImageSequence
-        What was tracked.
+        The tracked sequence.
 
     Attributes
     ----------
     ids : tuple of int
         Of all objects, rising.
     has_predictions : bool
-        Whether ``NAME_surfaces`` is there; otherwise surfaces are those of the label maps.
+        Whether ``NAME_surfaces`` is there; otherwise surfaces are the label maps'.
 
     Raises
     ------
