@@ -200,18 +200,18 @@ class Interaction:
             )
         outside_so_far = (*self._now.outside, *beside)
         if named:
-            return self.begin(named, outside_so_far)
+            return self.segment(named, outside_so_far)
         self._check_memory(_size_of(beside))
         read_clicks(beside, "outside", self._volume)
-        return self._begin(_State(None, outside_so_far), _size_of(beside))
+        return self._replace(_State(None, outside_so_far), _size_of(beside))
 
-    def begin(
+    def segment(
         self,
         inside: ClickLike | Sequence[ClickLike],
         outside: ClickLike | Sequence[ClickLike] = (),
         **settings: Any,
     ) -> Box | None:
-        """Begin anew with an object, in place of those that there are, as one gesture.
+        """Segment an object by clicks, in place of the objects that there are, as one gesture.
 
         Parameters
         ----------
@@ -224,7 +224,7 @@ class Interaction:
         config = self._config.replace(inside=named, outside=beside, **settings)
         self._check_memory(_size_of(named, beside))
         found = finished(Run(self._volume, config, None, self._channels), self._on_step, None)
-        return self._begin(_State(Refiner(found)), _size_of(named, beside))
+        return self._replace(_State(Refiner(found)), _size_of(named, beside))
 
     def start_from(self, labels: ImageLike) -> Box | None:
         """Set the objects to a label map, without clicks, as one gesture; later ones correct them.
@@ -245,7 +245,7 @@ class Interaction:
         state = _State()
         if given.any():
             state = _State(Refiner(beginning_with(self._volume, given)))
-        return self._begin(state, given.nbytes)
+        return self._replace(state, given.nbytes)
 
     def apply(self, correction: Correction) -> Box | None:
         """Correct the objects, begin one beside them, merge, split, remove or mend them, as one gesture.
@@ -293,7 +293,7 @@ class Interaction:
 
     # -- inner ---------------------------------------------------------------------------------------------
 
-    def _begin(self, state: _State, nbytes: int) -> Box | None:
+    def _replace(self, state: _State, nbytes: int) -> Box | None:
         """Have other objects, as a gesture."""
         boxes = [bounding_box(self.labels > 0)]
         before, self._now = self._now, state

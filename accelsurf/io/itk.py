@@ -26,7 +26,7 @@ _LISTENING = Lock()
 #: How lines of libraries begin or end, where lines of other threads are among them.
 _LIBRARY_LINE = re.compile(
     r"libpng (warning|error): |(?!(error|warning|hint|note): )[^:]*: (Warning, |Error|.*\.$)"
-    r"|ITK|Meta|M_|\*\* |(Warning|Error|Debug): In |gdcm|Corrupt|Unsupported|Premature"
+    r"|ITK|Meta|M_|\*\* |(Warning|Error|Debug): In |gdcm|Corrupt|Unsupported|Premature|Invalid marker|Not a JPEG"
 )
 _MAX_PRINTED = 1 << 16  # bytes that are heeded
 _T = TypeVar("_T")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.cli.outcome import file_lines
+from accelsurf.cases.outcome import file_lines
 from accelsurf.image.volume import Volume
 
 

@@ -14,9 +14,8 @@ from accelsurf.cli import segment
 from accelsurf.clicks import kernels as click_kernels
 from accelsurf.image import kernels as image_kernels
 from accelsurf.kernels._jit import STAGE_OF_KERNEL, Stage
-from accelsurf.output.pictures import kernels as picture_kernels
 
-ROOMS = (kernels, image_kernels, click_kernels, picture_kernels)
+ROOMS = (kernels, image_kernels, click_kernels)
 MODULES = {
     one.name.rsplit(".", 1)[1]: importlib.import_module(one.name)
     for room in ROOMS

@@ -134,7 +134,7 @@ def test_a_size_and_another_answer_begin_anew_and_objects_stand_beside():
     image, ball = balls()
     found = accelsurf.Interaction(image)
     found.add(inside=INSIDE)
-    found.begin(INSIDE, size=f"{np.count_nonzero(ball)}mm3")
+    found.segment(INSIDE, size=f"{np.count_nonzero(ball)}mm3")
     assert dice(found.labels > 0, ball) > 0.9
     found.apply(accelsurf.Correction(new=2, inside=(voxels_text(cube("inside", MIDDLES[1])),)))
     assert set(np.unique(found.labels)) == {0, 1, 2}

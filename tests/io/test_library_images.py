@@ -392,7 +392,6 @@ def test_a_type_checker_sees_the_options(tmp_path):
         "accelsurf.evaluate(image, 'a.nii').dice + 1.0": "",
         "accelsurf.track('a.nii', start='otsu', direction='both', friction='auto', max_steps=9)": "",
         "accelsurf.segment(image, smoothnes=1.0)": "smoothnes",
-        "accelsurf.segment(image, flow='gradent')": "flow",
         "accelsurf.evolve(image, cfl='large')": "cfl",
         "accelsurf.segment_objects(image, image, max_stepps=3)": "max_stepps",
         "accelsurf.segment_many('scans', 'out', smoothness='no')": "smoothness",

@@ -186,7 +186,7 @@ def test_area_and_length_are_printed(doors, tmp_path, capsys):
     out = capsys.readouterr().out
     document = report_of(tmp_path, "disc")
     assert (
-        f"area {document['enclosed_mm2']:.6g} mm2, length {document['length_mm']:.6g} mm, 1 component"
+        f"area {document['enclosed_mm2']:.4g} mm2, length {document['length_mm']:.4g} mm, 1 component"
         in out
     )
     assert "mm3" not in out and (tmp_path / "disc_seg.tif").is_file()
@@ -298,7 +298,7 @@ def test_preview_of_any_shape_is_of_a_sane_size(shape):
     geometry = Geometry(shape, (1.0, 1.0, 1.0))
     psi = np.ones(shape, np.float32)
     psi[tuple(slice(n // 4, n // 2 + 1) for n in shape)] = -1
-    content = PreviewContent(psi, psi, geometry, [], None, "a title", start=psi)
+    content = PreviewContent(psi, psi, geometry, [], "a title", start=psi)
     assert preview.preview_png(content).startswith(b"\x89PNG")
 
 

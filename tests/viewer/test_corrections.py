@@ -281,36 +281,30 @@ def test_a_run_that_goes_on_is_corrected_again_at_its_end(image, tmp_path):
     with Session(image, CONFIGS["seeded"], name="x") as session:
         at(session, 6)
         session.add_click("outside", "point:9,8,16.5").result(60)
-        assert (
-            len(session.status.edits) == 1 and session.status.refinements == ()
-        )  # the run had not ended
-        ended(session)
+        assert session.status.edits == () and len(session.status.refinements) == 1
+        assert session.status.stop is not None and session.status.step == 6  # it has ended there
         session.add_click("inside", OTHER).result(60)
-        moved = session.status
-        assert "moved" in moved.message and moved.stop.steps > moved.step
+        assert "moved" in session.status.message
         session.change(smoothness=0.2).result(60)
-        assert session.status.stop is None and len(session.status.refinements) == 1
+        assert session.status.stop is None and len(session.status.refinements) == 2
         ended(session)
-        assert "correction 1 of 1" in session.status.message
+        assert "correction 2 of 2" in session.status.message
         session.save(tmp_path).result(60)
         toml = next(tmp_path.glob("*_run.toml"))
         saved = io.read(next(tmp_path.glob("x_seg.*"))).array
     again = accelsurf.segment(image, config=RunConfig.from_toml(toml))
-    assert (
-        np.array_equal(again.labels, saved)
-        and len(again.config.refine) == 1
-        and len(again.config.edit) == 2
-    )
+    assert np.array_equal(again.labels, saved)
+    assert len(again.config.refine) == 2 and len(again.config.edit) == 1
     assert again.labels[6, 8, 25] == 1
     with Session(
         image, RunConfig.from_toml(toml)
     ) as session:  # a session from it corrects at the end too
         ended(session)
-        assert len(session.status.refinements) == 1
+        assert len(session.status.refinements) == 2
         session.restart().result(60)
         assert session.status.refinements == () and session.status.undoable
         session.undo().result(60)
-        assert len(session.status.refinements) == 1
+        assert len(session.status.refinements) == 2
 
 
 def test_a_saved_run_before_its_end_has_no_corrections(image, tmp_path):

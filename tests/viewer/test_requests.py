@@ -243,7 +243,7 @@ def test_clicks_say_what_is_inside_and_what_is_not(handler):
         handler.request("release")
         finish(handler)
         assert handler.message == ""
-        assert getattr(handler.session.status.edits[-1], mode)[0].startswith("ball:")
+        assert getattr(handler.session.status.refinements[-1], mode)[0].startswith("ball:")
         assert (draw(handler) != before).any()  # its mark
     for _ in range(2):
         handler.request("undo")

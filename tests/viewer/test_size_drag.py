@@ -163,16 +163,15 @@ def test_a_press_outside_or_of_several_objects_is_refused(tmp_path):
         session.press(PRESS).result()
 
 
-def test_clicks_are_edits_and_hold():
+def test_a_click_while_it_moves_corrects_the_surface_and_is_marked():
     volume, own = scan()
     with Session(volume, RunConfig(inside=PRESS, levels=1)) as session:
         session.play(5).result()
         assert session.wait(60)
         session.add_click("outside", "ball:18,18,25,3").result()
-        (edit,) = session.status.edits
-        assert (edit.step, edit.outside, edit.inside) == (5, ("ball:18,18,25,3",), ())
-        session.play(12).result()
-        assert session.wait(60)
+        (correction,) = session.status.refinements
+        assert correction.outside == ("ball:18,18,25,3",) and session.status.step == 5
+        session.wait(60)
         session.next_view()
         session.wait(10)
         deadline = time.monotonic() + 10

@@ -155,11 +155,12 @@ class _Chunk(NamedTuple):
 
 def _chunks(path: Path) -> Iterator[_Chunk]:
     """Yield the chunks of a PNG before its end; bytes beyond are no chunks, whatever length they name."""
+    most = path.stat().st_size
     with path.open("rb") as file:
         file.seek(len(_START))
         while len(start := file.read(8)) == 8 and start[4:] != b"IEND":
             (length,) = struct.unpack(">I", start[:4])
-            yield _Chunk(start[4:], file.read(min(length, path.stat().st_size)))
+            yield _Chunk(start[4:], file.read(min(length, most)))
             file.seek(4, os.SEEK_CUR)
 
 

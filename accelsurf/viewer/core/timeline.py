@@ -476,10 +476,13 @@ class Timeline:
         before, moved = self._now(), self.run.stop is None
         if moved:
             self._end_here()
+            self.corrections.correct_again(self.run)
         try:
             self._message = self.corrections.correct(self.run, refinement, said)
         except AccelsurfError:
             if moved:
+                self.corrections.leave()
+                self.corrections.want(before.refinements)
                 self.run.restore(self._present)
             raise
         self.log.add(before, said)
