@@ -7,7 +7,6 @@ its axes.
 from __future__ import annotations
 
 import io
-import itertools
 import math
 import os
 import struct
@@ -15,7 +14,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,8 +129,6 @@ def read_png(path: Path, header: PngHeader, available: int) -> Volume:
     """
     check_memory(header.shape[::-1], header.pixel_bytes, available)
     with library_named(*_DAMAGED):
-        with PngImageFile(path) as image:
-            image.verify()  # reads all of it, which a second opening begins anew
         _check_rows(header)
         with PngImageFile(path) as image:
             if image.mode in ("1", "P", "RGB", "RGBA"):
@@ -146,28 +143,22 @@ def read_png(path: Path, header: PngHeader, available: int) -> Volume:
     return Volume(array[None], header.geometry, metadata, path)
 
 
-class _Chunk(NamedTuple):
-    """A chunk of a PNG: its name, and its content."""
-
-    name: bytes
-    content: bytes
-
-
-def _chunks(path: Path) -> Iterator[_Chunk]:
-    """Yield the chunks of a PNG before its end; bytes beyond are no chunks, whatever length they name."""
+def _contents(path: Path, wanted: bytes, end: bytes = b"IEND") -> Iterator[bytes]:
+    """Yield the contents of a PNG's chunks of one name before a chunk that ends it; bytes beyond are no chunks."""
     most = path.stat().st_size
     with path.open("rb") as file:
         file.seek(len(_START))
-        while len(start := file.read(8)) == 8 and start[4:] != b"IEND":
-            (length,) = struct.unpack(">I", start[:4])
-            yield _Chunk(start[4:], file.read(min(length, most)))
-            file.seek(4, os.SEEK_CUR)
+        while len(start := file.read(8)) == 8 and start[4:] not in (b"IEND", end):
+            length = int.from_bytes(start[:4], "big")
+            if start[4:] == wanted:
+                yield file.read(min(length, most))
+                length = 0
+            file.seek(length + 4, os.SEEK_CUR)
 
 
 def _pixel(path: Path) -> tuple[float, float]:
     """The size of a pixel (x, y), mm, where ITK writes it, before the rows; else 1."""
-    before = itertools.takewhile(lambda part: part.name != b"IDAT", _chunks(path))
-    scales = [part.content for part in before if part.name == b"sCAL"]
+    scales = list(_contents(path, b"sCAL", b"IDAT"))
     try:
         x, y = (float(word) for word in scales[-1][1:].split(b"\0"))
     except (ValueError, IndexError):
@@ -177,7 +168,7 @@ def _pixel(path: Path) -> tuple[float, float]:
 
 def _check_rows(header: PngHeader) -> None:
     """Refuse a PNG of fewer rows than its header announces."""
-    packed = b"".join(part.content for part in _chunks(header.data) if part.name == b"IDAT")
+    packed = b"".join(_contents(header.data, b"IDAT"))
     present = sum(map(len, inflate(io.BytesIO(packed), None, header.row_bytes)))
     if present != header.row_bytes:
         raise InputError(
