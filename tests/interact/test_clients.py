@@ -163,3 +163,21 @@ def test_a_click_on_a_surface_that_moves_ends_the_run_and_corrects_it(scan, step
     (settings,) = tmp_path.glob("*.toml")
     again = accelsurf.segment(scan, config=RunConfig.from_toml(settings))
     assert np.array_equal(again.labels, shown)
+
+
+def test_a_refused_click_on_a_surface_that_moves_changes_nothing(scan):
+    config = RunConfig(start="ball:14,17,18,3", energy="chan-vese", levels=1)
+    with Session(scan, config) as session:
+        session.play(9).result(60)
+        assert session.wait(60)
+        session.go_to(4).result(60)
+        assert session.wait(60)
+        before = session.status
+        with pytest.raises(accelsurf.InputError):
+            session.add_click("outside", "ball:900,17,18,1").result(60)
+        after = session.status
+        assert (after.step, after.stop, after.refinements) == (4, None, ())
+        assert after.checkpoints == before.checkpoints and max(after.checkpoints) == 9
+        assert after.undoable == before.undoable
+        session.go_to(9).result(60)
+        assert session.wait(60) and session.status.step == 9

@@ -473,26 +473,24 @@ class Timeline:
         )
         if self.run.stop is None and self.run.level > 0:  # a coarse surface is not corrected
             return self.refine(clicks, said)
-        before, moved = self._now(), self.run.stop is None
-        if moved:
-            self._end_here()
+        before, moves, limit = self._now(), self.run.stop is None, self.run.max_steps
+        if moves:  # it ends at the present step: the surface that is seen is corrected
+            self.run.extend(self.step_number)
+            self.run.step()
             self.corrections.correct_again(self.run)
         try:
             self._message = self.corrections.correct(self.run, refinement, said)
         except AccelsurfError:
-            if moved:
+            if moves:  # it goes on as if nothing had been clicked
                 self.corrections.leave()
                 self.corrections.want(before.refinements)
+                self.run.extend(limit)
                 self.run.restore(self._present)
             raise
+        if moves:
+            self.pause()
+            self.checkpoints.drop_after(self.step_number)
         self.log.add(before, said)
-
-    def _end_here(self) -> None:
-        """End the run at the present step: a click corrects the surface that is seen."""
-        self.pause()
-        self.checkpoints.drop_after(self.step_number)
-        self.run.extend(self.step_number)
-        self.run.step()
 
     def reach_of(
         self, side: Side, where: tuple[str, ...], object_id: int | None = None
