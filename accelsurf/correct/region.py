@@ -87,7 +87,7 @@ def around_clicks(
     high = np.max([[s.stop for s in click.box] for click in clicks], axis=0)
     first = (int(low[0]), int(low[1]), int(low[2]))
     room = [math.ceil((near + margin) / h) + 1 for h in spacing]
-    box = widened(box_at(first, tuple(high - low)), shape, room)
+    box = widened(box_at(first, (high - low).tolist()), shape, room)
     distance = distances_within(_voxels(clicks, box), spacing, float(near))
     return NearRegion(box, np.isfinite(distance), rim, near)
 

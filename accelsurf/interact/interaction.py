@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -287,7 +287,7 @@ class Interaction:
 
     def clear(self) -> Box | None:
         """Forget all gestures; return the box in which labels have changed."""
-        changed = bounding_box(self.labels > 0)
+        changed = self._extent()
         self._now, self._gestures = _State(), []
         return changed
 
@@ -295,13 +295,15 @@ class Interaction:
 
     def _replace(self, state: _State, nbytes: int) -> Box | None:
         """Have other objects, as a gesture."""
-        boxes = [bounding_box(self.labels > 0)]
+        extent = self._extent()
         before, self._now = self._now, state
-        boxes.append(bounding_box(self.labels > 0))
-        there = [box for box in boxes if box is not None]
-        changed = functools.reduce(enclosing, there) if there else None
+        changed = _around((extent, self._extent()))
         self._gestures.append(_Gesture(before, nbytes, changed))
         return changed
+
+    def _extent(self) -> Box | None:
+        """Return the box around the objects; None where there is none."""
+        return None if self._now.refiner is None else bounding_box(self.labels > 0)
 
     def _texts(self, side: str, given: ClickLike | Sequence[ClickLike]) -> tuple[str, ...]:
         """Return clicks as texts.
@@ -328,11 +330,13 @@ def _size_of(*sides: Sequence[str]) -> int:
 
 def _box_of(changes: Sequence[Change], first: Corner) -> Box | None:
     """Return the box of the image in which clicks have changed labels; ``first`` is that of the region of interest."""
-    boxes = [placed_at(change.box, first) for change in changes if change.voxels]
-    if not boxes:
-        return None
-    z, y, x = (slice(int(s.start), int(s.stop)) for s in functools.reduce(enclosing, boxes))
-    return z, y, x
+    return _around(placed_at(change.box, first) for change in changes if change.voxels)
+
+
+def _around(boxes: Iterable[Box | None]) -> Box | None:
+    """Return the smallest box that holds the boxes that there are; None without any."""
+    there = [box for box in boxes if box is not None]
+    return functools.reduce(enclosing, there) if there else None
 
 
 def _checked(click: Click, shape: Sequence[int]) -> Click:
