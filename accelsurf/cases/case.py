@@ -383,16 +383,8 @@ def evolve(
 
     then = "leaving all files as they are" if state is None else "keeping its state"
     with watcher.watch(name, config.max_steps, then):
-        if config.objects is not None:
-            return segment_objects(
-                volume,
-                channels=channels,
-                config=config,
-                on_step=watcher.on_step,
-                on_warning=watcher.on_warning,
-                checkpoint_to=state,
-            )
-        return segment(
+        run = segment if config.objects is None else segment_objects
+        return run(
             volume,
             channels=channels,
             config=config,

@@ -261,7 +261,7 @@ def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -
     name = names.get("state", names.get("labels"))
     if name is None:
         raise InputError(f"{report.path}: lists no result", "run segment again")
-    if name not in {file.name for file in report.unchanged()}:
+    if not report.unchanged({file.name for file in report.listed} - {name}):
         raise InputError(
             f"{folder / name}: is missing, or was changed since it was written", "run segment again"
         )
