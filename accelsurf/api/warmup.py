@@ -54,7 +54,7 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         "fast marching": _run(extension="fast-marching"),
         "levels": _run(levels=2, start="otsu"),
         "seed": _run(start=f"seed:{MIDDLE},{START}vox"),
-        "edit": _run(edit=["step=3 add=ball:6,6,6,3vox", "step=6 flow=gradient"]),
+        "edit": _run(edit=["step=3 half_width=5", "step=6 flow=gradient"]),
         "one slice": _run(image=_flat(), start=f"ball:{SIDE / 2},{SIDE / 2},0,{START}vox"),
         "clicks": _corrected,
         "partition": _run(

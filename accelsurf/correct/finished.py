@@ -54,7 +54,7 @@ def result_of(run: Run) -> Result:
         kernels=_seconds_by_kernel(run),
         edits_done=run.edits_done,
         given=run.given,
-        clicks=on_image(run.clicks, run.prepared.first, run.volume.geometry.shape),
+        clicks=on_image(run.prepared.clicks, run.prepared.first, run.volume.geometry.shape),
         state=None if config.keep_state == "no" else state_at_end(run),
         other_labels=run.prepared.other_labels,
         warnings=run.level_warnings
@@ -112,7 +112,7 @@ def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
         evolving.made.terms,
         learned,
         plateaus,
-        clicked_voxels(run.clicks, 1, run.prepared.first, whole),
+        clicked_voxels(run.prepared.clicks, 1, run.prepared.first, whole),
         _confidence(run, evolving),
     )
 
@@ -139,7 +139,7 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
                 evolving.made.terms,
                 learned,
                 plateaus_of(evolving.evolution.state.rests.found, run.prepared),
-                clicked_voxels(run.clicks, evolving.id, run.prepared.first, box),
+                clicked_voxels(run.prepared.clicks, evolving.id, run.prepared.first, box),
                 _confidence(run, evolving),
             )
         )
@@ -173,7 +173,7 @@ def _resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
 def state_at_end(run: Run) -> RunState:
     """Return the state from which a finished run is corrected, whatever the settings say of keeping it."""
     contexts = {evolving.id: evolving.context for evolving in run.objects}
-    return RunState(run.prepared, contexts, run.energy_given, run.clicks)
+    return RunState(run.prepared, contexts, run.energy_given, run.prepared.clicks)
 
 
 def finished(

@@ -391,8 +391,8 @@ class Refiner:
         began = time.perf_counter()
         objects = self._objects
         voxels = 0
-        if correction.removed_id is not None:
-            voxels = object_changes.remove(objects, correction.removed_id)
+        if correction.remove is not None:
+            voxels = object_changes.remove(objects, correction.remove)
             surface = objects.surfaces[0]
         elif correction.merge:
             sizes = {before.id: before.inside for before in objects.surfaces}
@@ -401,7 +401,7 @@ class Refiner:
         else:
             surface = object_changes.split(objects, number, correction, self._result, workers)[1]
             voxels = surface.inside
-        id = surface.id if correction.removed_id is None else correction.removed_id
+        id = surface.id if correction.remove is None else correction.remove
         return (
             Change(
                 id,

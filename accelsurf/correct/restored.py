@@ -145,9 +145,9 @@ def _replay(
         models.merge(correction.merge)
         for id in correction.merge[1:]:
             del known[id]
-    elif correction.removed_id is not None:
-        models.remove(correction.removed_id)
-        del known[correction.removed_id]
+    elif correction.remove is not None:
+        models.remove(correction.remove)
+        del known[correction.remove]
     else:
         if (
             mask is None

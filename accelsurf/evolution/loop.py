@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -209,13 +209,8 @@ class Evolution:
 
     # -- edits ---------------------------------------------------------------------------------------------
 
-    def edited(
-        self,
-        energy: Energy | None,
-        setup: SolverSetup,
-        change_psi: Callable[[LevelSet], None] | None = None,
-    ) -> Evolution:
-        """Return the evolution that continues from here under other settings, or from a changed surface.
+    def edited(self, energy: Energy | None, setup: SolverSetup) -> Evolution:
+        """Return the evolution that continues from here under other settings.
 
         History, time and the energy budget are continued: the change of E here counts as smoothing work. A flow of
         the same class keeps the momentum; one of another class begins with zero momentum. The rules of stop and
@@ -227,8 +222,6 @@ class Evolution:
             None for no change.
         setup : SolverSetup
             From here on; its flow is not started yet.
-        change_psi : callable, optional
-            Changes the dense psi of the surface, which is then made a signed distance again.
         """
         self.initialize()
         surface = self.surface
@@ -244,12 +237,9 @@ class Evolution:
             self.state.budget.record_loss(old.energy(area))
             flow.start(surface)
         fields = flow.fields
-        if change_psi is not None or surface.requested_half_width != half_width:
-            slot, inside = surface.dense.slot.copy(), surface.labels > 0
-            if change_psi is not None:
-                change_psi(surface)
+        if surface.requested_half_width != half_width:
+            slot = surface.dense.slot.copy()
             surface.reinitialize(half_width)
-            flow.change_region(surface, inside)
             here = Level(
                 0, (1, 1, 1), surface.shape, (surface.grid.hz, surface.grid.hy, surface.grid.hx)
             )

@@ -147,9 +147,6 @@ class Flow(ABC):
         ``place`` (2, 3): factors and additions that take an index (z, y, x) there to one on the grid before.
         """
 
-    def change_region(self, surface: LevelSet, before: np.ndarray) -> None:  # noqa: B027
-        """Follow an edit of ``surface``; ``before`` (nz, ny, nx) says which voxels were inside."""
-
     def normal_velocity(self, surface: LevelSet) -> np.ndarray:
         """Speed (n,) along the inward normal that the momentum alone gives the surface, mm per unit time."""
         return np.zeros(surface.size, np.float32)

@@ -87,13 +87,6 @@ class RegionPressure(RegionMass):
         )
         self.mass = 0.0
 
-    def change_region(self, surface: LevelSet, before: np.ndarray) -> None:
-        """Fill voxels inside now and not inside ``before`` (nz, ny, nx) with the density of the start, at rest."""
-        fluid, new = self.fluid.copy(), (surface.labels > 0) & ~before
-        fluid[:, new] = 0.0
-        fluid[0, new] = self.rho
-        self.fluid, self.mass = fluid, 0.0
-
     def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
         """Continue with other settings."""
         super().continue_from(surface, before, forces_changed)

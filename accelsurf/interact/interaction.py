@@ -29,7 +29,7 @@ from accelsurf.io.library_images import ImageLike, array_of, as_volume
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run
 from accelsurf.settings import budgets
-from accelsurf.settings.corrections import Correction
+from accelsurf.settings.corrections import Correction, corrections_of
 from accelsurf.settings.run_config import RunConfig
 
 #: A click: as a text of the settings ``inside`` and ``outside``, or as voxels.
@@ -193,7 +193,8 @@ class Interaction:
         """
         named, beside = self._texts("inside", inside), self._texts("outside", outside)
         if self._now.refiner is not None:
-            return self.apply(Correction(inside=named, outside=beside, **correction))
+            given = {"inside": named, "outside": beside, **correction}
+            return self.apply(corrections_of([given])[0])
         if correction:
             raise UsageError(
                 f"{', '.join(correction)}: given before there is an object", "click inside it first"

@@ -554,8 +554,8 @@ def named_files(given: RunConfig | TrackConfig) -> list[Path]:
     )
     texts = [text for text in (*(getattr(config, key) for key in _FILES), *config.channel) if text]
     wheres = [text for key in PLACES for text in getattr(config, key)]
-    for correction in (*config.edit, *config.refine, *corrections):
-        wheres += [*(ball for _, ball in correction.balls), *correction.inside, *correction.outside]
+    for correction in (*config.refine, *corrections):
+        wheres += [*correction.inside, *correction.outside]
     texts += [text.partition(":")[2] for text in wheres if text.partition(":")[0] in FILE_KINDS]
     texts += [text for text in wheres if is_point_file(text)]
     found = {}

@@ -29,7 +29,7 @@ from accelsurf.grid.geometry import farthest
 from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import shift_fields, slots_of, transfer_fields
-from accelsurf.run.clicks import BallEdit, LevelClicks, apply_balls
+from accelsurf.run.clicks import LevelClicks
 from accelsurf.run.image_context import ImageContext
 from accelsurf.run.start_pyramid import LevelInputs, StartPyramid, finer_box, to_finest
 from accelsurf.starts.objects import ObjectStart
@@ -325,12 +325,9 @@ class EvolvingObject:
             self.request_stop()
         return step._replace(object_id=self.id)
 
-    def grow_grid(
-        self, low: NDArray[np.int64] | None = None, high: NDArray[np.int64] | None = None
-    ) -> None:
-        """Change to a larger box when the band, or the part from ``low`` to ``high``, comes near its edge."""
-        if low is None or high is None:
-            low, high = self.extent()
+    def grow_grid(self) -> None:
+        """Change to a larger box when the band comes near its edge."""
+        low, high = self.extent()
         box = _larger_box(
             low, high, box_at(self.corner, self.surface.shape), self._setup.reach, self.grid
         )
@@ -362,53 +359,18 @@ class EvolvingObject:
         stop = self.evolution.stop
         return stop is None or (stop.reason in ("converged", "stalled") and self.surface.size > 0)
 
-    def set_up(self, solver: ObjectSolver) -> bool:
-        """Have another solver on the following levels; returns True if its context is another one."""
-        before = self._solver
+    def set_up(self, solver: ObjectSolver) -> None:
+        """Have another solver on the following levels."""
         self._solver = solver
         self.reactivations = 0
-        if solver.context is before.context:
-            return False
-        self._clicks = LevelClicks(solver.context, self._inputs)
-        return True
 
-    def edit(self, solver: ObjectSolver, new_energy: bool, balls: tuple[BallEdit, ...]) -> None:
-        """Continue with other settings, and with ``balls`` added to the object or removed from it, or more clicks.
-
-        ``solver`` is of this level and the following ones, its context another one where clicks were added;
-        ``new_energy`` is True if the energy changes.
-        """
-        if self._among_others:
-            # The old energy acts on the present grid until the new one begins.
-            extents = [ball.extent(self.grid) for ball in balls if ball.kind == "add"]
-            none = np.array(self.grid.shape), np.zeros(3, np.int64)
-            extents.append(LevelClicks(solver.context, self._inputs).extended(*none, self.level))
-            for low, high in extents:
-                if (low < high).all():
-                    self._make_room(low, high)
-            if self.evolution.stop is not None and self.level == 0:
-                self.evolution.history.pop()
-        clicked = self.set_up(solver)
-        energy = (
-            self._energy_on(box_at(self.corner, self.surface.shape))
-            if new_energy or clicked
-            else None
-        )
-        change = (lambda surface: self._change_psi(surface, balls)) if balls or clicked else None
-        self.evolution = self.evolution.edited(energy, self._setup_here, change)
-
-    def _make_room(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
-        """Make the box large enough for the voxels between two."""
-        own_low, own_high = self.extent()
-        if self.surface.size:
-            low, high = np.minimum(low, own_low), np.maximum(high, own_high)
-        self.grow_grid(low, high)
-
-    def _change_psi(self, surface: LevelSet, balls: tuple[BallEdit, ...]) -> None:
-        """Add balls to the object or remove them from it, within the mask and by the clicks."""
-        psi = surface.dense.psi.reshape(surface.shape)
-        apply_balls(psi, balls, self.grid, self.corner, float(surface.gamma))
-        self._bound(psi)
+    def edit(self, solver: ObjectSolver, new_energy: bool) -> None:
+        """Continue with other settings, on this level and the following ones; ``new_energy``: the energy changes."""
+        if self._among_others and self.evolution.stop is not None and self.level == 0:
+            self.evolution.history.pop()
+        self.set_up(solver)
+        energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy else None
+        self.evolution = self.evolution.edited(energy, self._setup_here)
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 
@@ -421,7 +383,7 @@ class EvolvingObject:
 
     def restore(self, checkpoint: ObjectCheckpoint, solver: ObjectSolver, new_energy: bool) -> None:
         """Go back to a state of this level, with the settings that were in force then."""
-        new_energy |= self.set_up(solver)
+        self.set_up(solver)
         self.leaked = checkpoint.leaked
         self.reactivations = checkpoint.reactivations
         self._stop_requested = False

@@ -192,7 +192,6 @@ class ImageContext:
         self.clicks: Clicks | None = None
         self._model_inputs = ModelInputs()
         self._model: list[ClickModel] = []
-        self._before: ImageContext | None = None
         self._field: Callable[[], Image] | None = None
         self._model_curvature: Callable[[], float] | None = None
 
@@ -253,12 +252,9 @@ class ImageContext:
         """Inputs of the model of clicks."""
         return self._model_inputs
 
-    def with_clicks(self, clicks: Clicks, before: ImageContext | None = None) -> ImageContext:
-        """The context of an object that a person has clicked, as `Clicks.of` returns it.
-
-        ``before`` is its context before the last clicks: the model then changes where these ask for it.
-        """
-        return self._with(clicks=clicks, _before=before, _model=[])
+    def with_clicks(self, clicks: Clicks) -> ImageContext:
+        """The context of an object that a person has clicked, as `Clicks.of` returns it."""
+        return self._with(clicks=clicks, _model=[])
 
     def scene(self) -> Scene:
         """The images as the model of clicks reads them."""
@@ -295,14 +291,6 @@ class ImageContext:
                     self.images, self.spacing, clicks, mask=mask, basins=partition
                 )
             else:
-                before = self._before
-                if (
-                    previous is None
-                    and before is not None
-                    and before.clicks is not None
-                    and before.clicks.ids()
-                ):
-                    previous = before.click_model()
                 scene = self.scene()
                 if size is not None:  # an object that fills the image has no surface
                     size = min(

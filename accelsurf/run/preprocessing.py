@@ -185,7 +185,7 @@ def preprocess(
     distance = distance_of_mask(config, given, window, box)
     seen = first, filtered, window
     read = clicks_of(config, first, filtered, has_ids=has_ids, window=window)
-    all_clicks = placed([*read, *clicks], first, box, distance, None)
+    all_clicks = placed([*read, *clicks], first, box, distance)
     start = given["start"] if "start" in given else _first_surface(config, seen, all_clicks, box)
     training = {
         name: _crop(mask, box) for name, mask in _training_voxels(config, given, seen).items()

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.errors import UsageError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import Step, StepRecord, Stop
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Corner
-from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
+from accelsurf.grid.clicks import NO_OBJECT, Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.levelset import Workers
 from accelsurf.run.checkpoint import RunCheckpoint
-from accelsurf.run.clicks import RunClicks, balls_for, balls_of, check_edit
 from accelsurf.run.ensemble import Ensemble, overall_stop
 from accelsurf.run.evolving_object import EvolvingObject, ObjectSolver
 from accelsurf.run.image_context import ImageContext
@@ -38,7 +38,9 @@ from accelsurf.run.start import AROUND, start_of_run
 from accelsurf.run.start_checks import start_checks
 from accelsurf.run.start_pyramid import LevelInputs
 from accelsurf.run.window_input import WindowInput
-from accelsurf.settings.corrections import Correction
+from accelsurf.settings.catalogue import energy_settings
+from accelsurf.settings.edits import Edit
+from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart
 
@@ -124,11 +126,8 @@ class Run:
         self.prepared = begin.prepared
         starts = begin.starts
         contexts = begin.contexts
-        ids = [start.id for start in starts] if self.has_ids else []
-        distance, first = self.prepared.mask_distance, self.prepared.clicks
-        self._clicks = RunClicks(volume, self.prepared.box, distance, first, contexts, ids)
-        for number, edit in enumerate(config.edit, start=1):
-            self.check(edit, ids or [1], config.edit[:number])
+        for edit in config.edit:
+            self.check(edit)
         self.workers = Workers(thread_count(config))
         named = energy is None or isinstance(energy, str)
         self.window = None if part is None else part.window
@@ -138,7 +137,7 @@ class Run:
         )
         self._levels = len(grids)
         self.flow_choice = choose_flow(config, named)
-        self._inputs = LevelInputs(self.prepared.images, distance, grids)
+        self._inputs = LevelInputs(self.prepared.images, self.prepared.mask_distance, grids)
         is_given = self.prepared.other_labels is not None
         self.level_warnings = (
             [] if is_given else thin_start_warnings(starts, self.geometry, self.has_ids)
@@ -344,13 +343,10 @@ class Run:
             if edit.settings:
                 settings = settings.replace(**edit.settings, seed=self.config.seed)
             new_energy = energy_key(settings) != energy_key(self.settings)
-            contexts = self._clicks.contexts(self.config.edit[: self._edits_done + 1])
-            balls = balls_of(edit, self.geometry)
             for place, evolving in enumerate(self._all):
-                mine = balls if not self.has_ids else balls_for(evolving.id, edit, balls)
-                solver = self._solver(settings, place, contexts[place])
+                solver = self._solver(settings, place, evolving.context)
                 if evolving.takes_edits:
-                    evolving.edit(solver, new_energy, mine)
+                    evolving.edit(solver, new_energy)
                 else:
                     evolving.set_up(solver)
             self.settings, self._edits_done = settings, self._edits_done + 1
@@ -360,23 +356,16 @@ class Run:
         """Number of edits that have been applied."""
         return self._edits_done
 
-    def set_edits(self, edits: tuple[Correction, ...]) -> None:
+    def set_edits(self, edits: tuple[Edit, ...]) -> None:
         """Replace the edits; those that have been applied must stay the same.
 
         Raises
         ------
         UsageError
             When one is not valid for this run.
-        InputError
-            When a ball lies outside the volume.
         """
-        same = 0
-        while (
-            same < min(len(edits), len(self.config.edit)) and edits[same] == self.config.edit[same]
-        ):
-            same += 1
-        for number, edit in enumerate(edits[same:], start=same + 1):
-            self.check(edit, (), edits[:number])
+        for edit in edits:
+            self.check(edit)
         config = seeded(self.config.replace(edit=edits))
         if config.edit[: self._edits_done] != self.config.edit[: self._edits_done]:
             raise ValueError(
@@ -384,24 +373,30 @@ class Run:
             )
         self.config = config
 
-    def check(
-        self, edit: Correction, ids: Sequence[int] = (), edits: Sequence[Correction] | None = None
-    ) -> None:
-        """Refuse an edit that this run cannot apply: see `accelsurf.run.clicks.check_edit`.
+    def check(self, edit: Edit) -> None:
+        """Refuse an edit that this run cannot apply.
 
-        ``edits`` are all up to this one; those that are in force and this one unless given.
+        Raises
+        ------
+        UsageError
+            When the energy has nothing to learn from, or is one of the user's own, whose settings stay.
         """
-        ids = ids or [evolving.id for evolving in self._all]
-        prepared, ids = self.prepared, ids if self.has_ids else ()
-        check_edit(edit, self.config, prepared.context, prepared.geometry, ids, self.energy_given)
-        self._clicks.after(
-            (*self.config.edit[: self._edits_done], edit) if edits is None else edits
-        )
-
-    @property
-    def clicks(self) -> Clicks | None:
-        """The clicks in force, on the grid of the region of interest; None where there are none."""
-        return self._clicks.after(self.config.edit[: self._edits_done])
+        where = f"edit at step {edit.step}"
+        terms = EnergyText(str(edit.settings.get("energy", self.config.energy))).terms
+        learns = any(term.settings.get("update") == "no" for term in terms)
+        if learns and self.prepared.context.foreground is None:
+            raise UsageError(
+                f"{where}: likelihood:update=no was given, and the run has nothing to learn from",
+                "give --foreground to the run, or use update=yes",
+            )
+        if self.energy_given is None or isinstance(self.energy_given, str):
+            return
+        for key in edit.settings:
+            if key == "energy" or key in energy_settings():
+                raise UsageError(
+                    f"{where}: {key} was given, but the energy is one of your own",
+                    "it has its own settings, which do not change while it runs",
+                )
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 
@@ -435,11 +430,9 @@ class Run:
             self._inputs.release_coarser(self.level)
             for evolving in self._all:
                 evolving.release_to(self.level)
-        contexts = self._clicks.contexts(self.config.edit[: checkpoint.edits_done])
         for place, (evolving, state) in enumerate(zip(self._all, checkpoint.objects, strict=True)):
-            evolving.restore(
-                state, self._solver(checkpoint.settings, place, contexts[place]), changed
-            )
+            solver = self._solver(checkpoint.settings, place, evolving.context)
+            evolving.restore(state, solver, changed)
         self._stop_requested = False
         self.settings, self._edits_done = checkpoint.settings, checkpoint.edits_done
         self._steps_made = checkpoint.step

@@ -1,4 +1,4 @@
-"""Corrections of a run: clicks, balls, settings and objects that change before a step, after the end, or at a frame."""
+"""Corrections: clicks on objects, and objects that change as a whole, after the end of a run or at a frame."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, model_serializer
-from pydantic.fields import FieldInfo
 
 from accelsurf.errors import UsageError
 from accelsurf.settings import budgets
-from accelsurf.settings.entry import entry_of
 from accelsurf.settings.toml import VOLUME, checked_volume
 from accelsurf.settings.wording import did_you_mean, shown
 
@@ -33,7 +31,8 @@ _KINDS: dict[str, tuple[str, ...]] = {
     "": ("inside", "outside", "near", "object"),
 }
 _OF_WHOLE = ("to_edges", "islands", "holes")
-_AFTER_END = (
+#: Keys of a correction.
+CORRECTION_KEYS = (
     "inside",
     "outside",
     "near",
@@ -45,33 +44,25 @@ _AFTER_END = (
     "remove",
     *_OF_WHOLE,
 )
-SettingName = Literal["edit", "refine", "correct"]
+SettingName = Literal["refine", "correct"]
 
 
 class _Setting(NamedTuple):
-    """A setting with corrections: the key that says ``when`` they are made, its ``form``, and an example of a word."""
+    """A setting with corrections: the ``form`` of one, and an example of a word."""
 
-    when: str
     form: str
     example: str
 
 
 #: The settings of the run and of tracking that have corrections.
 _SETTINGS = {
-    "edit": _Setting(
-        "step",
-        "step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on",
-        "step=30",
-    ),
     "refine": _Setting(
-        "",
         "inside=point:X,Y,Z near=10; new=ID inside=ball:X,Y,Z,R size=4ml; merge=ID,ID; split=point:X,Y,Z; "
         "remove=ID; or to_edges=2 islands=50mm3 holes=50mm3; in TOML a table [[refine]] with "
         'inside = ["point:X,Y,Z"] and so on',
         "inside=point:X,Y,Z",
     ),
     "correct": _Setting(
-        "frame",
         "frame=12 inside=point:X,Y,Z object=2; frame=12 new=3 inside=ball:X,Y,Z,R; frame=12 remove=2; and all "
         "else that accelsurf refine takes, after the frame",
         "frame=12",
@@ -80,22 +71,20 @@ _SETTINGS = {
 
 
 class Correction(BaseModel):
-    """One correction: before a step of a run, after the end of a run, or at a frame of a sequence.
+    """One correction: after the end of a run, or at a frame of a sequence.
 
     Parameters
     ----------
-    step : int
-        Number of the step, as in the history, before which it is made; 0 is the start. -1 after the end of the run.
     frame : int
         Number of the frame, from 0, that is corrected; -1 without a sequence.
     inside, outside : tuple of str
         Clicks: voxels in the object, and not in it, as the settings of these names; they hold from then on.
     object : int, optional
-        Id of the object that the clicks or the ball are for, where there are several; voxels that one gains are taken
-        from the others. 0, before a step, is no object.
+        Id of the object that the clicks are for, where there are several; voxels that one gains are taken from the
+        others.
     near : float or "auto"
-        How far from the clicks the surface may move after the end, mm; beyond it every byte stays. auto follows from
-        their radius and depth, and moves at most a share of the object.
+        How far from the clicks the surface may move, mm; beyond it every byte stays. auto follows from their radius
+        and depth, and moves at most a share of the object.
     new : int, optional
         Id of an object that begins at the clicks, beside the others; one that has this id already begins anew. With
         ``split``: id of the part that is split off.
@@ -106,35 +95,22 @@ class Correction(BaseModel):
     split : str, optional
         A point, ``point:X,Y,Z``: the part connected to it becomes an object, without the rest of its former one
         (``object``; by default that in which the point lies).
-    add : str, optional
-        A ball, ``ball:X,Y,Z,R``, that is added to the object before a step.
-    remove : str or int, optional
-        Before a step: a ball that is removed from the object. Else the id of an object that is not wanted.
+    remove : int, optional
+        The id of an object that is not wanted.
     to_edges : float, optional
         The whole border is brought to the image's edges, by at most this length in mm; no click is needed.
     islands, holes : str, optional
         Parts of the object that are smaller than this volume, as ``50mm3``, are removed, but for the largest; parts
         smaller than this that it encloses are filled.
-    **settings
-        Fields of RunConfig that are in force from the step on, but for those that are fixed while a run runs. A ball
-        comes after them.
-
-    Notes
-    -----
-    A step alone lets the run continue: the stop rule begins anew there.
 
     Examples
     --------
-    >>> correction = Correction(step=30, smoothness=0.5, add="ball:10,10,10,4")
-    >>> correction.settings, correction.balls
-    ({'smoothness': 0.5}, (('add', 'ball:10,10,10,4'),))
     >>> str(Correction(inside=("point:1,2,3",), near=4.0)), str(Correction(merge=(1, 3)))
     ('inside=point:1,2,3 near=4.0', 'merge=1,3')
     """
 
-    model_config = ConfigDict(frozen=True, extra="allow")
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
-    step: int = -1
     frame: int = -1
     inside: tuple[str, ...] = ()
     outside: tuple[str, ...] = ()
@@ -144,27 +120,10 @@ class Correction(BaseModel):
     size: str | None = None
     merge: tuple[int, ...] = ()
     split: str | None = None
-    add: str | None = None
-    remove: str | int | None = None
+    remove: int | None = None
     to_edges: float | None = None
     islands: str | None = None
     holes: str | None = None
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The settings that change."""
-        return dict(self.model_extra or {})
-
-    @property
-    def balls(self) -> tuple[tuple[str, str], ...]:
-        """("add" or "remove", ball), in the order in which they are made."""
-        both = (("add", self.add), ("remove", self.remove))
-        return tuple((kind, ball) for kind, ball in both if isinstance(ball, str))
-
-    @property
-    def has_clicks(self) -> bool:
-        """True if there are clicks."""
-        return bool(self.inside or self.outside)
 
     @property
     def target(self) -> int | None:
@@ -189,39 +148,31 @@ class Correction(BaseModel):
         """True if it changes an object that is there: by clicks, or as a whole."""
         return self.kind in ("clicks", "mend")
 
-    @property
-    def removed_id(self) -> int | None:
-        """The object that is taken away from a finished run; None if none is."""
-        return self.remove if isinstance(self.remove, int) else None
-
     @model_serializer
     def _table(self) -> dict[str, Any]:
         given: dict[str, Any] = {
-            key: number for key in ("frame", "step") if (number := getattr(self, key)) >= 0
-        }
-        given |= {**self.settings, "add": self.add}
-        given |= {"remove": self.remove} if isinstance(self.remove, str) else {}
-        given |= {
+            "frame": self.frame if self.frame >= 0 else None,
             "inside": list(self.inside) or None,
             "outside": list(self.outside) or None,
             "object": self.object,
-        }
-        given |= {
             "new": self.new,
             "size": self.size,
             "merge": self.merge or None,
             "split": self.split,
+            "remove": self.remove,
+            "near": None if self.near == "auto" else self.near,
+            "to_edges": self.to_edges,
+            "islands": self.islands,
+            "holes": self.holes,
         }
-        given |= {"remove": self.remove, "near": None if self.near == "auto" else self.near}
-        given |= {"to_edges": self.to_edges, "islands": self.islands, "holes": self.holes}
         return {key: value for key, value in given.items() if value is not None}
 
     def __str__(self) -> str:
-        words = ((key, word) for key, value in self._table().items() for word in _words_of(value))
+        words = ((key, word) for key, value in self._table().items() for word in _texts_of(value))
         return " ".join(f"{key}={shlex.quote(word)}" for key, word in words)
 
 
-def _words_of(value: Any) -> Sequence[str]:
+def _texts_of(value: Any) -> Sequence[str]:
     if isinstance(value, list):
         return [str(item) for item in value]
     return [",".join(map(str, value)) if isinstance(value, tuple) else str(value)]
@@ -234,13 +185,13 @@ def corrections_of(value: Any, name: SettingName = "refine") -> tuple[Correction
     ----------
     value : anything
         One correction or several.
-    name : {"edit", "refine", "correct"}
-        The setting: before steps, after the end, or at frames.
+    name : {"refine", "correct"}
+        The setting: after the end, or at frames.
 
     Returns
     -------
     tuple of Correction
-        In the order given; corrections at steps are sorted by step.
+        In the order given.
 
     Raises
     ------
@@ -249,8 +200,6 @@ def corrections_of(value: Any, name: SettingName = "refine") -> tuple[Correction
 
     Examples
     --------
-    >>> [str(edit) for edit in corrections_of(["step=9 add=ball:1,2,3,4", {"step": 2, "cfl": 0.3}], "edit")]
-    ['step=2 cfl=0.3', 'step=9 add=ball:1,2,3,4']
     >>> [correction.near for correction in corrections_of(["inside=point:1,2,3 near=5", {"outside": "point:4,5,6"}])]
     [5.0, 'auto']
     >>> corrections_of("frame=2 new=5 inside=ball:1,2,3,2", "correct")[0].frame
@@ -258,8 +207,7 @@ def corrections_of(value: Any, name: SettingName = "refine") -> tuple[Correction
     """
     many = value if isinstance(value, (list, tuple)) else [value]
     budgets.EDITS.check(len(many), name, kind=UsageError)
-    found = [_correction(item, name) for item in many]
-    return tuple(sorted(found, key=lambda correction: correction.step) if name == "edit" else found)
+    return tuple(_correction(item, name) for item in many)
 
 
 def corrections_in_order(table: Mapping[str, Any]) -> tuple[Correction, ...]:
@@ -308,9 +256,6 @@ def click_by_click(
 
 
 #: The types of the settings in which they are given.
-Edits = Annotated[
-    tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "edit"))
-]
 Refinements = Annotated[
     tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "refine"))
 ]
@@ -322,43 +267,11 @@ FrameCorrections = Annotated[
 def _correction(value: Any, name: SettingName) -> Correction:
     if isinstance(value, Correction):
         value = value.model_dump()
-    when, form, _ = _SETTINGS[name]
-    table = _words(value, name) if isinstance(value, str) else value
+    form, example = _SETTINGS[name]
+    table = words_of(value, name, form, example) if isinstance(value, str) else value
     if not isinstance(table, Mapping):
-        expected = "a step and what changes before it" if when == "step" else "clicks"
-        raise UsageError(f"{name}: {shown(value)} was given, expected {expected}", form)
-    fields: dict[str, Any] = dict(table)
-    where: str = name
-    if when:
-        number = _whole(table.get(when), 0, 10**18)
-        if number is None:
-            given = f"no {when}" if table.get(when) is None else f"{when} {shown(table[when])}"
-            raise UsageError(f"{name}: {given} was given, expected a whole number at least 0", form)
-        fields[when] = number
-        where = f"edit at step {number}" if when == "step" else name
-    fields |= {side: _clicks(side, table.get(side, ()), where, form) for side in _CLICKS}
-    if when == "step":
-        return Correction(**{**fields, **_before_step(table, where, form)})
-    return Correction(**{**fields, **_after_end(table, name, form)})
-
-
-def _before_step(table: Mapping[str, Any], where: str, form: str) -> dict[str, Any]:
-    """Return the fields of a correction before a step that need a check."""
-    for key in ("frame", "near", "new", "size", "merge", "split", "to_edges", "islands", "holes"):
-        if key in table:
-            raise UsageError(
-                f"{where}: {key} cannot change while a run runs", "give it to refine, after the end"
-            )
-    for key in ("add", "remove"):
-        ball = table.get(key)
-        if ball is not None and not (isinstance(ball, str) and ball.startswith("ball:")):
-            raise UsageError(f"{where}: {key} {shown(ball)} was given, expected ball:X,Y,Z,R", form)
-    return {"object": _id("object", table.get("object"), where, form, least=0)}
-
-
-def _after_end(table: Mapping[str, Any], name: SettingName, form: str) -> dict[str, Any]:
-    """Return the fields of a correction after the end that need a check."""
-    valid = [*([_SETTINGS[name].when] if name == "correct" else []), *_AFTER_END]
+        raise UsageError(f"{name}: {shown(value)} was given, expected clicks", form)
+    valid = [*(["frame"] if name == "correct" else []), *CORRECTION_KEYS]
     for key in table:
         if key not in valid:
             hint = f"{did_you_mean(str(key), valid)}Valid are {', '.join(valid)}"
@@ -366,8 +279,12 @@ def _after_end(table: Mapping[str, Any], name: SettingName, form: str) -> dict[s
     given = {
         key
         for key, value in table.items()
-        if key in _AFTER_END and value not in (None, (), [], "", "auto")
+        if key in CORRECTION_KEYS and value not in (None, (), [], "", "auto")
     }
+    fields: dict[str, Any] = dict(table)
+    if name == "correct":
+        fields["frame"] = moment_of(table, "frame", name, form)
+    fields |= {side: _clicks(side, table.get(side, ()), name, form) for side in _CLICKS}
     _refuse_mixed(given, name, form)
     size, split = checked_volume(table.get("size")), table.get("split")
     if size is not None and (not isinstance(size, str) or not re.fullmatch(VOLUME, size)):
@@ -376,23 +293,29 @@ def _after_end(table: Mapping[str, Any], name: SettingName, form: str) -> dict[s
         )
     if split is not None and not (isinstance(split, str) and split.startswith("point:")):
         raise UsageError(f"{name}: split {shown(split)} was given, expected point:X,Y,Z", form)
-    near, merge = (
-        _near(table.get("near", "auto"), name, form),
-        _ids(table.get("merge", ()), name, form),
-    )
-    sizes = {key: _part_size(key, table.get(key), name, form) for key in ("islands", "holes")}
     edges = table.get("to_edges")
-    edges = None if edges is None else _length("to_edges", edges, name, form)
-    ids = {key: _id(key, table.get(key), name, form) for key in ("object", "new", "remove")}
-    return {
-        "near": near,
-        "size": size,
-        "split": split,
-        "merge": merge,
-        "to_edges": edges,
-        **sizes,
-        **ids,
-    }
+    fields |= {"size": size, "split": split}
+    fields["near"] = _near(table.get("near", "auto"), name, form)
+    fields["merge"] = _ids(table.get("merge", ()), name, form)
+    fields["to_edges"] = None if edges is None else _length("to_edges", edges, name, form)
+    fields |= {key: _part_size(key, table.get(key), name, form) for key in ("islands", "holes")}
+    fields |= {key: _id(key, table.get(key), name, form) for key in ("object", "new", "remove")}
+    return Correction(**fields)
+
+
+def moment_of(table: Mapping[str, Any], key: str, name: str, form: str) -> int:
+    """Return the step or the frame of a table: a whole number at least 0.
+
+    Raises
+    ------
+    UsageError
+        When there is none.
+    """
+    number = _whole(table.get(key), 0, 10**18)
+    if number is None:
+        given = f"no {key}" if table.get(key) is None else f"{key} {shown(table[key])}"
+        raise UsageError(f"{name}: {given} was given, expected a whole number at least 0", form)
+    return number
 
 
 def _refuse_mixed(given: set[str], name: str, form: str) -> None:
@@ -473,59 +396,41 @@ def _whole(value: Any, least: int, most: int) -> int | None:
     )
 
 
-def _id(key: str, value: Any, where: str, form: str, least: int = 1) -> int | None:
-    number = _whole(value, least, MAX_ID)
+def _id(key: str, value: Any, where: str, form: str) -> int | None:
+    number = _whole(value, 1, MAX_ID)
     if value is not None and number is None:
         raise UsageError(f"{where}: {key} {shown(value)} was given, expected an object's id", form)
     return number
 
 
-def _words(text: str, name: SettingName) -> dict[str, Any]:
-    """Read the words KEY=VALUE of a correction; clicks may be repeated."""
+def words_of(text: str, name: str, form: str, example: str) -> dict[str, Any]:
+    """Return the words KEY=VALUE of a correction or an edit by key; clicks may be repeated.
+
+    Parameters
+    ----------
+    text : str
+    name : str
+        Of the setting.
+    form : str
+        The hint of an error.
+    example : str
+        A word, as an error names it.
+
+    Raises
+    ------
+    UsageError
+        When a word is none, or a key is given twice.
+    """
     budgets.EXPRESSION.check(len(text), name, kind=UsageError)
-    form = _SETTINGS[name].form
     try:
         pairs = [word.partition("=") for word in shlex.split(text)]
     except ValueError:
         pairs = [(text, "", "")]
     if not pairs or not all(sign and key and value for key, sign, value in pairs):
-        raise UsageError(
-            f"{name}: {shown(text)} was given, expected words like {_SETTINGS[name].example}", form
-        )
+        raise UsageError(f"{name}: {shown(text)} was given, expected words like {example}", form)
     table: dict[str, Any] = {}
     for key, _, value in pairs:
         if key in table and key not in _CLICKS:
             raise UsageError(f"{name}: {shown(key)} was given twice", form)
         table[key] = (*table.get(key, ()), value) if key in _CLICKS else value
     return table
-
-
-def refuse_unknown(edit: Correction, known: Mapping[str, FieldInfo]) -> None:
-    """Refuse settings that do not exist, or that cannot change while a run runs.
-
-    Parameters
-    ----------
-    edit : Correction
-        Before a step.
-    known : mapping
-        Fields of `RunConfig` by name.
-
-    Raises
-    ------
-    UsageError
-        With the nearest setting that exists.
-    """
-    possible = [key for key, field in known.items() if not entry_of(field).fixed]
-    valid = ["add", "remove", *_CLICKS, *possible]
-    for key in edit.settings:
-        if key in possible:
-            continue
-        if key in known:
-            raise UsageError(
-                f"edit at step {edit.step}: {key} cannot change while a run runs",
-                f"these can: {', '.join(possible)}",
-            )
-        raise UsageError(
-            f"edit at step {edit.step}: {shown(key)}: there is no such setting",
-            f"{did_you_mean(key, valid)}Valid are {', '.join(valid)}",
-        )

@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from accelsurf.image.grey_window import AUTO, checked_window
-from accelsurf.settings.corrections import Edits, Refinements
+from accelsurf.settings.corrections import Refinements
+from accelsurf.settings.edits import Edits
 from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, Slider, setting
@@ -334,9 +335,8 @@ class SettingFields(BaseModel):
     )
     edit: Edits = setting(
         (),
-        "Changes while it runs, each before a step: 'step=30 smoothness=0.5', 'step=40 add=ball:X,Y,Z,R' "
-        "(or remove=), 'step=40 inside=point:X,Y,Z' (or outside=, repeated; with object=ID "
-        "among several objects); in TOML tables [[edit]].",
+        "Settings that change while it runs, each before a step: 'step=30 smoothness=0.5'; in TOML tables [[edit]]. "
+        "Clicks correct a run that has ended: --refine.",
         entry=SettingEntry(RUN, viewer="elsewhere", metavar="CHANGE", repeated=True, fixed=True),
     )
     stop_at_rest: bool = setting(

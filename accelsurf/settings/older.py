@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from accelsurf.settings.corrections import corrections_of
+from accelsurf.settings.edits import edits_of
 from accelsurf.settings.expression import text_of
 from accelsurf.settings.flow_specs import AUTO, FLOWS, MOMENTUM, spec_of
 
@@ -47,7 +47,7 @@ def modern(values: Mapping[str, Any]) -> dict[str, Any]:
     [{'step': 9, 'flow': 'constant-density:k=3,lam=2'}]
     """
     found = dict(values)
-    edits = [edit.model_dump() for edit in corrections_of(found.get("edit", ()), "edit")]
+    edits = [edit.model_dump() for edit in edits_of(found.get("edit", ()))]
     if any(key in table for table in (found, *edits) for key in _MOVED):
         now = _Flow(AUTO, {})
         for table in (found, *edits):

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, ValidationError, model_validator
 from accelsurf.errors import UsageError
 from accelsurf.settings import messages, toml
 from accelsurf.settings.catalogue import default_of, entry, help_of, is_switch
-from accelsurf.settings.corrections import refuse_unknown
+from accelsurf.settings.edits import refuse_unknown
 from accelsurf.settings.energy_expression import Term
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.expression import MAGNITUDES

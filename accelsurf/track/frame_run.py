@@ -171,7 +171,7 @@ def measure(
     for refinement in refinements:
         for id in (
             *refinement.merge[1:],
-            *([refinement.removed_id] if refinement.removed_id is not None else []),
+            *([refinement.remove] if refinement.remove is not None else []),
         ):
             found.pop(id, None)
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from concurrent.futures import Future
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,7 +126,7 @@ class Size(Tool):
 #: Those that do not paint.
 TOOLS: tuple[type[Tool], ...] = (Size, Look, Ball)
 #: All tools in the order of their buttons: the most needed first.
-ORDER = ("size", "inside", "outside", "look", "grow", "shrink", "ball", "split")
+ORDER = ("size", "inside", "outside", "look", "ball", "split")
 
 
 #: A stroke has a place each time it has moved by this part of its radius, and at least by a voxel.
@@ -137,11 +137,15 @@ JUMP = 4.0
 Place = NDArray[np.float64]
 
 
-class CorrectionTool(Tool):
-    """Paints a stroke, which is sent as a correction of its kind."""
+class Inside(Tool):
+    """Paints a stroke of voxels that are inside, which is sent as a correction."""
 
     #: In whose colour it is drawn.
     side: Side = "inside"
+    name = "inside"
+    key = "I"
+    text = "Inside"
+    tip = "Click or draw on what is missing: it is in the object, and stays in it"
 
     def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
@@ -157,11 +161,22 @@ class CorrectionTool(Tool):
         return self.radius if self.radius > 0.5001 * finest(self.actions.scene.geometry) else 0.0
 
     def press(self, at: Picked) -> None:
+        """Begin a stroke, and show how far around its first place the surface may move while the button is down."""
         if at.world is None:
             return
         self.leave()
-        self._mark = self.actions.scene.marks.new_stroke()
+        mark = self._mark = self.actions.scene.marks.new_stroke()
         self.move(at)
+        where = (click_text([at.world], self.width),)
+
+        def show(reach: float | None) -> None:
+            if reach is not None and self._mark == mark:
+                self.actions.scene.mark_ball(at.world, reach + self.width)
+                self.actions.note(f"the surface moves within {reach:.3g} mm of the click")
+
+        self.actions.ask(
+            self.actions.session.reach_of(self.side, where, self.actions.object_id), show
+        )
 
     def move(self, at: Picked) -> None:
         strokes = self.actions.scene.marks
@@ -186,6 +201,8 @@ class CorrectionTool(Tool):
             self.actions.ask(future)
             self.sent.append((self._mark, future))
         self._pieces, self._mark = [], 0
+        self.actions.scene.mark_ball(None)
+        self.actions.note("", 0.0)  # the effect of the correction is said next
 
     def leave(self) -> None:
         if self._mark:
@@ -195,7 +212,8 @@ class CorrectionTool(Tool):
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
         """Have the session make the correction."""
-        raise NotImplementedError
+        texts = tuple(click_text(piece, self.width) for piece in pieces)
+        return self.actions.session.add_click(self.side, texts, self.actions.object_id)
 
     def end_obeyed(self) -> None:
         """Remove strokes that the surface has obeyed, or the session refused."""
@@ -203,40 +221,6 @@ class CorrectionTool(Tool):
             if future.done():
                 self.actions.scene.marks.end(mark)
         self.sent = [(mark, future) for mark, future in self.sent if not future.done()]
-
-
-class Inside(CorrectionTool):
-    """Marks voxels that are inside."""
-
-    name = "inside"
-    key = "I"
-    text = "Inside"
-    tip = "Click or draw on what is missing: it is in the object, and stays in it"
-
-    def press(self, at: Picked) -> None:
-        """Begin a stroke, and show how far around its first place the surface may move while the button is down."""
-        super().press(at)
-        if at.world is None or not self._mark:
-            return
-        mark, where = self._mark, (click_text([at.world], self.width),)
-
-        def show(reach: float | None) -> None:
-            if reach is not None and self._mark == mark:
-                self.actions.scene.mark_ball(at.world, reach + self.width)
-                self.actions.note(f"the surface moves within {reach:.3g} mm of the click")
-
-        self.actions.ask(
-            self.actions.session.reach_of(self.side, where, self.actions.object_id), show
-        )
-
-    def release(self) -> None:
-        super().release()
-        self.actions.scene.mark_ball(None)
-        self.actions.note("", 0.0)  # the effect of the correction is said next
-
-    def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
-        texts = tuple(click_text(piece, self.width) for piece in pieces)
-        return self.actions.session.add_click(self.side, texts, self.actions.object_id)
 
 
 class Outside(Inside):
@@ -249,37 +233,12 @@ class Outside(Inside):
     tip = "Click or draw on what is too much: it is not in the object, and stays out of it"
 
 
-class Grow(CorrectionTool):
-    """Adds the voxels that the brush covers."""
-
-    kind: Literal["add", "remove"] = "add"
-    name = "grow"
-    key = "G"
-    text = "Grow"
-    tip = "Draw: what the brush covers is added, until the surface moves on"
-
-    def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
-        balls = tuple(ball_text(place, self.radius) for piece in pieces for place in piece)
-        return self.actions.session.edit_balls(self.kind, balls, self.actions.object_id)
-
-
-class Shrink(Grow):
-    """Removes the voxels that the brush covers."""
-
-    side: Side = "outside"
-    kind: Literal["add", "remove"] = "remove"
-    name = "shrink"
-    key = "K"
-    text = "Shrink"
-    tip = "Draw: what the brush covers is removed, until the surface moves on"
-
-
 class CorrectionsFeature(Feature):
     """The tools that paint."""
 
     def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
-        self._tools = tuple(kind(actions) for kind in (Inside, Outside, Grow, Shrink))
+        self._tools = tuple(kind(actions) for kind in (Inside, Outside))
 
     def tools(self) -> Sequence[Tool]:
         return self._tools

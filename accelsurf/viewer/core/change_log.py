@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from accelsurf.errors import UsageError
 from accelsurf.settings.corrections import Correction
+from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -126,15 +127,15 @@ class ChangeLog:
 
 
 def edits_with(
-    config: RunConfig, edits: tuple[Correction, ...], step: int, settings: dict[str, Any]
-) -> tuple[Correction, ...]:
+    config: RunConfig, edits: tuple[Edit, ...], step: int, settings: dict[str, Any]
+) -> tuple[Edit, ...]:
     """Return edits with a change of settings at a step; several changes at one step are one edit.
 
     Parameters
     ----------
     config : RunConfig
         Of the run.
-    edits : tuple of Correction
+    edits : tuple of Edit
         Up to this step.
     step : int
     settings : dict
@@ -145,10 +146,9 @@ def edits_with(
         When a setting is not valid.
     """
     # As when a slider is dragged back and forth.
-    is_open = edits and edits[-1].step == step and not (edits[-1].balls or edits[-1].has_clicks)
-    last = edits[-1] if is_open else None
+    last = edits[-1] if edits and edits[-1].step == step else None
     earlier = edits if last is None else edits[:-1]
-    config.replace(edit=(*earlier, Correction(step=step, **settings)))
+    config.replace(edit=(*earlier, Edit(step=step, **settings)))
     before = config.replace(edit=earlier).at(step)
     after = before.replace(**{**(last.settings if last else {}), **settings})
     changed = {
@@ -158,7 +158,7 @@ def edits_with(
     }
     # An edit without settings makes a converged run continue.
     continues = last is not None and not last.settings
-    return (*earlier, Correction(step=step, **changed)) if changed or continues else earlier
+    return (*earlier, Edit(step=step, **changed)) if changed or continues else earlier
 
 
 def in_words(settings: Mapping[str, Any]) -> str:

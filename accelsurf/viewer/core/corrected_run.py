@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from accelsurf.grid.boxes import (
     Box,
     Corner,
     bounding_box,
+    box_at,
     corner_of,
     counted_from,
     enclosing,
@@ -25,9 +27,7 @@ from accelsurf.grid.boxes import (
 )
 from accelsurf.grid.geometry import Geometry
 from accelsurf.output.pictures.preview_content import marks_of
-from accelsurf.run.clicks import BallEdit
 from accelsurf.run.ensemble import overall_stop
-from accelsurf.run.evolving_object import EvolvingObject
 from accelsurf.run.result import BoxMask, Result
 from accelsurf.run.run import Run
 from accelsurf.settings.coordinates import split_suffix
@@ -44,6 +44,13 @@ from accelsurf.viewer.core.saving import repeating
 
 #: Voxels around an object that a frame has.
 AROUND = 2
+
+
+class MadeAgain(NamedTuple):
+    """Corrections that were made again: a ``line`` about the last of them, and whether that ``failed``."""
+
+    line: str
+    failed: bool
 
 
 class Corrections:
@@ -135,8 +142,8 @@ class Corrections:
                 boxes[surface.id] = self._boxes.get(surface.id)
         self._boxes = boxes
 
-    def correct_again(self, run: Run) -> str:
-        """Make those that are wanted of a run that has ended; the first that does not fit ends them. Return a line."""
+    def correct_again(self, run: Run) -> MadeAgain:
+        """Make those that are wanted of a run that has ended; the first that does not fit ends them."""
         wanted = self._wanted
         self._wanted = ()
         line = ""
@@ -145,8 +152,8 @@ class Corrections:
             try:
                 line = self.correct(run, correction, said)
             except AccelsurfError as error:
-                return f"{said} cannot be made again: {error.message}"
-        return line
+                return MadeAgain(f"{said} cannot be made again: {error.message}", True)
+        return MadeAgain(line, False)
 
     def go_to(self, run: Run, wanted: tuple[Correction, ...]) -> bool:
         """Take back corrections and make others, so that these are made; False where it takes another run."""
@@ -201,16 +208,19 @@ class Corrections:
         UsageError, InputError
             When there are ids and the place is none, or lies outside.
         """
-        if self._refiner is None or not self._refiner.has_ids:
-            return nearest_object(run, place) if run.has_ids else None
-        geometry = run.geometry
-        centre = _place_of(place, geometry)
-        distances = {
-            surface.id: _distance_of(
-                surface.psi, surface.corner, self._boxes[surface.id], centre, geometry.spacing
-            )
-            for surface in self._refiner.surfaces
-        }
+        refiner, distances = self._refiner, dict[int, float]()
+        if not (run.has_ids if refiner is None else refiner.has_ids):
+            return None
+        at = starts.ball_of(_as_ball(place, run.geometry), run.geometry)[0]
+        centre, spacing = np.array(at, float), run.geometry.spacing
+        if refiner is None:
+            for evolving, (corner, psi) in zip(run.objects, run.separated(), strict=True):
+                whole = box_at(corner, psi.shape)
+                distances[evolving.id] = _distance_of(psi, corner, whole, centre, spacing)
+        else:
+            for each in refiner.surfaces:
+                box = self._boxes[each.id]
+                distances[each.id] = _distance_of(each.psi, each.corner, box, centre, spacing)
         return min(distances, key=lambda id: distances[id])
 
     def taken(self, run: Run, ball: str, object_id: int) -> BoxMask | None:
@@ -222,7 +232,8 @@ class Corrections:
             return None
         if self._refiner is None and not run.has_ids and object_id == run.objects[0].id:
             return None
-        return self._begun(run).taken(_place_of(ball, run.geometry), object_id)
+        centre = np.array(starts.ball_of(ball, run.geometry)[0], float)
+        return self._begun(run).taken(centre, object_id)
 
     def result(self) -> Result | None:
         """Return the corrected result, whose settings repeat run and corrections; None where none was made."""
@@ -301,32 +312,6 @@ def _within(box: Box, shape: tuple[int, ...]) -> Box:
     return z, y, x
 
 
-def nearest_object(run: Run, where: str) -> int:
-    """Return the id of the object that is nearest to a place; the one that contains it, if there is one.
-
-    Parameters
-    ----------
-    run : Run
-        Between two steps.
-    where : str
-        ``ball:X,Y,Z,R``, of which it is the centre, ``point:X,Y,Z``, or ``path:X,Y,Z,R;...``, which begins there.
-
-    Raises
-    ------
-    UsageError, InputError
-        When it is none of these or lies outside.
-    """
-    centre = BallEdit("add", *starts.ball_of(_as_ball(where, run.geometry), run.geometry)).on_level(
-        run.grid
-    )[0]
-    return min(run.objects, key=lambda evolving: _distance(evolving, centre)).id
-
-
-def _place_of(where: str, geometry: Geometry) -> NDArray[np.float64]:
-    """A place, as `nearest_object` takes it, as an index (z, y, x) of a grid."""
-    return np.array(starts.ball_of(_as_ball(where, geometry), geometry)[0], float)
-
-
 def _distance_of(
     psi: NDArray[np.float32],
     corner: Corner,
@@ -345,7 +330,11 @@ def _distance_of(
     )
     part = psi[z, y, x]
     at = place - np.array(corner) - np.array([z.start, y.start, x.start])
-    return _depth(part, at) or _away(np.argwhere(part < 0), at, spacing)
+    voxel = np.rint(at).astype(int)
+    if (voxel >= 0).all() and (voxel < part.shape).all() and part[tuple(voxel)] < 0:
+        return float(part[tuple(voxel)])
+    away = (np.argwhere(part < 0) - at) * spacing
+    return float(np.linalg.norm(away, axis=1).min(initial=np.inf))
 
 
 def _as_ball(where: str, geometry: Geometry) -> str:
@@ -363,31 +352,3 @@ def _as_ball(where: str, geometry: Geometry) -> str:
         numbers = ",".join(map(repr, found.numbers))
         where = f"ball:{numbers},{radius:g}{found.system}"
     return where
-
-
-def _distance(evolving: EvolvingObject, place: np.ndarray) -> float:
-    """Distance, mm, of an index (z, y, x) on the level's grid from an object; not above 0 in it; inf without a surface.
-
-    Accurate to about a voxel.
-    """
-    surface = evolving.surface
-    if surface.size == 0:
-        return float("inf")
-    at = place - evolving.corner
-    cells = surface.band.cells[surface.band.psi < 0]
-    inside = np.stack(np.unravel_index(cells, surface.shape), axis=1)
-    return _depth(surface.psi, at) or _away(inside, at, evolving.grid.spacing)
-
-
-def _depth(psi: NDArray[np.float32], place: NDArray[np.float64]) -> float:
-    """Psi at the voxel of a place where that is inside, which is below 0; else 0."""
-    voxel = np.rint(place).astype(int)
-    is_there = (voxel >= 0).all() and (voxel < psi.shape).all()
-    return min(float(psi[tuple(voxel)]), 0.0) if is_there else 0.0
-
-
-def _away(
-    voxels: NDArray[np.int64], place: NDArray[np.float64], spacing: tuple[float, float, float]
-) -> float:
-    """Distance, mm, of a place from the nearest of some voxels (n, 3); inf where there are none."""
-    return float(np.linalg.norm((voxels - place) * spacing, axis=1).min(initial=np.inf))

@@ -15,7 +15,6 @@ from accelsurf.clicks.model.windows import Spacing, seed_of
 from accelsurf.errors import UsageError
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Box, corner_of
-from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.window import LeavesWindow
 from accelsurf.measure.quality import extent_text
 from accelsurf.run.run import Run
@@ -54,18 +53,15 @@ class FirstAnswers:
 
     def __init__(self) -> None:
         self._run: Run | None = None
-        self._clicks: Clicks | None = None
         #: Others that are still to be looked at, and found ones.
         self._left: list[Answer] = []
         self._found: tuple[FirstAnswer, ...] = ()
 
     def is_wanted(self, run: Run) -> bool:
         """Return True if `find_next` has something to do."""
-        clicks = run.objects[0].context.clicks
-        if self._run is not run or self._clicks is not clicks:
+        if self._run is not run:
             taken, *others = _answers(run) or (None,)
             self._run = run
-            self._clicks = clicks
             self._left = others
             self._found = (
                 () if taken is None else (_described(run, taken.number, taken.volume_mm3, True),)

@@ -395,7 +395,7 @@ class Frame:
             for evolving, record in zip(run.objects, records, strict=True)
         )
         made = cls.of(states, run.grid, max_voxels, run.prepared.first)
-        clicks = on_image(run.clicks, run.prepared.first, run.volume.geometry.shape)
+        clicks = on_image(run.prepared.clicks, run.prepared.first, run.volume.geometry.shape)
         return (
             made
             if clicks is None

@@ -89,7 +89,7 @@ class ObjectCommands:
         ids = {evolving.id for evolving in timeline.run.objects}
         for correction in timeline.corrections.wanted:
             ids |= {correction.new} if correction.new is not None else set()
-            ids -= {*correction.merge[1:], correction.removed_id}
+            ids -= {*correction.merge[1:], correction.remove}
         return tuple(sorted(id for id in ids if id is not None))
 
     @property
@@ -110,32 +110,9 @@ class ObjectCommands:
         stops = {id: known.get(id) for id in self.ids}
         return {id: pause if stop is None else stop.reason for id, stop in stops.items()}
 
-    def of_run(self, object_id: int | None) -> int | None:
-        """Return the id of an object in corrections of the run: None where the run has one without an id.
-
-        Raises
-        ------
-        UsageError
-            When it is none of the run.
-        """
-        run = self._timeline.run
-        if object_id is not None and not run.has_ids and object_id == run.objects[0].id:
-            return None
-        if object_id in self.ids and self.is_beside(object_id):
-            raise UsageError(
-                f"object {object_id} is made again when the run ends", "let the run end first"
-            )
-        return object_id
-
     def named(self, object_id: int) -> int | None:
         """Return the id of the object that was named; None where there is one without an id."""
         return None if not self.has_ids and self.ids == (object_id,) else object_id
-
-    def is_beside(self, object_id: int | None) -> bool:
-        """Return True if an object is none of the run itself, but of its corrections."""
-        return object_id is not None and object_id not in [
-            evolving.id for evolving in self._timeline.run.objects
-        ]
 
     # -- clicks and sizes ----------------------------------------------------------------------------------
 

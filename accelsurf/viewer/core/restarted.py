@@ -17,19 +17,19 @@ FROM_CLICKS = ("clicks",)
 
 def restarted(
     settings: RunConfig,
-    edits: Sequence[Correction],
     refinements: Sequence[Correction],
     changes: Mapping[str, Any],
     has_ids: bool,
 ) -> RunConfig:
-    """Return the configuration of a run that begins again with other settings, and with the same clicks.
+    """Return the configuration of a run that begins again with other settings, and with the same corrections.
 
     Parameters
     ----------
     settings : RunConfig
         In force now, without edits.
-    edits, refinements : sequence of Correction
-        Corrections since the start, in order: clicks stay, from the first step on; balls do not.
+    refinements : sequence of Correction
+        In force; they are made again when the run has ended. Of a run that needs clicks to begin, and has none, they
+        are the clicks.
     changes : mapping
         New values by name. A ``preset`` brings its values; see `of_preset`.
     has_ids : bool
@@ -40,28 +40,18 @@ def restarted(
     UsageError
         When a value is not valid.
     """
-    clicked = [
-        correction
-        for correction in (*edits, *refinements)
-        if correction.inside or correction.outside
-    ]
+    clicked = [each for each in refinements if each.kind == "clicks"]
     has_clicks = bool(settings.inside) or any(each.inside for each in clicked)
     if changes.get("preset") is not None:
         changes = {**changes, **of_preset(settings, str(changes["preset"]), has_clicks)}
     config = settings.replace(**changes)
-    if config.labels is not None:
-        return config
-    if needs_clicks(config) and not config.inside and not has_ids:
-        sides = {
-            side: tuple(text for each in clicked for text in getattr(each, side))
-            for side in ("inside", "outside")
-        }
-        return config.replace(inside=sides["inside"], outside=(*config.outside, *sides["outside"]))
-    first = [
-        Correction(step=0, inside=each.inside, outside=each.outside, object=each.object)
-        for each in clicked
-    ]
-    return config.replace(edit=tuple(first))
+    if has_ids or config.inside or config.labels is not None or not needs_clicks(config):
+        return config.replace(refine=tuple(refinements))
+    return config.replace(
+        inside=tuple(text for each in clicked for text in each.inside),
+        outside=(*config.outside, *(text for each in clicked for text in each.outside)),
+        refine=tuple(each for each in refinements if each.kind != "clicks"),
+    )
 
 
 def of_preset(settings: RunConfig, name: str, has_clicks: bool) -> dict[str, Any]:

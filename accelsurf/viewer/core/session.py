@@ -1,8 +1,9 @@
 """Session: a run that is watched and steered, in a thread of its own. Draws nothing and knows no window.
 
 Its methods may be called from any thread. Commands (`play`, `pause`, `change`, ...) return a Future at once and are
-carried out between two steps; `next_view` returns a new view to draw. Actions of the user are stored as the edits of
-the configuration, so that `save` writes a ``NAME_run.toml`` that makes the same bytes from the command line.
+carried out between two steps; `next_view` returns a new view to draw. Settings that
+the user changes are edits of the configuration, and clicks its corrections, so that `save` writes a ``NAME_run.toml``
+that makes the same bytes from the command line.
 When the run has ended, its uncertain locations are found: where the surface has the least evidence.
 """
 
@@ -231,7 +232,7 @@ class Session:
         return self._do(lambda timeline: timeline.go_to(step))
 
     def restart(self) -> Future[None]:
-        """Begin again from the start with the settings in force; without the balls that were added or removed."""
+        """Begin again from the start with the settings in force, without corrections."""
         return self._do(lambda timeline: timeline.restart())
 
     def change(self, **settings: Any) -> Future[None]:
@@ -243,17 +244,6 @@ class Session:
             From the Future, when a setting is not valid; nothing is changed then.
         """
         return self._do(lambda timeline: timeline.change(settings))
-
-    def edit_balls(
-        self, kind: Literal["add", "remove"], balls: Sequence[str], object_id: int | None = None
-    ) -> Future[None]:
-        """Add balls, ``ball:X,Y,Z,R``, to an object, or remove them from it: one correction.
-
-        Of several objects it is the one with this id, or else the one that is nearest to the first ball's centre. A
-        text that is no ball and a ball outside are refused.
-        """
-        texts = tuple(balls)
-        return self._do(lambda timeline: timeline.edit_balls(kind, texts, object_id))
 
     def add_click(
         self, side: Side, where: str | Sequence[str], object_id: int | None = None
@@ -308,8 +298,8 @@ class Session:
     def restart_with(self, **settings: Any) -> Future[None]:
         """Begin another run from the start with other settings, also those that are fixed while a run runs.
 
-        Clicks stay, balls that were added or removed do not. A ``preset`` overrides the settings in force, but for
-        values that need clicks where there are none yet.
+        Corrections stay, and are made again when the run has ended. A ``preset`` overrides the settings in force, but
+        for values that need clicks where there are none yet.
 
         Raises
         ------

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.settings.corrections import Correction
+from accelsurf.settings.edits import Edit
 from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.change_log import ChangeLine
@@ -46,7 +47,7 @@ class Status(NamedTuple):
         Steps that can be restored at once.
     settings : RunConfig
         In force now, without edits.
-    edits : tuple of Correction
+    edits : tuple of Edit
         All, also those after the present step once the session has gone back.
     stop : Stop or None
         Why the run has ended.
@@ -91,7 +92,7 @@ class Status(NamedTuple):
     step: int
     checkpoints: tuple[int, ...]
     settings: RunConfig
-    edits: tuple[Correction, ...]
+    edits: tuple[Edit, ...]
     stop: Stop | None
     message: str
     failed: bool

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.evolution.records import StepRecord, Stop
@@ -13,7 +13,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.run.checkpoint import RunCheckpoint
 from accelsurf.run.run import Run
 from accelsurf.settings.catalogue import default_of
-from accelsurf.settings.corrections import Correction
+from accelsurf.settings.edits import Edit
 from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
@@ -255,7 +255,7 @@ class Timeline:
         stop = self.run.stop
         if stop is not None:
             self._playing, self._message = False, f"{stop.reason}: {stop.message}"
-            self._message = self.corrections.correct_again(self.run) or self._message
+            self._message = self.corrections.correct_again(self.run).line or self._message
             return
         self._add_checkpoint()
         if 0 <= self._last_step <= self.step_number:
@@ -284,9 +284,7 @@ class Timeline:
         if stop is not None and "max-steps" in self._reasons():
             run.restore(self._present)
         elif stop is not None:
-            self._replace_edits(
-                (*self._edits_so_far(), Correction(step=self.step_number)), "runs on"
-            )
+            self._replace_edits((*self._edits_so_far(), Edit(step=self.step_number)), "runs on")
         if self.step_number >= run.max_steps:
             run.extend(self.step_number + max(run.config.max_steps, 1))
         if 0 <= last_step <= self.step_number:
@@ -302,7 +300,7 @@ class Timeline:
     def go_on(self, last_step: int) -> None:
         """Make the steps and corrections again with which an earlier session ended, see `Session.go_on`."""
         if self.run.stop is not None:
-            self._message = self.corrections.correct_again(self.run) or self._message
+            self._message = self.corrections.correct_again(self.run).line or self._message
         elif last_step:
             self.play(last_step)
 
@@ -363,7 +361,7 @@ class Timeline:
         changed.pop("seed", None)
         self.pause()
         self._restore(0)
-        edits = (Correction(step=0, **changed),) if changed else ()
+        edits = (Edit(step=0, **changed),) if changed else ()
         if edits != config.edit:
             self._replace_edits(edits, "restart")
         elif before.refinements:
@@ -423,34 +421,11 @@ class Timeline:
         run = self.run
         step = self.step_number
         edits = self._edits_so_far()
-        run.check(Correction(step=step, **settings))
+        run.check(Edit(step=step, **settings))
         altered, said = edits_with(run.config, edits, step, settings), in_words(settings)
         if altered != edits:
             self._replace_edits(altered, said)
         self._message = said
-
-    def edit_balls(
-        self, kind: Literal["add", "remove"], balls: tuple[str, ...], object_id: int | None
-    ) -> None:
-        """Add balls to an object (``add``), or remove them from it (``remove``), see `Session.edit_balls`.
-
-        Raises
-        ------
-        UsageError, InputError
-            When one is no ball or lies outside, or there is no object of this id.
-        """
-        self._check_begun("grow or shrink")
-        object_id = self._whose(balls[0], object_id)
-        if self._is_given or (self.run.stop is not None and self.objects.is_beside(object_id)):
-            return self.add_click("inside" if kind == "add" else "outside", balls, object_id)
-        rows = [
-            {"step": self.step_number, kind: ball, "object": self.objects.of_run(object_id)}
-            for ball in balls
-        ]
-        said = balls_in_words(kind, balls, object_id)
-        self._replace_edits((*self._edits_so_far(), *RunConfig(edit=rows).edit), said)
-        self._message = said
-        return None
 
     def add_click(self, side: Side, where: tuple[str, ...], object_id: int | None = None) -> None:
         """Say of voxels that they are in the object, or are not, see `Session.add_click`.
@@ -474,12 +449,14 @@ class Timeline:
         if self.run.stop is None and self.run.level > 0:  # a coarse surface is not corrected
             return self.refine(clicks, said)
         before, moves, limit = self._now(), self.run.stop is None, self.run.max_steps
+        lost = ""
         if moves:  # it ends at the present step: the surface that is seen is corrected
             self.run.extend(self.step_number)
             self.run.step()
-            self.corrections.correct_again(self.run)
+            again = self.corrections.correct_again(self.run)
+            lost = f"; {again.line}" if again.failed else ""
         try:
-            self._message = self.corrections.correct(self.run, refinement, said)
+            self._message = self.corrections.correct(self.run, refinement, said) + lost
         except AccelsurfError:
             if moves:  # it goes on as if nothing had been clicked
                 self.corrections.leave()
@@ -538,9 +515,7 @@ class Timeline:
     def restart_with(self, settings: dict[str, Any]) -> None:
         """Begin another run with other settings and the same clicks, see `Session.restart_with`."""
         before = self.run.settings
-        config = restarted(
-            before, self._edits_so_far(), self.corrections.wanted, settings, self.run.has_ids
-        )
+        config = restarted(before, self.corrections.wanted, settings, self.run.has_ids)
         self._begin_again(config, restart_message(before, config))
 
     def start_with(self, settings: dict[str, Any], said: str) -> None:
@@ -554,7 +529,7 @@ class Timeline:
         self._replace_run(config)
         self._message = message
         self.log.add(before._replace(step=0), message)
-        self.corrections.want(())
+        self.corrections.want(config.refine)
 
     def undo(self) -> None:
         """Undo the last change, and go to the step where it was made; UsageError when there is none."""
@@ -601,10 +576,10 @@ class Timeline:
             run.set_edits(config.edit)
         self._catch_up(step)
 
-    def _edits_so_far(self) -> tuple[Correction, ...]:
+    def _edits_so_far(self) -> tuple[Edit, ...]:
         return tuple(edit for edit in self.run.config.edit if edit.step <= self.step_number)
 
-    def _replace_edits(self, edits: tuple[Correction, ...], said: str) -> None:
+    def _replace_edits(self, edits: tuple[Edit, ...], said: str) -> None:
         """Continue with other edits from the present step; the steps made after it are forgotten."""
         run = self.run
         step = self.step_number
@@ -661,18 +636,3 @@ def clicks_in_words(side: Side, where: Sequence[str], object_id: int | None = No
         return f"{side}: stroke of {where[0].count(';') + 1} places{whose}"
     more = f" and {len(where) - 1} more" if len(where) > 1 else ""
     return f"{side}: {where[0]}{more}{whose}"
-
-
-def balls_in_words(kind: str, balls: Sequence[str], object_id: int | None = None) -> str:
-    """Return balls that were added or removed in words.
-
-    Examples
-    --------
-    >>> balls_in_words("add", ["ball:1,2,3,4"], 3)
-    'added ball:1,2,3,4 to object 3'
-    >>> balls_in_words("remove", ["ball:1,2,3,4", "ball:2,2,3,4"])
-    'removed a stroke of 2 balls'
-    """
-    whose = "" if object_id is None else f" {'to' if kind == 'add' else 'from'} object {object_id}"
-    what = balls[0] if len(balls) == 1 else f"a stroke of {len(balls)} balls"
-    return f"{'added' if kind == 'add' else 'removed'} {what}{whose}"

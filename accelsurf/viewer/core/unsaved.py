@@ -63,10 +63,7 @@ class Unsaved(NamedTuple):
     @property
     def line(self) -> str:
         """Name, number of clicks and age, in one line."""
-        clicks = sum(
-            len(each.inside) + len(each.outside) + len(each.balls)
-            for each in (*self.config.edit, *self.config.refine)
-        )
+        clicks = sum(len(each.inside) + len(each.outside) for each in self.config.refine)
         clicks += len(self.config.inside) + len(self.config.outside)
         what = f"{clicks} click{'s' * (clicks != 1)}" if clicks else "a run"
         when = f"{self.when.day} {self.when:%B %Y, %H:%M}"
