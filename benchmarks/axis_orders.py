@@ -66,10 +66,6 @@ CASES: dict[str, tuple[Any, dict[str, Any]]] = {
     "flowable mass, 2 levels": (CUBIC, {**BALL, "levels": 2, "flow": "flowable-mass"}),
     "descent, 2 levels": (CUBIC, {**BALL, "levels": 2, "flow": "gradient"}),
     "seed, 2 levels": (CUBIC, {**BALL, "levels": 2, "start": "seed:-8,-4,3,6"}),
-    "a ball added on the coarse level": (
-        CUBIC,
-        {**BALL, "levels": 2, "edit": ["step=4 add=ball:7,2,-4,4"]},
-    ),
     "region of interest, 2 levels": (CUBIC, {**BALL, "levels": 2, "roi": "-20,-17,-18,21,16,19"}),
     "mask, 2 levels": (CUBIC, {**BALL, "levels": 2, "mask": True}),
     "two objects, 2 levels": (CUBIC, {"levels": 2, "objects": True, "presmooth": 0.8}),

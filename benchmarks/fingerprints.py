@@ -185,14 +185,13 @@ def runs(folder: Path) -> dict[str, Callable[[], Any]]:
         levels=2,
         start="ball:20,20,20,9vox",
         max_steps=50,
-        edit=["step=5 smoothness=0.4", "step=12 add=ball:30,30,30,6vox"],
+        edit=["step=5 smoothness=0.4", "step=12 half_width=5"],
     )
     out["edits"] = single(
         edit=[
             "step=6 smoothness=0.5",
-            "step=10 add=ball:20,20,20,4vox",
+            "step=10 half_width=5",
             "step=15 flow=gradient",
-            "step=18 remove=ball:10,10,10,4vox",
             "step=20 energy=local-region:R=6",
         ],
     )

@@ -161,8 +161,8 @@ def works() -> dict[str, Callable[[], object]]:
         "advance": advance,
         "start": lambda: accelsurf.segment(image, start="ball:28,32,32,10vox", levels=1),
         "click": lambda: accelsurf.segment(image, inside="ball:32,32,32,4vox"),
-        "correction": lambda: accelsurf.segment(
-            image, inside="ball:32,32,32,4vox", edit="step=3 outside=point:55,32,32vox"
+        "correction": lambda: accelsurf.refine(
+            accelsurf.segment(image, inside="ball:32,32,32,4vox"), outside="point:55,32,32vox"
         ),
         "thick slices": lambda: accelsurf.segment(
             slices, spacing=(8.0, 1.0, 1.0), inside="ball:96,96,4,4vox"

@@ -8,6 +8,7 @@ from typing import Any, Literal, Protocol, TypedDict
 
 from accelsurf.io.library_images import ImageLike
 from accelsurf.settings.corrections import Correction
+from accelsurf.settings.edits import Edit
 
 class Mesh(Protocol):
     """A mesh: vertices (n, 3) and faces (m, 3), mm, LPS."""
@@ -87,7 +88,7 @@ class Shared(TypedDict, total=False):
     seed: int | None
     reproducible: bool
     threads: Literal["auto"] | int
-    edit: str | Sequence[str | Correction | Mapping[str, Any]]
+    edit: str | Sequence[str | Edit | Mapping[str, Any]]
     stop_at_rest: bool
     refine: str | Sequence[str | Correction | Mapping[str, Any]]
     extension: Literal["closest-point", "fast-marching"]

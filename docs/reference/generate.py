@@ -23,6 +23,7 @@ from accelsurf.run.arguments import GIVEN_KINDS
 from accelsurf.settings.budgets import BUDGETS
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of
 from accelsurf.settings.corrections import Correction
+from accelsurf.settings.edits import Edit
 from accelsurf.settings.energy_expression import MAX_TERMS
 from accelsurf.settings.energy_terms import TERMS, TermSpec
 from accelsurf.settings.entry import OneOf, SettingGroup, entry_of
@@ -131,7 +132,8 @@ def _types_in(kind: Any) -> Iterator[str]:
     elif origin is Literal:
         yield f"Literal[{', '.join(map(json.dumps, parts))}]"
     elif origin is tuple:
-        item = "str" if parts[0] is not Correction else "str | Correction | Mapping[str, Any]"
+        values = {Correction: "Correction", Edit: "Edit"}
+        item = f"str | {values[parts[0]]} | Mapping[str, Any]" if parts[0] in values else "str"
         yield from ("str", f"Sequence[{item}]")
     elif origin in (Union, UnionType):
         for part in parts:

@@ -346,7 +346,7 @@ def test_every_setting_is_an_option(capsys):
         layout="nnunet",
         label_group="cells",
         window="bone",
-        edit=["step=4 flow=sobolev", "step=9 add=ball:1,2,3,4vox"],
+        edit=["step=4 flow=sobolev", "step=9 smoothness=0.5"],
     )
     words = []
     for key, value in values.model_dump().items():

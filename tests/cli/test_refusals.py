@@ -70,7 +70,7 @@ OPTIONS = [
     (("--edit", "step=x"), "whole number"),
     (("--edit", "step=3 smothness=1"), "did you mean smoothness?"),
     (("--edit", "step=3 flow=gradent"), "did you mean gradient?"),
-    (("--edit", "step=3 add=bal:1,2,3,4"), "ball:X,Y,Z,R"),
+    (("--edit", "step=3 inside=point:1,2,3"), "--max-steps 3"),
     (("--edit", "step=3 levels=2"), "cannot change"),
     (("--edit", "'"), "words like step=30"),
     (("--roi", "1,2,3"), "X0,Y0,Z0,X1,Y1,Z1"),
@@ -100,7 +100,7 @@ LINES = [
     ("energy = 5", "expected"),
     ("start = 5", "expected"),
     ("edit = 5", "a step"),
-    ("[[edit]]\nadd = 'ball:1,2,3,4'", "no step"),
+    ("[[edit]]\ncfl = 0.3", "no step"),
     ("smoothness 1", "not a TOML file"),
     ("smoothness = 1\nsmoothness = 2", "not a TOML file"),
 ]

@@ -17,7 +17,6 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, meshes
 from accelsurf.io.states import from_bytes
-from accelsurf.settings import corrections
 from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.run_config import RunConfig
@@ -154,7 +153,6 @@ def _start(given: Input, path: Path) -> None:
 
 
 def _edit(given: Input, path: Path) -> None:
-    corrections.corrections_of([_text(given)], "edit")
     RunConfig(edit=[_text(given)])
 
 

@@ -39,7 +39,7 @@ RUNS = {
     "noise": {**BALL, "noise": 0.2, "seed": 3, "max_steps": 12},
     "edits": {
         **BALL,
-        "edit": ["step=4 smoothness=0.4", "step=8 add=ball:21,11,12,2"],
+        "edit": ["step=4 smoothness=0.4", "step=8 half_width=5"],
         "max_steps": 14,
     },
     "flowable mass": {**BALL, "flow": "flowable-mass", "max_steps": 12},

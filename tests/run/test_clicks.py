@@ -206,59 +206,6 @@ def test_clicks_in_python_are_texts_masks_meshes_points_and_balls():
             segment(volume, inside=wrong)
 
 
-@pytest.mark.parametrize("energy", ["seeded", "threshold:50,"])
-def test_clicks_of_an_edit_hold_from_then_on_and_are_repeated(energy, tmp_path):
-    volume, _ = phantom("even")
-    edits = ["step=4 inside=point:2,2,2 inside=ball:20,18,3,2 outside=point:12,10,10"]
-    edits.append("step=9 outside=point:12,14,10")
-    options = {
-        "inside": "ball:9,10,10,2",
-        "energy": energy,
-        "edit": edits,
-        "threads": 1,
-        "max_steps": 16,
-    }
-    places = (2, 2, 2), (10, 10, 12), (10, 14, 12)
-    steps = [
-        (step.record.step, *(int(step.surface.labels[place]) for place in places))
-        for step in evolve(volume, **options)
-    ]
-    # Step 4 begins with the click, so the surface after step 3 is the last without it.
-    assert {line[1:3] for line in steps if line[0] == 3} == {(0, 1)}
-    assert {line[1:3] for line in steps if line[0] >= 4} == {(1, 0)}
-    assert {line[3] for line in steps if line[0] >= 9} == {0} and steps[8][3] == 1
-    result = segment(volume, **options)
-    labels = result.labels
-    assert (
-        result.edits_done == 2 and labels[2, 2, 2] and labels[3, 18, 20] and not labels[10, 10, 12]
-    )
-    file = tmp_path / "run.toml"
-    file.write_text(result.config.to_toml())
-    again = segment(volume, config=RunConfig.from_toml(file))
-    np.testing.assert_array_equal(again.psi, result.psi)
-    assert str(RunConfig.from_toml(file).edit[0]) == edits[0]
-
-
-def test_a_checkpoint_has_the_clicks_of_its_time():
-    volume, _ = phantom("even")
-    edits = ["step=3 outside=point:12,10,10", "step=7 inside=point:2,2,2"]
-    config = RunConfig(inside="ball:9,10,10,2", threads=1, levels=2, edit=edits)
-    with Run(volume, config) as run:
-        saved = []
-        for _ in range(14):
-            saved.append(run.checkpoint())
-            run.step()
-        want, level = run.objects[0].surface.psi.copy(), run.level
-        for begin in (12, 8, 7, 6):
-            if saved[begin].level > run.level:
-                break
-            run.restore(saved[begin])
-            while run.step_number < 14:
-                run.step()
-            np.testing.assert_array_equal(run.objects[0].surface.psi, want)
-        assert run.level == level and begin < 12
-
-
 def two_balls(tmp_path, rows, header="id,x,y,z,r,side"):
     index = np.indices((24, 24, 44), float)
     image = sum(
@@ -330,18 +277,8 @@ def test_no_object_is_left_out_of_the_steps_and_competes(tmp_path):
 
 def test_outside_with_objects_is_in_none_of_them(tmp_path):
     volume, file = two_balls(tmp_path, ROWS[:3])
-    edits = ["step=5 object=7 inside=point:40,2,2", "step=6 outside=point:11,13,11"]
-    edits.append("step=6 object=1 outside=point:8,11,11")
-    result = segment_objects(
-        volume, file, outside="point:31,11,9", edit=edits, threads=1, max_steps=20
-    )
-    labels = result.labels
-    assert (
-        labels[9, 11, 31] == 0
-        and labels[2, 2, 40] == 7
-        and labels[11, 13, 11] == 0
-        and labels[11, 11, 8] != 1
-    )
+    result = segment_objects(volume, file, outside="point:31,11,9", threads=1, max_steps=20)
+    assert result.labels[9, 11, 31] == 0 and result.labels[11, 11, 11] == 1
     starts = np.zeros(volume.array.shape, int)
     starts[10:13, 10:13, 10:13], starts[10:13, 10:13, 30:33] = 3, 5
     result = segment_objects(
@@ -372,30 +309,6 @@ def test_nothing_outside_of_the_box_is_in_the_object():
         assert (
             run.geometry.shape == (9, 9, 9) and (run.prepared.mask_distance < 0).sum() == 5 * 5 * 5
         )
-
-
-@pytest.mark.parametrize("energy", ["seeded", "chan-vese"])
-def test_later_clicks_of_a_run_take_voxels_from_earlier_ones(energy):
-    """The person changes their mind twice; in force is what was said last, and the configuration repeats it."""
-    volume, _ = phantom("even")
-    edits = [
-        "step=2 outside='path:14,10,10,2;17,10,10,2'",
-        "step=4 inside=ball:15,10,10,1.5",
-        "step=5 outside=point:12,10,10",
-    ]
-    config = RunConfig(inside="ball:12,10,10,2", energy=energy, edit=edits, max_steps=8, threads=1)
-    with Run(volume, config) as run:
-        for _ in run:
-            pass
-        inside, outside = run.clicks.mask("inside"), run.clicks.mask("outside")
-        result = result_of(run)
-    assert not (inside & outside).any()
-    assert inside[10, 10, 15] and outside[10, 10, 12] and outside[10, 10, 17] and inside[10, 10, 11]
-    assert (result.labels[inside] > 0).all() and not result.labels[outside].any()
-    again = segment(
-        volume, **RunConfig(**result.config.model_dump()).model_dump(exclude_unset=True)
-    )
-    assert again.psi.tobytes() == result.psi.tobytes()
 
 
 @pytest.mark.parametrize(
@@ -443,31 +356,6 @@ def test_later_clicks_of_a_run_take_voxels_from_earlier_ones(energy):
             UsageError,
             "size: 0ml was given, expected a volume above 0",
         ),
-        (
-            {"inside": "point:9,9,9", "edit": ["step=3 outside=point:9,9,9"]},
-            InputError,
-            "step 3: .*nothing .* left",
-        ),
-        (
-            {"inside": "point:9,9,9", "edit": ["step=4 outside=point:5,5,5 inside=point:5,5,5"]},
-            InputError,
-            "edit at step 4: .*voxel 5,5,5",
-        ),
-        (
-            {"inside": "point:9,9,9", "edit": ["step=3 outside=blob"]},
-            UsageError,
-            "edit at step 3: .*unknown kind",
-        ),
-        (
-            {"edit": [{"step": 3, "inside": 5}]},
-            UsageError,
-            "edit at step 3: inside 5 was given, expected clicks",
-        ),
-        (
-            {"edit": ["step=3 object=2 inside=point:9,9,9"]},
-            UsageError,
-            "object 2 was given, expected one of 1",
-        ),
     ],
 )
 def test_what_cannot_be_is_refused(options, error, message):
@@ -496,13 +384,8 @@ def test_clicks_outside_of_a_mask_are_refused_or_say_nothing_new(tmp_path):
 
 def test_objects_say_which_one_a_click_is_in(tmp_path):
     volume, file = two_balls(tmp_path, ROWS)
-    for options, message in (
-        ({"inside": "point:9,9,9"}, "inside: point:9,9,9 was given with objects"),
-        ({"edit": ["step=2 inside=point:9,9,9"]}, "a click inside was given without its object"),
-        ({"edit": ["step=2 object=4 inside=point:9,9,9"]}, "object 4 was given, expected one of"),
-    ):
-        with pytest.raises(UsageError, match=message):
-            segment_objects(volume, file, **options)
+    with pytest.raises(UsageError, match="inside: point:9,9,9 was given with objects"):
+        segment_objects(volume, file, inside="point:9,9,9")
     with pytest.raises(UsageError, match="inside: clicks were given with objects"):
         segment_objects(volume, np.ones(volume.array.shape, int), inside=(9, 9, 9))
 

@@ -66,7 +66,7 @@ def ended(run: Run) -> list[bytes]:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"start": "ball:12,13.5,14,5", "levels": 2, "edit": ["step=6 add=ball:28,13.5,14,3"]},
+        {"start": "ball:12,13.5,14,5", "levels": 2, "edit": ["step=6 half_width=5"]},
         {"flow": "flowable-mass"},
     ],
 )

@@ -9,7 +9,7 @@ from accelsurf.evolution.records import Stop
 from accelsurf.image.volume import Volume
 from accelsurf.run.ensemble import REACTIVATION_DEPTH, Ensemble
 from accelsurf.run.run import Run
-from accelsurf.settings.corrections import Correction
+from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -50,6 +50,6 @@ def test_the_count_is_in_checkpoints_and_begins_anew_with_an_edit():
         run.objects[0].reactivations = 5
         run.restore(kept)
         assert run.objects[0].reactivations == 3
-        run.set_edits((Correction(step=run.step_number, add="ball:4,8,8,2"),))
+        run.set_edits((Edit(step=run.step_number, cfl=0.3),))
         run.apply_edits()
         assert run.objects[0].reactivations == 0

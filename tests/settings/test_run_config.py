@@ -53,8 +53,8 @@ ODD = RunConfig(
     reproducible=True,
     threads=2,
     edit=[
-        "step=3 smoothness=0.25 add='ball:1,2,3,4' inside='stroke:a b.csv' inside=point:1,2,3 outside=point:3,2,1",
-        {"step": 1, "flow": "momentum", "cfl": 1 / 3, "outside": ["ball:1,2,3,4"]},
+        "step=3 smoothness=0.25 energy='chan-vese + 0.1*area'",
+        {"step": 1, "flow": "momentum", "cfl": 1 / 3},
     ],
     inside=("point:1,2,3", 'stroke:"a" b.csv'),
     outside=("ball:4,5,6,7vox",),

@@ -164,6 +164,7 @@ def shown(session: Session, window: Window) -> dict[str, Any]:
         "checkpoints": status.checkpoints,
         "message": window.message.text().replace("\N{ZERO WIDTH SPACE}", ""),
         "edits": [edit.model_dump() for edit in status.edits],
+        "refinements": [correction.model_dump() for correction in status.refinements],
         "start": status.settings.start,
         "settings": status.settings.model_dump(mode="json"),
         "stop": status.stop and status.stop.reason,

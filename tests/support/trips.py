@@ -211,7 +211,7 @@ def click_trip(clicked: bool, after_end: bool) -> Trip:
     clicked : bool
         Whether the run was begun by a click.
     after_end : bool
-        Whether it has ended: the click is then a correction, else an edit of the run that is paused.
+        Whether it has ended; a run that is paused ends by the click.
     """
     from accelsurf.viewer.actions.actions import Actions
     from accelsurf.viewer.core.session import Session
@@ -244,9 +244,6 @@ def click_trip(clicked: bool, after_end: bool) -> Trip:
                 actions.request("release")
                 sys.setprofile(None)
                 assert not actions.message, actions.message
-                if not after_end:
-                    assert session.wait(60)
-                    session.single_step().result(60)
                 assert session.wait(60)
         scene.close()
     finally:

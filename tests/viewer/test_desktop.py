@@ -248,7 +248,7 @@ def test_run_pause_step_back_slide_save(person, scan, tmp_path):
 
 
 @needs_screen
-def test_balls_brushes_undo(person):
+def test_balls_and_undo(person):
     tiles = person.now()["tiles"]
     x, y = tiles["axial"]
     before = person.now()
@@ -260,21 +260,6 @@ def test_balls_brushes_undo(person):
     assert len(ball["start"]) == 1 and ball["start"][0].startswith("ball:") and ball["step"] == 0
     person.key("ctrl+z")
     person.until(lambda now: now["start"] == before["start"])
-    person.click("grow")
-    person.drag((x + 60, y), (x + 80, y), (x + 100, y))  # across its edge
-    grown = person.until(
-        lambda now: len(now["edits"]) >= 2 and now["drawn"][1] > before["drawn"][1] * 1.03
-    )
-    assert all("add" in edit for edit in grown["edits"])
-    person.key("k")
-    x, y = tiles["space"]
-    person.drag((x, y), (x + 3, y))
-    person.until(lambda now: any("remove" in edit for edit in now["edits"]))
-    # A stroke is one change, however many balls it has.
-    person.key("ctrl+z")
-    person.until(lambda now: all("add" in edit for edit in now["edits"]))
-    person.key("ctrl+z")
-    person.until(lambda now: not now["edits"])
     person.key("v")
     x, y = tiles["coronal"]
     cursor = person.now()["cursor"]

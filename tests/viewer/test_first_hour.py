@@ -70,12 +70,8 @@ def test_nothing_is_there_before_it_is_asked_for(actions):
             actions.state()["message"]
         )
     assert not list(actions.folder.iterdir())
-    for work in (
-        lambda: actions.session.add_click("outside", "point:14,18,12"),
-        lambda: actions.session.edit_balls("add", ["ball:14,18,12,3"]),
-    ):
-        with pytest.raises(Exception, match="there is no object yet"):
-            work().result(60)
+    with pytest.raises(Exception, match="there is no object yet"):
+        actions.session.add_click("outside", "point:14,18,12").result(60)
     actions.request("undo")  # the preset
     viewing.settle(actions)
 

@@ -15,7 +15,7 @@ from tests.viewer.test_strokes import drag, place_of, shown
 
 #: Two places in the axial slice, and the tools that paint.
 FIRST, SECOND = (11.0, 8.0, 9.0), (25.0, 6.0, 9.0)
-PAINTS = ("inside", "outside", "grow", "shrink")
+PAINTS = ("inside", "outside")
 
 
 @pytest.fixture(scope="module")

@@ -90,8 +90,6 @@ def test_an_object_is_begun_by_a_click_and_the_active_one_takes_strokes(session,
     # With no object named it is the nearest one.
     session.add_click("inside", "point:12,15,29").result(60)
     assert session.status.refinements[-1].object == 1
-    session.edit_balls("add", ("ball:44,15,17,2",), 2).result(60)
-    assert session.status.refinements[-1].object == 2 and session.status.refinements[-1].inside
     saved(session, tmp_path)
 
 

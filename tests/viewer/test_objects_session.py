@@ -12,9 +12,10 @@ from accelsurf import cli, io, segment_objects
 from accelsurf.cli import view
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.run.run import Run
+from accelsurf.settings.corrections import corrections_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.actions import Actions
-from accelsurf.viewer.core.corrected_run import nearest_object
+from accelsurf.viewer.core.corrected_run import Corrections
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import two_balls, viewing
@@ -52,11 +53,9 @@ def test_what_is_saved_repeats_the_steered_run(session, tmp_path):
     assert session.wait(60) and session.status.step == 5
     assert labels_of(at(session, 12), tmp_path / "b")[0] == straight
     session.go_to(6).result(60)
-    session.edit_balls("add", ("ball:38,14,12,3",), 3).result(60)
-    assert session.status.message == "added ball:38,14,12,3 to object 3"
     session.change(smoothness=0.2).result(60)
     at(session, 14)
-    session.edit_balls("remove", ("ball:12,6,12,4",)).result(60)
+    session.change(half_width=5).result(60)
     at(session, 17)
     paths = session.save(tmp_path / "saved").result(60)
     assert {
@@ -71,17 +70,13 @@ def test_what_is_saved_repeats_the_steered_run(session, tmp_path):
         "surface_statistics.csv",
         "surface_statistics.json",
     } == {path.name for path in paths}
-    assert [(edit.step, edit.object) for edit in session.status.edits] == [
-        (6, 3),
-        (6, None),
-        (14, 3),
-    ]
+    assert [edit.step for edit in session.status.edits] == [6, 14]
     labels = io.read_labels(tmp_path / "saved/surface_seg.nii.gz").array
     assert set(np.unique(labels)) == {0, 3, 8}
     again = repeated(tmp_path / "saved/surface_run.toml")
     assert again.dtype == labels.dtype and again.tobytes() == labels.tobytes() != straight
     session.undo().result(60)
-    assert session.wait(60) and session.status.step == 14 and len(session.status.edits) == 2
+    assert session.wait(60) and session.status.step == 14 and len(session.status.edits) == 1
 
 
 def test_files_of_others_are_not_replaced_and_those_of_the_session_are(session, tmp_path):
@@ -109,8 +104,7 @@ def test_a_run_goes_on_after_it_converged_and_is_repeated(session, tmp_path):
     assert first.stop.reason == "converged"
     saved, toml = labels_of(session, tmp_path)
     assert repeated(toml).tobytes() == saved
-    session.edit_balls("remove", ("ball:29,8,12,5",)).result(60)
-    assert session.status.edits[-1].object == 8
+    session.change(smoothness=0.3).result(60)
     at(session, first.step + 6)
     saved, toml = labels_of(session, tmp_path)
     assert repeated(toml).tobytes() == saved
@@ -127,9 +121,7 @@ def test_an_object_that_stood_still_while_others_moved_is_repeated_too(tmp_path)
     with Session(image, RunConfig(objects=str(path), threads=1)) as session:
         session.play().result(60)
         assert session.wait(120) and session.status.stop.reason == "converged"
-        session.edit_balls("add", ("ball:12,18,12,4",)).result(60)
-        session.edit_balls("add", ("ball:28,20,12,4",)).result(60)
-        assert [edit.object for edit in session.status.edits] == [3, 8]
+        session.change(smoothness=0.3).result(60)
         at(session, session.status.step + 6)
         small, large = views(session)[-1].histories
         assert len(small) < len(large) - 5
@@ -151,26 +143,24 @@ def test_a_session_on_two_levels_is_repeated(config, tmp_path):
         assert two.wait(120) and labels_of(two, tmp_path)[0] == straight[0]
 
 
-def test_a_ball_without_an_object_is_the_nearest_ones(config):
-    with Run(volume(), config) as run:
-        for own, (z, y, x, _) in two_balls.TOUCHING.items():
-            assert nearest_object(run, f"ball:{x},{y},{z},2") == own
-        assert (
-            nearest_object(run, "ball:2,14,12,2") == 3
-            and nearest_object(run, "ball:22,2,12,2") == 8
-        )
-    with Session(volume(), config) as session:
-        session.edit_balls("add", ("ball:22,2,12,2",)).result(60)
-        assert [edit.object for edit in session.status.edits] == [8]
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_click_without_an_object_is_for_the_nearest(config, levels):
+    """Of surfaces that move, also on a coarse level, and of corrected ones."""
+    places = [(f"ball:{x},{y},{z},2", id) for id, (z, y, x, _) in two_balls.TOUCHING.items()]
+    places += [("point:2,14,12", 3), ("path:22,2,12,2;30,2,12,2", 8)]
+    with Run(volume(), config.replace(levels=levels)) as run:
+        corrections = Corrections(())
+        assert [corrections.nearest(run, place) for place, _ in places] == [id for _, id in places]
+        for _ in run:
+            pass
+        (correction,) = corrections_of({"inside": "ball:12,14,12,2", "object": 3})
+        corrections.correct(run, correction, "")
+        assert [corrections.nearest(run, place) for place, _ in places] == [id for _, id in places]
 
 
 def test_bad_commands_change_nothing(session):
     at(session, 2)
     for call, message in (
-        (
-            lambda: session.edit_balls("add", ("ball:22,2,12,2",), 5),
-            "object 5 was given, expected one of 3, 8",
-        ),
         (lambda: session.start_from(["ball:12,14,12,4"]), "was given with objects"),
         (lambda: session.change(objects="others.nii.gz"), "objects cannot change while a run runs"),
     ):
@@ -181,10 +171,10 @@ def test_bad_commands_change_nothing(session):
 
 def test_one_object_without_an_id_is_named_by_nothing():
     with Session(volume(), RunConfig(start="ball:12,14,12,4", threads=1)) as session:
-        session.ready.result(60)
-        session.edit_balls("add", ("ball:15,14,12,4",)).result(60)
-        assert session.status.objects == () and session.status.edits[0].object is None
-        assert session.status.message == "added ball:15,14,12,4"
+        at(session, 2)
+        session.add_click("inside", "ball:15,14,12,4").result(60)
+        assert session.status.objects == () and session.status.refinements[0].object is None
+        assert session.status.message.startswith("inside: ball:15,14,12,4: ")
 
 
 def test_views_have_a_surface_and_a_history_of_each(session):
@@ -234,7 +224,7 @@ def test_a_page_changes_the_object_that_was_asked_for(session, tmp_path):
     scene = Scene(session.volume, size=(640, 360))
     try:
         handler = Actions(session, scene, tmp_path)
-        handler.request("tool", "grow")
+        handler.request("tool", "inside")
         for asked, own in (("8", 8), (3, 3), ("nearest", None)):
             handler.request("object", asked)
             assert handler.object_id == own and not handler.message
@@ -247,9 +237,8 @@ def test_a_page_changes_the_object_that_was_asked_for(session, tmp_path):
         handler.request("release")
         assert session.wait(60)
         handler.collect_results()
-        assert session.status.edits[-1].object == 8 and session.status.edits[-1].add.startswith(
-            "ball:"
-        )
+        correction = session.status.refinements[-1]
+        assert correction.object == 8 and correction.inside[0].startswith("ball:")
     finally:
         scene.close()
 

@@ -30,11 +30,10 @@ def session():
         yield made
 
 
-def test_clicks_stay_and_balls_do_not(session, tmp_path):
+def test_clicks_are_made_again_at_the_end_of_the_other_run(session, tmp_path):
     at(session, 3)
     session.change(smoothness=0.2).result(60)
     session.add_click("inside", "ball:17,15,16,2").result(60)
-    session.edit_balls("add", ("ball:17,15,22,3",)).result(60)
     at(session, 5)
     session.add_click("outside", ["point:17,28,16", "point:16,28,16"]).result(60)
     session.restart_with(presmooth="1vox", max_volume=9e4).result(60)
@@ -45,12 +44,15 @@ def test_clicks_stay_and_balls_do_not(session, tmp_path):
         0.2,
         9e4,
     )
-    assert [(edit.step, edit.inside, edit.outside, edit.balls) for edit in status.edits] == [
-        (0, ("ball:17,15,16,2",), (), ()),
-        (0, (), ("point:17,28,16", "point:16,28,16"), ()),
+    assert status.edits == ()
+    assert [(each.inside, each.outside) for each in status.refinements] == [
+        (("ball:17,15,16,2",), ()),
+        ((), ("point:17,28,16", "point:16,28,16")),
     ]
     assert status.message == "from the start: presmooth 1vox, max volume 90000"
-    saved, toml = labels_of(at(session, 9), tmp_path)
+    session.play().result(60)
+    assert session.wait(120) and len(session.status.refinements) == 2
+    saved, toml = labels_of(session, tmp_path)
     assert segment(volume(), config=RunConfig.from_toml(toml)).labels.tobytes() == saved
 
 
@@ -62,9 +64,10 @@ def test_it_is_one_change_that_can_be_undone(session):
     assert session.status.settings.levels == 2 and session.status.undoable == before.undoable + 1
     session.undo().result(60)
     session.wait(60)
-    assert session.status.settings == before.settings and session.status.edits == before.edits
+    assert session.status.settings == before.settings
+    assert session.status.refinements == before.refinements
     session.redo().result(60)
-    assert session.status.settings.levels == 2 and session.status.edits[0].step == 0
+    assert session.status.settings.levels == 2 and len(session.status.refinements) == 1
 
 
 BAD = [
@@ -170,16 +173,14 @@ def test_a_press_after_such_a_preset_keeps_what_it_says_of_the_image(of_clicks, 
     )
 
 
-def test_corrections_after_the_end_are_clicks_from_the_start_then(session):
+def test_corrections_after_the_end_are_made_again_at_the_next(session):
     session.play().result(60)
     session.wait(120)
     assert session.status.stop is not None
     session.add_click("outside", "ball:17,6,16,2").result(60)
     assert session.status.refinements
     session.restart_with(presmooth=0.5).result(60)
-    assert session.status.refinements == () and session.status.edits[0].outside == (
-        "ball:17,6,16,2",
-    )
+    assert session.status.stop is None and len(session.status.refinements) == 1
 
 
 def test_the_status_has_the_terms_with_every_setting_resolved(session):

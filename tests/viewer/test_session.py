@@ -72,13 +72,11 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
     start = "ball:" + ",".join(f"{v:.3f}" for v in center) + ",6"
     with Session(scan, RunConfig(start=start, flow=flow), name="scan") as session:
         at(session, 7)
-        session.edit_balls("add", ("ball:25,15,10,4vox",)).result(60)
         session.change(smoothness=0.3, diffusion=0.2)
         at(session, 12)
         session.change(smoothness=0.05).result(60)
-        session.edit_balls("remove", ("ball:17,7,10,4vox",)).result(60)
         at(session, 15)
-        session.undo().result(60)  # the ball that was removed
+        session.undo().result(60)  # the last change
         session.wait(60)
         assert session.status.step == 12
         at(session, 18)
@@ -88,7 +86,7 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
         at(session, 14)
         session.go_to(11).result(60)
         at(session, 21)
-        session.edit_balls("add", ("ball:9,15,10,4vox",)).result(60)  # in the very last state
+        session.change(half_width=5).result(60)  # in the very last state
         paths = session.save(tmp_path / "saved").result(120)
         status = session.status
     assert [path.name for path in paths] == [
@@ -101,7 +99,7 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
         "scan_statistics.json",
         "scan_report.json",
     ]
-    assert [edit.step for edit in status.edits] == [7, 7, 9, 21]
+    assert [edit.step for edit in status.edits] == [7, 9, 21]
     code = command(
         [
             "segment",
@@ -117,7 +115,7 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "saved" / name).read_bytes()
     report = json.loads((tmp_path / "again/scan_report.json").read_text())
     assert (
-        report["stop"]["steps"] == 21 and [edit["done"] for edit in report["edits"]] == [True] * 4
+        report["stop"]["steps"] == 21 and [edit["done"] for edit in report["edits"]] == [True] * 3
     )
 
     def trace(folder):  # all but the seconds
@@ -197,7 +195,6 @@ def test_changes_at_one_step_are_one_edit_and_one_back_and_forth_is_none(session
 
 def test_restart_keeps_the_settings_and_another_start_too(session, tmp_path):
     at(session, 5).change(smoothness=0.4).result(60)
-    session.edit_balls("add", ("ball:25,15,16,4",)).result(60)
     at(session, 8).restart().result(60)
     status = session.status
     assert status.step == 0 and [edit.model_dump() for edit in status.edits] == [
@@ -212,42 +209,6 @@ def test_restart_keeps_the_settings_and_another_start_too(session, tmp_path):
     assert segment(volume(), config=config).labels.tobytes() == saved and len(config.start) == 2
     session.undo().result(60)
     assert session.wait(60) and session.status.settings.start == (START,)
-
-
-def test_a_start_made_by_hand_is_saved_without_a_step(session, tmp_path):
-    session.edit_balls("add", ("ball:25,15,16,4",)).result(60)
-    saved, toml = labels_of(session, tmp_path)
-    config = RunConfig.from_toml(toml)
-    assert config.max_steps == 0 and segment(volume(), config=config).labels.tobytes() == saved
-    assert saved != segment(volume(), start=START, max_steps=0, levels=1).labels.tobytes()
-
-
-def test_a_stroke_is_undone_whole_and_made_again_whole(session):
-    session.edit_balls("remove", ("ball:9,15,16,3",)).result(60)
-    session.edit_balls("add", [f"ball:{x},15,16,4" for x in (25, 27, 29)]).result(60)
-    assert len(session.status.edits) == 4 and session.status.undoable == 2
-    drawn = session.status.edits
-    session.undo().result(60)
-    assert session.status.edits == drawn[:1] and session.status.undoable == 1
-    session.redo().result(60)
-    assert session.status.edits == drawn
-
-
-def test_a_stroke_in_one_command_is_one_change_and_the_same_as_ball_by_ball(session, tmp_path):
-    balls = [f"ball:{x},15,16,4" for x in (25, 27, 29)]
-    session.edit_balls("add", balls).result(60)
-    assert (
-        session.status.undoable == 1
-        and session.status.changes[0].line == "added a stroke of 3 balls"
-    )
-    at_once = labels_of(session, tmp_path / "one")[0]
-    session.undo().result(60)
-    for ball in balls:
-        session.edit_balls("add", (ball,)).result(60)
-    assert session.status.undoable == 3 and labels_of(session, tmp_path / "two")[0] == at_once
-    with pytest.raises(InputError):  # all or nothing
-        session.edit_balls("add", [balls[0], "ball:900,0,0,3"]).result(60)
-    assert session.status.undoable == 3
 
 
 @pytest.mark.slow
@@ -332,8 +293,8 @@ def test_bad_commands_are_one_line_and_change_nothing(session):
         (lambda: session.change(smoothness=-1), "smoothness: -1 was given"),
         (lambda: session.change(smothness=1), "there is no such setting"),
         (lambda: session.change(presmooth=1), "cannot change while a run runs"),
-        (lambda: session.edit_balls("add", ("ball:900,0,0,3",)), "no voxel centre is inside"),
-        (lambda: session.edit_balls("add", ("box:0,0,0,3,3,3",)), "expected ball"),
+        (lambda: session.change(inside="point:1,2,3"), "inside cannot change while a run runs"),
+        (lambda: session.add_click("inside", "ball:900,0,0,3"), "no voxel centre is inside"),
         (lambda: session.go_to(99), "expected at most 3"),
         (lambda: session.go_to(-1), "at least 0"),
         (lambda: session.start_from(["ball:900,0,0,3"]), "no voxel centre is inside"),
@@ -393,9 +354,6 @@ def test_files_of_others_are_not_replaced_and_those_of_the_session_are(session, 
     at(session, 6)
     second = session.save(tmp_path, ("labels", "run")).result(60)
     assert second == first and second[1].read_bytes() != old
-    with pytest.raises(UsageError, match="no surface to save"):
-        session.edit_balls("remove", ("ball:17,15,16,40",)).result(60)
-        session.save(tmp_path / "none").result(60)
 
 
 def test_the_end_is_prompt_and_saves_first(tmp_path):
@@ -430,10 +388,6 @@ def test_frames_come_when_asked_for_and_the_last_is_of_the_last_state(session):
     session.go_to(5).result(60)
     (back,) = views(session)[-1:]
     assert back.frame.step == 5 and [record.step for record in back.histories[0]] == list(range(6))
-    before = back.frame.surfaces[0].psi
-    session.edit_balls("add", ("ball:25,15,16,4",)).result(60)
-    edited = views(session)[-1].frame.surfaces[0]
-    assert (edited.psi < 0).sum() > (before < 0).sum() + 100
     session.play().result(60)
     assert views(session, 120)[-1].status.stop.reason == "converged"
 

@@ -64,8 +64,8 @@ def test_the_window_shows_an_oblique_scan_straight_and_paints_in_it(person):
     person.do("mousemove", str(x), str(y))
     person.key("i")
     person.drag((x - 8, y), (x + 8, y - 6), (x + 22, y - 12))
-    now = person.until(lambda now: now["edits"] and now["edits"][-1]["inside"])
-    (path,) = now["edits"][-1]["inside"]
+    now = person.until(lambda now: now["refinements"] and now["refinements"][-1]["inside"])
+    (path,) = now["refinements"][-1]["inside"]
     places = np.array(
         [[float(v) for v in part.split(",")] for part in path.removeprefix("path:").split(";")]
     )

@@ -293,9 +293,7 @@ def test_a_stroke_marks_the_voxels_under_the_brush(actions, name):
     actions.request("release")
     settle(actions)
     given = [
-        text
-        for edit in (*actions.session.status.edits, *actions.session.status.refinements)
-        for text in edit.inside or ()
+        text for correction in actions.session.status.refinements for text in correction.inside
     ]
     assert len(given) == 1 and given[0].startswith("path:"), actions.message
     (click,) = read_clicks(tuple(given), "inside", scene.volume)

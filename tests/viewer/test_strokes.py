@@ -86,14 +86,14 @@ def pixels(actions, color, tile="axial"):
 
 @pytest.mark.parametrize(
     ("tool", "color"),
-    [("inside", INSIDE), ("outside", OUTSIDE), ("grow", INSIDE), ("shrink", OUTSIDE)],
+    [("inside", INSIDE), ("outside", OUTSIDE)],
 )
 def test_a_stroke_is_drawn_as_it_is_painted_and_until_the_surface_obeys(actions, tool, color):
     actions.request("cursor", 9.0, 8.0, 9.0)
     actions.request("radius", 1.6)
     actions.request("tool", tool)
     before = pixels(actions, color)
-    x = (11.0, 15.0) if tool in ("inside", "grow") else (5.0, 7.0)
+    x = (11.0, 15.0) if tool == "inside" else (5.0, 7.0)
     drag(actions, "axial", (x[0], 8.0, 9.0))
     first = pixels(actions, color)
     assert first > before + 50
@@ -174,19 +174,6 @@ def test_a_stroke_on_the_surface_says_what_lies_there(actions):
     assert index[:, 1].max() < 8
     result = actions.scene.frame.surfaces[0]
     assert not any(result.contains(tuple(int(i) for i in one)) for one in index)
-
-
-def test_one_stroke_of_the_brush_is_one_change(actions):
-    actions.request("cursor", 9.0, 8.0, 9.0)
-    actions.request("radius", 2.0)
-    actions.request("tool", "grow")
-    drag(actions, "axial", *[(x, 8.0, 9.0) for x in np.arange(12.0, 20.0)])
-    actions.request("release")
-    assert actions.session.wait(60)
-    status = actions.session.status
-    assert len(status.edits) > 3 and status.undoable == 1 and "stroke of" in status.changes[0].line
-    actions.request("undo")
-    assert actions.session.wait(60) and actions.session.status.edits == ()
 
 
 def test_a_stroke_that_is_refused_is_drawn_no_longer(actions):

@@ -35,8 +35,12 @@ def image(seed=0, shape=(20, 22, 24), **grid):
 CONFIG = RunConfig(
     start="ball:12,11,10,3",
     smoothness=0.3,
-    edit=[{"step": 2, "inside": ["ball:12,11,10,2"]}, {"step": 3, "smoothness": 0.5}],
-    refine=[{"outside": ["ball:2,2,2,1"]}, {"inside": ["point:12,11,10"]}],
+    edit=[{"step": 3, "smoothness": 0.5}],
+    refine=[
+        {"inside": ["ball:12,11,10,2"]},
+        {"outside": ["ball:2,2,2,1"]},
+        {"inside": ["point:12,11,10"]},
+    ],
 )
 
 
