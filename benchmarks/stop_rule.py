@@ -86,7 +86,8 @@ def measured(
     with Run(Volume.from_array(image), config) as run:
         if further is not None:
             evolution = run.objects[0].evolution
-            evolution.rule = (evolution.rule or StopRule())._replace(further=further)
+            rule = (evolution.setup.rule or StopRule())._replace(further=further)
+            evolution.use(evolution.setup._replace(rule=rule))
         for _ in run:
             pass
         evolution = run.objects[0].evolution
@@ -95,7 +96,9 @@ def measured(
         surface = evolution.surface
         cells, psi = surface.band.cells, surface.band.psi
         evolution.history.pop()
-        evolution.stop, evolution.rule, evolution.max_steps = None, None, 10**9
+        evolution.use(evolution.setup._replace(rule=None))
+        evolution.extend(10**9)
+        evolution.stop = None
         for _ in range(MORE):
             if evolution.step() is None:
                 break

@@ -131,7 +131,7 @@ def evolve_bounded(
     state = LoopState(past[:-1], past[-1].t, edits=1, first=now, judged_at=now, returned_at=now)
     setup = setup._replace(stop_at_rest=False, end="lowest")
     energy = ClickConstraint(problem.energy, bounds)
-    evolution = Evolution.of(surface, energy, setup, now + stepping.max_steps, 0, state)
+    evolution = Evolution(surface, energy, setup, now + stepping.max_steps, 0, state)
     stop = evolve_to_end(evolution, setup, stepping.watch_of(id), volume_offset, area_offset)
     psi_after = np.where(problem.region.mask, surface.psi, psi)
     return LocalOutcome(psi_after, list(evolution.history), stop)

@@ -174,7 +174,7 @@ def _evolved(
     surface = LevelSet(
         psi, spacing, setup.half_width, stepping.workers, overwrite=True, extension=setup.extension
     )
-    evolution = Evolution.of(surface, energy, setup, stepping.max_steps)
+    evolution = Evolution(surface, energy, setup, stepping.max_steps)
     stop = evolve_to_end(evolution, setup, stepping.watch_of(id))
     return LocalOutcome(np.array(surface.psi), list(evolution.history), stop)
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from accelsurf.energies import Energy
 from accelsurf.evolution import lowest, rests
-from accelsurf.evolution.convergence import Restart, StopRule, stalled, surface_is_gone
+from accelsurf.evolution.convergence import stalled, surface_is_gone
 from accelsurf.evolution.records import Reason, Step, StepFields, StepRecord, Stop, StopReason
-from accelsurf.evolution.setup import Measure, SolverSetup
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import COLUMNS, MASS_COLUMNS, Checkpoint, LoopState, Slowest
 from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.protocol import voxel_rates
@@ -31,111 +31,66 @@ class Evolution:
     surface : LevelSet
         The first surface; moved in place.
     energy : Energy
-    flow : Flow
-    limits : StepLimits
-        Step control, the same for every flow.
+    setup : SolverSetup
+        The flow and the settings of steps, restarts and stop; without a stop rule it runs to ``max_steps``.
     max_steps : int
-    restart : Restart or None
-        None never restarts.
-    rule : StopRule or None
-        None runs to ``max_steps``.
     level : int
         The grid's level, for the history. A level above 0 has no last record without motion: the surface continues on
         the next level, whose first record has its state.
     state : LoopState, optional
         State to continue from, of an evolution on another grid or under other settings (`LoopState.on_next_grid`).
     fields : list of ndarray (n,), optional
-        The fields of ``flow`` on this band; without them the flow starts with zero momentum.
+        The flow's fields on this band; without them the flow starts with zero momentum.
+    corner : (z, y, x), optional
+        First voxel of the surface's box on the level's grid.
 
     Attributes
     ----------
     state : LoopState
     stop : Stop or None
         Set when the iteration has ended.
-    corner : (z, y, x)
-        First voxel of the surface's box on the level's grid.
-    stop_at_rest : bool
-        Whether to go back to where the front rested when it breaks through from there, and end.
-    measures : mapping of str to callable
-        Of (surface, energy, flow): the numbers that each record has under ``extra``.
-    end : {"lowest", "present"}
-        The state after the last of ``max_steps``: that of the lowest energy, or the present one.
 
     Notes
     -----
     The iteration can be abandoned at any time; the surface is always a valid one between two Steps.
     """
 
-    def __init__(  # noqa: PLR0913
+    def __init__(
         self,
         surface: LevelSet,
         energy: Energy,
-        flow: Flow,
-        limits: StepLimits | None = None,
-        max_steps: int = 1000,
-        restart: Restart | None = None,
-        rule: StopRule | None = None,
-        level: int = 0,
-        state: LoopState | None = None,
-        fields: list[np.ndarray] | None = None,
-    ) -> None:
-        self.surface = surface
-        self.energy = energy
-        self.flow = flow
-        self.limits = limits or StepLimits()
-        self.max_steps = max_steps
-        self.restart = restart
-        self.rule = rule
-        self.level = level
-        self.state = state or LoopState()
-        self.stop: Stop | None = None
-        self.corner: Corner = (0, 0, 0)
-        self.stop_at_rest = False
-        self.end = "lowest"
-        self.measures: Mapping[str, Measure] = {}
-        self._stop_requested = False
-        self._fields = fields
-        self._initialized = False
-
-    @classmethod
-    def of(
-        cls,
-        surface: LevelSet,
-        energy: Energy,
         setup: SolverSetup,
-        max_steps: int,
+        max_steps: int = 1000,
         level: int = 0,
         state: LoopState | None = None,
         fields: list[np.ndarray] | None = None,
         corner: Corner = (0, 0, 0),
-    ) -> Evolution:
-        """Return the evolution of a surface under solver settings; the other parameters are the class's."""
-        made = cls(
-            surface,
-            energy,
-            setup.flow,
-            setup.limits,
-            max_steps,
-            setup.restart,
-            setup.rule,
-            level,
-            state,
-            fields,
-        )
-        made._place(corner, setup)
-        return made
+    ) -> None:
+        self.surface = surface
+        self.energy = energy
+        self.setup = setup
+        self.max_steps = max_steps
+        self.level = level
+        self.state = state or LoopState()
+        self.stop: Stop | None = None
+        self._corner = corner
+        self._stop_requested = False
+        self._fields = fields
+        self._initialized = False
 
-    def _place(self, corner: Corner, setup: SolverSetup) -> None:
-        self.corner, self.measures = corner, setup.measures
-        self.stop_at_rest, self.end = setup.stop_at_rest, setup.end
+    @property
+    def flow(self) -> Flow:
+        """The flow that moves the surface."""
+        return self.setup.flow
 
     def use(self, setup: SolverSetup, energy: Energy | None = None) -> None:
-        """Have other solver settings, and another energy unless it is None; a `restore` follows."""
-        self.flow = setup.flow
-        self.limits = setup.limits
-        self.restart = setup.restart
-        self.rule = setup.rule
+        """Have other solver settings, and another energy unless it is None."""
+        self.setup = setup
         self.energy = energy or self.energy
+
+    def extend(self, max_steps: int) -> None:
+        """Set the limit of the steps."""
+        self.max_steps = max_steps
 
     @property
     def history(self) -> list[StepRecord]:
@@ -245,8 +200,7 @@ class Evolution:
             )
             fields = transfer_fields(fields, flow.fill_values, slot, here, surface, here)
         state = self.state.after_edit(compares=energy is None)
-        setup = setup._replace(stop_at_rest=self.stop_at_rest, end=self.end)
-        following = Evolution.of(
+        following = Evolution(
             surface,
             energy or self.energy,
             setup,
@@ -254,7 +208,7 @@ class Evolution:
             self.level,
             state,
             fields,
-            self.corner,
+            self._corner,
         )
         following.initialize()
         state.expect(potential - flow.energy(surface.fraction_and_area()[1]))
@@ -311,7 +265,7 @@ class Evolution:
         columns = self._columns(n, potential, fraction, area) | {"returned": decision != "stay"}
         if reason is None and (rest := self._left_rest(n, columns)) is not None:
             fraction, area = rests.go_back(
-                rest, state, area, surface, self.energy, flow, self.corner
+                rest, state, area, surface, self.energy, flow, self._corner
             )
             columns = self._columns(n, state.potential, fraction, area) | {
                 "returned": True,
@@ -325,7 +279,7 @@ class Evolution:
                 )
                 state.record_motion(fields, 0.0)
             return self._end(reason, columns, began)
-        restarted = self.restart is not None and self.restart.is_due(
+        restarted = self.setup.restart is not None and self.setup.restart.is_due(
             potential, self.history[state.first :]
         )
         if restarted:
@@ -388,7 +342,7 @@ class Evolution:
             "band_cells": self.surface.size,
             "extra": tuple(
                 (name, float(measure(self.surface, self.energy, self.flow)))
-                for name, measure in self.measures.items()
+                for name, measure in self.setup.measures.items()
             ),
         }
 
@@ -447,8 +401,8 @@ class Evolution:
         Without a stop rule the motion itself is wanted, not the minimum.
         """
         state, surface = self.state, self.surface
-        if self.rule is None or (
-            self.end == "present" and reason is not None and reason.name == "max-steps"
+        if self.setup.rule is None or (
+            self.setup.end == "present" and reason is not None and reason.name == "max-steps"
         ):
             return "stay"
         if self.energy.is_disturbed:
@@ -461,28 +415,36 @@ class Evolution:
         elif state.lowest is not None:
             self.state.lowest = lowest.completed(state.lowest, surface)
         since = n - max(state.returned_at, state.lowest.step if state.lowest else 0)
-        decision = lowest.decide(reason, state, surface, since, self.rule.motion, self._patience())
+        decision = lowest.decide(
+            reason, state, surface, since, self.setup.rule.motion, self._patience()
+        )
         # On a coarse level the surface has only come near its end.
         return "stay" if decision == "end" and self.level > 0 and reason is not None else decision
 
     def _patience(self) -> int:
-        return lowest.patience(self.state, self.rule is not None and self.rule.patience is not None)
+        return lowest.patience(
+            self.state, self.setup.rule is not None and self.setup.rule.patience is not None
+        )
 
     def _left_rest(self, n: int, columns: dict[str, Any]) -> Slowest | None:
         """Watch for a rest; the one that the surface has just broken through from, if the run shall end at it."""
         state = self.state
         before = rests.completed(state.rests, self.level, self.surface)
-        now = rests.Moment(n, self.level, columns["volume_mm3"], columns["area_mm2"], self.corner)
+        now = rests.Moment(n, self.level, columns["volume_mm3"], columns["area_mm2"], self._corner)
         self.state.rests = rests.watched(
             before, self.history[state.first :], now, self.surface, state.fields
         )
         has_left = len(state.rests.found) > len(before.found)
-        return before.slowest if self.stop_at_rest and has_left else None
+        return before.slowest if self.setup.stop_at_rest and has_left else None
 
     def _limits_now(self) -> StepLimits:
         """The limits of a step, shorter the more often the run has gone back."""
         shorter = lowest.SHORTER**self.state.returns
-        return self.limits._replace(cfl=self.limits.cfl * shorter) if shorter < 1.0 else self.limits
+        return (
+            self.setup.limits._replace(cfl=self.setup.limits.cfl * shorter)
+            if shorter < 1.0
+            else self.setup.limits
+        )
 
     def _reason_to_stop(self, n: int, potential: float) -> Reason | None:
         gone = surface_is_gone(self.surface, potential)
@@ -495,4 +457,8 @@ class Evolution:
             return stuck
         if n >= self.max_steps:
             return Reason("max-steps", f"not converged within {self.max_steps} steps")
-        return None if self.rule is None else self.rule.judge(self.surface, self.flow, self.state)
+        return (
+            None
+            if self.setup.rule is None
+            else self.setup.rule.judge(self.surface, self.flow, self.state)
+        )

@@ -26,10 +26,10 @@ class SolverSetup(NamedTuple):
     """
 
     flow: Flow
-    limits: StepLimits
-    restart: Restart | None
-    half_width: float
-    rule: StopRule | None
+    limits: StepLimits = StepLimits()
+    restart: Restart | None = None
+    half_width: float = 3.0
+    rule: StopRule | None = None
     max_volume: float | None = None
     reach: float = 0.0
     stop_at_rest: bool = False

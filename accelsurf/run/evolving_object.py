@@ -266,7 +266,7 @@ class EvolvingObject:
         """Begin an evolution on a surface, with a new energy for its grid unless one is given."""
         if energy is None:
             energy = self._energy_on(box_at(self.corner, surface.shape))
-        self.evolution = Evolution.of(
+        self.evolution = Evolution(
             surface,
             energy,
             self._setup_here,
@@ -351,7 +351,8 @@ class EvolvingObject:
 
     def set_max_steps(self, max_steps: int) -> None:
         """Set the limit of the steps of all levels together."""
-        self._max_steps = self.evolution.max_steps = max_steps
+        self._max_steps = max_steps
+        self.evolution.extend(max_steps)
 
     @property
     def takes_edits(self) -> bool:

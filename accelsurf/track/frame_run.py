@@ -15,7 +15,8 @@ from accelsurf.correct.refiner import Refiner
 from accelsurf.energies import RegionField
 from accelsurf.evolution.convergence import StopRule
 from accelsurf.evolution.loop import Evolution
-from accelsurf.flows import ConstantDensity, StepLimits
+from accelsurf.evolution.setup import SolverSetup
+from accelsurf.flows import ConstantDensity
 from accelsurf.grid.boxes import (
     Box,
     bounding_box,
@@ -304,7 +305,7 @@ def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior:
     flow.start_moving(surface, [speed])
     rule = StopRule(window=4, motion=0.05, further=0.1, kinetic=1.0)
     for _ in Evolution(
-        surface, RegionField(field, AREA * h), flow, StepLimits(), STEPS, None, rule, fields=[speed]
+        surface, RegionField(field, AREA * h), SolverSetup(flow, rule=rule), STEPS, fields=[speed]
     ):
         pass
     piece = boxed.on_frame()

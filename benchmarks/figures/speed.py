@@ -18,6 +18,7 @@ import numpy as np
 from accelsurf.energies import ChanVese
 from accelsurf.evolution.convergence import Restart
 from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Sobolev, StepLimits
 from accelsurf.levelset import LevelSet
 from benchmarks.figures.common import COLOURS, write
@@ -56,7 +57,9 @@ def history(
 ) -> dict[str, np.ndarray]:
     """Energy, cells visited and seconds at every step, until it has settled or the energy is ``enough``."""
     surface, energy = problem(n, dim)
-    evolution = Evolution(surface, energy, flow, StepLimits(0.5, 95.0), steps, Restart())
+    evolution = Evolution(
+        surface, energy, SolverSetup(flow, StepLimits(0.5, 95.0), restart=Restart()), steps
+    )
     energies, cells, seconds = [], [0], [0.0]
     for step in evolution:
         energies.append(step.record.potential)

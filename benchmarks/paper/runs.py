@@ -12,6 +12,7 @@ from scipy import ndimage
 from accelsurf.energies import ChanVese
 from accelsurf.evolution.convergence import Restart
 from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import (
     ConstantDensity,
     Flow,
@@ -162,10 +163,8 @@ def run(task: Task) -> dict[str, Any]:
         further = Evolution(
             evolution.surface,
             energy_on(task, landscape, image),
-            METHODS[task.method].make(),
-            LIMITS[task.limits],
+            SolverSetup(METHODS[task.method].make(), LIMITS[task.limits], restart=Restart()),
             min(evolution.stop.steps, 100),
-            Restart(),
         )
         for _ in further:
             pass
@@ -186,11 +185,13 @@ def to_rest(
     evolution = Evolution(
         surface,
         energy_on(task, landscape, image),
-        flow,
-        LIMITS[task.limits],
+        SolverSetup(
+            flow,
+            LIMITS[task.limits],
+            restart=Restart(),
+            rule=stop_rule(RunConfig(flow=method.rule), 1),
+        ),
         MAX_STEPS,
-        Restart(),
-        stop_rule(RunConfig(flow=method.rule), 1),
     )
     for _ in evolution:
         pass

@@ -10,7 +10,8 @@ import numpy as np
 from accelsurf.energies import ChanVese
 from accelsurf.evolution.convergence import Restart
 from accelsurf.evolution.loop import Evolution
-from accelsurf.flows import ConstantDensity, Flow, StepLimits
+from accelsurf.evolution.setup import SolverSetup
+from accelsurf.flows import ConstantDensity, Flow
 from accelsurf.levelset import LevelSet, Workers
 from benchmarks.peers.measure import MissingError
 
@@ -107,7 +108,9 @@ def evolution(
     """Constant density on Chan-Vese with the settings of `accelsurf segment`, at 1 mm."""
     surface = LevelSet(psi, (1.0, 1.0, 1.0), 3.0, workers)
     energy = ChanVese(image, 0.0, epsilon=1.5)
-    return Evolution(surface, energy, flow or ConstantDensity(), StepLimits(), steps, Restart())
+    return Evolution(
+        surface, energy, SolverSetup(flow or ConstantDensity(), restart=Restart()), steps
+    )
 
 
 def run_evolution(made: Evolution) -> list[Any]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import RegionMass, StepLimits
 from accelsurf.levelset import LevelSet
 
@@ -34,7 +35,10 @@ velocity = np.stack([0 * x, -0.5 * y + 0.26 * (x**2 - 0.25) * y, 0.7 * x + 0.26 
 
 flow = RegionMass(friction=0.0)
 evolution = Evolution(
-    disc, RegionField(np.zeros(disc.shape)), flow, StepLimits(0.5, 100.0, 0.5 * h), 10_000
+    disc,
+    RegionField(np.zeros(disc.shape)),
+    SolverSetup(flow, StepLimits(0.5, 100.0, 0.5 * h)),
+    10_000,
 )
 evolution.initialize()
 flow.set_fluid(density[None], velocity)

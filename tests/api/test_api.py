@@ -236,8 +236,8 @@ def test_the_run_is_made_of_what_the_configuration_says():
     )
     run = Run(Volume.from_array(noisy()), config)
     evolution = run.objects[0].evolution
-    assert evolution.limits.cfl == 0.3 and evolution.limits.percentile == 80
-    assert evolution.restart is None and evolution.flow.name == "gradient"
+    assert evolution.setup.limits.cfl == 0.3 and evolution.setup.limits.percentile == 80
+    assert evolution.setup.restart is None and evolution.flow.name == "gradient"
 
 
 def test_the_report_has_what_the_run_took_from_image_and_grid():

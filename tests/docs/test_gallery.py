@@ -16,6 +16,7 @@ import pytest
 
 from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, FlowableMass, StepLimits
 
 GALLERY = Path(__file__).parents[2] / "docs" / "gallery"
@@ -87,7 +88,9 @@ def by_flow(example: str, dt: float) -> list[np.ndarray]:
     points = (np.indices(surface.shape) - 0.5 * (N - 1)) * WIDTH / N
     energy, limits = RegionField(names["force"](*points)), StepLimits(2.0, 100.0, dt)
     moved = []
-    for step in Evolution(surface, energy, system.flow(diffusion=0.0), limits, steps + 1):
+    for step in Evolution(
+        surface, energy, SolverSetup(system.flow(diffusion=0.0), limits), steps + 1
+    ):
         if len(moved) < steps:
             assert step.record.dt == pytest.approx(dt)
             moved.append(surface.psi.copy())

@@ -6,6 +6,7 @@ import pytest
 from accelsurf.energies import Balloon, ChanVese, WeightedSum
 from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient
 from accelsurf.flows.descent import HeavyBall
 from accelsurf.grid import pyramid
@@ -63,10 +64,10 @@ def sides(surface, **masks):
 def test_the_surface_does_not_cross_a_click(flow, sign, side, place):
     mask = voxel(*place)
     energy = constraint(pushing(sign), **{side: mask})
-    evolution = Evolution(ball(7.0), energy, flow(), max_steps=24)
+    evolution = Evolution(ball(7.0), energy, SolverSetup(flow()), 24)
     crossed = [step.record.step for step in evolution if not sides(step.surface, **{side: mask})]
     assert not crossed and len(evolution.history) == 25
-    free = Evolution(ball(7.0), pushing(sign), flow(), max_steps=24)
+    free = Evolution(ball(7.0), pushing(sign), SolverSetup(flow()), 24)
     assert [step.record.step for step in free if not sides(step.surface, **{side: mask})], (
         "the test shows nothing"
     )
@@ -80,7 +81,7 @@ def test_the_surface_does_not_cross_a_click(flow, sign, side, place):
 )
 def test_no_force_and_no_momentum_acts_into_a_click_and_the_budget_has_the_loss(flow, monkeypatch):
     energy, flow = constraint(pushing(-1), outside=voxel(11, 11, 20)), flow()
-    evolution = Evolution(ball(7.0), energy, flow, max_steps=24)
+    evolution = Evolution(ball(7.0), energy, SolverSetup(flow), 24)
     evolution.initialize()
     jumps, losses, acted = [], [], 0
     record, add, move = evolution.state.budget.record_jump, flow.add_velocity, flow.move
@@ -118,7 +119,7 @@ def test_a_click_away_from_the_surface_has_a_component_that_lives_on():
     image = (distance() < 7).astype(np.float32)
     energy = constraint(ChanVese(image, alpha=1.0), inside=mask)
     surface = ball(5.0, energy._bounds)
-    evolution = Evolution(surface, energy, ConstantDensity(), max_steps=30)
+    evolution = Evolution(surface, energy, SolverSetup(ConstantDensity()), 30)
     removed = sum(step.record.removed_components for step in evolution)
     assert removed == 0 and surface.labels[3, 4, 5] == 1
     assert surface.labels.sum() > 1000 and surface.labels[:7, :8, :9].sum() < 60
@@ -139,7 +140,7 @@ def test_the_constraint_changes_nothing_where_it_does_not_act():
         ChanVese(image, alpha=0.3),
         constraint(ChanVese(image, alpha=0.3), inside=distance() < 1.2),
     ):
-        evolution = Evolution(ball(5.0), energy, ConstantDensity(), max_steps=20)
+        evolution = Evolution(ball(5.0), energy, SolverSetup(ConstantDensity()), 20)
         for _ in evolution:
             pass
         runs.append(evolution.surface.psi.copy())

@@ -18,6 +18,7 @@ from scipy.interpolate import CubicSpline
 from accelsurf.energies import Energy, RegionField
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, Gradient, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.support import exact
@@ -196,7 +197,10 @@ def test_spheroid_follows_the_spectral_solution(k: float) -> None:
     h, on = WIDTH / (n - 1), lattice(n)
     energy, surface = energy_of(exact.B, on.radius), spheroid(on)
     evolution = Evolution(
-        surface, energy, ConstantDensity(k, diffusion=0.0), StepLimits(0.5, 100.0), max_steps=10_000
+        surface,
+        energy,
+        SolverSetup(ConstantDensity(k, diffusion=0.0), StepLimits(0.5, 100.0)),
+        10_000,
     )
     rows, times = iter(evolution), sorted(exact.SPHEROID)
     time = 0.0
@@ -204,7 +208,8 @@ def test_spheroid_follows_the_spectral_solution(k: float) -> None:
         end = mark ** (2.0 / k)
         while time < end - 1e-9:
             left = math.ceil((end - time) / (0.5 * h) - 1e-9)
-            evolution.limits = evolution.limits._replace(dt_max=(end - time) / left)
+            limits = evolution.setup.limits._replace(dt_max=(end - time) / left)
+            evolution.use(evolution.setup._replace(limits=limits))
             row = next(rows).record
             time = row.t + row.dt
         assert time == pytest.approx(end, abs=1e-6)
@@ -317,7 +322,10 @@ def test_lambda_and_rho_only_rescale_time() -> None:
         energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, 0.05)
         # The automatic diffusion on: it has to scale too.
         evolution = Evolution(
-            surface, energy, ConstantDensity(2.0, lambda_, rho), StepLimits(0.5, 95.0, dt), 40
+            surface,
+            energy,
+            SolverSetup(ConstantDensity(2.0, lambda_, rho), StepLimits(0.5, 95.0, dt)),
+            40,
         )
         times = [step.record.t for step in evolution]
         return times, surface.psi.copy()

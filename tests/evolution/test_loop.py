@@ -7,6 +7,7 @@ from accelsurf.energies import ChanVese, RegionField
 from accelsurf.evolution.convergence import Restart, StopRule, forecast
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.support.level_set_checks import check_level_set
@@ -36,7 +37,7 @@ def run(evolution):
 @pytest.mark.parametrize("flow", [ConstantDensity(), Gradient()])
 def test_converged(flow):
     energy = ChanVese(smooth_image(), means=(1.0, 0.0))
-    evolution = Evolution(ball(4, (1, 2, 0)), energy, flow, max_steps=400, rule=StopRule())
+    evolution = Evolution(ball(4, (1, 2, 0)), energy, SolverSetup(flow, rule=StopRule()), 400)
     stop = run(evolution)
     assert stop.reason == "converged" and "voxels in 20 steps" in stop.message
     assert stop.steps == len(evolution.history) - 1 == evolution.history[-1].step
@@ -46,7 +47,7 @@ def test_converged(flow):
 
 def test_max_steps_and_the_ledger():
     evolution = Evolution(
-        ball(4), ChanVese(smooth_image()), ConstantDensity(), max_steps=7, rule=StopRule()
+        ball(4), ChanVese(smooth_image()), SolverSetup(ConstantDensity(), rule=StopRule()), 7
     )
     stop = run(evolution)
     assert stop.reason == "max-steps" and stop.steps == 7
@@ -65,7 +66,7 @@ def test_max_steps_and_the_ledger():
 
 def test_vanished():
     evolution = Evolution(
-        ball(4), RegionField(np.ones((N, N, N))), ConstantDensity(), max_steps=200
+        ball(4), RegionField(np.ones((N, N, N))), SolverSetup(ConstantDensity()), 200
     )
     assert run(evolution).reason == "vanished"
     assert not evolution.surface.labels.any()
@@ -79,7 +80,7 @@ def test_vanished():
 
 def test_filled():
     evolution = Evolution(
-        ball(9), RegionField(-np.ones((N, N, N))), ConstantDensity(), max_steps=200
+        ball(9), RegionField(-np.ones((N, N, N))), SolverSetup(ConstantDensity()), 200
     )
     assert run(evolution).reason == "filled"
     assert evolution.surface.labels.all()
@@ -88,12 +89,13 @@ def test_filled():
 
 def test_no_force_at_all_has_converged():
     assert (
-        run(Evolution(ball(6), RegionField(np.zeros((N, N, N))), Gradient())).reason == "converged"
+        run(Evolution(ball(6), RegionField(np.zeros((N, N, N))), SolverSetup(Gradient()))).reason
+        == "converged"
     )
 
 
 def test_interrupted_leaves_a_valid_surface():
-    evolution = Evolution(ball(4), ChanVese(smooth_image()), ConstantDensity())
+    evolution = Evolution(ball(4), ChanVese(smooth_image()), SolverSetup(ConstantDensity()))
     for step in evolution:
         if step.record.step == 5:
             evolution.request_stop()
@@ -102,7 +104,7 @@ def test_interrupted_leaves_a_valid_surface():
 
 
 def test_the_iteration_may_be_abandoned():
-    evolution = Evolution(ball(4), ChanVese(smooth_image()), ConstantDensity())
+    evolution = Evolution(ball(4), ChanVese(smooth_image()), SolverSetup(ConstantDensity()))
     with pytest.raises(KeyboardInterrupt):
         for step in evolution:
             if step.record.step == 5:
@@ -120,7 +122,10 @@ class Broken(RegionField):
 
 
 def test_diverged():
-    assert run(Evolution(ball(4), Broken(-np.ones((N, N, N))), Gradient())).reason == "diverged"
+    assert (
+        run(Evolution(ball(4), Broken(-np.ones((N, N, N))), SolverSetup(Gradient()))).reason
+        == "diverged"
+    )
 
 
 class Freezing(Gradient):
@@ -133,7 +138,7 @@ class Freezing(Gradient):
 
 
 def test_stalled():
-    stop = run(Evolution(ball(6), ChanVese(smooth_image()), Freezing(), max_steps=100))
+    stop = run(Evolution(ball(6), ChanVese(smooth_image()), SolverSetup(Freezing()), 100))
     assert stop.reason == "stalled" and stop.steps < 40
 
 
@@ -142,7 +147,10 @@ def test_short_steps_are_no_rest(flow):
     """A diffusion that makes the steps a thousand and more times too short: the surface has not moved, nor arrived."""
     stop = run(
         Evolution(
-            ball(6), ChanVese(smooth_image()), flow(diffusion=1e5), rule=StopRule(), max_steps=100
+            ball(6),
+            ChanVese(smooth_image()),
+            SolverSetup(flow(diffusion=1e5), rule=StopRule()),
+            100,
         )
     )
     assert (
@@ -152,7 +160,7 @@ def test_short_steps_are_no_rest(flow):
     )
     # Some hundred times too short: 20 of them move it by less than the tolerance, and prove nothing.
     evolution = Evolution(
-        ball(4), ChanVese(smooth_image()), flow(diffusion=1000.0), rule=StopRule(), max_steps=60
+        ball(4), ChanVese(smooth_image()), SolverSetup(flow(diffusion=1000.0), rule=StopRule()), 60
     )
     assert run(evolution).reason == "max-steps"
     assert sum(row.motion_voxels for row in evolution.history) < 0.5
@@ -167,9 +175,8 @@ def test_a_small_part_on_its_way_is_no_rest():
     evolution = Evolution(
         LevelSet(r - 14, (1.0, 1.0, 1.0)),
         RegionField(np.where(rod, -1.0, np.clip(r - 14, -1, 1))),
-        Gradient(),
-        max_steps=200,
-        rule=StopRule(6),
+        SolverSetup(Gradient(), rule=StopRule(6)),
+        200,
     )
     assert run(evolution).reason == "converged"
     assert np.flatnonzero(evolution.surface.labels.any(axis=(0, 1)))[-1] >= 43
@@ -180,9 +187,8 @@ def test_restart_when_the_potential_rises_after_travel():
         evolution = Evolution(
             ball(4),
             ChanVese(smooth_image()),
-            ConstantDensity(diffusion=0),
-            max_steps=80,
-            restart=restart,
+            SolverSetup(ConstantDensity(diffusion=0), restart=restart),
+            80,
         )
         run(evolution)
         return evolution.history
@@ -207,9 +213,8 @@ def test_restart_converges_where_plain_friction_oscillates():
         evolution = Evolution(
             ball(5),
             ChanVese(smooth_image(), means=(1.0, 0.0)),
-            ConstantDensity(diffusion=0.0),
-            max_steps=120,
-            restart=restart,
+            SolverSetup(ConstantDensity(diffusion=0.0), restart=restart),
+            120,
         )
         run(evolution)
         energies.append(np.array([row.kinetic for row in evolution.history[-30:]]).max())
@@ -219,7 +224,10 @@ def test_restart_converges_where_plain_friction_oscillates():
 def test_the_limits_are_the_same_for_every_flow():
     for flow in (ConstantDensity(), Gradient()):
         evolution = Evolution(
-            ball(4), ChanVese(smooth_image()), flow, StepLimits(cfl=0.25, dt_max=0.3), max_steps=10
+            ball(4),
+            ChanVese(smooth_image()),
+            SolverSetup(flow, StepLimits(cfl=0.25, dt_max=0.3)),
+            10,
         )
         run(evolution)
         assert all(row.dt <= 0.3 and row.motion_voxels <= 0.25 + 1e-6 for row in evolution.history)
@@ -235,7 +243,7 @@ def test_a_surface_at_a_sharp_edge_does_not_flicker(flow, steps, epsilon):
     """
     image = (radius() < 7.3).astype(np.float64)
     energy = ChanVese(image, means=(1.0, 0.0), epsilon=epsilon)
-    evolution = Evolution(ball(7.5, (0.5, 0, 0)), energy, flow(), max_steps=steps)
+    evolution = Evolution(ball(7.5, (0.5, 0, 0)), energy, SolverSetup(flow()), steps)
     run(evolution)
     rows = evolution.history
     least = min(row.potential for row in rows)
@@ -277,7 +285,7 @@ def test_a_start_that_is_the_end_has_converged(flow):
     """Nothing is won there that the kinetic energy of what trembles could be compared with."""
     image = (radius() < 7.3).astype(np.float64)
     energy = ChanVese(image, means=(1.0, 0.0), epsilon=1.5)
-    evolution = Evolution(ball(7.28), energy, flow(), max_steps=100, rule=StopRule())
+    evolution = Evolution(ball(7.28), energy, SolverSetup(flow(), rule=StopRule()), 100)
     assert run(evolution).reason == "converged"
 
 
@@ -313,9 +321,9 @@ class Creeping(Gradient):
 def test_slow_creep_does_not_pass_the_stop_rule():
     """0.04 voxels in a window of 20 steps, 0.4 in 200."""
     energy = RegionField(np.full((N, N, N), 0.5))
-    evolution = Evolution(ball(7), energy, Creeping(), max_steps=100, rule=StopRule())
+    evolution = Evolution(ball(7), energy, SolverSetup(Creeping(), rule=StopRule()), 100)
     assert run(evolution).reason == "max-steps"
-    lenient = Evolution(ball(7), energy, Creeping(), max_steps=100, rule=StopRule(further=1.0))
+    lenient = Evolution(ball(7), energy, SolverSetup(Creeping(), rule=StopRule(further=1.0)), 100)
     assert run(lenient).reason == "converged"
 
 
@@ -335,5 +343,7 @@ def test_a_level_kinetic_energy_is_no_rest():
         flow = Level()
         flow.kinetic = kinetic
         energy = ChanVese(smooth_image(), means=(1.0, 0.0))
-        reasons.append(run(Evolution(ball(3), energy, flow, max_steps=120, rule=StopRule())).reason)
+        reasons.append(
+            run(Evolution(ball(3), energy, SolverSetup(flow, rule=StopRule()), 120)).reason
+        )
     assert reasons == ["converged", "max-steps"]

@@ -9,6 +9,7 @@ from accelsurf.energies import ChanVese, Energy, LocalRegion, RegionField
 from accelsurf.evolution import lowest
 from accelsurf.evolution.convergence import Restart, StopRule
 from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.support.level_set_checks import check_level_set
@@ -48,10 +49,8 @@ def test_a_run_never_ends_above_the_lowest_energy(energy, flow, max_steps):
     evolution = Evolution(
         LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
         ENERGIES[energy](),
-        flow(),
-        max_steps=max_steps,
-        restart=Restart(),
-        rule=StopRule(),
+        SolverSetup(flow(), restart=Restart(), rule=StopRule()),
+        max_steps,
     )
     potential = run(evolution)
     assert potential[-1] <= potential.min() + 1e-9 * abs(potential.min())
@@ -79,7 +78,10 @@ def misled():
 @pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient])
 def test_a_surface_that_is_driven_up_goes_back_and_ends_at_the_lowest_state(flow):
     evolution = Evolution(
-        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), flow(), max_steps=400, rule=StopRule()
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
+        misled(),
+        SolverSetup(flow(), rule=StopRule()),
+        400,
     )
     potential = run(evolution)
     back = [record for record in evolution.history if record.returned]
@@ -98,7 +100,7 @@ def test_a_run_that_begins_near_its_end_and_finds_nothing_lower_ends_where_it_be
         StepLimits(0.1, 100.0),
         StopRule(patience=3),
     )
-    evolution = Evolution(surface, misled(), Gradient(), limits, max_steps=400, rule=rule)
+    evolution = Evolution(surface, misled(), SolverSetup(Gradient(), limits, rule=rule), 400)
     potential = run(evolution)
     assert (
         evolution.stop.reason == "stalled"
@@ -112,7 +114,7 @@ def test_a_run_that_begins_near_its_end_and_finds_nothing_lower_ends_where_it_be
 
 def test_motion_without_a_stop_rule_is_left_alone():
     evolution = Evolution(
-        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=12
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), SolverSetup(Gradient()), 12
     )
     potential = run(evolution)
     assert potential[-1] > potential.min() and not any(
@@ -124,9 +126,8 @@ def test_an_interrupted_run_stays_where_it_was():
     evolution = Evolution(
         LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
         misled(),
-        Gradient(),
-        max_steps=40,
-        rule=StopRule(),
+        SolverSetup(Gradient(), rule=StopRule()),
+        40,
     )
     for step in evolution:
         if step.record.step == 11:
@@ -142,9 +143,8 @@ def test_objects_beside_it_make_a_rise_no_error():
     evolution = Evolution(
         LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
         Pushed(radius() - 6.0),
-        Gradient(),
-        max_steps=12,
-        rule=StopRule(),
+        SolverSetup(Gradient(), rule=StopRule()),
+        12,
     )
     run(evolution)
     assert evolution.state.lowest is None and not any(
@@ -162,7 +162,7 @@ def test_the_lowest_state_is_kept_by_reference_and_completed_a_step_later(flow, 
     shape = (N, N, N) if spacing[0] == 1 else (8, 30, 30)
     image = (radius(spacing, shape) < 6).astype(np.float32)
     surface = LevelSet(radius(spacing, shape) - 4.5, spacing)
-    evolution = Evolution(surface, ChanVese(image), flow(), max_steps=60)
+    evolution = Evolution(surface, ChanVese(image), SolverSetup(flow()), 60)
     evolution.initialize()
     for _ in range(8):
         want = checkpoint_surface(surface)
@@ -179,9 +179,8 @@ def test_a_checkpoint_has_the_lowest_state():
         return Evolution(
             LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
             ChanVese(noisy()),
-            ConstantDensity(),
-            max_steps=60,
-            rule=StopRule(),
+            SolverSetup(ConstantDensity(), rule=StopRule()),
+            60,
         )
 
     one, other = made(), made()
@@ -203,9 +202,8 @@ def test_the_last_record_has_the_mass_of_the_surface_that_it_went_back_to():
     evolution = Evolution(
         LevelSet(psi - 4.0, (1.0, 1.0, 1.0)),
         Misled(psi - 6.0),
-        FlowableMass(),
-        max_steps=45,
-        rule=StopRule(),
+        SolverSetup(FlowableMass(), rule=StopRule()),
+        45,
     )
     run(evolution)
     last, steps = evolution.history[-1], evolution.history[:-1]
@@ -219,9 +217,8 @@ def test_the_memory_of_a_checkpoint_counts_both_snapshots_of_the_stop_rule():
     evolution = Evolution(
         LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
         misled(),
-        Gradient(),
-        max_steps=60,
-        rule=StopRule(window=4),
+        SolverSetup(Gradient(), rule=StopRule(window=4)),
+        60,
     )
     for _ in range(10):
         evolution.step()
@@ -238,9 +235,8 @@ def near_its_end(rule):
     return Evolution(
         LevelSet(radius() - 5.5, (1.0, 1.0, 1.0)),
         ChanVese(image, means=(1.0, 0.0)),
-        ConstantDensity(),
-        max_steps=80,
-        rule=rule,
+        SolverSetup(ConstantDensity(), rule=rule),
+        80,
     )
 
 
@@ -267,9 +263,8 @@ def test_patience_does_not_end_what_creeps_or_is_elsewhere():
     creeping = Evolution(
         LevelSet(radius() - 6.0, (1.0, 1.0, 1.0)),
         RegionField(np.full((N, N, N), 0.5)),
-        Creeping(),
-        max_steps=60,
-        rule=StopRule(patience=1),
+        SolverSetup(Creeping(), rule=StopRule(patience=1)),
+        60,
     )
     run(creeping)
     assert creeping.stop.reason == "max-steps"
@@ -278,9 +273,8 @@ def test_patience_does_not_end_what_creeps_or_is_elsewhere():
         Evolution(
             LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
             misled(),
-            Gradient(),
-            max_steps=400,
-            rule=StopRule(patience=patience),
+            SolverSetup(Gradient(), rule=StopRule(patience=patience)),
+            400,
         )
         for patience in (None, 3)
     )

@@ -11,6 +11,7 @@ import pytest
 from accelsurf.energies import BetweenFrames, Energy, RegionField
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, FlowableMass, StepInput, StepLimits
 from accelsurf.flows.accelerated import Accelerated
 from accelsurf.levelset import BandChange, LevelSet
@@ -52,7 +53,7 @@ def evolve_to(
     """Evolve a surface in motion, by the flow's own fields, to a time, in equal steps."""
     count = math.ceil(end / dt - 1e-9)
     limits, fields = StepLimits(1.0, 100.0, end / count), None if at_rest else flow.fields
-    evolution = Evolution(surface, energy, flow, limits, count, fields=fields)
+    evolution = Evolution(surface, energy, SolverSetup(flow, limits), count, fields=fields)
     return [step.record for step in evolution]
 
 

@@ -11,6 +11,7 @@ from accelsurf.errors import UsageError
 from accelsurf.evolution import multilevel
 from accelsurf.evolution.convergence import StopRule
 from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import StepLimits
 from accelsurf.image.volume import Volume
 from accelsurf.io import write
@@ -167,11 +168,8 @@ def test_one_level_is_the_plain_evolution(cube):
     plain = Evolution(
         surface,
         make_energy(config, image, (1.0, 1.0, 1.0)).energy,
-        make_flow(config),
-        StepLimits(0.5, 95.0),
+        SolverSetup(make_flow(config), StepLimits(0.5, 95.0), rule=StopRule()),
         30,
-        None,
-        StopRule(),
     )
     for _ in plain:
         pass

@@ -25,6 +25,7 @@ from scipy.spatial import cKDTree
 
 from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, FlowableMass, StepLimits
 from accelsurf.flows.accelerated import Accelerated
 from accelsurf.levelset import LevelSet
@@ -63,12 +64,13 @@ def coasting(
         speeds = [*np.ascontiguousarray(surface.normals().T, np.float32), *speeds]
     flow.start_moving(surface, speeds)
     evolution = Evolution(
-        surface, RegionField(np.zeros(surface.shape)), flow, max_steps=10_000, fields=flow.fields
+        surface, RegionField(np.zeros(surface.shape)), SolverSetup(flow), 10_000, fields=flow.fields
     )
     now = 0.0
     while t_end - now > 1e-9:
         # Speeds grow at shocks: the limiter would hold them at those of the step before.
-        evolution.limits = StepLimits(2.0, 100.0, min(0.25 * h, t_end - now))
+        limits = StepLimits(2.0, 100.0, min(0.25 * h, t_end - now))
+        evolution.use(evolution.setup._replace(limits=limits))
         step = evolution.step()
         assert step is not None
         now += step.record.dt

@@ -8,6 +8,7 @@ from scipy.special import sph_harm_y
 
 from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import Gradient, HeavyBall, Sobolev, StepInput, StepLimits
 from accelsurf.flows.descent import h1_gradient
 from accelsurf.kernels import tube
@@ -109,7 +110,9 @@ def test_sobolev_descent_lowers_the_energy_and_steps_beyond_the_curvature_bound(
     for flow in (Gradient(), Sobolev()):
         surface = sphere(9.0)
         surface = LevelSet(np.maximum(np.maximum(abs(z), abs(y)), abs(x)) - 10.0, (1.0, 1.0, 1.0))
-        evolution = Evolution(surface, RegionField(field, 2.0), flow, StepLimits(0.5, 95.0), 40)
+        evolution = Evolution(
+            surface, RegionField(field, 2.0), SolverSetup(flow, StepLimits(0.5, 95.0)), 40
+        )
         histories[flow.name] = [step.record for step in evolution]
     for rows in histories.values():
         assert rows[-1].potential < rows[0].potential
@@ -124,7 +127,7 @@ def test_momentum_blends_the_last_step_with_the_force() -> None:
     surface = LevelSet(z - 30.3, (1.0, 1.0, 1.0))
     flow, steps = HeavyBall(0.6), []
     evolution = Evolution(
-        surface, RegionField(np.full(z.shape, 0.5)), flow, StepLimits(0.5, 100.0), 8
+        surface, RegionField(np.full(z.shape, 0.5)), SolverSetup(flow, StepLimits(0.5, 100.0)), 8
     )
     for step in evolution:
         if step.record.dt:
@@ -149,7 +152,7 @@ def test_momentum_without_a_blend_is_descent() -> None:
     for flow in (HeavyBall(0.0), Gradient()):
         surface = sphere(8.0)
         surface = LevelSet(np.sqrt(z**2 + y**2 + x**2) - 8.0, (1.0, 1.0, 1.0))
-        for _ in Evolution(surface, RegionField(field), flow, StepLimits(), 15):
+        for _ in Evolution(surface, RegionField(field), SolverSetup(flow), 15):
             pass
         surfaces.append(surface.psi.copy())
     np.testing.assert_array_equal(*surfaces)

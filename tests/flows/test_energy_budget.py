@@ -12,6 +12,7 @@ from accelsurf.energies import ChanVese, RegionField
 from accelsurf.evolution.convergence import Restart
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import (
     ConstantDensity,
     Flow,
@@ -36,7 +37,10 @@ def run(
     energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, alpha)
     rows = []
     for step in Evolution(
-        surface, energy, flow, StepLimits(0.5, 100.0, 0.5 * on.spacing[0]), 10_000, restart
+        surface,
+        energy,
+        SolverSetup(flow, StepLimits(0.5, 100.0, 0.5 * on.spacing[0]), restart=restart),
+        10_000,
     ):
         if step.record.t > t_end or step.record.dt == 0:
             break
@@ -107,7 +111,7 @@ def test_default_limiter_and_diffusion_are_accounted_for_at_a_sharp_edge(
     z, y, x = np.indices((32, 32, 32)) - 15.5
     image = 0.5 * (1.0 - np.tanh((np.sqrt(z**2 + 1.3 * y**2 + 0.8 * x**2) - 9.6) / 0.2))
     surface = LevelSet(np.sqrt((z - 2) ** 2 + y**2 + (x - 3) ** 2) - 4.8, (1.0, 1.0, 1.0))
-    evolution = Evolution(surface, ChanVese(image), flow, StepLimits(), max_steps=100)
+    evolution = Evolution(surface, ChanVese(image), SolverSetup(flow), 100)
     rows = [step.record for step in evolution if step.record.dt > 0]
     assert rows[-1].smoothing_work > 0.1 * rows[-1].friction_work
     assert residue(rows) < most
@@ -148,7 +152,7 @@ def unexplained(kind: str, n: int, seed: int, flow: Flow) -> float:
     z, y, x = (np.indices((n, n, n)) - 0.5 * (n - 1)) / n - centre
     surface = LevelSet(n * (np.sqrt(z**2 + y**2 + x**2) - 0.12), (1.0, 1.0, 1.0), 4.0)
     image = 0.5 * (1.0 - np.tanh(sharp(kind, n, seed) / 0.2))
-    evolution = Evolution(surface, ChanVese(image), flow, StepLimits(), max_steps=100)
+    evolution = Evolution(surface, ChanVese(image), SolverSetup(flow), 100)
     return residue([step.record for step in evolution if step.record.dt > 0])
 
 

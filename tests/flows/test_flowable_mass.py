@@ -16,6 +16,7 @@ from scipy.special import sph_harm_y
 from accelsurf.energies import Energy, RegionField
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import FlowableMass, StepInput, StepLimits, StepPlan
 from accelsurf.levelset import LevelSet
 from tests.support import exact
@@ -103,7 +104,7 @@ def ellipsoid_misfit(
     flow.density_at = uniform_on_the_sphere
     axes, worst, density = ellipsoid_axes(t_end), 0.0, 0.0
     evolution = Evolution(
-        surface, QuadraticInVolume(), flow, StepLimits(0.5, 100.0, 0.5 * h), 10_000
+        surface, QuadraticInVolume(), SolverSetup(flow, StepLimits(0.5, 100.0, 0.5 * h)), 10_000
     )
     for step in evolution:
         t = step.record.t + step.record.dt
@@ -171,7 +172,9 @@ def density_mode(n: int, degree: int, amplitude: float, flow: Given) -> float:
     t_end = 1.2 * 2.0 * math.pi / omega
     limits = StepLimits(0.5, 100.0, 0.5 * h / math.sqrt(4.0 * g * mass))
     worst = 0.0
-    for step in Evolution(surface, RegionField(np.zeros_like(on.radius)), flow, limits, 10_000):
+    for step in Evolution(
+        surface, RegionField(np.zeros_like(on.radius)), SolverSetup(flow, limits), 10_000
+    ):
         t = step.record.t + step.record.dt
         if t > t_end:
             break
@@ -201,7 +204,10 @@ def test_the_mass_potential_is_inert_at_uniform_density() -> None:
         flow = FlowableMass(gravity, diffusion=0.0)
         limits = StepLimits(0.5, 100.0, 0.2 * WIDTH / 31)
         rows[gravity] = [
-            s.record for s in Evolution(surface, energy_of(exact.E, on.radius), flow, limits, 40)
+            s.record
+            for s in Evolution(
+                surface, energy_of(exact.E, on.radius), SolverSetup(flow, limits), 40
+            )
         ]
         surfaces[gravity] = surface.psi.copy()
     assert np.abs(surfaces[0.02] - surfaces[0.0]).max() < 0.01 * WIDTH / 31
@@ -227,7 +233,10 @@ def test_negative_tension_is_clamped_and_told() -> None:
         flow = Given(gravity=0.2, support=0.0 if clamp else None, diffusion=0.0)
         flow.on, flow.density_at = on, bumpy
         energy = RegionField(np.zeros_like(on.radius))
-        rows = [s.record for s in Evolution(surface, energy, flow, StepLimits(0.5, 100.0), 60)]
+        rows = [
+            s.record
+            for s in Evolution(surface, energy, SolverSetup(flow, StepLimits(0.5, 100.0)), 60)
+        ]
         rough[clamp] = float(np.linalg.norm(surface_points(surface, on), axis=1).std())
         assert all((row.clamped_fraction > 0.2) == clamp for row in rows[:-1])
     assert rough[True] < rough[False]
@@ -238,7 +247,7 @@ def test_negative_tension_is_clamped_and_told() -> None:
     rows = [
         s.record
         for s in Evolution(
-            surface, RegionField(np.zeros_like(on.radius), 0.1), flow, StepLimits(), 5
+            surface, RegionField(np.zeros_like(on.radius), 0.1), SolverSetup(flow), 5
         )
     ]
     assert all(row.clamped_fraction == 0.0 for row in rows)
@@ -251,7 +260,7 @@ def mass_through(surface: LevelSet, field: np.ndarray, n_steps: int) -> list[Ste
     return [
         s.record
         for s in Evolution(
-            surface, RegionField(field), FlowableMass(), StepLimits(0.5, 95.0), n_steps
+            surface, RegionField(field), SolverSetup(FlowableMass(), StepLimits(0.5, 95.0)), n_steps
         )
     ]
 
@@ -302,7 +311,10 @@ def test_mass_is_conserved_through_large_deformation() -> None:
     rows = [
         s.record
         for s in Evolution(
-            surface, RegionField(field, 0.01), FlowableMass(), StepLimits(0.5, 95.0), 120
+            surface,
+            RegionField(field, 0.01),
+            SolverSetup(FlowableMass(), StepLimits(0.5, 95.0)),
+            120,
         )
     ]
     inside = np.argwhere(surface.labels)
@@ -325,7 +337,7 @@ def test_momentum_stays_zero_where_the_energy_does_not_depend_on_place() -> None
     flow, worst = FlowableMass(diffusion=0.0), 0.0
     limits = StepLimits(0.5, 100.0, 0.5 * on.spacing[0])
     for step in Evolution(
-        surface, RegionField(np.full(on.radius.shape, 0.3), 0.05), flow, limits, 10_000
+        surface, RegionField(np.full(on.radius.shape, 0.3), 0.05), SolverSetup(flow, limits), 10_000
     ):
         if step.record.t > 0.8:
             break
@@ -352,7 +364,7 @@ def test_lambda_and_rho_only_rescale_time() -> None:
         flow = FlowableMass(0.125 / rho**2, 0.05, lambda_=lambda_, rho=rho)
         times = [
             step.record.t
-            for step in Evolution(surface, energy, flow, StepLimits(0.5, 95.0, dt), 30)
+            for step in Evolution(surface, energy, SolverSetup(flow, StepLimits(0.5, 95.0, dt)), 30)
         ]
         return times, surface.psi.copy()
 

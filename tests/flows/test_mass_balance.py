@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from accelsurf.energies import ChanVese, RegionField
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, FlowableMass, StepInput, StepLimits
 from accelsurf.flows.mass_balance import balance, predict
 from accelsurf.levelset import LevelSet
@@ -48,7 +49,7 @@ def test_density_stays_positive_and_the_mass_where_it_is() -> None:
     surface = LevelSet(np.sqrt(z**2 + y**2 + x**2) - 8.0, (1.0, 1.0, 1.0), 4.0)
     flow, rows = FlowableMass(), []
     lowest, highest = math.inf, 0.0
-    for step in Evolution(surface, ChanVese(smooth_l(n), 0.1), flow, StepLimits(), 105):
+    for step in Evolution(surface, ChanVese(smooth_l(n), 0.1), SolverSetup(flow), 105):
         rows.append(step.record)
         on = surface.fraction_and_area()[1] > 0
         lowest = min(lowest, float(flow.density[on].min()))
@@ -107,7 +108,10 @@ def growing(
     surface = ball(n, r0, centre, flat)
     energy, worst, rows, masses = RegionField(np.full(surface.shape, -force)), 0.0, [], []
     evolution = Evolution(
-        surface, energy, FlowableMass(diffusion=0.0), StepLimits(0.5, 100.0, 0.5 * h), 10_000
+        surface,
+        energy,
+        SolverSetup(FlowableMass(diffusion=0.0), StepLimits(0.5, 100.0, 0.5 * h)),
+        10_000,
     )
     for step in evolution:
         record = step.record
@@ -182,7 +186,9 @@ def grown(n: int, centre: tuple[float, float, float], r0: float, r_end: float) -
     surface, worst = ball(n, r0, centre, False), 0.0
     limits = StepLimits(0.5, 100.0, 0.5 * h)
     for step in Evolution(
-        surface, RegionField(np.full(surface.shape, -0.5)), FlowableMass(diffusion=0.0), limits
+        surface,
+        RegionField(np.full(surface.shape, -0.5)),
+        SolverSetup(FlowableMass(diffusion=0.0), limits),
     ):
         r = path(step.record.t + step.record.dt)[0]
         if r > r_end:
@@ -216,7 +222,9 @@ def test_a_component_that_vanishes_leaves_its_mass_to_the_rest_and_says_so() -> 
     energy = RegionField(np.where(x > 0.7, 1.0, 0.0))
     rows = [
         s.record
-        for s in Evolution(surface, energy, FlowableMass(diffusion=0.0), StepLimits(0.5, 100.0), 40)
+        for s in Evolution(
+            surface, energy, SolverSetup(FlowableMass(diffusion=0.0), StepLimits(0.5, 100.0)), 40
+        )
     ]
     gone = next(i for i, row in enumerate(rows) if row.removed_components)
     share = 0.07**2 / (0.2**2 + 0.07**2)

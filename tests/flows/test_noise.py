@@ -9,6 +9,7 @@ from accelsurf.api.segment import segment
 from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, FlowableMass, Noise, StepLimits
 from accelsurf.levelset import LevelSet
 
@@ -42,7 +43,10 @@ def spread(dt: float, seed: int, t_end: float = 1.0) -> float:
     surface = plane()
     flow = ConstantDensity(friction=1e-6, diffusion=0.0, noise=Noise(0.2, 3.0, seed, until=99.0))
     for step in Evolution(
-        surface, RegionField(np.full(FLAT, 1e-9)), flow, StepLimits(0.5, 100.0, dt), 10_000
+        surface,
+        RegionField(np.full(FLAT, 1e-9)),
+        SolverSetup(flow, StepLimits(0.5, 100.0, dt)),
+        10_000,
     ):
         if step.record.t + step.record.dt > t_end:
             break
@@ -80,7 +84,9 @@ def test_none_costs_nothing() -> None:
         surface = LevelSet(np.sqrt(z**2 + y**2 + x**2) - 8.0, (1.0, 1.0, 1.0))
         flow = ConstantDensity(noise=noise)
         field = np.sqrt(z**2 + y**2 + x**2) / 6.0 - 1.0
-        return [step.record for step in Evolution(surface, RegionField(field), flow, max_steps=12)]
+        return [
+            step.record for step in Evolution(surface, RegionField(field), SolverSetup(flow), 12)
+        ]
 
     without, zero = run(None), run(Noise(0.0))
     assert [row._replace(seconds=0.0) for row in without] == [
@@ -93,7 +99,7 @@ def test_nothing_acts_along_a_missing_axis(model: type) -> None:
     y, x = np.indices((30, 30)) - 14.5
     surface = LevelSet((np.hypot(y, x) - 8.0)[None], (2.0, 1.0, 1.0), 4.0)
     flow = model(noise=Noise(0.3, 4.0, seed=2, until=9.0))
-    for _ in Evolution(surface, RegionField(np.zeros((1, 30, 30)), 0.1), flow, StepLimits(), 10):
+    for _ in Evolution(surface, RegionField(np.zeros((1, 30, 30)), 0.1), SolverSetup(flow), 10):
         pass
     if model is FlowableMass:
         assert not flow.velocity[:, 0].any() and np.abs(flow.velocity[:, 1:]).max() > 0
@@ -111,7 +117,10 @@ def test_noise_leaves_a_saddle() -> None:
         surface = LevelSet(z - 19.5, (1.0, 1.0, 1.0))
         flow = ConstantDensity(noise=Noise(tau, 6.0, seed=1, until=5.0) if tau else None)
         evolution = Evolution(
-            surface, RegionField(ridge.astype(np.float32)), flow, StepLimits(dt_max=0.5), 150
+            surface,
+            RegionField(ridge.astype(np.float32)),
+            SolverSetup(flow, StepLimits(dt_max=0.5)),
+            150,
         )
         history = [step.record for step in evolution]
         moved[tau] = abs(history[-1].volume_mm3 - history[0].volume_mm3) / 14**2

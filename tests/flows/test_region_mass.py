@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import RegionMass, RegionPressure, StepInput, StepLimits
 from accelsurf.flows.fluid import make_fluid, transport_fluid
 from accelsurf.levelset import LevelSet
@@ -32,7 +33,7 @@ def run(flow: RegionMass, n: int, t_end: float = 1.0, alpha: float = 0.05) -> li
     on = lattice(n)
     surface = LevelSet(spheroid(on).psi, on.spacing, 4.0)
     energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, alpha)
-    steps = Evolution(surface, energy, flow, limits_on(on), 10_000)
+    steps = Evolution(surface, energy, SolverSetup(flow, limits_on(on)), 10_000)
     return [step.record for step in steps if step.record.t <= t_end or step_ends(steps)]
 
 
@@ -131,7 +132,7 @@ def mode_misfit(n: int, degree: int, root: float, periods: float = 1.0) -> float
         shape = (np.sin(x) / x**2 - np.cos(x) / x) * on.points[0] / np.maximum(on.radius, 1e-9)
     flow = RegionPressure(g, friction=0.0)
     evolution = Evolution(
-        surface, RegionField(np.zeros(surface.shape)), flow, limits_on(on), 10_000
+        surface, RegionField(np.zeros(surface.shape)), SolverSetup(flow, limits_on(on)), 10_000
     )
     evolution.initialize()
     flow.set_fluid(1.0 + strength * shape, np.zeros((3, *surface.shape)))
@@ -226,7 +227,7 @@ def shell_misfit(n: int, flow: RegionPressure, t_end: float = 3.0) -> float:
     exact = shells(flow.gravity, 0.9, lambda r: 0.3 * (r - 0.8), t_end + 0.1)
     worst = 0.0
     for step in Evolution(
-        surface, RegionField(0.3 * (on.radius - 0.8)), flow, limits_on(on), 10_000
+        surface, RegionField(0.3 * (on.radius - 0.8)), SolverSetup(flow, limits_on(on)), 10_000
     ):
         t = step.record.t + step.record.dt
         if t > t_end:
@@ -270,7 +271,7 @@ def test_the_end_is_where_the_force_is_zero(flow: RegionMass) -> None:
     on = lattice(16)
     surface = LevelSet(on.radius - 0.95, on.spacing, 4.0)
     for step in Evolution(
-        surface, RegionField(0.3 * (on.radius - 0.8)), flow, limits_on(on), 10_000
+        surface, RegionField(0.3 * (on.radius - 0.8)), SolverSetup(flow, limits_on(on)), 10_000
     ):
         if step.record.t > 15.0:
             break
@@ -284,7 +285,9 @@ def test_without_a_force_uniform_mass_rests() -> None:
     surface = LevelSet(spheroid(on).psi, on.spacing, 4.0)
     first = surface.psi.copy()
     flow = RegionPressure(0.3, friction=0.0)
-    evolution = Evolution(surface, RegionField(np.zeros(surface.shape)), flow, limits_on(on), 20)
+    evolution = Evolution(
+        surface, RegionField(np.zeros(surface.shape)), SolverSetup(flow, limits_on(on)), 20
+    )
     evolution.initialize()
     flow.clock.start_moving()
     rows = [step.record for step in evolution]
@@ -305,7 +308,7 @@ def transported(n: int, sign: float = 1.0, t_end: float = 0.8) -> tuple[float, f
     surface = LevelSet(on.radius - 0.5, on.spacing, 4.0)
     flow = RegionMass(friction=0.0)
     evolution = Evolution(
-        surface, RegionField(np.zeros(surface.shape)), flow, limits_on(on), 10_000
+        surface, RegionField(np.zeros(surface.shape)), SolverSetup(flow, limits_on(on)), 10_000
     )
     evolution.initialize()
 
@@ -374,7 +377,7 @@ def test_one_slice_and_unequal_spacing(flow: RegionMass, coarser: tuple[int, int
     surface = LevelSet(on.radius - 0.8, on.spacing, 4.0)
     flow.clock.friction = 3.0
     for step in Evolution(
-        surface, RegionField(0.5 * (on.radius - 0.6)), flow, limits_on(on), 10_000
+        surface, RegionField(0.5 * (on.radius - 0.6)), SolverSetup(flow, limits_on(on)), 10_000
     ):
         if step.record.t > 8.0:
             break

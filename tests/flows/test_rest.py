@@ -12,6 +12,7 @@ import accelsurf
 from accelsurf.energies import ChanVese
 from accelsurf.evolution.convergence import Restart
 from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import (
     ConstantDensity,
     Flow,
@@ -94,7 +95,10 @@ def end_of(flow: Flow, on: Scene, cfl: float = 0.5, steps: int = 120) -> End:
     )
     energy = ChanVese(on.image, on.alpha, epsilon=on.epsilon)
     rows = [
-        step.record for step in Evolution(surface, energy, flow, StepLimits(cfl), steps, Restart())
+        step.record
+        for step in Evolution(
+            surface, energy, SolverSetup(flow, StepLimits(cfl), restart=Restart()), steps
+        )
     ]
     motion = max(row.motion_voxels for row in rows[-11:-1])
     return End(motion, roughness(surface, on), rows[-1].area_mm2, rows[-1].potential)

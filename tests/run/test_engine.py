@@ -189,7 +189,7 @@ def test_an_edit_holds_for_an_object_whose_coarse_level_failed(pair):
             one.id: [r for r in one.evolution.history if r.level == 1] for one in run.objects
         }
         assert len(ended_on[4]) < 6  # it vanished on the coarse level, before the edit
-        assert all(one.evolution.limits.cfl == 0.3 for one in run.objects)
+        assert all(one.evolution.setup.limits.cfl == 0.3 for one in run.objects)
 
 
 # ------------------------------------------------------------------------------------------------- checkpoints

@@ -10,6 +10,7 @@ import numpy as np
 from accelsurf.energies import ChanVese, Energy, RegionField
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.support import exact
@@ -86,7 +87,7 @@ def steps(
 ) -> Iterator[tuple[float, StepRecord]]:
     """Evolve with steps of ``dt`` up to ``t_end``: after each, the time now and the row of the step."""
     evolution = Evolution(
-        surface, energy, flow, StepLimits(cfl, percentile=100.0, dt_max=dt), max_steps=10_000
+        surface, energy, SolverSetup(flow, StepLimits(cfl, percentile=100.0, dt_max=dt)), 10_000
     )
     for step in evolution:
         assert step.record.dt > 0, evolution.stop

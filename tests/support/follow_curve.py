@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.support.follow import Lattice, surface_points
@@ -171,7 +172,7 @@ class Run:
         self.flow = flow or flow_of(law)
         energy = RegionField(setup.field, law.alpha)
         self.evolution = Evolution(
-            self.surface, energy, self.flow, StepLimits(0.5, 100.0), max_steps=100_000
+            self.surface, energy, SolverSetup(self.flow, StepLimits(0.5, 100.0)), 100_000
         )
         self.time = 0.0
 
@@ -179,7 +180,9 @@ class Run:
         """Evolve to the time ``end`` in equal steps of at most ``dt``."""
         while self.time < end - 1e-9:
             left = math.ceil((end - self.time) / dt - 1e-6)
-            self.evolution.limits = self.evolution.limits._replace(dt_max=(end - self.time) / left)
+            setup = self.evolution.setup
+            limits = setup.limits._replace(dt_max=(end - self.time) / left)
+            self.evolution.use(setup._replace(limits=limits))
             step = self.evolution.step()
             assert step is not None and step.record.dt > 0, self.evolution.stop
             self.time = step.record.t + step.record.dt
