@@ -22,8 +22,6 @@ MOVE = "moves the image"
 INSIDE = "clicks inside"
 OUTSIDE = "clicks outside"
 SIZE = "and a drag say the size"
-#: Steps that can be undone.
-MAX_STEPS = 10
 DOUBTFUL = "most doubtful place"
 
 
@@ -61,42 +59,60 @@ class Target(NamedTuple):
     is_mended: bool
 
 
-def answered(
-    volume: accelsurf.Volume, target: Target, before: accelsurf.Result | None, press: Press
-) -> accelsurf.Result:
-    """Return the object after a press; ``before`` is None for the first one."""
-    x, y, z = volume.geometry.index_to_world(press.place)
-    clicks: dict[str, Any] = {press.side: f"ball:{x:.6g},{y:.6g},{z:.6g},{press.radius:.6g}"}
+def begun(volume: accelsurf.Volume, target: Target) -> accelsurf.Interaction:
+    """Return the interaction of an object before its first press."""
+    object = accelsurf.Interaction(volume)
+    if target.is_mended:
+        object.start_from(target.labels)
+    return object
+
+
+def answer(
+    volume: accelsurf.Volume, target: Target, object: accelsurf.Interaction, press: Press | None
+) -> accelsurf.Interaction:
+    """Return the interaction after a press, another one if the object begins anew; None takes the last press back.
+
+    Raises
+    ------
+    UsageError, InputError
+        When it cannot be made; the object stays.
+    """
+    if press is None:
+        if object.count > target.is_mended:  # an object that is mended begins with a gesture
+            object.undo()
+        return object
     if target.is_mended and press.size_mm3 is not None:
         raise accelsurf.UsageError(
             "a size is that of a new object; this one is mended", "click inside or outside"
         )
-    if before is None and target.is_mended:
-        return accelsurf.refine(volume, labels=target.labels, object=target.id, **clicks)
-    if before is None and press.side == "outside":
-        raise accelsurf.UsageError("nothing is inside yet", "press in the object first")
-    if before is None or press.is_first:
+    x, y, z = volume.geometry.index_to_world(press.place)
+    clicks: dict[str, Any] = {press.side: f"ball:{x:.6g},{y:.6g},{z:.6g},{press.radius:.6g}"}
+    if target.is_mended:
+        object.add(object=target.id, **clicks)
+    elif press.is_first:
+        object = begun(volume, target)
         # Of the cells of a microscope a volume in mm3 has few digits left, or an exponent.
         size = None if press.size_mm3 is None else f"{press.size_mm3:.20f}mm3"
-        return accelsurf.segment(volume, size=size, answer=press.answer, **clicks)
-    return accelsurf.refine(before, object=target.id if before.has_ids else None, **clicks)
+        object.segment(size=size, answer=press.answer, **clicks)
+    else:
+        object.add(**clicks)
+    return object
 
 
-def answer_or_error(*given: Any) -> accelsurf.Result | str:
-    """Return the result of `answered`, or the line of its error: napari 0.9 stumbles over errors of workers."""
+def answer_or_error(*given: Any) -> accelsurf.Interaction | str:
+    """Return the object of `answer`, or the line of its error: napari 0.9 stumbles over errors of workers."""
     try:
-        return answered(*given)
+        return answer(*given)
     except accelsurf.AccelsurfError as error:
         return _line(error)
 
 
-def painted(target: Target, result: accelsurf.Result | None) -> NDArray[np.integer[Any]]:
+def painted(target: Target, object: accelsurf.Interaction) -> NDArray[np.integer[Any]]:
     """Return the labels with an object; where others are they stay."""
-    if result is None:
-        return target.labels
+    labels = object.labels
     if target.is_mended:
-        return result.labels
-    return np.where((result.labels > 0) & (target.labels == 0), target.id, target.labels)
+        return labels
+    return np.where((labels > 0) & (target.labels == 0), target.id, target.labels)
 
 
 class ClickWidget(QWidget):
@@ -138,13 +154,15 @@ class ClickWidget(QWidget):
         self._press.currentTextChanged.connect(self._let_move)
         for box in (self._image, self._labels):
             box.textActivated.connect(lambda: self.begin_object())
-        #: Results so far, the first press, the object; presses that wait while another is answered.
-        self._steps: list[accelsurf.Result] = []
-        self._first: Press | None = None
+        #: The object, its result and labels as they are shown, its first press; presses that wait for their answer.
+        self._object: accelsurf.Interaction | None = None
+        self._result: accelsurf.Result | None = None
         self._target: Target | None = None
-        self._volume: accelsurf.Volume | None = None
+        self._shown: NDArray[np.integer[Any]] | None = None
+        self._first: Press | None = None
         self._worker: Any = None
-        self._waiting: list[Press] = []
+        self._waiting: list[Press | None] = []
+        self._volume: accelsurf.Volume | None = None
         self.reset_choices()
         napari_viewer.mouse_drag_callbacks.append(self._on_press)
 
@@ -161,10 +179,10 @@ class ClickWidget(QWidget):
             if box.currentText() != before:  # the layer is gone
                 self.begin_object()
 
-    def _begun(self) -> Target:
-        """Return the object of the next press, and the volume that it lies in."""
-        if self._target is not None:
-            return self._target
+    def _begun(self) -> accelsurf.Interaction:
+        """Return the object of the next press."""
+        if self._object is not None:
+            return self._object
         name = self._image.currentText()
         if name not in self._viewer.layers:
             raise accelsurf.UsageError(
@@ -196,21 +214,23 @@ class ClickWidget(QWidget):
             raise accelsurf.UsageError(
                 f"{layer.name}: {id} cannot be the label of an object", "select another label"
             )
-        self._volume, self._target = volume, Target(labels, id, bool((labels == id).any()))
-        return self._target
+        self._target = Target(labels, id, bool((labels == id).any()))
+        self._volume, self._shown = volume, labels
+        self._object = begun(volume, self._target)
+        return self._object
 
-    def _set_steps(self, steps: list[accelsurf.Result]) -> None:
-        """Set the results so far, and show the last one; voxels painted by hand elsewhere stay."""
-        before, self._steps = self._steps, steps
+    def _paint(self) -> None:
+        """Show the object as it is now; voxels painted by hand elsewhere stay."""
+        self._result = None if self._object is None else self._object.result
         self._describe()
-        if self._target is not None:
-            layer = self._viewer.layers[self._labels.currentText()]
-            old, new = (
-                painted(self._target, some[-1] if some else None) for some in (before, steps)
-            )
-            changed = (old != new).reshape(layer.data.shape)
-            layer.data[changed] = new.reshape(layer.data.shape)[changed]
-            layer.refresh()
+        if self._object is None or self._target is None or self._shown is None:
+            return
+        layer = self._viewer.layers[self._labels.currentText()]
+        new = painted(self._target, self._object)
+        changed = (self._shown != new).reshape(layer.data.shape)
+        layer.data[changed] = new.reshape(layer.data.shape)[changed]
+        layer.refresh()
+        self._shown = new
 
     # -- presses -------------------------------------------------------------------------------------------
 
@@ -223,37 +243,29 @@ class ClickWidget(QWidget):
         if mode == MOVE or event.button != 1 or viewer.dims.ndisplay != 2:
             return
         try:
-            self._begun()
+            object = self._begun()
         except accelsurf.AccelsurfError as error:
             self._said.setText(_line(error))
             return
-        assert self._volume is not None
         layer = self._viewer.layers[self._image.currentText()]
         place = _zyx(layer, event.position)
-        radius = self._radius.value() * min(self._volume.geometry.spacing)
-        press = Press(
-            "outside" if mode == OUTSIDE else "inside", place, radius, is_first=mode == SIZE
-        )
+        radius = self._radius.value() * min(object.geometry.spacing)
+        side = "outside" if mode == OUTSIDE else "inside"
+        press = Press(side, place, radius, is_first=mode == SIZE)
         yield
         while event.type == "mouse_move":
             if mode == SIZE:
-                self.ask(self._sized(press, _zyx(layer, event.position)))
+                self.ask(_sized(press, _zyx(layer, event.position), object.geometry))
             yield
-        self.ask(self._sized(press, _zyx(layer, event.position)) if mode == SIZE else press)
+        end = _zyx(layer, event.position)
+        self.ask(_sized(press, end, object.geometry) if mode == SIZE else press)
 
-    def _sized(self, press: Press, end: NDArray[np.float64]) -> Press:
-        """Return a press with the volume of a ball, in an image of one slice of a disc, up to the end of a drag."""
-        assert self._volume is not None
-        spacing, axis = self._volume.geometry.spacing, self._volume.geometry.slice_axis
-        far = float(np.linalg.norm((end - press.place) * spacing))
-        if far < min(spacing):  # no drag
-            return press
-        volume = 4.0 / 3.0 * math.pi * far**3 if axis is None else math.pi * far**2 * spacing[axis]
-        return press._replace(radius=min(press.radius, far / 2.0), size_mm3=volume)
-
-    def ask(self, press: Press) -> None:
+    def ask(self, press: Press | None) -> None:
         """Have a press answered beside the window; presses of a drag that wait for it are out of date."""
-        self._waiting = [*(other for other in self._waiting if not other.is_first), press]
+        self._waiting = [
+            *(other for other in self._waiting if not (other and other.is_first)),
+            press,
+        ]
         if self._worker is None:
             self._answer_next()
 
@@ -262,28 +274,29 @@ class ClickWidget(QWidget):
         if not self._waiting:
             return
         press, *self._waiting = self._waiting
-        target, before = self._begun(), self._steps[-1] if self._steps else None
-        self._said.setText(
-            "..." if press.size_mm3 is None else f"about {_volume_text(press.size_mm3)} ..."
-        )
+        object = self._begun()
+        size_mm3 = None if press is None else press.size_mm3
+        self._said.setText("..." if size_mm3 is None else f"about {_volume_text(size_mm3)} ...")
         connect = {
-            "returned": lambda result: self._show(target, press, result),
+            "returned": lambda found: self._show(object, press, found),
             "finished": self._answer_next,
         }
         self._worker = create_worker(
-            answer_or_error, self._volume, target, before, press, _connect=connect
+            answer_or_error, self._volume, self._target, object, press, _connect=connect
         )
 
-    def _show(self, target: Target, press: Press, result: accelsurf.Result | str) -> None:
-        if target is not self._target:
-            return  # another object was begun, or a press taken back meanwhile
-        if isinstance(result, str):
-            self._said.setText(result)
+    def _show(
+        self, object: accelsurf.Interaction, press: Press | None, found: accelsurf.Interaction | str
+    ) -> None:
+        if object is not self._object:
+            return  # another object was begun meanwhile
+        if isinstance(found, str):
+            self._said.setText(found)
             return
-        if not target.is_mended and (not self._steps or press.is_first):
+        if press is not None and (press.is_first or found.count == 1):
             self._first = press
-        is_next = bool(self._steps) and (target.is_mended or not press.is_first)
-        self._set_steps([*self._steps, result][-MAX_STEPS:] if is_next else [result])
+        self._object = found
+        self._paint()
 
     # -- buttons -------------------------------------------------------------------------------------------
 
@@ -293,19 +306,16 @@ class ClickWidget(QWidget):
             self.ask(self._first._replace(answer=number, is_first=True))
 
     def undo(self) -> None:
-        """Take the last press back."""
-        self._waiting, self._target = (
-            [],
-            self._target and self._target._replace(),
-        )  # the answer under way is late
-        self._set_steps(self._steps[:-1])
+        """Take the last press back, also one that waits or is being answered."""
+        if self._waiting:
+            self._waiting.pop()
+        elif self._object is not None:
+            self.ask(None)
 
     def begin_object(self) -> None:
         """Begin with the label that is selected: a new object, or one that is mended."""
-        self._steps = []
-        self._first = None
+        self._object = self._result = self._target = self._shown = self._first = None
         self._waiting = []
-        self._target = None
         self._describe()
 
     def next_object(self) -> None:
@@ -317,11 +327,11 @@ class ClickWidget(QWidget):
 
     def show_doubtful(self) -> None:
         """Show the most doubtful place: its slice, and a diamond."""
-        found = self._object()
-        if self._volume is None or found is None or found.quality.next_click is None:
+        found = self._found()
+        if self._object is None or found is None or found.quality.next_click is None:
             return
         layer = self._viewer.layers[self._image.currentText()]
-        place = self._volume.geometry.world_to_index(found.quality.next_click)[3 - layer.ndim :]
+        place = self._object.geometry.world_to_index(found.quality.next_click)[3 - layer.ndim :]
         if DOUBTFUL in self._viewer.layers:
             self._viewer.layers.remove(DOUBTFUL)
         shape = {"symbol": "diamond", "size": 4, "face_color": "yellow"}
@@ -331,16 +341,18 @@ class ClickWidget(QWidget):
         )
         self._viewer.layers.selection.select_only(self._viewer.layers[self._labels.currentText()])
 
-    def _object(self) -> Any:
-        """Return the object as it is now; None where there is none."""
-        if not self._steps or self._target is None:
+    def _found(self) -> Any:
+        """Return the object of the result as it is now; None where there is none."""
+        result = self._result
+        if result is None or self._target is None:
             return None
-        return self._steps[-1].by_id[self._target.id if self._steps[-1].has_ids else 1]
+        return result.by_id[self._target.id if result.has_ids else 1]
 
     def _describe(self) -> None:
         """Tell volume and probability, and offer other answers to the first click."""
-        found = self._object()
-        answers = () if found is None or len(self._steps) > 1 else found.quality.answers
+        found, result = self._found(), self._result
+        is_corrected = result is None or bool(result.config.refine)
+        answers = () if found is None or is_corrected else found.quality.answers
         for number, button in enumerate(self._answers, 1):
             match = [answer for answer in answers if answer.number == number]
             button.setVisible(len(answers) > 1 and bool(match))
@@ -348,7 +360,7 @@ class ClickWidget(QWidget):
             button.setText(
                 "".join(self._size(mm3) if mm3 else "all that is alike" for mm3 in volumes)
             )
-        text = ""
+        text = "" if self._object is None else "Nothing is inside yet: press in the object."
         if found is not None:
             text = f"{self._size(found.volume_mm3)}, {found.quality.likely}"
             text += "".join(
@@ -358,13 +370,23 @@ class ClickWidget(QWidget):
 
     def _size(self, volume_mm3: float) -> str:
         """Return a volume in words, in an image of one slice the area."""
-        assert self._volume is not None
-        geometry = self._volume.geometry
+        assert self._object is not None
+        geometry = self._object.geometry
         axis = geometry.slice_axis
         if axis is None:
             return _volume_text(volume_mm3)
         area, unit = volume_mm3 / geometry.spacing[axis], geometry.unit
         return f"{area * {'mm': 1.0, 'um': 1e6, 'nm': 1e12}[unit]:.4g} {unit}2"
+
+
+def _sized(press: Press, end: NDArray[np.float64], geometry: Any) -> Press:
+    """Return a press with the volume of a ball, in an image of one slice of a disc, up to the end of a drag."""
+    spacing, axis = geometry.spacing, geometry.slice_axis
+    far = float(np.linalg.norm((end - press.place) * spacing))
+    if far < min(spacing):  # no drag
+        return press
+    volume = 4.0 / 3.0 * math.pi * far**3 if axis is None else math.pi * far**2 * spacing[axis]
+    return press._replace(radius=min(press.radius, far / 2.0), size_mm3=volume)
 
 
 def _volume_text(mm3: float) -> str:

@@ -11,7 +11,14 @@ from accelsurf import cli
 from accelsurf.clicks.reading import read_clicks
 from accelsurf.serve.session import ImageSession
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.opening import Opening, ViewerSettings
+from accelsurf.viewer.core.opening import OpenedImage
+from accelsurf.viewer.core.recent_files import RecentFiles
 from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.page.page import Page
+from tests.support import viewing
+from tests.support.steering import views
+from tests.viewer.test_strokes import place_of
 
 SHAPE, SPACING = (20, 36, 40), (2.0, 1.0, 1.0)
 
@@ -128,20 +135,72 @@ def test_a_game_gives_the_same_labels_in_every_client(client, scan, played, tmp_
     assert all(not np.array_equal(a, b) for a, b in zip(played, played[1:], strict=False))
 
 
+@pytest.mark.filterwarnings("ignore::pydantic.PydanticDeprecatedSince20")  # napari's own
 def test_a_plug_in_of_napari_plays_the_same_game(scan, played):
     widget = pytest.importorskip("accelsurf.napari.widget", reason="napari is not installed")
     target = widget.Target(np.zeros(SHAPE, np.uint8), 1, False)
-    results, numbers = [], []
-    for number, gesture in enumerate(GAME):
+    object, found = widget.begun(scan, target), []
+    for gesture in GAME:
         if gesture.side and not gesture.where.startswith("ball:"):
             break  # the plug-in has no strokes
         x, y, z, radius = (float(v) for v in gesture.where.partition(":")[2].split(","))
         place = np.array([z, y, x]) / SPACING
         press = widget.Press(gesture.side, place, radius)
-        results.append(widget.answered(scan, target, results[-1] if results else None, press))
-        numbers.append(number)
-    for number, result in zip(numbers, results, strict=True):
-        assert np.array_equal(result.labels > 0, played[number] > 0)
+        object = widget.answer(scan, target, object, press)
+        found.append(widget.painted(target, object))
+    assert len(found) == 2
+    for number, labels in enumerate(found):
+        assert np.array_equal(labels > 0, played[number] > 0), f"gesture {number}"
+
+
+def test_the_page_plays_its_clicks_as_the_library_does(scan, tmp_path):
+    """By the messages of its pointer, without a browser; a place in a picture is a click of its own."""
+    trame = pytest.importorskip("trame.app", reason="the extra viewer is not installed")
+    viewing.needs_graphics()
+    opening, folder = Opening(RunConfig(), RecentFiles(None)), tmp_path / "saved"
+    page = Page(opening, ViewerSettings(folder), tmp_path)
+    page.open(OpenedImage(scan, RunConfig(), "scan"))
+    ask = trame.get_server(f"accelsurf-{page.token[:8]}").controller.trigger_fn("ask")
+    session, object = page.actions.session, accelsurf.Interaction(scan)
+
+    def settled():
+        assert session.wait(60)
+        for view in views(session):
+            page.actions.update(view)
+        page.actions.collect_results()
+        assert not page.actions.message and not session.status.failed
+
+    try:
+        settled()
+        for number, gesture in enumerate(GAME):
+            if gesture.side:
+                kind, _, text = gesture.where.partition(":")
+                places = [[float(part) for part in one.split(",")] for one in text.split(";")]
+                ask("cursor", *places[0][:3])
+                ask("radius", places[0][3])
+                ask("tool", gesture.side)
+                ask("press", *place_of(page.actions, "axial", places[0][:3]))
+                for place in places[1:]:
+                    ask("move", *place_of(page.actions, "axial", place[:3]))
+                ask("release")
+            else:
+                ask("undo")
+            settled()
+            status = session.status
+            last = status.refinements[-1] if status.refinements else status.settings
+            if gesture.side:
+                (where,) = getattr(last, gesture.side)
+                assert where.startswith(kind)
+                object.add(**{gesture.side: where})
+            else:
+                object.undo()
+            ask("save")
+            settled()
+            shown = accelsurf.read_labels(folder / "scan_seg.nii.gz").array
+            assert np.array_equal(shown, object.labels), f"gesture {number}"
+            assert shown.any()
+    finally:
+        page.close()
 
 
 @pytest.mark.parametrize("steps", [1, 4, 9])
@@ -181,3 +240,16 @@ def test_a_refused_click_on_a_surface_that_moves_changes_nothing(scan):
         assert after.undoable == before.undoable
         session.go_to(9).result(60)
         assert session.wait(60) and session.status.step == 9
+
+
+def test_a_correction_that_a_click_on_a_moving_surface_cannot_make_again_is_said(scan):
+    wanted = ["inside=ball:14,17,18,1", "outside=ball:14,25,18,2 object=7"]
+    config = RunConfig(start="ball:14,17,18,3", energy="chan-vese", levels=1, refine=wanted)
+    with Session(scan, config) as session:
+        session.play(4).result(60)
+        assert session.wait(60) and session.status.stop is None
+        session.add_click("outside", "ball:27,17,18,2").result(60)
+        status = session.status
+        assert "outside: ball:27,17,18,2: " in status.message
+        assert "; correction 2 of 2 cannot be made again: " in status.message
+        assert [len(each.outside) for each in status.refinements] == [0, 1]

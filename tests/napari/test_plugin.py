@@ -236,6 +236,10 @@ class Driven:
         self.wait()
         return self.said
 
+    def undo(self):
+        self.widget._undo.click()
+        self.wait()
+
     def wait(self):
         from qtpy.QtCore import QEventLoop, QTimer
 
@@ -278,9 +282,9 @@ def test_two_objects_by_clicks_and_back_again(driven):
     before = driven.labels.copy()
     driven.press(OUT, (28, 28, 80))
     assert driven.labels[28, 28, 80] == 0 and driven.labels[left] == 1
-    driven.widget._undo.click()
+    driven.undo()
     assert (driven.labels == before).all()
-    driven.widget._undo.click()
+    driven.undo()
     assert ((driven.labels > 0) == first).all()
 
 
@@ -292,12 +296,12 @@ def test_presses_that_come_quickly_are_all_answered(driven):
     for place in ((28, 28, 66), (28, 20, 66)):
         widget.ask(Press("inside", np.array(place, float), 3.0))
     driven.wait()
-    assert len(widget._steps) == 3 and driven.labels[28, 28, 66] == driven.labels[28, 20, 66] == 1
+    assert widget._object.count == 3 and driven.labels[28, 28, 66] == driven.labels[28, 20, 66] == 1
     widget.ask(Press("outside", np.array((28, 28, 66.0)), 3.0))
-    widget._undo.click()  # while that is under way: it is dropped
+    widget._undo.click()  # while that is under way: it is taken back
     driven.wait()
     assert (
-        len(widget._steps) == 2
+        widget._object.count == 3
         and viewer.layers[widget._labels.currentText()].data[28, 28, 66] == 1
     )
 
@@ -306,13 +310,13 @@ def test_a_drag_says_the_size_and_the_answers_are_offered(driven):
     driven.press(SIZE, (28, 28, 30), (28, 28, 40))
     small = np.count_nonzero(driven.labels)
     driven.press(SIZE, (28, 28, 30), (28, 28, 47))
-    assert small < 8000 < np.count_nonzero(driven.labels) and len(driven.widget._steps) == 1
+    assert small < 8000 < np.count_nonzero(driven.labels) and driven.widget._object.count == 1
     driven.press(SIZE, (28, 28, 30))  # a press alone: no size
     shown = [button.text() for button in driven.widget._answers if not button.isHidden()]
     assert len(shown) > 1 and shown[0].endswith(" ml") and shown[-1] == "all that is alike"
     driven.widget._answers[2].click()
     driven.wait()
-    assert driven.widget._steps[-1].config.answer == 3
+    assert driven.widget._object.result.config.answer == 3
 
 
 def test_the_doubtful_place_is_shown_in_its_slice(driven):
@@ -338,14 +342,15 @@ def test_a_labels_layer_is_mended_and_its_other_labels_stay(driven):
     assert ((layer.data == 3) == (mask == 3)).all()
     assert "a size is that of a new object" in driven.press(SIZE, (28, 28, 30), (28, 28, 40))
     layer.data[2:4, 50:54, 50:54] = 9  # and again meanwhile
-    driven.widget._undo.click()
+    driven.undo()
     mask[50:54, 50:54, 50:54], mask[2:4, 50:54, 50:54] = 9, 9
     assert (layer.data == mask).all()
 
 
 def test_what_cannot_be_done_is_said(driven):
-    assert "no voxel centre" in driven.press(IN, (28, 28, 900)) and not driven.widget._steps
-    assert "nothing is inside yet" in driven.press(OUT, (28, 28, 30)) and not driven.labels.any()
+    assert "no voxel centre" in driven.press(IN, (28, 28, 900))
+    assert not driven.widget._object.count
+    assert "Nothing is inside yet" in driven.press(OUT, (28, 28, 30)) and not driven.labels.any()
     driven.viewer.layers[driven.widget._labels.currentText()].selected_label = 0
     driven.widget.begin_object()
     assert "cannot be the label" in driven.press(IN, (28, 28, 30))
@@ -369,4 +374,4 @@ def test_a_slice_in_micrometres(monkeypatch):
     )
     driven.press(IN, (60.0, 80.0))
     assert driven.labels.shape == disc.shape and dice(driven.labels > 0, disc) > 0.95
-    assert driven.widget._volume.geometry.spacing == pytest.approx((0.002, 0.002, 0.002))
+    assert driven.widget._object.geometry.spacing == pytest.approx((0.002, 0.002, 0.002))
