@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import accelsurf
-from accelsurf.correct.refiner import Refiner
 from accelsurf.errors import AccelsurfError
 from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.image.blocks import block_means
 from accelsurf.image.volume import Volume
+from accelsurf.interact.refiner import Refiner
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.settings.corrections import Correction
 from benchmarks.clicks.person import PersonClick, next_click

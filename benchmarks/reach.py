@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import accelsurf
-from accelsurf.correct.refine import beginning_with
-from accelsurf.correct.refiner import Refiner
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import bounding_box
 from accelsurf.image.volume import Volume
+from accelsurf.interact.refine import beginning_with
+from accelsurf.interact.refiner import Refiner
 from accelsurf.settings.corrections import corrections_of
 from benchmarks.clicks.folds import FAMILIES, FOLDS, PHANTOMS
 from benchmarks.clicks.objects import ClickObject, Scene, chosen, load

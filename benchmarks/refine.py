@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.api.segment import segment
-from accelsurf.correct.refiner import Refiner
 from accelsurf.image.volume import Volume
+from accelsurf.interact.refiner import Refiner
 from accelsurf.phantoms.recipes import load_recipe, make
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
@@ -73,14 +73,14 @@ PARTS = (
     ("accelsurf.clicks.model.network", "Network.probability", "network"),
     ("accelsurf.clicks.model.surface", "area_weight", "area's weight"),
     ("accelsurf.clicks.model.model", "mean_curvature", "area's weight"),
-    ("accelsurf.correct.refiner", "basin_of", "region"),
-    ("accelsurf.correct.refiner", "around_clicks", "region"),
-    ("accelsurf.correct.local_evolution", "signed_distance", "region"),
-    ("accelsurf.correct.local_evolution", "near_bounds", "region"),
-    ("accelsurf.correct.local_evolution", "united", "region"),
-    ("accelsurf.correct.local_evolution", "_distance_to", "region"),
+    ("accelsurf.interact.refiner", "basin_of", "region"),
+    ("accelsurf.interact.refiner", "around_clicks", "region"),
+    ("accelsurf.interact.local_evolution", "signed_distance", "region"),
+    ("accelsurf.interact.local_evolution", "near_bounds", "region"),
+    ("accelsurf.interact.local_evolution", "united", "region"),
+    ("accelsurf.interact.local_evolution", "_distance_to", "region"),
     ("accelsurf.levelset.level_set", "LevelSet.__init__", "first band"),
-    ("accelsurf.correct.local_evolution", "_restore", "first band"),
+    ("accelsurf.interact.local_evolution", "_restore", "first band"),
     ("accelsurf.levelset.level_set", "LevelSet.reinitialize", "first band"),
     ("accelsurf.evolution.loop", "Evolution.step", "steps"),
 )

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.correct.finished import OnObjectStep, finished, result_of
-from accelsurf.correct.refine import with_corrections
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.grid.clicks import SIDES, Side
 from accelsurf.image.volume import Volume
+from accelsurf.interact.finished import OnObjectStep, finished, result_of
+from accelsurf.interact.refine import with_corrections
 from accelsurf.io import LazyVolume
 from accelsurf.io.library_images import ImageLike, as_volume, from_library
 from accelsurf.run.arguments import given_clicks, psi_of, split_given, with_options

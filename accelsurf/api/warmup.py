@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from accelsurf.api.segment import segment, segment_objects
-from accelsurf.correct.refine import refine
 from accelsurf.image.blocks import block_means
 from accelsurf.image.percentiles import IntegerCounts
 from accelsurf.image.volume import Volume
+from accelsurf.interact.refine import refine
 from accelsurf.run.result import Result
 from accelsurf.settings.energy_terms import image_terms
 from accelsurf.settings.flow_specs import FLOWS

@@ -17,8 +17,8 @@ from accelsurf.settings.corrections import Correction, click_by_click, correctio
 if TYPE_CHECKING:
     from accelsurf.cases.case import Finished, Log
     from accelsurf.cases.watcher import Watcher
-    from accelsurf.correct.refiner import Change
-    from accelsurf.correct.state_file import StateFile
+    from accelsurf.interact.refiner import Change
+    from accelsurf.interact.state_file import StateFile
     from accelsurf.output.folder import OutputFolder
     from accelsurf.output.given_image import GivenImage
     from accelsurf.output.reports import Report
@@ -240,8 +240,8 @@ class _CorrectedRun:
         self, place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log
     ) -> Result:
         from accelsurf.cases.case import read_image
-        from accelsurf.correct.refiner import Refiner
-        from accelsurf.correct.restored import restored
+        from accelsurf.interact.refiner import Refiner
+        from accelsurf.interact.restored import restored
 
         volume, *more = read_image(place, config, log)
         self._source.image.check([volume, *more], _OTHER)
@@ -315,7 +315,7 @@ def _source_of(path: Path, image: Path | None) -> _Source:
         raise InputError(
             f"{state_path}: is not as its report says: missing, damaged or of another run", _STATE
         )
-    from accelsurf.correct.state_file import read_state  # loads modules of a run
+    from accelsurf.interact.state_file import read_state  # loads modules of a run
 
     state = read_state(state_path)
     given = GivenImage.of_report(report.document or {}, report.path)

@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import read_clicks
 from accelsurf.clicks.voxel_lists import voxels_text
-from accelsurf.correct.finished import OnObjectStep, finished
-from accelsurf.correct.refine import beginning_with
-from accelsurf.correct.refiner import Change, Refiner
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import (
     Box,
@@ -25,6 +22,9 @@ from accelsurf.grid.boxes import (
     placed_at,
 )
 from accelsurf.grid.clicks import Click
+from accelsurf.interact.finished import OnObjectStep, finished
+from accelsurf.interact.refine import beginning_with
+from accelsurf.interact.refiner import Change, Refiner
 from accelsurf.io.library_images import ImageLike, array_of, as_volume
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.correct.finished import result_of
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import (
     Box,
@@ -26,6 +25,7 @@ from accelsurf.grid.boxes import (
 )
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
+from accelsurf.interact.finished import result_of
 from accelsurf.large.first_window import MIN_MARGIN
 from accelsurf.large.windowed import LargeImage, LargeRun, larger
 from accelsurf.run.memory import PLAIN_BYTES, PROCESS_BYTES, bytes_text

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from accelsurf.correct.finished import OnObjectStep, finished
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import GUARD, LeavesWindow, NeedsLevels, Window, aligned, enlarged
 from accelsurf.image.volume import Volume
+from accelsurf.interact.finished import OnObjectStep, finished
 from accelsurf.io import available_memory
 from accelsurf.io.lazy_volume import LazyVolume, open_with
 from accelsurf.large.first_window import first_box

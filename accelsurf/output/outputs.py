@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from numpy.typing import NDArray
 
 from accelsurf import io
-from accelsurf.correct.state_file import state_bytes
 from accelsurf.image.grey_window import parse_window
+from accelsurf.interact.state_file import state_bytes
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import LABELS_KEY, shows_patient
 from accelsurf.measure.contours import Contours

@@ -10,8 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.correct.finished import result_of
-from accelsurf.correct.refiner import Refiner
 from accelsurf.energies import RegionField
 from accelsurf.evolution.convergence import StopRule
 from accelsurf.evolution.loop import Evolution
@@ -31,6 +29,8 @@ from accelsurf.grid.boxes import (
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.interact.finished import result_of
+from accelsurf.interact.refiner import Refiner
 from accelsurf.levelset import LevelSet
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.run.result import Result, SegmentedObject

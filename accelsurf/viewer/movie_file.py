@@ -253,8 +253,8 @@ def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -
         When there is neither, or a file was changed since.
     """
     from accelsurf.api.segment import segment
-    from accelsurf.correct.restored import restored
-    from accelsurf.correct.state_file import read_state
+    from accelsurf.interact.restored import restored
+    from accelsurf.interact.state_file import read_state
 
     report = Report(report_in(folder))
     names = report.names

@@ -91,7 +91,7 @@ class Refined:
 
     def click(self, click: PersonClick) -> Mask:
         """Labels after one click more."""
-        from accelsurf.correct.refine import refine
+        from accelsurf.interact.refine import refine
 
         given: dict[str, Any] = {click.side: (text_of(click, self.image),)}
         if self.result is None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
-from accelsurf.correct.finished import result_of
+from accelsurf.interact.finished import result_of
 from accelsurf.levelset import Workers
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig

@@ -12,10 +12,10 @@ import pytest
 
 import accelsurf
 from accelsurf import cli, io
-from accelsurf.correct import state_file
-from accelsurf.correct.state_file import read_state, state_bytes, surface_of
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
+from accelsurf.interact import state_file
+from accelsurf.interact.state_file import read_state, state_bytes, surface_of
 from accelsurf.io import states
 from accelsurf.settings.run_config import RunConfig
 

@@ -258,8 +258,8 @@ def cases(given: Input, folder: Path) -> None:
 
 def state(given: Input, folder: Path) -> None:
     """The state of a finished run, and its result again."""
-    from accelsurf.correct.restored import restored
-    from accelsurf.correct.state_file import read_state
+    from accelsurf.interact.restored import restored
+    from accelsurf.interact.state_file import read_state
 
     found = read_state(folder / "input.npz")
     result = restored(found, Volume.from_array(runs.image(), 1.0))

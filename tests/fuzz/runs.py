@@ -28,8 +28,8 @@ def every() -> list[Input]:
 
 def _of_segment():
     from accelsurf.api.segment import segment
-    from accelsurf.correct.state_file import state_bytes
     from accelsurf.image.volume import Volume
+    from accelsurf.interact.state_file import state_bytes
     from accelsurf.run.checkpoint import checkpoint_header, save_checkpoint
     from accelsurf.run.run import Run
     from accelsurf.settings.run_config import RunConfig

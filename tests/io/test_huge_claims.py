@@ -264,7 +264,7 @@ def states(made, array):
     import io as streams
     import zipfile
 
-    from accelsurf.correct.state_file import read_state
+    from accelsurf.interact.state_file import read_state
     from accelsurf.run.checkpoint import read_checkpoint
 
     def archive(content, kind):
@@ -338,7 +338,7 @@ def tables(made, small):
 
 
 def main(folder):
-    import accelsurf.correct.state_file  # noqa: F401 - counts as imports
+    import accelsurf.interact.state_file  # noqa: F401 - counts as imports
     from accelsurf.errors import AccelsurfError
 
     out = {kind: [] for kind in KINDS}

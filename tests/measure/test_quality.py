@@ -8,11 +8,11 @@ import pytest
 from accelsurf import cli, io
 from accelsurf.api.segment import segment
 from accelsurf.clicks.model.confidence import Confidence
-from accelsurf.correct.refine import refine
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
+from accelsurf.interact.refine import refine
 from accelsurf.measure import likely
 from accelsurf.measure.likely import Plateau, click_features, features
 from accelsurf.measure.metrics import dice

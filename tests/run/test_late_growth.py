@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.api.segment import segment, segment_objects
-from accelsurf.correct.refine import refine
+from accelsurf.interact.refine import refine
 from accelsurf.run.late_growth import BLOCK, nearest_inside
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from accelsurf.api.segment import segment, segment_objects
-from accelsurf.correct.refine import refine
 from accelsurf.image.noise import WEIGHT
+from accelsurf.interact.refine import refine
 from accelsurf.measure.metrics import dice
 from accelsurf.run import start_checks
 

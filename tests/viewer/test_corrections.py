@@ -9,10 +9,10 @@ import pytest
 import accelsurf
 from accelsurf import io
 from accelsurf.cli import execute as command
-from accelsurf.correct.refine import refine
-from accelsurf.correct.refiner import Refiner
 from accelsurf.errors import InputError, UsageError
 from accelsurf.image.volume import Volume
+from accelsurf.interact.refine import refine
+from accelsurf.interact.refiner import Refiner
 from accelsurf.output.document import describe_quality, to_json
 from accelsurf.settings.corrections import corrections_of
 from accelsurf.settings.run_config import RunConfig

@@ -13,7 +13,7 @@ from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.objects import NOT_BEGUN
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
-from tests.correct.test_object_changes import BALLS, SPACING, dice, press, scan, truth
+from tests.interact.test_object_changes import BALLS, SPACING, dice, press, scan, truth
 from tests.support import viewing
 
 

@@ -26,7 +26,7 @@ SOLVER = (
     "accelsurf.evolution.loop",
     "accelsurf.run.run",
     "accelsurf.run.ensemble",
-    "accelsurf.correct.refiner",
+    "accelsurf.interact.refiner",
 )
 
 NOTE = f"""

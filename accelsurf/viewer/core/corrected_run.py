@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import on_image
-from accelsurf.correct.finished import result_of, state_at_end
-from accelsurf.correct.refiner import Change, Refiner, changes_text
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import (
@@ -26,6 +24,8 @@ from accelsurf.grid.boxes import (
     placed_at,
 )
 from accelsurf.grid.geometry import Geometry
+from accelsurf.interact.finished import result_of, state_at_end
+from accelsurf.interact.refiner import Change, Refiner, changes_text
 from accelsurf.output.pictures.preview_content import marks_of
 from accelsurf.run.ensemble import overall_stop
 from accelsurf.run.result import BoxMask, Result

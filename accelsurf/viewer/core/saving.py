@@ -8,9 +8,9 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from accelsurf.correct.finished import result_of
 from accelsurf.errors import UsageError, check_known
 from accelsurf.image.volume import Volume, voxels_sha256
+from accelsurf.interact.finished import result_of
 from accelsurf.io.file_set import FileSet, InputFiles
 from accelsurf.io.files import write_bytes
 from accelsurf.output import document, label_files, outputs

@@ -533,7 +533,7 @@ class UncertaintyWatch:
         """Return the uncertain locations of a version of the state, and how likely each object is good; None
         while it is not idle yet.
         """
-        from accelsurf.correct.finished import result_of
+        from accelsurf.interact.finished import result_of
 
         if time.perf_counter() < self._busy_until:
             return None

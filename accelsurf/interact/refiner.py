@@ -14,33 +14,6 @@ from numpy.typing import NDArray
 from accelsurf.clicks.model.model import is_right, largest_reach
 from accelsurf.clicks.model.reach import ClickReach, farthest_from, reach_of
 from accelsurf.clicks.reading import check_left, clicks_of, on_image
-from accelsurf.correct import object_changes
-from accelsurf.correct.corrected_surface import (
-    CorrectedSurface,
-    count_inside,
-    frozen_settings,
-    stop_of_whole,
-)
-from accelsurf.correct.finished import OnObjectStep
-from accelsurf.correct.local_evolution import LocalProblem, Stepping, evolve_near
-from accelsurf.correct.local_model import basin_of
-from accelsurf.correct.mending import mend
-from accelsurf.correct.models import (
-    check_object,
-    clicks_on,
-    placed_clicks,
-    point_click,
-    refuse_contradictions,
-)
-from accelsurf.correct.objects import CorrectedObjects
-from accelsurf.correct.region import (
-    NearRegion,
-    around_clicks,
-    automatic_near,
-    box_around,
-    rim_width,
-    within_reaches,
-)
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import Stop
@@ -48,6 +21,33 @@ from accelsurf.grid.boxes import Box, Corner, box_at, counted_from, on_box, tigh
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks, Side
 from accelsurf.grid.pyramid import Level
+from accelsurf.interact import object_changes
+from accelsurf.interact.corrected_surface import (
+    CorrectedSurface,
+    count_inside,
+    frozen_settings,
+    stop_of_whole,
+)
+from accelsurf.interact.finished import OnObjectStep
+from accelsurf.interact.local_evolution import LocalProblem, Stepping, evolve_near
+from accelsurf.interact.local_model import basin_of
+from accelsurf.interact.mending import mend
+from accelsurf.interact.models import (
+    check_object,
+    clicks_on,
+    placed_clicks,
+    point_click,
+    refuse_contradictions,
+)
+from accelsurf.interact.objects import CorrectedObjects
+from accelsurf.interact.region import (
+    NearRegion,
+    around_clicks,
+    automatic_near,
+    box_around,
+    rim_width,
+    within_reaches,
+)
 from accelsurf.io.memory import available_cores
 from accelsurf.levelset import Workers
 from accelsurf.run.late_growth import Place

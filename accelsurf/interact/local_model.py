@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.model import ClickModel
-from accelsurf.correct.corrected_surface import CorrectedSurface
-from accelsurf.correct.region import around_clicks, automatic_near
 from accelsurf.grid.boxes import Box, box_at, connected_to, counted_from, enclosing, on_box
 from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.interact.corrected_surface import CorrectedSurface
+from accelsurf.interact.region import around_clicks, automatic_near
 from accelsurf.run.image_context import ImageContext
 
 Image = NDArray[np.float32]

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from accelsurf.clicks.model import ClickModel
 from accelsurf.clicks.model.given import GivenMask
 from accelsurf.clicks.reading import voxel_named
-from accelsurf.correct.local_model import LocalModel, local_model
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, corner_of, whole_box
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
+from accelsurf.interact.local_model import LocalModel, local_model
 from accelsurf.run.evolving_object import MadeEnergy
 from accelsurf.run.image_context import ImageContext, ModelInputs
 from accelsurf.run.preprocessing import PreprocessedInput

@@ -13,12 +13,12 @@ from accelsurf.clicks.model.reach import (
     reach_of,
     separate_part,
 )
-from accelsurf.correct.refine import beginning_with
-from accelsurf.correct.refiner import Refiner
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Click
 from accelsurf.image.volume import Volume
+from accelsurf.interact.refine import beginning_with
+from accelsurf.interact.refiner import Refiner
 from accelsurf.settings.corrections import Correction
 
 SCENES = {

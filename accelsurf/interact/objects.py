@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.model import ClickModel
 from accelsurf.clicks.reading import clicked_voxels
-from accelsurf.correct.corrected_surface import (
+from accelsurf.grid.boxes import Box, box_at, corner_of, counted_from, shared
+from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.interact.corrected_surface import (
     CorrectedSurface,
     count_inside,
     part_of_image,
     stop_of_whole,
     surface_of,
 )
-from accelsurf.correct.local_evolution import measures_of
-from accelsurf.correct.local_model import LocalModel, ModelChange
-from accelsurf.correct.models import ObjectModels
-from accelsurf.correct.region import NearRegion
-from accelsurf.grid.boxes import Box, box_at, corner_of, counted_from, shared
-from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.interact.local_evolution import measures_of
+from accelsurf.interact.local_model import LocalModel, ModelChange
+from accelsurf.interact.models import ObjectModels
+from accelsurf.interact.region import NearRegion
 from accelsurf.levelset import Workers
 from accelsurf.run.region_of_interest import closed_on, cropped
 from accelsurf.run.region_totals import RegionTotals

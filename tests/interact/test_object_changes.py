@@ -8,9 +8,9 @@ from scipy import ndimage
 
 import accelsurf
 from accelsurf import cli, io
-from accelsurf.correct.refine import refine
-from accelsurf.correct.refiner import Refiner
 from accelsurf.errors import InputError, UsageError
+from accelsurf.interact.refine import refine
+from accelsurf.interact.refiner import Refiner
 from accelsurf.settings.corrections import corrections_of
 from accelsurf.settings.run_config import RunConfig
 

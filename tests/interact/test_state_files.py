@@ -10,9 +10,9 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.cases.case import exit_code_of_finished
-from accelsurf.correct import state_file
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
+from accelsurf.interact import state_file
 from accelsurf.io import sha256, states
 from accelsurf.output.folder import OutputFolder
 from accelsurf.output.reports import Report

@@ -10,14 +10,14 @@ import accelsurf
 from accelsurf import cli, io
 from accelsurf.clicks.model.given import RAMP, GivenMask, corrected_model, model_of_mask
 from accelsurf.clicks.model.windows import Scene
-from accelsurf.correct.mending import edge_field, holes_of, islands_of
-from accelsurf.correct.refine import refine
-from accelsurf.correct.refiner import Refiner
 from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.image.volume import Volume
+from accelsurf.interact.mending import edge_field, holes_of, islands_of
+from accelsurf.interact.refine import refine
+from accelsurf.interact.refiner import Refiner
 from accelsurf.settings.corrections import corrections_in_order, corrections_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session

@@ -9,17 +9,17 @@ from scipy import ndimage
 
 import accelsurf
 from accelsurf.clicks.model import ClickModel, Scene, click_model
-from accelsurf.correct.corrected_surface import CorrectedSurface
-from accelsurf.correct.local_evolution import measures_of
-from accelsurf.correct.local_model import LocalModel, ModelChange, basin_of
-from accelsurf.correct.refine import refine
-from accelsurf.correct.refiner import Refiner
-from accelsurf.correct.region import rim_width
-from accelsurf.correct.restored import restored
-from accelsurf.correct.state_file import read_state, state_bytes
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.interact.corrected_surface import CorrectedSurface
+from accelsurf.interact.local_evolution import measures_of
+from accelsurf.interact.local_model import LocalModel, ModelChange, basin_of
+from accelsurf.interact.refine import refine
+from accelsurf.interact.refiner import Refiner
+from accelsurf.interact.region import rim_width
+from accelsurf.interact.restored import restored
+from accelsurf.interact.state_file import read_state, state_bytes
 from accelsurf.levelset import Workers
 from accelsurf.measure.surface_mesh import extract
 from accelsurf.run.setup import PATIENCE, correction_rule, half_width

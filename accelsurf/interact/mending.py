@@ -15,18 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.correct.corrected_surface import CorrectedSurface, count_inside, stop_of_whole
-from accelsurf.correct.local_evolution import (
-    LocalOutcome,
-    LocalProblem,
-    Stepping,
-    evolve_bounded,
-    measures_of,
-    relabelled_psi,
-)
-from accelsurf.correct.models import ids_text
-from accelsurf.correct.objects import CorrectedObjects
-from accelsurf.correct.region import NearRegion
 from accelsurf.energies import Energy, RegionField
 from accelsurf.energies.constraints.mask import MaskConstraint, mask_distance
 from accelsurf.errors import InputError, UsageError
@@ -43,6 +31,18 @@ from accelsurf.grid.click_bounds import ClickBounds, click_bounds
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.grid.pyramid import Level
 from accelsurf.image.smoothing import gaussian_mm
+from accelsurf.interact.corrected_surface import CorrectedSurface, count_inside, stop_of_whole
+from accelsurf.interact.local_evolution import (
+    LocalOutcome,
+    LocalProblem,
+    Stepping,
+    evolve_bounded,
+    measures_of,
+    relabelled_psi,
+)
+from accelsurf.interact.models import ids_text
+from accelsurf.interact.objects import CorrectedObjects
+from accelsurf.interact.region import NearRegion
 from accelsurf.run.result import BoxMask
 from accelsurf.run.setup import correction_rule, half_width, setup_of
 from accelsurf.settings.corrections import Correction

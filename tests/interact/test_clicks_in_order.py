@@ -7,12 +7,12 @@ import pytest
 
 import accelsurf
 from accelsurf import cli, io
-from accelsurf.correct.refine import refine
-from accelsurf.correct.refiner import Refiner
-from accelsurf.correct.restored import restored
-from accelsurf.correct.state_file import read_state, state_bytes, surface_of
 from accelsurf.errors import AccelsurfError
 from accelsurf.image.volume import Volume
+from accelsurf.interact.refine import refine
+from accelsurf.interact.refiner import Refiner
+from accelsurf.interact.restored import restored
+from accelsurf.interact.state_file import read_state, state_bytes, surface_of
 from accelsurf.settings.corrections import corrections_of
 
 SHAPE, SPACING = (14, 22, 40), (1.5, 1.0, 1.0)

@@ -7,9 +7,9 @@ import os
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from accelsurf.correct.finished import OnObjectStep, finished
-from accelsurf.correct.refiner import Refiner
 from accelsurf.errors import UsageError
+from accelsurf.interact.finished import OnObjectStep, finished
+from accelsurf.interact.refiner import Refiner
 from accelsurf.io.library_images import ImageLike, as_volume, from_library
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run

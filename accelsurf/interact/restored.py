@@ -8,19 +8,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from accelsurf.clicks.reading import clicked_voxels, clicks_of, on_image
-from accelsurf.correct.corrected_surface import frozen_settings
-from accelsurf.correct.finished import result_of
-from accelsurf.correct.models import ObjectModels, clicks_on, placed_clicks, point_click
-from accelsurf.correct.object_changes import voxel_of
-from accelsurf.correct.state_file import (
+from accelsurf.errors import InputError
+from accelsurf.image.volume import Volume
+from accelsurf.interact.corrected_surface import frozen_settings
+from accelsurf.interact.finished import result_of
+from accelsurf.interact.models import ObjectModels, clicks_on, placed_clicks, point_click
+from accelsurf.interact.object_changes import voxel_of
+from accelsurf.interact.state_file import (
     ObjectFile,
     StateFile,
     box_of,
     masks_of,
     surface_of,
 )
-from accelsurf.errors import InputError
-from accelsurf.image.volume import Volume
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.run.result import BoxMask, EarlierProbability, Result, SegmentedObject
 from accelsurf.run.run import Run

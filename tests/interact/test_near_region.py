@@ -6,14 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from accelsurf.correct.local_evolution import RELABEL_REACH, _relabel, _restore
-from accelsurf.correct.refiner import Refiner
-from accelsurf.correct.region import NearRegion, near_bounds, united
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.click_bounds import ClickBounds
+from accelsurf.interact.local_evolution import RELABEL_REACH, _relabel, _restore
+from accelsurf.interact.refiner import Refiner
+from accelsurf.interact.region import NearRegion, near_bounds, united
 from accelsurf.levelset import LevelSet
 from accelsurf.settings.corrections import Correction
-from tests.correct.test_refine import first_run, two_balls, world
+from tests.interact.test_refine import first_run, two_balls, world
 
 SHAPE, SPACING = (20, 24, 50), (1.0, 1.0, 1.0)
 

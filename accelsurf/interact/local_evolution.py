@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.kernels.distance import distances_within
-from accelsurf.correct.finished import OnObjectStep
-from accelsurf.correct.region import NearRegion, near_bounds, signed_distance, united
 from accelsurf.energies import Energy
 from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.evolution.loop import Evolution
@@ -22,6 +20,8 @@ from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.clicks import Side
 from accelsurf.grid.geometry import axis_steps
+from accelsurf.interact.finished import OnObjectStep
+from accelsurf.interact.region import NearRegion, near_bounds, signed_distance, united
 from accelsurf.kernels.grid import Band
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.run.evolving_object import leaked_stop

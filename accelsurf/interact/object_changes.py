@@ -16,16 +16,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.clicks.reading import point_voxels
-from accelsurf.correct.corrected_surface import (
-    CorrectedSurface,
-    count_inside,
-    part_of_image,
-    stop_of_whole,
-)
-from accelsurf.correct.local_evolution import LocalOutcome, Stepping, evolve_to_end, measures_of
-from accelsurf.correct.models import check_id, point_click
-from accelsurf.correct.objects import CorrectedObjects
-from accelsurf.correct.region import NearRegion, box_around
 from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import InputError, UsageError
@@ -47,6 +37,16 @@ from accelsurf.grid.boxes import (
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.pyramid import Level
+from accelsurf.interact.corrected_surface import (
+    CorrectedSurface,
+    count_inside,
+    part_of_image,
+    stop_of_whole,
+)
+from accelsurf.interact.local_evolution import LocalOutcome, Stepping, evolve_to_end, measures_of
+from accelsurf.interact.models import check_id, point_click
+from accelsurf.interact.objects import CorrectedObjects
+from accelsurf.interact.region import NearRegion, box_around
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.run.region_of_interest import closed_on, cropped
 from accelsurf.run.result import BoxMask, Result, SegmentedObject

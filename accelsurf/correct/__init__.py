@@ -1,1 +1,0 @@
-"""Corrections of a finished run: clicks, objects added, merged, split; its state on the disk."""
