@@ -160,7 +160,8 @@ def test_the_page_plays_its_clicks_as_the_library_does(scan, tmp_path):
     opening, folder = Opening(RunConfig(), RecentFiles(None)), tmp_path / "saved"
     page = Page(opening, ViewerSettings(folder), tmp_path)
     page.open(OpenedImage(scan, RunConfig(), "scan"))
-    ask = trame.get_server(f"accelsurf-{page.token[:8]}").controller.trigger_fn("ask")
+    messages = trame.get_server(f"accelsurf-{page.token[:8]}").controller.trigger_fn
+    ask = messages("ask")
     session, object = page.actions.session, accelsurf.Interaction(scan)
 
     def settled():
@@ -168,9 +169,11 @@ def test_the_page_plays_its_clicks_as_the_library_does(scan, tmp_path):
         for view in views(session):
             page.actions.update(view)
         page.actions.collect_results()
+        page.actions.scene.render()
         assert not page.actions.message and not session.status.failed
 
     try:
+        messages("shown")(960, 544, 1)
         settled()
         for number, gesture in enumerate(GAME):
             if gesture.side:
@@ -179,6 +182,7 @@ def test_the_page_plays_its_clicks_as_the_library_does(scan, tmp_path):
                 ask("cursor", *places[0][:3])
                 ask("radius", places[0][3])
                 ask("tool", gesture.side)
+                settled()
                 ask("press", *place_of(page.actions, "axial", places[0][:3]))
                 for place in places[1:]:
                     ask("move", *place_of(page.actions, "axial", place[:3]))
