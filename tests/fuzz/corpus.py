@@ -284,7 +284,7 @@ def _texts():
     edits = (
         "step=30 smoothness=0.5 cfl=0.3",
         "step=3 flow=gradient",
-        "step=0 inside=ball:1,2,3,1vox",
+        "step=0 energy=geodesic balloon=-0.2",
     )
     config = RunConfig(
         smoothness=0.5, start=["ball:2,2,2,1"], edit=["step=3 cfl=0.4"], mesh="ply,stl"

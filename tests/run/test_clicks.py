@@ -125,7 +125,7 @@ def test_every_clicked_voxel_is_on_its_side(flow, energy, grid, levels):
         for step in run:
             # In the run itself too: on the image's own grid, and on coarser ones, whose voxels hold several.
             seen.add(step.record.level)
-            assert click_bounds(run.clicks.of(1), run.grid).is_met_by(step.surface.psi), (
+            assert click_bounds(run.prepared.clicks.of(1), run.grid).is_met_by(step.surface.psi), (
                 step.record.step
             )
             if step.record.level == 0:

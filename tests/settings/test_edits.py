@@ -412,7 +412,7 @@ def test_toml_and_back(tmp_path):
     assert RunConfig.from_toml(path) == config
     assert '[[edit]]\nstep = 9\nhalf_width = "5"\n' in config.to_toml()
     assert (
-        config.at(5).smoothness == 0 and config.at(6).diffusion == 0.5 and config.at(6).edit == ()
+        config.at(5).smoothness == 0.1 and config.at(6).diffusion == 0.5 and config.at(6).edit == ()
     )
 
 
