@@ -98,7 +98,7 @@ def _edit(value: Any) -> Edit:
         if key in table:
             raise UsageError(
                 f"edit at step {step}: {key} was given, and a surface that moves takes no correction",
-                f"end the run there, --max-steps {step} --end present, then correct it with accelsurf refine",
+                f"end the run there, then correct it: --max-steps {step} --end present --refine inside=WHERE",
             )
     return Edit(**{**table, "step": step})
 

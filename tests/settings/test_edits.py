@@ -390,7 +390,7 @@ def test_a_correction_of_a_surface_that_moves_is_refused_with_the_way_to_make_it
     assert caught.value.message == (
         f"edit at step 4: {key} was given, and a surface that moves takes no correction"
     )
-    assert "--max-steps 4 --end present" in caught.value.hint and "refine" in caught.value.hint
+    assert "--max-steps 4 --end present --refine inside=" in caught.value.hint
 
 
 def test_settings_of_an_own_energy_do_not_change():
