@@ -111,7 +111,7 @@ class OutputFolder:
         followed = image_format("" if self.source is None else split_name(self.source)[1])
         if config.layout == "bids" and (followed is None or not followed.name.startswith("nii")):
             followed = None  # BIDS has label maps in NIfTI
-        if followed is None or followed.write is None:
+        if followed is None or not followed.is_written:
             return config.format or DEFAULT_IMAGE_FORMAT
         return config.format or followed.name
 

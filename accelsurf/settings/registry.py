@@ -6,8 +6,7 @@ entry that is added here appears in all of them.
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import Any, Generic, Protocol, TypeVar
@@ -100,20 +99,3 @@ class Registration(AbstractContextManager["Registration"]):
         trace: TracebackType | None,
     ) -> None:
         self.remove()
-
-
-def load(target: str | Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that an entry names as ``"module:function"``; it is imported when it is first needed.
-
-    Entries name their functions so that ``accelsurf --help`` does not import compiled code.
-
-    Examples
-    --------
-    >>> load("math:sqrt")(4.0)
-    2.0
-    """
-    if not isinstance(target, str):
-        return target
-    module, _, function = target.partition(":")
-    made: Callable[..., Any] = getattr(importlib.import_module(module), function)
-    return made

@@ -320,11 +320,6 @@ def _placed(
     return direction, with_warnings(metadata | {ORIENTED_KEY: "yes"}, *notes)
 
 
-def is_ome_anatomical(metadata: Mapping[str, str]) -> bool:
-    """Test if the axes of an OME-Zarr have an anatomical orientation."""
-    return ORIENTED_KEY in metadata
-
-
 def word_of(axis: Mapping[str, Any]) -> str:
     """The orientation that an axis says it has; empty where it says none.
 
