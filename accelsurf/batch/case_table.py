@@ -17,11 +17,11 @@ from accelsurf.io.files import naming
 from accelsurf.io.headers import name_of
 from accelsurf.output.folder import FILE_KINDS, PLACES
 from accelsurf.settings import budgets
-from accelsurf.settings.coordinates import is_point_file
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.track_config import FRAME_SETTINGS, setting_entry
 from accelsurf.settings.track_fields import TrackFields
 from accelsurf.settings.wording import did_you_mean, shown
+from accelsurf.text.coordinates import is_point_file
 
 T = TypeVar("T")
 IMAGE = "image"

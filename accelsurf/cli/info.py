@@ -305,12 +305,12 @@ def _known() -> dict[str, Any]:
     from accelsurf.settings.flow_specs import FLOWS
     from accelsurf.settings.mesh_formats import MESH_FORMATS
     from accelsurf.settings.trace_columns import TRACE_COLUMNS
-    from accelsurf.starts import starts
+    from accelsurf.text.starts import KINDS
 
     return {
         "versions": versions(),
         "energies": list(image_terms()),
-        "starts": list(starts.KINDS),
+        "starts": list(KINDS),
         "stop_reasons": list(get_args(StopReason)),
         "volume_formats": list(image_suffixes()),
         "mesh_formats": list(MESH_FORMATS),

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.clicks.reading import point_voxels
 from accelsurf.correct.corrected_surface import (
     CorrectedSurface,
     count_inside,
@@ -52,8 +51,9 @@ from accelsurf.run.region_of_interest import closed_on, cropped
 from accelsurf.run.result import BoxMask, Result, SegmentedObject
 from accelsurf.run.setup import half_width, setup_of
 from accelsurf.run.start import AROUND
-from accelsurf.settings.coordinates import coordinates_of
 from accelsurf.settings.corrections import MAX_ID, Correction
+from accelsurf.text.clicks import point_voxels
+from accelsurf.text.coordinates import coordinates_of
 
 #: Voxels of the largest spacing between the model's boundary of a new object and the border of its box.
 MARGIN = 8.0

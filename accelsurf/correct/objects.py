@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.model import ClickModel
-from accelsurf.clicks.reading import clicked_voxels
+from accelsurf.clicks.voxels import clicked_voxels
 from accelsurf.correct.corrected_surface import (
     CorrectedSurface,
     count_inside,

@@ -24,8 +24,8 @@ from accelsurf.measure.likely import (
     warning_threshold,
     why,
 )
-from accelsurf.settings.coordinates import place_text
 from accelsurf.settings.wording import size_text, volume_text
+from accelsurf.text.coordinates import place_text
 
 if TYPE_CHECKING:
     from accelsurf.clicks.model.confidence import Confidence

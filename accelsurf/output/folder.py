@@ -23,11 +23,11 @@ from accelsurf.io import headers, is_stored, split_name
 from accelsurf.io.file_set import FileSet, InputFiles, is_unfinished, open_set, refuse_links
 from accelsurf.output import layouts
 from accelsurf.output.reports import FAILED, Report, has_guests, is_output, report_name
-from accelsurf.settings.coordinates import is_point_file
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, image_format
 from accelsurf.settings.mesh_formats import Shape, automatic_mesh_formats, ending_of, mesh_formats
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
+from accelsurf.text.coordinates import is_point_file
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
@@ -362,7 +362,7 @@ def _is_table_of_clicks(objects: str | None) -> bool:
     """Test if the objects begin as clicks; if a table cannot be read, the run reports the error."""
     if objects is None or not objects.lower().endswith(".csv"):
         return False
-    from accelsurf.clicks.tables import has_sides  # loads modules of a run
+    from accelsurf.text.object_clicks import has_sides
 
     try:
         return has_sides(objects)

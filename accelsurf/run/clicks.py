@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.reading import check_contradictions, check_left, clicks_of, voxel_named
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, corner_of, whole_box, widened
 from accelsurf.grid.click_bounds import MARGIN, ClickBounds, click_bounds
@@ -22,7 +21,8 @@ from accelsurf.settings.catalogue import energy_settings
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts import starts
+from accelsurf.text.clicks import check_contradictions, check_left, clicks_of, voxel_named
+from accelsurf.text.starts import ball_of, parse_start
 
 
 class BallEdit(NamedTuple):
@@ -319,11 +319,10 @@ def check_edit(
             f"{where}: likelihood:update=no was given, and the run has nothing to learn from",
             "give --foreground to the run, or use update=yes",
         )
-    for _, ball in edit.balls:
-        try:
-            starts.ball_of(ball, geometry)
-        except (UsageError, InputError) as error:
-            raise type(error)(f"{where}: {error.message}", error.hint) from None
+    try:
+        balls_of(edit, geometry)
+    except (UsageError, InputError) as error:
+        raise type(error)(f"{where}: {error.message}", error.hint) from None
     _check_object(edit, ids, where)
     if energy is not None and not isinstance(energy, str):
         for key in edit.settings:
@@ -366,7 +365,7 @@ def _check_object(edit: Correction, ids: Sequence[int], where: str) -> None:
 
 def balls_of(edit: Correction, geometry: Geometry) -> tuple[BallEdit, ...]:
     """The balls of an edit on the grid of the region of interest."""
-    return tuple(BallEdit(kind, *starts.ball_of(text, geometry)) for kind, text in edit.balls)
+    return tuple(BallEdit(kind, *ball_of(parse_start(text), geometry)) for kind, text in edit.balls)
 
 
 def balls_for(id: int, edit: Correction, balls: Sequence[BallEdit]) -> tuple[BallEdit, ...]:

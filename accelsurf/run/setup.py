@@ -32,7 +32,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.trace_columns import added_measures
 from accelsurf.settings.wording import size_text
 from accelsurf.starts.objects import ObjectStart
-from accelsurf.starts.starts import CLICKS
+from accelsurf.text.starts import CLICKS
 
 #: Ratio of the spacings from which on slices are thick.
 THICK = 4.0

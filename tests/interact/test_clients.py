@@ -8,9 +8,9 @@ import pytest
 
 import accelsurf
 from accelsurf import cli
-from accelsurf.clicks.reading import read_clicks
 from accelsurf.serve.session import ImageSession
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.text.clicks import read_clicks
 from accelsurf.viewer.core.session import Session
 
 SHAPE, SPACING = (20, 36, 40), (2.0, 1.0, 1.0)

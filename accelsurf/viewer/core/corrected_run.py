@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.reading import on_image
+from accelsurf.clicks.voxels import on_image
 from accelsurf.correct.finished import result_of, state_at_end
 from accelsurf.correct.refiner import Change, Refiner, changes_text
 from accelsurf.errors import AccelsurfError
@@ -30,9 +30,8 @@ from accelsurf.run.ensemble import overall_stop
 from accelsurf.run.evolving_object import EvolvingObject
 from accelsurf.run.result import BoxMask, Result
 from accelsurf.run.run import Run
-from accelsurf.settings.coordinates import split_suffix
 from accelsurf.settings.corrections import Correction
-from accelsurf.starts import starts
+from accelsurf.text.clicks import first_place
 from accelsurf.viewer.core.frame import (
     Frame,
     SurfaceFrame,
@@ -316,15 +315,13 @@ def nearest_object(run: Run, where: str) -> int:
     UsageError, InputError
         When it is none of these or lies outside.
     """
-    centre = BallEdit("add", *starts.ball_of(_as_ball(where, run.geometry), run.geometry)).on_level(
-        run.grid
-    )[0]
+    centre = BallEdit("add", *first_place(where, run.geometry)).on_level(run.grid)[0]
     return min(run.objects, key=lambda evolving: _distance(evolving, centre)).id
 
 
 def _place_of(where: str, geometry: Geometry) -> NDArray[np.float64]:
     """A place, as `nearest_object` takes it, as an index (z, y, x) of a grid."""
-    return np.array(starts.ball_of(_as_ball(where, geometry), geometry)[0], float)
+    return np.array(first_place(where, geometry).centre)
 
 
 def _distance_of(
@@ -346,23 +343,6 @@ def _distance_of(
     part = psi[z, y, x]
     at = place - np.array(corner) - np.array([z.start, y.start, x.start])
     return _depth(part, at) or _away(np.argwhere(part < 0), at, spacing)
-
-
-def _as_ball(where: str, geometry: Geometry) -> str:
-    """A ball at a place."""
-    kind, _, rest = where.partition(":")
-    if kind in ("point", "path"):
-        body, suffix = split_suffix(rest)
-        first = body.partition(";")[0].split(",")[:3]
-        try:
-            found = suffix.coordinates([float(word) for word in first]).on(geometry)
-        except ValueError:
-            return f"ball:{rest}"  # the reader of the ball raises the error
-        # Its voxel has its centre within a ball of this radius.
-        radius = float(np.linalg.norm(geometry.spacing)) + 1.0
-        numbers = ",".join(map(repr, found.numbers))
-        where = f"ball:{numbers},{radius:g}{found.system}"
-    return where
 
 
 def _distance(evolving: EvolvingObject, place: np.ndarray) -> float:

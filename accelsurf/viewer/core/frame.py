@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.clicks.reading import on_image
+from accelsurf.clicks.voxels import on_image
 from accelsurf.evolution.records import StepFields, StepRecord
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Box, bounding_box, corner_of
