@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from accelsurf.settings.expression import HALF, Number, Spec, Values, Word
-from accelsurf.settings.registry import Registry
+from accelsurf.settings.registry import by_name
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,7 @@ _EPSILON = Number(0.0, 2.5, help="half width of the smeared interface, voxels")
 #: and a value, or open.
 _BOUND = Number(words=("auto", "learned", ""), percent=True)
 
-TERMS: Registry[TermSpec] = Registry(
-    "term",
+TERMS: dict[str, TermSpec] = by_name(
     TermSpec(
         "chan-vese",
         "two regions, each with its own mean",

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from accelsurf.settings.registry import Registry
+from accelsurf.settings.registry import by_name
 
 #: Parts of the grid that a file keeps: all of it, the spacing, or the size of a pixel.
 GridFidelity = Literal["all", "spacing", "pixel", "none"]
@@ -69,8 +69,7 @@ class ImageFormat:
 #: Options of formats that may hold several channels and time points.
 _PARTS = ("channel_index", "time_index", "channels_from_time")
 
-IMAGE_FORMATS: Registry[ImageFormat] = Registry(
-    "image format",
+IMAGE_FORMATS: dict[str, ImageFormat] = by_name(
     ImageFormat(
         "nii.gz",
         "NIfTI-1 or NIfTI-2, compressed; written as NIfTI-1",

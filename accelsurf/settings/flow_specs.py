@@ -14,7 +14,7 @@ from accelsurf.settings.expression import (
     Word,
     Written,
 )
-from accelsurf.settings.registry import Registry
+from accelsurf.settings.registry import by_name
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,7 @@ def _start_expected(settings: Values) -> str:
     return ""
 
 
-FLOWS: Registry[FlowSpec] = Registry(
-    "flow",
+FLOWS: dict[str, FlowSpec] = by_name(
     FlowSpec(
         MOMENTUM,
         "momentum of a constant mass per area",

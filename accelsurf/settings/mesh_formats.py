@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from accelsurf.settings.file_formats import label_formats
-from accelsurf.settings.registry import Registry
+from accelsurf.settings.registry import by_name
 
 #: Content of a mesh file: the surface in a volume, or the contours in an image of one slice.
 Shape = Literal["surface", "contour"]
@@ -44,8 +44,7 @@ class MeshFormat:
         return f".{self.name}"
 
 
-MESH_FORMATS: Registry[MeshFormat] = Registry(
-    "mesh format",
+MESH_FORMATS: dict[str, MeshFormat] = by_name(
     MeshFormat("ply", "PLY, binary", auto=("surface",)),
     MeshFormat("stl", "STL, binary"),
     MeshFormat("obj", "Wavefront OBJ"),
@@ -105,8 +104,7 @@ class LabelOutput:
     needs_dicom: bool = False
 
 
-LABEL_OUTPUTS: Registry[LabelOutput] = Registry(
-    "label output",
+LABEL_OUTPUTS: dict[str, LabelOutput] = by_name(
     LabelOutput(
         "seg.nrrd",
         "segmentation of 3D Slicer",

@@ -16,7 +16,7 @@ from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, setting
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, label_formats
 from accelsurf.settings.mesh_formats import MESH_FORMATS
-from accelsurf.settings.registry import Registry
+from accelsurf.settings.registry import by_name
 from accelsurf.settings.toml import all_split
 
 
@@ -42,8 +42,7 @@ class TrackFormat:
     mark: str = ""
 
 
-TRACK_FORMATS: Registry[TrackFormat] = Registry(
-    "format of tracks",
+TRACK_FORMATS: dict[str, TrackFormat] = by_name(
     TrackFormat(
         "ctc",
         "folder of the Cell Tracking Challenge: res_track.txt and a TIFF for each frame",

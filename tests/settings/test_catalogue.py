@@ -14,7 +14,6 @@ from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.mesh_formats import LABEL_OUTPUTS, mesh_formats
-from accelsurf.settings.registry import Registry
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_fields import TRACK_FORMATS
 from accelsurf.track.output.outputs import TRACK_WRITERS
@@ -76,16 +75,6 @@ def test_a_field_without_an_entry_is_refused():
 
     with pytest.raises(TypeError, match="made by"):
         entry_of(FieldInfo(default=1))
-
-
-def test_a_registration_can_be_removed_twice():
-    registry = Registry("flow", *FLOWS.values())
-    first = next(iter(FLOWS.values()))
-    with pytest.raises(ValueError, match="a flow constant-density already"):
-        registry.register(first)
-    handle = Registry("flow").register(first)
-    handle.remove()
-    handle.remove()
 
 
 @pytest.mark.parametrize(
