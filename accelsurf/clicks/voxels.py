@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import (
     Box,
     Corner,
@@ -21,7 +22,7 @@ from accelsurf.grid.boxes import (
     widened,
 )
 from accelsurf.grid.clicks import Click, Clicks, Side
-from accelsurf.grid.geometry import Floats, Geometry, ball_distance
+from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.settings import budgets
 
 #: Places along the line, of the smallest step from voxel to voxel, whose voxels always belong to it.

@@ -15,15 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.grid.arrays import Floats, Ints
 from accelsurf.grid.boxes import Box, corner_of
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import naming
 from accelsurf.io.formats.surface_files import MeshContent, is_ras, read_obj, read_ply, read_stl
 from accelsurf.io.memory import available_memory
 from accelsurf.settings import budgets
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 #: Corners at open edges are made one within the first of these distances with which the surface closes, in units of its
 #: largest coordinate: the rounding of 64-bit floats, of 32-bit floats, and of numbers of six digits. Closer than

@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 from skimage.measure import find_contours
 
 from accelsurf.errors import EmptyResultError, InputError
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import bounding_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import write_bytes
 from accelsurf.io.formats.surface_files import polydata
 from accelsurf.measure.surface_mesh import NODE_MARGIN, writer_for
 from accelsurf.measure.vertex_placement import balanced, on_edges
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

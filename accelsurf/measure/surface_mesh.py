@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 
 from accelsurf.errors import EmptyResultError, InputError, UsageError
+from accelsurf.grid.arrays import Faces, Floats
 from accelsurf.grid.boxes import Box, bounding_box, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import write_bytes
@@ -28,9 +29,6 @@ from accelsurf.io.formats.surface_files import obj_bytes, ply_bytes, stl_bytes, 
 from accelsurf.measure.vertex_placement import balanced, in_cells, on_edges
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.mesh_formats import MESH_FORMATS, Shape, mesh_formats
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 NODE_MARGIN = 1e-4
 """Values of psi closer to 0 than this part of the smallest voxel size are moved there, so that the surface passes
@@ -69,7 +67,7 @@ class Surface:
     """
 
     vertices: Floats
-    faces: Ints
+    faces: Faces
 
     @cached_property
     def _corners(self) -> tuple[Floats, Floats, Floats]:
@@ -247,7 +245,9 @@ def _cap(
     return np.abs(inner), inner
 
 
-def _merge_cap_edges(zyx: Floats, faces: Ints, shape: tuple[int, int, int]) -> tuple[Floats, Ints]:
+def _merge_cap_edges(
+    zyx: Floats, faces: Faces, shape: tuple[int, int, int]
+) -> tuple[Floats, Faces]:
     """Close the rims where two caps meet: their vertices coincide there, and the triangles between have no area."""
     on_cap = (zyx == -0.5) | (zyx == np.array(shape) - 0.5)
     rim = np.flatnonzero(on_cap.sum(axis=1) >= 2)

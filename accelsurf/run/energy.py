@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from accelsurf.energies import Area, Energy, WeightedSum
 from accelsurf.errors import UsageError
-from accelsurf.run.image_context import Image, ImageContext, Scale, Spacing, TermInputs
+from accelsurf.grid.arrays import Image, Spacing
+from accelsurf.run.image_context import ImageContext, Scale, TermInputs
 from accelsurf.run.makers import TERM_MAKERS
 from accelsurf.settings.energy_expression import Term
 from accelsurf.settings.energy_terms import TERMS

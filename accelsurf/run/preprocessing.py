@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
+from accelsurf.grid.arrays import Mask
 from accelsurf.grid.boxes import Box, Corner, corner_of
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
@@ -21,7 +22,7 @@ from accelsurf.image.filters import ImageFilters
 from accelsurf.image.volume import Volume, check_images
 from accelsurf.io import LazyVolume
 from accelsurf.run.clicks import placed
-from accelsurf.run.image_context import ImageContext, Mask, ModelInputs, Scale
+from accelsurf.run.image_context import ImageContext, ModelInputs, Scale
 from accelsurf.run.region_of_interest import cropped, distance_of_mask
 from accelsurf.run.window_input import WindowInput, region_in, whole_of, window_of
 from accelsurf.settings import budgets

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.voxels import click_of_ball, click_of_mask, click_of_path, click_of_voxels
 from accelsurf.errors import AccelsurfError, InputError, UsageError
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import (
     corner_of,
     meeting,
     whole_box,
 )
 from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks, Side
-from accelsurf.grid.geometry import Floats, Geometry
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.image.volume import Volume
 from accelsurf.settings import budgets

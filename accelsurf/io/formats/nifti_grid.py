@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from accelsurf.errors import GeometryError
-from accelsurf.grid.geometry import ORTHONORMAL_TOLERANCE, Floats, Geometry, orthonormal_deviation
+from accelsurf.grid.arrays import Floats
+from accelsurf.grid.geometry import ORTHONORMAL_TOLERANCE, Geometry, orthonormal_deviation
 
 _MM_PER_UNIT = {
     1: 1000.0,

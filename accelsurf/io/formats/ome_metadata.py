@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from accelsurf.errors import InputError
-from accelsurf.grid.geometry import Floats, Geometry
+from accelsurf.grid.arrays import Floats
+from accelsurf.grid.geometry import Geometry
 from accelsurf.io.formats.zarr_files import STORED_KEY
 from accelsurf.io.headers import (
     FRAME_KEY,
