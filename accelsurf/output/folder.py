@@ -27,16 +27,15 @@ from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS,
 from accelsurf.settings.mesh_formats import Shape, automatic_mesh_formats, ending_of, mesh_formats
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.text.coordinates import is_point_file
+from accelsurf.text.coordinates import file_in
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
 
 #: Of a file's name, on the usual file systems.
 MAX_NAME_BYTES = 255
-#: Settings that are places, and kinds of places that name a file: ``label:FILE``.
+#: Settings that are places.
 PLACES = ("start", "foreground", "background", "inside", "outside")
-FILE_KINDS = ("label", "mesh", "stroke")
 #: Settings that name a file.
 _FILES = ("mask", "objects", "labels", "label_table")
 #: Endings of headers whose voxels may lie in another file.
@@ -556,8 +555,7 @@ def named_files(given: RunConfig | TrackConfig) -> list[Path]:
     wheres = [text for key in PLACES for text in getattr(config, key)]
     for correction in (*config.edit, *config.refine, *corrections):
         wheres += [*(ball for _, ball in correction.balls), *correction.inside, *correction.outside]
-    texts += [text.partition(":")[2] for text in wheres if text.partition(":")[0] in FILE_KINDS]
-    texts += [text for text in wheres if is_point_file(text)]
+    texts += [file_in(text) for text in wheres if file_in(text)]
     found = {}
     for text in texts:
         for name in (text, text.rpartition("@")[0]):  # FILE@IDS; a name may have an @ itself

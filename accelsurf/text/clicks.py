@@ -154,7 +154,7 @@ def read_clicks(
                 voxels = point_voxels([point.numbers], name, side, window.geometry, point.vox)
                 out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "point" or (not colon and "," in kind):
-            point = _point(text, rest if colon else kind).on(window.geometry)
+            point = read_point(text).on(window.geometry)
             voxels = point_voxels([point.numbers], text, side, window.geometry, point.vox)
             out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "path":
@@ -240,7 +240,7 @@ def first_place(text: str, geometry: Geometry) -> IndexBall:
     if kind == "path":
         body, _ = split_suffix(rest)
         rest = ",".join(body.partition(";")[0].split(",")[:3]) + rest[len(body) :]
-    place = _point(text, rest).on(geometry)
+    place = read_point(rest).on(geometry)
     # Its voxel has its centre within a ball of this radius.
     radius = float(np.linalg.norm(geometry.spacing)) + 1.0
     return ball_of(Start("ball", (*place.numbers, radius), place.system, text=text), geometry)
@@ -355,9 +355,16 @@ def click_of_numbers(
         raise type(error)(error.message.replace("start ", f"{side} ", 1), error.hint) from None
 
 
-def _point(text: str, rest: str) -> Coordinates:
+def read_point(text: str) -> Coordinates:
+    """Return the place of a click ``point:X,Y,Z``, or ``X,Y,Z`` alone.
+
+    Raises
+    ------
+    UsageError
+        When it is not of this form.
+    """
     budgets.EXPRESSION.check(len(text), "a point", kind=UsageError)
-    point = coordinates_of(rest)
+    point = coordinates_of(text.strip().removeprefix("point:"))
     if (
         point is None
         or len(point.numbers) != 3
