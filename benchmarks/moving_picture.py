@@ -24,10 +24,10 @@ from skimage.measure import find_contours
 import accelsurf
 from accelsurf import io
 from accelsurf.clicks.model import Scene, click_model
-from accelsurf.clicks.reading import read_clicks
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.image.volume import Volume
+from accelsurf.text.clicks import read_clicks
 
 SCAN, RADIUS = "ct_abdomen_hires.nii.gz", 12.0
 #: World places (x, y, z), mm: the press in the liver; what is too much after it.

@@ -24,7 +24,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.measure import metrics
 from accelsurf.output.document import versions
 from accelsurf.run.evolving_object import ROOM
-from accelsurf.starts import objects
+from accelsurf.text.objects import read_objects
 from benchmarks import typed
 from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of
@@ -211,7 +211,7 @@ def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dic
         row["best_threshold"] = window._asdict()
         starts = tuple(word for i, word in enumerate(words) if words[i - 1] == "--start")
         if options.peers > 0 and case.table:
-            begun = objects.read(str(table), image.geometry, ROOM)
+            begun = read_objects(str(table), image.geometry, ROOM)
             row["peers"] = compare_on_objects(image, truth.array, begun, window, options.peers)
         elif options.peers > 0 and starts:
             row["peers"] = compare_peers(image, truth.array > 0, starts, window, options.peers)

@@ -24,7 +24,6 @@ from accelsurf.run.result import Result
 from accelsurf.run.run import Run
 from accelsurf.run.setup import EnergyLike, ObjectsLike
 from accelsurf.settings.catalogue import default_of
-from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -40,10 +39,6 @@ __all__ = [
     "segment_clicks",
     "segment_objects",
 ]
-
-
-#: The function that segments an object of an image that is read in parts; it lies above this room.
-_IN_PARTS = "accelsurf.large.windowed:segment_lazily"
 
 
 def segment(
@@ -105,9 +100,10 @@ def segment(
     """
     watch: OnObjectStep | None = None if on_step is None else lambda record, id: on_step(record)
     if isinstance(image, LazyVolume):
+        from accelsurf.large.windowed import segment_lazily
+
         given = {"spacing": spacing, "channels": channels, "energy": energy, **options}
-        result: Result = load(_IN_PARTS)(image, config, watch, on_warning, checkpoint_to, given)
-        return result
+        return segment_lazily(image, config, watch, on_warning, checkpoint_to, given)
     checkpoints = CheckpointFile.of(checkpoint_to)
     run = _run_of(image, spacing, channels, config, energy, {**options}, None, checkpoints)
     return with_corrections(finished(run, watch, on_warning, checkpoints), watch)

@@ -15,13 +15,13 @@ from accelsurf.errors import InputError
 from accelsurf.io import split_name
 from accelsurf.io.files import naming
 from accelsurf.io.headers import name_of
-from accelsurf.output.folder import FILE_KINDS, PLACES
+from accelsurf.output.folder import PLACES
 from accelsurf.settings import budgets
-from accelsurf.settings.coordinates import is_point_file
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.track_config import FRAME_SETTINGS, setting_entry
 from accelsurf.settings.track_fields import TrackFields
 from accelsurf.settings.wording import did_you_mean, shown
+from accelsurf.text.coordinates import file_in
 
 T = TypeVar("T")
 IMAGE = "image"
@@ -191,10 +191,8 @@ def _with_paths(key: str, text: str, base: Path) -> str:
         return str(base / text)
     if key == CORRECTIONS:
         return _correction(text, base)
-    kind, colon, name = text.partition(":")
-    if key in PLACES and is_point_file(text):
-        return str(base / text)
-    return f"{kind}:{base / name}" if key in PLACES and colon and kind in FILE_KINDS else text
+    name = file_in(text) if key in PLACES else ""
+    return text.strip().removesuffix(name) + str(base / name) if name else text
 
 
 def _correction(text: str, base: Path) -> str:

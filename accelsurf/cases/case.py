@@ -336,8 +336,8 @@ def check_formats(place: OutputFolder, config: RunConfig, volume: Volume, log: L
         When one cannot.
     """
     from accelsurf import io
-    from accelsurf.io import images
     from accelsurf.io.headers import size_question
+    from accelsurf.io.writing import stored_grid
 
     log.note_grid(volume.geometry)
     if note := volume.metadata.get(io.WARNING_KEY):
@@ -348,7 +348,7 @@ def check_formats(place: OutputFolder, config: RunConfig, volume: Volume, log: L
     check_outputs(config, labels, volume.geometry)
     label_files.check_label_settings(config, volume, place.overwrite)
     check_mesh_settings(config)
-    if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
+    if not stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         keeps_size = IMAGE_FORMATS[labels].keeps != "none"
         what = "the size of a pixel but not" if keeps_size else "neither the size of a voxel nor"
         log.warnings.append(f"{labels} keeps {what} where the image lies in the world")

@@ -14,8 +14,8 @@ from accelsurf.errors import (
     NotConvergedError,
 )
 from accelsurf.measure.quality import extent_text
-from accelsurf.settings.coordinates import place_text
 from accelsurf.settings.wording import in_unit, rounded_text, size_text, volume_text
+from accelsurf.text.coordinates import place_text
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry

@@ -89,6 +89,7 @@ def made_app(formatter: HelpFormatter | None = None) -> App:
         help_formatter=formatter,
         suppress_keyboard_interrupt=False,  # it would end the process without a line
     )
+    # cyclopts imports a command that is named so when it is called.
     for name, text in _COMMANDS.items():
         app.command(f"accelsurf.cli.{name}:{name}", name=name, help=text)
     app.command(

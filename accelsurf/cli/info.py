@@ -183,12 +183,12 @@ def _fields_of(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 def _listing(path: Path) -> list[dict[str, Any]] | None:
     """The volumes of a folder, archive or file of a format that may have several; None of other formats."""
     from accelsurf.io.files import naming
+    from accelsurf.io.format_functions import functions_of
     from accelsurf.io.headers import format_of
-    from accelsurf.settings.registry import load
 
     with naming(path):
-        form = format_of(path)
-        return None if form.listing is None else load(form.listing)(path)
+        listing = functions_of(format_of(path)).listing
+        return None if listing is None else listing(path)
 
 
 def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
@@ -305,12 +305,12 @@ def _known() -> dict[str, Any]:
     from accelsurf.settings.flow_specs import FLOWS
     from accelsurf.settings.mesh_formats import MESH_FORMATS
     from accelsurf.settings.trace_columns import TRACE_COLUMNS
-    from accelsurf.starts import starts
+    from accelsurf.text.starts import KINDS
 
     return {
         "versions": versions(),
         "energies": list(image_terms()),
-        "starts": list(starts.KINDS),
+        "starts": list(KINDS),
         "stop_reasons": list(get_args(StopReason)),
         "volume_formats": list(image_suffixes()),
         "mesh_formats": list(MESH_FORMATS),

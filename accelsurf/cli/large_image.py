@@ -85,6 +85,7 @@ def large_image(
         When it cannot be read in parts.
     """
     from accelsurf.errors import InputError
+    from accelsurf.io.format_functions import functions_of
     from accelsurf.io.headers import count_values, is_store, split_name
     from accelsurf.run.memory import run_bytes
     from accelsurf.settings.file_formats import image_format
@@ -92,7 +93,7 @@ def large_image(
     form = image_format(split_name(source)[1])
     is_level = form is not None and form.folder_marks and config.reading.given
     if not (in_parts or is_level or is_store(source)):
-        if parts.max_memory is None and (form is None or form.open is None):
+        if parts.max_memory is None and (form is None or functions_of(form).open is None):
             return None  # it is read as a whole or not at all
         try:
             values = count_values(source, config.reading)

@@ -121,7 +121,7 @@ def _say_notes(volumes: list[Volume], source: Path) -> None:
 def _met(volume: Volume, at: Sequence[float] | None, labels: NDArray[Any] | None) -> str:
     """The place where the slices meet, as options take it."""
     from accelsurf.output.pictures.look import voxel_shown
-    from accelsurf.settings.coordinates import place_text
+    from accelsurf.text.coordinates import place_text
 
     voxel = voxel_shown(volume.geometry, at, labels)
     return place_text(volume.geometry.index_to_world(voxel).tolist(), volume.geometry)
@@ -236,8 +236,8 @@ def _place(text: str, geometry: Geometry) -> tuple[float, float, float]:
     """
     import numpy as np
 
-    from accelsurf.settings.coordinates import SUFFIXES, coordinates_of
-    from accelsurf.starts.starts import extent_hint
+    from accelsurf.text.coordinates import SUFFIXES, coordinates_of
+    from accelsurf.text.starts import extent_hint
 
     found = coordinates_of(text)
     if found is None or len(found.numbers) != 3 or not np.isfinite(found.numbers).all():

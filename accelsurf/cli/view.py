@@ -31,7 +31,6 @@ from accelsurf.cli.options import (
 )
 from accelsurf.cli.track_options import SequenceSettings, track_config
 from accelsurf.errors import InputError, UsageError
-from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
@@ -85,6 +84,7 @@ class FirstImage:
         """
         from accelsurf.io import channels, headers
         from accelsurf.io.files import naming
+        from accelsurf.io.format_functions import functions_of
         from accelsurf.io.sequences import reading as sequences
         from accelsurf.viewer.core.command_queue import in_background
 
@@ -103,9 +103,7 @@ class FirstImage:
         with naming(self.source):
             form = headers.format_of(self.source)
         # Loaded here: two threads that load the same library may see it half loaded.
-        for work in (form.parse, form.read, form.read_channels):
-            if work is not None:
-                load(work)
+        functions_of(form)
         volumes = in_background(
             lambda: channels.read_channels(self.source, reading), "accelsurf reading"
         )

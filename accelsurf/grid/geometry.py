@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from accelsurf.errors import GeometryError
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import Box, slabs
 
 ORTHONORMAL_TOLERANCE = 1e-4
@@ -26,8 +27,6 @@ ORTHONORMAL_TOLERANCE = 1e-4
 SPACING_RANGE = (1e-9, 1e9)
 MAX_ORIGIN = 1e12
 """mm: beyond these, volumes and squares of lengths leave the numbers that the solver has."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 
@@ -38,7 +39,6 @@ _EDGES = [
     (a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(_BITS[a] - _BITS[b]).sum() == 1
 ]
 
-Floats = NDArray[np.float64]
 Extent = tuple[float, float, float, float]
 
 

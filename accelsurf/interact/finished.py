@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.model.confidence import Confidence
-from accelsurf.clicks.reading import clicked_voxels, on_image
+from accelsurf.clicks.voxels import clicked_voxels, on_image
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import box_at, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT

@@ -9,8 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.reading import read_clicks
-from accelsurf.clicks.voxel_lists import voxels_text
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import (
     Box,
@@ -31,6 +29,8 @@ from accelsurf.run.run import Run
 from accelsurf.settings import budgets
 from accelsurf.settings.corrections import Correction, corrections_of
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.text.clicks import read_clicks
+from accelsurf.text.voxel_lists import voxels_text
 
 #: A click: as a text of the settings ``inside`` and ``outside``, or as voxels.
 ClickLike = str | Click

@@ -16,6 +16,7 @@ from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import LoopState
+from accelsurf.grid.arrays import Spacing
 from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.clicks import Side
@@ -26,7 +27,6 @@ from accelsurf.kernels.grid import Band
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.run.evolving_object import leaked_stop
 
-Spacing = tuple[float, float, float]
 #: Callback for each record; a true value ends the evolution.
 OnStep = Callable[[StepRecord], bool | None]
 #: Distances around relabelled voxels are computed as far as this number of the largest spacings.

@@ -6,19 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from accelsurf.clicks.model import ClickModel
+from accelsurf.grid.arrays import Mask, Singles, Spacing
 from accelsurf.grid.boxes import Box, box_at, connected_to, counted_from, enclosing, on_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.interact.corrected_surface import CorrectedSurface
 from accelsurf.interact.region import around_clicks, automatic_near
 from accelsurf.run.image_context import ImageContext
 
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Spacing = tuple[float, float, float]
 #: Spacing, in smallest spacings, from which a slice is as thick as two voxels.
 _THICK_SLICES = 2.0
 
@@ -50,7 +45,7 @@ class LocalModel:
         self.spacing = spacing
         self._make = make
 
-    def field_on(self, box: Box) -> Image:
+    def field_on(self, box: Box) -> Singles:
         """F on a box of the grid: the surface grows where it is below 0."""
         return self.state.field_on(box)
 

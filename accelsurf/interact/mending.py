@@ -18,6 +18,7 @@ from scipy import ndimage
 from accelsurf.energies import Energy, RegionField
 from accelsurf.energies.constraints.mask import MaskConstraint, mask_distance
 from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.arrays import Mask, Spacing
 from accelsurf.grid.boxes import (
     Box,
     bounding_box,
@@ -48,8 +49,6 @@ from accelsurf.run.setup import correction_rule, half_width, setup_of
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.toml import volume_mm3
 
-Mask = NDArray[np.bool_]
-Spacing = tuple[float, float, float]
 #: Sigma of the windows on both sides of the border, in multiples of its largest move; least sigma, in largest spacings;
 #: half width of the windows, in sigmas.
 WINDOW = 1.5

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.model import ClickModel
 from accelsurf.clicks.model.given import GivenMask
-from accelsurf.clicks.reading import voxel_named
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, corner_of, whole_box
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
@@ -26,6 +25,7 @@ from accelsurf.run.setup import energy_maker
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import volume_mm3
+from accelsurf.text.clicks import voxel_named
 
 #: The energy of an object that begins at clicks after the run's end.
 _NEW_ENERGY = "seeded"

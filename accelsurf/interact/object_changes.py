@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.clicks.reading import point_voxels
 from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import InputError, UsageError
@@ -52,8 +51,8 @@ from accelsurf.run.region_of_interest import closed_on, cropped
 from accelsurf.run.result import BoxMask, Result, SegmentedObject
 from accelsurf.run.setup import half_width, setup_of
 from accelsurf.run.start import AROUND
-from accelsurf.settings.coordinates import coordinates_of
 from accelsurf.settings.corrections import MAX_ID, Correction
+from accelsurf.text.clicks import point_voxels, read_point
 
 #: Voxels of the largest spacing between the model's boundary of a new object and the border of its box.
 MARGIN = 8.0
@@ -237,10 +236,7 @@ def voxel_of(point: str, base: Result) -> NDArray[np.int64]:
     UsageError, InputError
         When it is none, or lies outside.
     """
-    found = coordinates_of(point.removeprefix("point:"))
-    if found is None or len(found.numbers) != 3:
-        raise UsageError(f"refine: split {point[:80]!r} was given, expected point:X,Y,Z")
-    found = found.on(base.geometry)
+    found = read_point(point).on(base.geometry)
     return point_voxels([found.numbers], point, "split", base.geometry, found.vox)[0]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.model import ClickModel
-from accelsurf.clicks.reading import clicked_voxels
+from accelsurf.clicks.voxels import clicked_voxels
 from accelsurf.grid.boxes import Box, box_at, corner_of, counted_from, shared
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.interact.corrected_surface import (

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.model.model import is_right, largest_reach
 from accelsurf.clicks.model.reach import ClickReach, farthest_from, reach_of
-from accelsurf.clicks.reading import check_left, clicks_of, on_image
+from accelsurf.clicks.voxels import on_image
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import Stop
@@ -56,6 +56,7 @@ from accelsurf.run.result import BoxMask, Result, SegmentedObject, earlier_proba
 from accelsurf.run.setup import correction_rule, is_maker, setup_of, window_reach
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.text.clicks import check_left, clicks_of
 
 #: Voxels of the largest spacing beyond the region that the surface and its stencils see; there they do not move.
 MARGIN = 5.0

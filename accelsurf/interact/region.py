@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.kernels.distance import distances_within
 from accelsurf.clicks.model.reach import depth_in_wrong
+from accelsurf.grid.arrays import Spacing
 from accelsurf.grid.boxes import Box, box_at, corner_of, enclosing, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.clicks import SIDES, Click, Side
@@ -37,8 +38,6 @@ _MIN_NEAR = 4.0
 #: Distances are continued beyond the band by this number of the largest spacings: no surface that is bounded
 #: by a number comes so far from it.
 _BEYOND_BAND = 6.0
-
-Spacing = tuple[float, float, float]
 
 
 class NearRegion(NamedTuple):

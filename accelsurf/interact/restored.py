@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from accelsurf.clicks.reading import clicked_voxels, clicks_of, on_image
+from accelsurf.clicks.voxels import clicked_voxels, on_image
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.interact.corrected_surface import frozen_settings
@@ -25,6 +25,7 @@ from accelsurf.run.region_of_interest import cropped
 from accelsurf.run.result import BoxMask, EarlierProbability, Result, SegmentedObject
 from accelsurf.run.run import Run
 from accelsurf.settings.corrections import Correction
+from accelsurf.text.clicks import clicks_of
 
 
 def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) -> Result:

@@ -13,11 +13,11 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.image.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming
+from accelsurf.io.format_functions import functions_of
 from accelsurf.io.headers import with_warnings
 from accelsurf.io.memory import available_memory
 from accelsurf.settings.file_formats import ImageFormat
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
-from accelsurf.settings.registry import load
 
 #: More volumes than this are no channels.
 MAX_CHANNELS = 16
@@ -213,9 +213,10 @@ def is_blank(array: NDArray[Any]) -> bool:
 
 def read_volumes(path: Path, form: ImageFormat, header: Any, available: int) -> list[Volume]:
     """Read the channels of an image whose header was read, within a number of bytes of memory."""
-    if form.read_channels is None:
-        return [load(form.read)(path, header, available)]
-    volumes: list[Volume] = load(form.read_channels)(path, header, available)
+    functions = functions_of(form)
+    if functions.read_channels is None:
+        return [functions.read(path, header, available)]
+    volumes: list[Volume] = functions.read_channels(path, header, available)
     return volumes
 
 

@@ -21,10 +21,10 @@ import numpy as np
 from accelsurf.errors import InputError, UsageError
 from accelsurf.image import volume
 from accelsurf.image.sequence import check_times
+from accelsurf.io.format_functions import functions_of
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions, Spacing, check_readable
-from accelsurf.settings.registry import load
 
 TimeUnit = Literal["s", "frame"]
 #: Under which name files hold the line of text of `FrameTimes.text`.
@@ -42,6 +42,12 @@ ZERO_BEYOND_KEY = "zero_beyond"
 """There where a label map's format stores only voxels near labels, as a DICOM segmentation: all beyond them are 0."""
 VALUE_UNIT_KEY = "value_unit"
 """The unit of the values, as HU, where the file says it."""
+NIFTI_KEY = "nifti_grid"
+"""The fields of a NIFTI header that place the grid, in hexadecimal digits, as `NiftiGrid.fields` gives them."""
+NRRD_KEY = "nrrd_space"
+"""The lines of an NRRD header that place the grid."""
+MGH_KEY = "mgh"
+"""Present where the image was MGH or MGZ."""
 ORIENTED_KEY = "ome_oriented"
 """Present where the axes of an OME-Zarr were given an anatomical orientation."""
 UNIT_KEY = volume.UNIT_KEY
@@ -93,7 +99,8 @@ def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
         raise UsageError(
             f"{name}: {value} was given, and {kind_of(form)} has no such choice", "leave it out"
         )
-    return load(form.parse)(path, options) if form.options else load(form.parse)(path)
+    parse_header = functions_of(form).parse
+    return parse_header(path, options) if form.options else parse_header(path)
 
 
 def format_of(path: Path) -> ImageFormat:
@@ -119,10 +126,7 @@ def format_of(path: Path) -> ImageFormat:
         raise InputError("there is no such file", hint="check the path")
     form = image_format(split_name(path)[1])
     if form is None and path.is_file():
-        form = next(
-            (kind for kind in IMAGE_FORMATS.values() if kind.is_file and load(kind.is_file)(path)),
-            None,
-        )
+        form = next((kind for kind in IMAGE_FORMATS.values() if _holds(kind, path)), None)
         if form is None and zipfile.is_zipfile(path):
             raise InputError("zip archives are not read", "unpack it, and give what is in it")
     if form is None:
@@ -147,9 +151,15 @@ def _folder_format(path: Path) -> ImageFormat | None:
         ):
             return form
     for form in IMAGE_FORMATS.values():
-        if form.is_folder is not None and load(form.is_folder)(path):
+        is_folder = functions_of(form).is_folder
+        if is_folder is not None and is_folder(path):
             return form
     return None
+
+
+def _holds(form: ImageFormat, path: Path) -> bool:
+    is_file = functions_of(form).is_file
+    return is_file is not None and is_file(path)
 
 
 def kind_of(form: ImageFormat) -> str:
@@ -344,8 +354,12 @@ def is_anatomical(metadata: Mapping[str, str]) -> bool:
     metadata : mapping of str to str
         As in `Volume.metadata`.
     """
-    said = (form.is_anatomical for form in IMAGE_FORMATS.values())
-    return any(load(asked)(metadata) for asked in said if asked is not None)
+    # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
+    codes = bytes.fromhex(metadata.get(NIFTI_KEY, ""))[17:21]
+    is_named = "space: left-" in metadata.get(NRRD_KEY, "")
+    return (
+        any(codes) or is_named or any(key in metadata for key in (ORIENTED_KEY, DICOM_KEY, MGH_KEY))
+    )
 
 
 def shows_patient(image: volume.Volume) -> bool:

@@ -22,10 +22,10 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming, staging, undone_on_failure
+from accelsurf.io.format_functions import functions_of
 from accelsurf.io.headers import ZERO_BEYOND_KEY
 from accelsurf.io.lazy_volume import check_box
 from accelsurf.settings.file_formats import IMAGE_FORMATS, image_format
-from accelsurf.settings.registry import load
 
 #: Distance, in voxels of the smallest spacing, within which voxels of two grids are the same ones.
 _TOLERANCE = 1e-3
@@ -83,8 +83,11 @@ class LabelStore:
         with naming(self.path):
             headers.check_name(self.path)
         form = image_format(headers.split_name(self.path)[1])
-        if form is None or form.store is None:
-            known = [form.suffixes[0] for form in IMAGE_FORMATS.values() if form.store is not None]
+        make_store = None if form is None else functions_of(form).store
+        if form is None or make_store is None:
+            known = [
+                form.suffixes[0] for form in IMAGE_FORMATS.values() if functions_of(form).store
+            ]
             raise UsageError(
                 f"{self.path}: label maps are written box by box as {' or '.join(known)}"
             )
@@ -94,7 +97,7 @@ class LabelStore:
             self._files = self._stack.enter_context(staging(self.path, form.folder_marks))
             with self._naming():
                 staged = self._files.staging / self.path.name
-                self._store = load(form.store)(
+                self._store = make_store(
                     staged, geometry, self.dtype, metadata or {}, self._relative(source)
                 )
         except BaseException:

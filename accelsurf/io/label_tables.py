@@ -17,6 +17,7 @@ from xml.sax.saxutils import unescape
 from accelsurf.errors import InputError, UsageError
 from accelsurf.io.cells import table_text, text_of_cell
 from accelsurf.io.files import library_named, naming
+from accelsurf.io.format_functions import functions_of
 from accelsurf.io.headers import split_name
 from accelsurf.settings.file_formats import image_format
 from accelsurf.settings.labels import (
@@ -27,7 +28,6 @@ from accelsurf.settings.labels import (
     colored,
     default_color,
 )
-from accelsurf.settings.registry import load
 from accelsurf.settings.wording import shown
 
 #: Bytes of a table: beyond that it is none.
@@ -77,9 +77,9 @@ def read_table(path: str | os.PathLike[str]) -> LabelTable:
         if (
             path.is_file()
             and (form := image_format(split_name(path)[1])) is not None
-            and form.listing is not None
+            and (listing := functions_of(form).listing) is not None
         ):
-            return _of_segments(load(form.listing)(path))
+            return _of_segments(listing(path))
         if not path.is_file():
             raise InputError("there is no such file", "check the path of the label table")
         with path.open("rb") as file:

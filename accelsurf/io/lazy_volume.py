@@ -25,10 +25,10 @@ from accelsurf.image.volume import Volume, in_unit_of
 from accelsurf.io import headers
 from accelsurf.io.channels import selected
 from accelsurf.io.files import naming
+from accelsurf.io.format_functions import functions_of
 from accelsurf.io.headers import with_warnings
 from accelsurf.io.memory import available_memory
 from accelsurf.settings.reading import Level, ReadOptions, Spacing
-from accelsurf.settings.registry import load
 
 #: Of a run, for each voxel, at most.
 _RUN_BYTES = 80
@@ -311,12 +311,13 @@ def _opened(path: Path, opening: Opening) -> LazyVolume:
     """Open an image; see `open_volume`."""
     with naming(path):
         form, header = headers.parse(path, opening.options)
-        if form.open is None:
+        open_form = functions_of(form).open
+        if open_form is None:
             raise InputError(
                 f"{headers.kind_of(form)} is packed or held as a whole, an image that is read box by box expected",
                 "convert it to OME-Zarr, or save it uncompressed as .nii, .nrrd or .mha",
             )
-        volume: LazyVolume = load(form.open)(path, header, opening)
+        volume: LazyVolume = open_form(path, header, opening)
     volume.keep_opening(path.absolute(), opening)
     return volume
 

@@ -17,12 +17,10 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence, check_times
 from accelsurf.image.volume import UNIT_KEY, Volume, array_on_grid
 from accelsurf.io.files import library_named
+from accelsurf.io.images import read
 from accelsurf.settings.reading import spacing_of
-from accelsurf.settings.registry import load
 from accelsurf.settings.wording import mm_of
 
-#: The reader of files, whose module takes these images to be written.
-_READ = "accelsurf.io.images:read"
 _RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0])
 _EXPECTED = "a path, an array, or an image of accelsurf, SimpleITK, ITK, nibabel or xarray"
 _LIBRARIES = ("SimpleITK", "itk", "nibabel", "xarray", "torch", "dask")
@@ -68,7 +66,7 @@ def as_volume(
     """
     given = from_library(image, name)
     if isinstance(given, (str, os.PathLike)):
-        given = load(_READ)(given)
+        given = read(given)
     if isinstance(given, Volume):
         if spacing is not None:
             raise InputError(
@@ -114,7 +112,7 @@ def array_of(image: ImageLike, geometry: Geometry, name: str) -> NDArray[Any]:
     """
     value = from_library(image, name)
     return array_on_grid(
-        load(_READ)(value) if isinstance(value, (str, os.PathLike)) else value, geometry, name
+        read(value) if isinstance(value, (str, os.PathLike)) else value, geometry, name
     )
 
 
@@ -209,7 +207,9 @@ def from_library(value: Any, name: str = "the image") -> Any:
         None,
     )
     if library == "SimpleITK" and hasattr(value, "GetSpacing"):
-        return load("accelsurf.io.itk:volume_of")(value)
+        from accelsurf.io.itk import volume_of
+
+        return volume_of(value)
     if library == "itk" and hasattr(value, "GetBufferedRegion"):
         return _of_itk(value, name)
     if library == "nibabel" and hasattr(value, "affine"):

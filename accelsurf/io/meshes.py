@@ -6,6 +6,7 @@ Where they agree except for rounding, the surface is closed all the same.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,17 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.grid.arrays import Floats, Ints
 from accelsurf.grid.boxes import Box, corner_of
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import naming
-from accelsurf.io.formats.surface_files import MeshContent, is_ras
+from accelsurf.io.formats.surface_files import MeshContent, is_ras, read_obj, read_ply, read_stl
 from accelsurf.io.memory import available_memory
 from accelsurf.settings import budgets
-from accelsurf.settings.mesh_formats import MESH_FORMATS
-from accelsurf.settings.registry import load
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 #: Corners at open edges are made one within the first of these distances with which the surface closes, in units of its
 #: largest coordinate: the rounding of 64-bit floats, of 32-bit floats, and of numbers of six digits. Closer than
@@ -34,6 +31,13 @@ TOLERANCES = (2.0**-45, 2.0**-18, 2.0**-15)
 MAX_EDGE_SHARE = 0.25
 #: mm; beyond it differences of coordinates are no longer exact to a voxel.
 MAX_COORDINATE = 1e12
+#: By the suffix of a file: of its bytes, returns points (n, 3), triangles (m, 3), and the file's description of itself,
+#: in which SPACE=RAS is looked for, if it can say that; anything that it raises is reported as a damaged file.
+MESH_READERS: dict[str, Callable[[bytes], Any]] = {
+    ".ply": read_ply,
+    ".stl": read_stl,
+    ".obj": read_obj,
+}
 #: Rows of voxels tested against triangles at once, for the sake of memory.
 BATCH_ROWS = 1 << 17
 
@@ -62,18 +66,17 @@ def read_mesh(path: str | Path, space: str = "") -> tuple[NDArray[np.float64], N
     path = Path(path)
     with naming(path):
         suffix = path.suffix.lower()
-        readers = {
-            form.suffix: form.read for form in MESH_FORMATS.values() if form.read is not None
-        }
-        if suffix not in readers:
-            raise InputError("no mesh format that accelsurf reads", f"one of {', '.join(readers)}")
+        if suffix not in MESH_READERS:
+            raise InputError(
+                "no mesh format that accelsurf reads", f"one of {', '.join(MESH_READERS)}"
+            )
         if not path.is_file():
             raise InputError("there is no such file", "check the path")
         size = path.stat().st_size
         budgets.MESH_FILE.check(size * budgets.MESH_BYTES_PER_FILE_BYTE, factor=available_memory())
         content = path.read_bytes()
         try:
-            mesh = MeshContent(*load(readers[suffix])(content))
+            mesh = MeshContent(*MESH_READERS[suffix](content))
             points = np.asarray(mesh.points, np.float64).reshape(-1, 3)
         except MemoryError:
             raise

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.model.windows import SCALES, Scene, inscribed_radius, seed_of
-from accelsurf.clicks.reading import KINDS, read_clicks
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, enclosing, slabs, whole_box, widened
 from accelsurf.grid.clicks import SIDES, Click, Side
@@ -20,7 +19,15 @@ from accelsurf.image.volume import Volume
 from accelsurf.io import meshes
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
-from accelsurf.starts import starts
+from accelsurf.text.clicks import KINDS, read_clicks
+from accelsurf.text.starts import (
+    CLICKS,
+    Start,
+    extent_hint,
+    label_box,
+    parse_start,
+    refuse_values,
+)
 
 #: Least voxels around the start and clicks; otherwise as many as their extent.
 MIN_MARGIN = 4 * GUARD
@@ -44,7 +51,7 @@ def first_box(config: RunConfig, geometry: Geometry) -> Box:
         When a start looks at values everywhere; InputError when one lies outside.
     """
     texts = [*config.start, *(config.foreground or ()), *(config.background or ())]
-    boxes = [_extent_of(text, geometry) for text in texts if text != starts.CLICKS]
+    boxes = [_extent_of(text, geometry) for text in texts if text != CLICKS]
     clicks = []
     for side in SIDES:
         for text in getattr(config, side):
@@ -91,7 +98,7 @@ def _extent_of(text: str, geometry: Geometry) -> Box:
     Parameters
     ----------
     text : str
-        As `accelsurf.starts.starts.parse` or `accelsurf.clicks.reading.read_clicks` take it.
+        As `accelsurf.text.starts.parse_start` or `accelsurf.text.clicks.read_clicks` take it.
     geometry : Geometry
 
     Raises
@@ -106,8 +113,8 @@ def _extent_of(text: str, geometry: Geometry) -> Box:
     """
     if found := _clicks_of(text, "inside", geometry):
         return functools.reduce(enclosing, (click.box for click in found))
-    start = starts.parse(text).on(geometry)
-    starts.refuse_values(start, text)
+    start = parse_start(text).on(geometry)
+    refuse_values(start)
     if start.kind == "label":
         return _of_label(start, geometry)
     if start.kind == "center":
@@ -145,17 +152,17 @@ def _around(index: NDArray[np.float64], text: str, geometry: Geometry) -> Box:
 def _at_faces(box: Box, text: str, geometry: Geometry) -> Box:
     if any(s.start >= s.stop for s in box):
         raise InputError(
-            f"start {shown(text)!r}: no voxel centre is inside it", starts.extent_hint(geometry)
+            f"start {shown(text)!r}: no voxel centre is inside it", extent_hint(geometry)
         )
     return box
 
 
-def _of_label(start: starts.Start, geometry: Geometry) -> Box:
+def _of_label(start: Start, geometry: Geometry) -> Box:
     """The box of some labels of a map, which is read a slab at a time."""
     found: Box | None = None
     for planes in slabs(geometry.shape):
         slab: Box = (planes, slice(0, geometry.shape[1]), slice(0, geometry.shape[2]))
-        labels = starts.label_box(start.file, Window(geometry, slab), f"start label:{start.file}")
+        labels = label_box(start.file, Window(geometry, slab), f"start label:{start.file}")
         found_box = bounding_box(start.mask_of(labels))
         if found_box is not None:
             here = (

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf import io
-from accelsurf.clicks.tables import has_sides
 from accelsurf.errors import GeometryError, UsageError
 from accelsurf.grid.boxes import Box, corner_of, slabs, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io import LazyVolume
-from accelsurf.starts import objects as object_starts
-from accelsurf.starts import starts
-from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts.objects import ObjectStart, separated
+from accelsurf.starts.surfaces import psi_of_mask
+from accelsurf.text.object_clicks import has_sides
+from accelsurf.text.objects import ball_box, ball_start, check_found, read_balls, whole_numbers
+from accelsurf.text.starts import parse_start
 
 Some = TypeVar("Some", bound="ManyStarts")
 _HINT = "give a table of balls (id,x,y,z,r), or a label map of first voxels"
@@ -70,7 +71,7 @@ class BallTable:
     Raises
     ------
     InputError
-        As `accelsurf.starts.objects.read`; UsageError when it is a table of clicks.
+        As `accelsurf.text.objects.read_objects`; UsageError when it is a table of clicks.
     """
 
     def __init__(self, file: str, geometry: Geometry, margin: int) -> None:
@@ -82,11 +83,8 @@ class BallTable:
         self._file = file
         self._geometry = geometry
         self._margin = margin
-        self._balls = object_starts.read_balls(file, geometry)
-        boxes = [
-            object_starts.ball_box(file, id, rows, geometry, margin)
-            for id, rows in self._balls.items()
-        ]
+        self._balls = read_balls(file, geometry)
+        boxes = [ball_box(file, id, rows, geometry, margin) for id, rows in self._balls.items()]
         self.ids = np.array(list(self._balls), np.int64)
         self.low, self.high = _ends(boxes)
 
@@ -100,10 +98,9 @@ class BallTable:
         """See `ManyStarts`."""
         ids = [int(self.ids[place]) for place in places]
         found = [
-            object_starts.ball_start(self._file, id, self._balls[id], self._geometry, self._margin)
-            for id in ids
+            ball_start(self._file, id, self._balls[id], self._geometry, self._margin) for id in ids
         ]
-        return object_starts.separated(found, self._file, self._geometry)
+        return separated(found, self._file)
 
 
 class LabelMap:
@@ -124,7 +121,7 @@ class LabelMap:
     Raises
     ------
     InputError
-        As `accelsurf.starts.objects.read`; GeometryError when it lies on another grid.
+        As `accelsurf.text.objects.read_objects`; GeometryError when it lies on another grid.
     """
 
     def __init__(
@@ -164,21 +161,19 @@ class LabelMap:
                     low, high = np.minimum(boxes[label][0], low), np.maximum(boxes[label][1], high)
                 boxes[label] = low, high
         ids = np.array(sorted(boxes), np.int64)
-        object_starts.check_found(self._name, ids)
+        check_found(self._name, ids)
         around = [widened(_box(*boxes[id]), shape, (margin, margin, margin)) for id in ids.tolist()]
         return ids, *_ends(around)
 
     def _read(self, box: Box) -> NDArray[np.integer]:
-        return object_starts.whole_numbers(
-            self._name, self._labels.read(box), self._wanted, corner_of(box)
-        )
+        return whole_numbers(self._name, self._labels.read(box), self._wanted, corner_of(box))
 
     def made(self, places: Sequence[int]) -> list[ObjectStart]:
         """See `ManyStarts`."""
         out = []
         for place in places:
             box = _box(self.low[place], self.high[place])
-            psi = starts.psi_of_mask(self._read(box) == self.ids[place], self._geometry)
+            psi = psi_of_mask(self._read(box) == self.ids[place], self._geometry)
             out.append(ObjectStart(int(self.ids[place]), corner_of(box), psi))
         return out
 
@@ -202,7 +197,7 @@ def opened(objects: str, geometry: Geometry, margin: int) -> ManyStarts:
     """
     if objects.lower().endswith(".csv"):
         return BallTable(objects, geometry, margin)
-    start = starts.parse(f"label:{objects}")
+    start = parse_start(f"label:{objects}")
     return LabelMap(objects, io.open_volume(start.file), geometry, margin, start.ids)
 
 

@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 from skimage.measure import find_contours
 
 from accelsurf.errors import EmptyResultError, InputError
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import bounding_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import write_bytes
 from accelsurf.io.formats.surface_files import polydata
 from accelsurf.measure.surface_mesh import NODE_MARGIN, writer_for
 from accelsurf.measure.vertex_placement import balanced, on_edges
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +90,7 @@ class Contours:
         OutputError
             When the file cannot be written.
         """
-        writer, flip = writer_for(path, space, "contour")
+        writer, flip = writer_for(path, space, "contour", CONTOUR_WRITERS)
         write_bytes(Path(path), writer(tuple(loop * flip for loop in self.loops), space.upper()))
 
 
@@ -246,3 +245,7 @@ def csv_bytes(loops: tuple[Floats, ...], space: str) -> bytes:
     for number, loop in enumerate(loops):
         lines += [f"{number},{x:.6f},{y:.6f},{z:.6f}" for x, y, z in (*loop, loop[0])]
     return ("\n".join(lines) + "\n").encode()
+
+
+#: By the name of a format: of a tuple of loops (n, 3) in mm and "LPS" or "RAS", returns the bytes of a file.
+CONTOUR_WRITERS = {"vtp": vtp_bytes, "csv": csv_bytes}

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import DisplayOrientation
 
-Floats = NDArray[np.float64]
 #: Points whose distances to all others are computed together.
 BATCH = 512
 

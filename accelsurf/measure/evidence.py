@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.grid.arrays import Floats, Image, Mask
 from accelsurf.grid.boxes import (
     Box,
     Corner,
@@ -41,10 +42,6 @@ PATCH = 0.3
 APART = 3.0
 #: Least noise, as a part of the deviation of the object's values and of those beside it.
 MIN_NOISE = 0.05
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

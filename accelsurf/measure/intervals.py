@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.grid.arrays import Image, Mask, Psi, Singles
 from accelsurf.grid.boxes import bounding_box, corner_of, slabs
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.kernels.smoothing import smooth_across_rows
@@ -29,9 +30,6 @@ from accelsurf.image.noise import noise_of
 from accelsurf.image.smoothing import gaussian_mm, gaussian_weights
 from accelsurf.measure.diameters import longest_line
 from accelsurf.measure.surface_mesh import Surface, crossings
-
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 #: Half the shell's thickness, and the end of the surroundings: voxels along the surface's normal.
 SHELL = 1.5
@@ -259,7 +257,7 @@ class _Sums(NamedTuple):
 
 
 def edge_measures(
-    psi: Image, image: Image, geometry: Geometry, volume_mm3: float
+    psi: Psi, image: Image, geometry: Geometry, volume_mm3: float
 ) -> EdgeMeasures | None:
     """Measure an object by the image around its surface; None where it has no edge at all, or is one slice.
 
@@ -344,7 +342,7 @@ class _HalfSurface(NamedTuple):
 
 
 def _half_surface(
-    shares: Image, geometry: Geometry, noise: float, times: float
+    shares: Singles, geometry: Geometry, noise: float, times: float
 ) -> _HalfSurface | None:
     """Measure the surface where smoothed shares are 1/2; None where none is left.
 
@@ -377,8 +375,8 @@ def _half_surface(
 
 
 def _measure_shell(
-    shares: Image,
-    psi: Image,
+    shares: Singles,
+    psi: Psi,
     image: Image,
     moved: float,
     spacing: tuple[float, float, float],
@@ -412,7 +410,7 @@ def _measure_shell(
     return _Sums(*sums.tolist())
 
 
-def _depth(psi: Image, spacing: tuple[float, float, float]) -> tuple[Image, Image]:
+def _depth(psi: Psi, spacing: tuple[float, float, float]) -> tuple[Singles, Singles]:
     """Return psi in voxels along its normal, and the extent of a voxel along that, mm.
 
     Where psi is constant, and beyond the shell and the surroundings, the depth is infinite and the extent 0.
@@ -442,7 +440,7 @@ def _nearby(
     sigmas: tuple[float, ...],
     within: slice,
     shell: NDArray[np.int64],
-) -> Image:
+) -> Singles:
     """Return means of the image over the voxels of a mask nearby, at the shell; where none is near, the level.
 
     They are Gaussian filters, along the rows at the shell's voxels alone.

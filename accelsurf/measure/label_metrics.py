@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
 from accelsurf.errors import InputError
+from accelsurf.grid.arrays import Mask
 from accelsurf.grid.boxes import Box, enclosing, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.measure.metrics import Mask, Metrics, agreement, check_same_grid, surface_dice
+from accelsurf.measure.metrics import Metrics, agreement, check_same_grid, surface_dice
 from accelsurf.settings.labels import IdRanges, holds
 
 #: Ids up to this are looked for in a list; larger ones are sorted, this number of voxels at a time.

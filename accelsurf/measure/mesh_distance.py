@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.measure.surface_mesh import Surface
 
-Floats = NDArray[np.float64]
 #: Points looked up at once, for the sake of memory.
 BATCH = 1 << 14
 #: Number of points looked up first, of the points that may be the farthest.

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.arrays import Floats
 from accelsurf.measure.mesh_distance import largest_distance, mean_side, sides
 from accelsurf.measure.surface_mesh import Surface
 
-Floats = NDArray[np.float64]
 #: Rounds of smoothing, at most; more are needed where the length is more than about 12 sides of triangles.
 MAX_ROUNDS = 2000
 #: How eagerly the library collapses edges, its own default first.

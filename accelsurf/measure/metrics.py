@@ -31,14 +31,11 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from accelsurf.errors import GeometryError, InputError
+from accelsurf.grid.arrays import Floats, Mask, Spacing
 from accelsurf.grid.boxes import bounding_box, corner_of
 from accelsurf.image.volume import Volume
 from accelsurf.io import read_labels
 from accelsurf.io.library_images import ImageLike, as_volume, from_library
-
-Mask = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Spacing = tuple[float, float, float]
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.grid.arrays import Image, Mask, Singles
 from accelsurf.grid.boxes import Box, bounding_box, slabs, whole_box
 from accelsurf.grid.geometry import Geometry, axis_steps
 from accelsurf.image.smoothing import gaussian_mm
@@ -24,16 +25,14 @@ from accelsurf.measure.likely import (
     warning_threshold,
     why,
 )
-from accelsurf.settings.coordinates import place_text
 from accelsurf.settings.wording import size_text, volume_text
+from accelsurf.text.coordinates import place_text
 
 if TYPE_CHECKING:
     from accelsurf.clicks.model.confidence import Confidence
     from accelsurf.evolution.records import StepRecord, Stop
     from accelsurf.measure.evidence import Evidence
 
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 #: A note is made beyond these: fraction of the surface on the border, and without an edge; contrast across the surface
 #: in units of the noise; relative growth over the last steps; share of the object unlike the learned values. A Gaussian
@@ -484,7 +483,7 @@ def no_edge_fraction(inside: Mask, image: Image, spacing: tuple[float, float, fl
 
 def gradients(
     smooth: Image, spacing: tuple[float, float, float], cells: NDArray[np.int64]
-) -> Image:
+) -> Singles:
     """|grad I| at raveled voxels (n,) of a smoothed image: centred differences, one-sided on the border."""
     flat = smooth.reshape(-1)
     total = np.zeros(cells.size, np.float32)

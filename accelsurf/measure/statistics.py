@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.diameters import Diameters, diameters
@@ -19,7 +20,6 @@ from accelsurf.measure.diameters import Diameters, diameters
 if TYPE_CHECKING:
     from accelsurf.measure.intervals import Estimates, Intervals
 
-Floats = NDArray[np.float64]
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
 

@@ -10,7 +10,7 @@ outward normals stay outward and no triangle has to be turned.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,22 +20,30 @@ from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 
 from accelsurf.errors import EmptyResultError, InputError, UsageError
+from accelsurf.grid.arrays import Faces, Floats
 from accelsurf.grid.boxes import Box, bounding_box, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import write_bytes
+from accelsurf.io.formats.glb import glb_bytes
+from accelsurf.io.formats.surface_files import obj_bytes, ply_bytes, stl_bytes, vtp_bytes
 from accelsurf.measure.vertex_placement import balanced, in_cells, on_edges
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.mesh_formats import MESH_FORMATS, Shape, mesh_formats
-from accelsurf.settings.registry import load
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 NODE_MARGIN = 1e-4
 """Values of psi closer to 0 than this part of the smallest voxel size are moved there, so that the surface passes
 every voxel centre at a distance and no triangle collapses to a point or a line."""
 
 SPACES = ("lps", "ras")
+#: By the name of a format: of the vertices (n, 3) in mm, the triangles (m, 3), "LPS" or "RAS" and a LabelEntry or None,
+#: returns the bytes of a file, without a label as without name and colour.
+SURFACE_WRITERS: dict[str, Callable[..., bytes]] = {
+    "ply": ply_bytes,
+    "stl": stl_bytes,
+    "obj": obj_bytes,
+    "vtp": vtp_bytes,
+    "glb": glb_bytes,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +67,7 @@ class Surface:
     """
 
     vertices: Floats
-    faces: Ints
+    faces: Faces
 
     @cached_property
     def _corners(self) -> tuple[Floats, Floats, Floats]:
@@ -125,7 +133,7 @@ class Surface:
         OutputError
             When the file cannot be written.
         """
-        writer, flip = writer_for(path, space, "surface")
+        writer, flip = writer_for(path, space, "surface", SURFACE_WRITERS)
         write_bytes(Path(path), writer(self.vertices * flip, self.faces, space.upper(), label))
 
 
@@ -237,7 +245,9 @@ def _cap(
     return np.abs(inner), inner
 
 
-def _merge_cap_edges(zyx: Floats, faces: Ints, shape: tuple[int, int, int]) -> tuple[Floats, Ints]:
+def _merge_cap_edges(
+    zyx: Floats, faces: Faces, shape: tuple[int, int, int]
+) -> tuple[Floats, Faces]:
     """Close the rims where two caps meet: their vertices coincide there, and the triangles between have no area."""
     on_cap = (zyx == -0.5) | (zyx == np.array(shape) - 0.5)
     rim = np.flatnonzero(on_cap.sum(axis=1) >= 2)
@@ -252,7 +262,9 @@ def _merge_cap_edges(zyx: Floats, faces: Ints, shape: tuple[int, int, int]) -> t
     return zyx[used], numbers.reshape(-1, 3).astype(np.int32)
 
 
-def writer_for(path: str | Path, space: str, shape: Shape) -> tuple[Callable[..., bytes], Floats]:
+def writer_for(
+    path: str | Path, space: str, shape: Shape, writers: Mapping[str, Callable[..., bytes]]
+) -> tuple[Callable[..., bytes], Floats]:
     """Choose a writer by a file's suffix, and the factors that bring LPS points to the space asked for.
 
     Parameters
@@ -263,6 +275,8 @@ def writer_for(path: str | Path, space: str, shape: Shape) -> tuple[Callable[...
         Its coordinates.
     shape : {"surface", "contour"}
         Kind of the file's content.
+    writers : mapping of str to callable
+        The writers by the names of the formats.
 
     Raises
     ------
@@ -271,15 +285,13 @@ def writer_for(path: str | Path, space: str, shape: Shape) -> tuple[Callable[...
     """
     target = Path(path)
     kind = "mesh" if shape == "surface" else "contour"
-    writers = {
-        MESH_FORMATS[name].suffix: MESH_FORMATS[name].writer(shape) for name in mesh_formats(shape)
-    }
-    writer = writers.get(target.suffix.lower())
-    if writer is None:
-        known = ", ".join(writers)
+    suffixes = {MESH_FORMATS[name].suffix: name for name in mesh_formats(shape)}
+    name = suffixes.get(target.suffix.lower())
+    if name is None:
+        known = ", ".join(suffixes)
         raise UsageError(
             f"{target.name}: {kind} format {target.suffix!r} given, one of {known} expected"
         )
     if space not in SPACES:
         raise UsageError(f"{kind} space {space!r} given, one of {', '.join(SPACES)} expected")
-    return load(writer), np.array([-1.0, -1.0, 1.0]) if space == "ras" else np.ones(3)
+    return writers[name], np.array([-1.0, -1.0, 1.0]) if space == "ras" else np.ones(3)

@@ -20,10 +20,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Psi = NDArray[np.float32]
+from accelsurf.grid.arrays import Floats, Mask, Psi
+
 Numbers = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 
 #: The cubic is used where the second differences at both ends have one sign, and the smaller at least this part of the
 #: larger: on a ball of radius 2 voxels they do.

@@ -23,20 +23,19 @@ from accelsurf.io import headers, is_stored, split_name
 from accelsurf.io.file_set import FileSet, InputFiles, is_unfinished, open_set, refuse_links
 from accelsurf.output import layouts
 from accelsurf.output.reports import FAILED, Report, has_guests, is_output, report_name
-from accelsurf.settings.coordinates import is_point_file
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, image_format
 from accelsurf.settings.mesh_formats import Shape, automatic_mesh_formats, ending_of, mesh_formats
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
+from accelsurf.text.coordinates import file_in
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
 
 #: Of a file's name, on the usual file systems.
 MAX_NAME_BYTES = 255
-#: Settings that are places, and kinds of places that name a file: ``label:FILE``.
+#: Settings that are places.
 PLACES = ("start", "foreground", "background", "inside", "outside")
-FILE_KINDS = ("label", "mesh", "stroke")
 #: Settings that name a file.
 _FILES = ("mask", "objects", "labels", "label_table")
 #: Endings of headers whose voxels may lie in another file.
@@ -111,7 +110,7 @@ class OutputFolder:
         followed = image_format("" if self.source is None else split_name(self.source)[1])
         if config.layout == "bids" and (followed is None or not followed.name.startswith("nii")):
             followed = None  # BIDS has label maps in NIfTI
-        if followed is None or followed.write is None:
+        if followed is None or not followed.is_written:
             return config.format or DEFAULT_IMAGE_FORMAT
         return config.format or followed.name
 
@@ -362,7 +361,7 @@ def _is_table_of_clicks(objects: str | None) -> bool:
     """Test if the objects begin as clicks; if a table cannot be read, the run reports the error."""
     if objects is None or not objects.lower().endswith(".csv"):
         return False
-    from accelsurf.clicks.tables import has_sides  # loads modules of a run
+    from accelsurf.text.object_clicks import has_sides
 
     try:
         return has_sides(objects)
@@ -556,8 +555,7 @@ def named_files(given: RunConfig | TrackConfig) -> list[Path]:
     wheres = [text for key in PLACES for text in getattr(config, key)]
     for correction in (*config.refine, *corrections):
         wheres += [*correction.inside, *correction.outside]
-    texts += [text.partition(":")[2] for text in wheres if text.partition(":")[0] in FILE_KINDS]
-    texts += [text for text in wheres if is_point_file(text)]
+    texts += [file_in(text) for text in wheres if file_in(text)]
     found = {}
     for text in texts:
         for name in (text, text.rpartition("@")[0]):  # FILE@IDS; a name may have an @ itself

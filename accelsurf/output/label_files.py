@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -150,3 +151,12 @@ def given_labels(config: RunConfig) -> LabelTable:
 def is_named(config: RunConfig) -> bool:
     """Test if the settings name labels, so that label maps carry names."""
     return bool(config.name or config.color or config.label_table)
+
+
+#: The writers by the names of `accelsurf.settings.mesh_formats.LABEL_OUTPUTS`, but for DICOM.
+LABEL_WRITERS: dict[str, Callable[[Result, LabelTable, Path], None]] = {
+    "seg.nrrd": seg_nrrd,
+    "itk-snap": itk_snap,
+    "ctbl": color_table,
+    "tsv": bids_table,
+}

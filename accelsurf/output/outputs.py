@@ -23,13 +23,12 @@ from accelsurf.measure.contours import Contours
 from accelsurf.output import layouts, tables
 from accelsurf.output.document import describe_objects
 from accelsurf.output.folder import EACH, name_of
-from accelsurf.output.label_files import given_labels, is_named, table_of
+from accelsurf.output.label_files import LABEL_WRITERS, given_labels, is_named, table_of
 from accelsurf.output.mesh_files import MeshNotes, is_shaped, shaped
 from accelsurf.output.pictures import preview
 from accelsurf.output.pictures.preview_content import ObjectShape, PreviewContent, marks_of
-from accelsurf.settings.labels import LabelEntry
+from accelsurf.settings.labels import LabelEntry, LabelTable
 from accelsurf.settings.mesh_formats import LABEL_OUTPUTS
-from accelsurf.settings.registry import load
 from accelsurf.settings.wording import size_text, volume_text
 
 if TYPE_CHECKING:
@@ -142,10 +141,23 @@ def _label_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]
             yield (
                 name,
                 names[kind],
-                functools.partial(load(LABEL_OUTPUTS[name].write), result, table),
+                functools.partial(_label_writer(name), result, table),
             )
         else:
             yield "labels", names[kind], functools.partial(_write_labels, result, result.labels)
+
+
+def _label_writer(name: str) -> Callable[[Result, LabelTable, Path], None]:
+    """Return the writer of a further file of the objects."""
+    if LABEL_OUTPUTS[name].needs_dicom:
+        from accelsurf.output import dicom  # loads pydicom
+
+        return {
+            "dicom-seg": dicom.write_segmentation,
+            "dicom-labelmap": dicom.write_labelmap,
+            "rtstruct": dicom.write_structure_set,
+        }[name]
+    return LABEL_WRITERS[name]
 
 
 def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) -> Iterator[Writer]:

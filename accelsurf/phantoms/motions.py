@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms.recipe_files import checked, read_recipe
 from accelsurf.phantoms.recipes import MAX_VOXELS, Count, NotNegative, Positive, Real, Seed
 
-Floats = NDArray[np.float64]
 Motion = Literal[
     "translation",
     "acceleration",

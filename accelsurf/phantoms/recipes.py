@@ -24,13 +24,12 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from accelsurf.errors import UsageError
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import slabs
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms.recipe_files import checked, read_recipe
 from accelsurf.phantoms.solids import SOLIDS, Ellipsoid, Solid
-
-Floats = NDArray[np.float64]
 
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0)]

@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from accelsurf.grid.arrays import Floats
+
 Triple = tuple[float, float, float]
 #: Halvings of the interval of an ellipsoid's closest point: from a metre to below a nanometre.
 _BISECTIONS = 50

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy import ndimage
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms.motions import MovingPhantom, SequenceRecipe, TruthRow, motion_from
 from accelsurf.phantoms.recipe_files import checked
 from accelsurf.phantoms.recipes import NotNegative, Positive, Real
 
-Floats = NDArray[np.float64]
 Tissue = Literal["shell", "wall", "cell"]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 #: Half axes of the shell over its radius, x, y, z; it is open above this part of its height.

@@ -10,13 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.reading import (
-    click_of_mask,
-    click_of_numbers,
-    click_of_voxels,
-    point_voxels,
-    read_clicks,
-)
+from accelsurf.clicks.voxels import click_of_mask, click_of_voxels
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
@@ -26,8 +20,10 @@ from accelsurf.io.library_images import from_library
 from accelsurf.run.setup import EnergyLike
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts import starts
 from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts.surfaces import psi_of_mask
+from accelsurf.text.clicks import click_of_numbers, point_voxels, read_clicks
+from accelsurf.text.starts import ball_start_of, psi_of_starts
 
 #: Settings that may be given as arrays, volumes, meshes or lists of balls.
 GIVEN_KINDS = ("start", "mask", "foreground", "background", "inside", "outside")
@@ -110,7 +106,7 @@ def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
             raise InputError(
                 f"{name}: no voxel centre is inside the mesh", "its points are mm, LPS as ITK"
             )
-        return starts.psi_of_mask(inside, geometry)
+        return psi_of_mask(inside, geometry)
     value = from_library(value, name)
     if not isinstance(value, (Volume, np.ndarray)):
         return _balls(name, value, geometry)
@@ -118,7 +114,7 @@ def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
     inside = np.asarray(array > 0)
     if not inside.any():
         raise InputError(f"{name}: the mask is empty", "give one with voxels above 0")
-    return starts.psi_of_mask(inside, geometry)
+    return psi_of_mask(inside, geometry)
 
 
 def _balls(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
@@ -132,8 +128,8 @@ def _balls(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
             f"{name}: a {type(value).__name__} was given, expected {_EXPECTED}",
             "see accelsurf.segment",
         )
-    texts = [f"ball:{x!r},{y!r},{z!r},{r!r}" for x, y, z, r in table.tolist()]
-    return starts.build(texts, Volume(np.zeros(geometry.shape, np.uint8), geometry))
+    balls = [ball_start_of(row) for row in table.tolist()]
+    return psi_of_starts(balls, Volume(np.zeros(geometry.shape, np.uint8), geometry))
 
 
 def given_clicks(side: Side, value: Any, volume: Volume) -> list[Click]:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.reading import check_contradictions, voxel_named
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, corner_of, whole_box, widened
 from accelsurf.grid.click_bounds import MARGIN, ClickBounds, click_bounds
@@ -15,6 +14,7 @@ from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.image.volume import Volume
 from accelsurf.run.image_context import ImageContext
 from accelsurf.run.start_pyramid import LevelArrays, LevelInputs
+from accelsurf.text.clicks import check_contradictions, voxel_named
 
 
 def placed(

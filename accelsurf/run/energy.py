@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 from accelsurf.energies import Area, Energy, WeightedSum
 from accelsurf.errors import UsageError
-from accelsurf.run.image_context import Image, ImageContext, Scale, Spacing, TermInputs
+from accelsurf.grid.arrays import Image, Spacing
+from accelsurf.run.image_context import ImageContext, Scale, TermInputs
+from accelsurf.run.makers import TERM_MAKERS
 from accelsurf.settings.energy_expression import Term
 from accelsurf.settings.energy_terms import TERMS
-from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -101,7 +102,7 @@ def make_term(
     """The energies of a term with their weights, one for each channel that it sees, and its resolved settings."""
     spec, seen = TERMS[term.name], _channels_seen(term, channels)
     weight = term.weight * (1.0 / len(seen) if spec.channels == "mean" else 1.0)
-    make = load(spec.make)
+    make = TERM_MAKERS[term.name]
     resolved: dict[str, Any] = {"term": term.name, "weight": term.weight}
     energies: list[tuple[float, Energy]] = []
     for channel in seen:

@@ -20,6 +20,7 @@ from accelsurf.energies.region_sums import (
     sums_by_plane,
 )
 from accelsurf.errors import UsageError
+from accelsurf.grid.arrays import Image, Mask, Psi, Singles, Spacing
 from accelsurf.grid.boxes import Box, box_at, whole_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry, axis_steps
@@ -54,9 +55,6 @@ _NO_SAMPLE = (
     "give --foreground, or use update=yes",
 )
 
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Spacing = tuple[float, float, float]
 _EVERYWHERE: Box = (slice(None), slice(None), slice(None))
 Found = TypeVar("Found")
 
@@ -215,7 +213,7 @@ class ImageContext:
     def with_channels(
         self,
         images: Sequence[Image],
-        field: Callable[[], Image] | None = None,
+        field: Callable[[], Singles] | None = None,
         curvature: Callable[[], float] | None = None,
     ) -> ImageContext:
         """The same context for energies on another grid, where the channels after the first are ``images``.
@@ -315,7 +313,7 @@ class ImageContext:
             else confidence_of(model or self.click_model())
         )
 
-    def model_start(self, box: Box | None = None) -> Image:
+    def model_start(self, box: Box | None = None) -> Psi:
         """Psi, mm, of the first surface that the model gives, on a box of the grid; by default on all of it."""
         model, shape = self.click_model(), self.images[0].shape
         box = whole_box(shape) if box is None else box
@@ -324,7 +322,7 @@ class ImageContext:
         depth = half * np.clip(np.abs(model.field_on(box)), np.float32(_MIN_DEPTH), np.float32(1.0))
         return np.asarray(np.where(inside, -depth, depth), np.float32)
 
-    def model_field(self) -> Image:
+    def model_field(self) -> Singles:
         """The field of the model on the grid at hand."""
         return (
             self.click_model().field_on(whole_box(self.images[0].shape))

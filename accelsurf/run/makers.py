@@ -1,13 +1,13 @@
 """Makers of flows from a configuration, and of energies from the terms of an expression.
 
-`accelsurf.settings.flow_specs` and `accelsurf.settings.energy_terms` name these functions. A maker of a term returns
-the energy and the settings that it has in the run, also those that were taken from the image; image values in the
-file's unit.
+A maker of a term returns the energy and the settings that it has in the run, also those that were taken from the image;
+image values in the file's unit.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -290,3 +290,29 @@ def balloon(inputs: TermInputs) -> Made:
 def area(inputs: TermInputs) -> Made:
     """The area."""
     return Area(), {}
+
+
+#: The makers of flows by the names of `accelsurf.settings.flow_specs.FLOWS`.
+FLOW_MAKERS: dict[str, Callable[[RunConfig], Flow]] = {
+    "constant-density": constant_density,
+    "flowable-mass": flowable_mass,
+    "region-mass": region_mass,
+    "gradient": gradient,
+    "sobolev": sobolev,
+    "momentum": heavy_ball,
+}
+#: The makers of terms by the names of `accelsurf.settings.energy_terms.TERMS`.
+TERM_MAKERS: dict[str, Callable[[TermInputs], Made]] = {
+    "chan-vese": chan_vese,
+    "local-region": local_region,
+    "likelihood": likelihood,
+    "threshold": threshold,
+    "geodesic": geodesic,
+    "balloon": balloon,
+    "seeded": seeded,
+    "partition": seeded,
+    "area": area,
+}
+#: Of the settings of a term and the largest spacing, mm: how far beyond an object it sees the image, mm. The other
+#: terms see the narrow band, and means over the whole image.
+TERM_REACHES: dict[str, Callable[[Values, float], float]] = {"local-region": local_region_reach}

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.reading import clicks_of
 from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
+from accelsurf.grid.arrays import Mask
 from accelsurf.grid.boxes import Box, Corner, corner_of
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
@@ -22,14 +22,16 @@ from accelsurf.image.filters import ImageFilters
 from accelsurf.image.volume import Volume, check_images
 from accelsurf.io import LazyVolume
 from accelsurf.run.clicks import placed
-from accelsurf.run.image_context import ImageContext, Mask, ModelInputs, Scale
+from accelsurf.run.image_context import ImageContext, ModelInputs, Scale
 from accelsurf.run.region_of_interest import cropped, distance_of_mask
 from accelsurf.run.window_input import WindowInput, region_in, whole_of, window_of
 from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import bounds_of, volume_mm3
 from accelsurf.settings.wording import shown
-from accelsurf.starts import starts
+from accelsurf.starts.surfaces import psi_of_mask
+from accelsurf.text.clicks import clicks_of
+from accelsurf.text.starts import CLICKS, psi_of_starts, read_starts
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
@@ -197,12 +199,7 @@ def preprocess(
     images, scales = _scaled_channels(values, volumes, filters, box, part)
     del values
     context, learns = _context(config, volumes, images, scales, psi, training, distance, part)
-    if (
-        all_clicks.clicks
-        and not has_ids
-        and config.start == (starts.CLICKS,)
-        and config.energy.uses_model
-    ):
+    if all_clicks.clicks and not has_ids and config.start == (CLICKS,) and config.energy.uses_model:
         context = context.with_clicks(all_clicks)
         psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
     shown = psi.copy() if whole.slice_axis is not None else None
@@ -279,13 +276,13 @@ def _context(
 def _first_surface(config: RunConfig, seen: Seen, clicks: Clicks, box: Box) -> NDArray[np.float32]:
     """Psi of the start on the whole grid; ``clicks`` are on the region of interest, ``box``."""
     volume = seen[0]
-    others = [text for text in config.start if text != starts.CLICKS]
+    others = [text for text in config.start if text != CLICKS]
     if len(others) == len(config.start) or not clicks.ids():
-        return starts.build(config.start, *seen)
+        return psi_of_starts(read_starts(config.start), *seen)
     inside = np.zeros(volume.geometry.shape, np.bool_)
     inside[box] = clicks.mask("inside")
-    psi = starts.psi_of_mask(inside, volume.geometry)
-    return np.minimum(psi, starts.build(others, *seen)) if others else psi
+    psi = psi_of_mask(inside, volume.geometry)
+    return np.minimum(psi, psi_of_starts(read_starts(others), *seen)) if others else psi
 
 
 def _scaled_channels(
@@ -372,7 +369,7 @@ def _training_voxels(
             found[name] = np.asarray(given[name] < 0)
         elif texts := getattr(config, name):
             try:
-                found[name] = np.asarray(starts.build(texts, *seen) < 0)
+                found[name] = np.asarray(psi_of_starts(read_starts(texts), *seen) < 0)
             except AccelsurfError as error:
                 raise type(error)(
                     error.message.replace("start ", f"{name} ", 1), error.hint

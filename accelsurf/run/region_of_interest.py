@@ -13,10 +13,10 @@ from accelsurf.grid.boxes import Box, Corner, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import part_of
 from accelsurf.grid.window import Window
-from accelsurf.settings.coordinates import SUFFIXES
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
-from accelsurf.starts import starts
+from accelsurf.text.coordinates import SUFFIXES
+from accelsurf.text.starts import extent_hint, label_box, parse_start
 
 #: Least margin, voxels, of the region of a run around the box of --box: models learn the surroundings there.
 _AROUND_BOX = 10
@@ -42,7 +42,7 @@ def region_of_interest(text: str | None, geometry: Geometry, name: str = "roi") 
     if text is None:
         return slice(0, geometry.shape[0]), slice(0, geometry.shape[1]), slice(0, geometry.shape[2])
     try:
-        box = starts.parse(f"box:{text}").on(geometry)
+        box = parse_start(f"box:{text}").on(geometry)
     except UsageError:
         raise UsageError(
             f"{name}: {shown(text)} was given, expected X0,Y0,Z0,X1,Y1,Z1 with the first corner below the second",
@@ -64,7 +64,7 @@ def region_of_interest(text: str | None, geometry: Geometry, name: str = "roi") 
             raise InputError(
                 f"{name}: {shown(text)} was given, which contains fewer than two of the image's voxels along "
                 f"{'zyx'[axis]}",
-                starts.extent_hint(geometry),
+                extent_hint(geometry),
             )
         slices.append(slice(low, high + 1))
     return slices[0], slices[1], slices[2]
@@ -130,7 +130,7 @@ def _read_mask(file: str, window: Window) -> NDArray[np.bool_]:
     InputError
         When there is none, or the file cannot be read; GeometryError when it lies on another grid.
     """
-    mask = np.asarray(starts.label_box(file, window, f"mask {file}") > 0)
+    mask = np.asarray(label_box(file, window, f"mask {file}") > 0)
     if not mask.any():
         there = "" if window.is_whole else " there"
         raise InputError(

@@ -24,15 +24,15 @@ from accelsurf.io.memory import available_cores
 from accelsurf.run.energy import make_energy
 from accelsurf.run.evolving_object import EnergyMaker, MadeEnergy
 from accelsurf.run.image_context import ImageContext
+from accelsurf.run.makers import FLOW_MAKERS, TERM_REACHES
 from accelsurf.settings.catalogue import default_of, energy_settings
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.flow_specs import AUTO, DESCENT, FLOWS, MOMENTUM, FlowText, spec_of
-from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.trace_columns import added_measures
 from accelsurf.settings.wording import size_text
 from accelsurf.starts.objects import ObjectStart
-from accelsurf.starts.starts import CLICKS
+from accelsurf.text.starts import CLICKS
 
 #: Ratio of the spacings from which on slices are thick.
 THICK = 4.0
@@ -226,10 +226,14 @@ def energy_key(config: RunConfig) -> tuple[Any, ...]:
 
 def window_reach(settings: RunConfig, geometry: Geometry) -> float:
     """Return the reach of the energy's terms beyond an object, mm; 0 where none has a window."""
-    reaches = ((TERMS[term.name].reach, term.settings) for term in settings.terms)
     largest = max(geometry.steps)
     return max(
-        (load(reach)(given, largest) for reach, given in reaches if reach is not None), default=0.0
+        (
+            TERM_REACHES[term.name](term.settings, largest)
+            for term in settings.terms
+            if term.name in TERM_REACHES
+        ),
+        default=0.0,
     )
 
 
@@ -319,8 +323,7 @@ def is_maker(energy: Any) -> bool:
 
 def make_flow(config: RunConfig) -> Flow:
     """The flow of a configuration in which one is named."""
-    flow: Flow = load(FLOWS[config.flow.name].make)(config)
-    return flow
+    return FLOW_MAKERS[config.flow.name](config)
 
 
 class FlowChoice(NamedTuple):

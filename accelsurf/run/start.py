@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks import tables
 from accelsurf.clicks.model.given import GivenMask
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import bounding_box, box_at, corner_of, placed_at, whole_box, widened
@@ -26,8 +25,9 @@ from accelsurf.run.preprocessing import PreprocessedInput, preprocess
 from accelsurf.run.setup import is_least_at_model, thread_count
 from accelsurf.run.window_input import WindowInput
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts import objects as object_starts
 from accelsurf.starts.objects import ObjectStart, core_of
+from accelsurf.text.object_clicks import read_object_clicks, starts_of
+from accelsurf.text.objects import read_label_map, read_objects
 
 #: Voxels around an object's own grid that belong to its part of a result.
 AROUND = 2
@@ -100,7 +100,7 @@ def start_of_run(
     labels = config.objects if objects is None else objects
     surfaces = surfaces_of(labels)
     by_array = given_arrays(labels, arrays) | _masks_of(clicks, volume.geometry)
-    table = None if labels is None or surfaces else tables.read(labels, volume.geometry)
+    table = None if labels is None or surfaces else read_object_clicks(labels, volume.geometry)
     if table is not None:
         clicks = [*clicks, *table.clicks]
         if "energy" not in config.model_fields_set:
@@ -153,7 +153,7 @@ def _start_of_labels(
 ) -> RunStart:
     """The start of a run that begins and ends with the objects of a label map; the other labels are not entered."""
     geometry = volume.geometry
-    starts, others = object_starts.read_label_map(
+    starts, others = read_label_map(
         str(config.labels) if given is None else given, geometry, AROUND
     )
     volumes = [volume, *channels, *read_further(config.channel, config.reading)]
@@ -204,9 +204,9 @@ def _several(
     if labels is None:
         return []
     if table is None:
-        return object_starts.read(labels, geometry, AROUND)
+        return read_objects(labels, geometry, AROUND)
     # With a model the competition is in the force: the background needs no surface.
-    starts = tables.starts_of(table, geometry, AROUND)
+    starts = starts_of(table, geometry, AROUND)
     return [start for start in starts if start.id != NO_OBJECT or not config.energy.uses_model]
 
 
@@ -218,7 +218,7 @@ def _no_object(prepared: PreprocessedInput, config: RunConfig) -> list[ObjectSta
         tuple(click for click in prepared.clicks.clicks if click.id == NO_OBJECT),
         prepared.clicks.shape,
     )
-    found = tables.starts_of(whole, prepared.geometry, AROUND)
+    found = starts_of(whole, prepared.geometry, AROUND)
     return [start._replace(corner=prepared.corner_on_image(start.corner)) for start in found]
 
 

@@ -20,9 +20,9 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet
 from accelsurf.run.evolving_object import EvolvingObject
 from accelsurf.run.preprocessing import PreprocessedInput
-from accelsurf.settings.coordinates import place_text
 from accelsurf.settings.wording import volume_text
 from accelsurf.starts.objects import ObjectStart
+from accelsurf.text.coordinates import place_text
 
 #: A start will shrink if less than this part of its values lies within the bounds; a window takes in the surroundings
 #: if it has more than this part of the voxels in a shell around the start (bounds in its radii).

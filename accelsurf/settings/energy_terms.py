@@ -1,7 +1,7 @@
 """The terms that an energy can have: one entry each. Everything that lists or checks terms reads the entries.
 
-An entry has the settings of the term with their bounds, the settings of the run that it uses, and the name of the
-function that makes it. That function is imported when a run begins, so that this module imports fast.
+An entry has the settings of the term with their bounds, and the settings of the run that it uses. The functions that
+make the terms are in `accelsurf.run.makers`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from accelsurf.settings.expression import HALF, Number, Spec, Values, Word
-from accelsurf.settings.registry import Registry
+from accelsurf.settings.registry import by_name
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,6 @@ class TermSpec(Spec):
         How lists of energies show it; None if they do not.
     keeps_fine_edges : bool
         Whether it needs edges that coarser grids do not show: ``levels = "auto"`` is then the image's own grid alone.
-    reach : str or callable, optional
-        Of the settings and the largest spacing, mm: how far beyond an object the term sees the image, mm; a
-        ``"module:function"`` or a function. None where it sees the narrow band and means over the whole image alone.
     learns : callable
         Of the settings: whether it learns once from the start, unless it is given something else to learn from.
     uses_model : bool
@@ -49,7 +46,6 @@ class TermSpec(Spec):
     signed: bool = False
     example: str | None = None
     keeps_fine_edges: bool = False
-    reach: str | Callable[[Values, float], float] | None = None
     learns: Callable[[Values], bool] = lambda settings: False
     uses_model: bool = False
     needs_whole: bool = False
@@ -81,14 +77,11 @@ _EPSILON = Number(0.0, 2.5, help="half width of the smeared interface, voxels")
 #: In the image's unit, a percentile, Otsu's threshold, learned from the start's values, half-way between their mean
 #: and a value, or open.
 _BOUND = Number(words=("auto", "learned", ""), percent=True)
-_MAKERS = "accelsurf.run.makers"
 
-TERMS: Registry[TermSpec] = Registry(
-    "term",
+TERMS: dict[str, TermSpec] = by_name(
     TermSpec(
         "chan-vese",
         "two regions, each with its own mean",
-        f"{_MAKERS}:chan_vese",
         {
             "balance": _POSITIVE._replace(help="weight of the fit inside against the fit outside"),
             "epsilon": _EPSILON,
@@ -105,7 +98,6 @@ TERMS: Registry[TermSpec] = Registry(
     TermSpec(
         "local-region",
         "two regions, each with its mean within R mm of each place",
-        f"{_MAKERS}:local_region",
         {
             "R": _POSITIVE._replace(
                 help="radius of the window, mm; 8 voxels of the largest spacing unless given"
@@ -116,13 +108,11 @@ TERMS: Registry[TermSpec] = Registry(
         uses=("epsilon",),
         channels="mean",
         example="local-region",
-        reach=f"{_MAKERS}:local_region_reach",
         needs_whole=True,
     ),
     TermSpec(
         "likelihood",
         "two regions by the distributions of their values",
-        f"{_MAKERS}:likelihood",
         {
             "model": Word(
                 ("gauss", "histogram"), "the distribution: Gaussians, or smoothed histograms"
@@ -143,7 +133,6 @@ TERMS: Registry[TermSpec] = Registry(
     TermSpec(
         "threshold",
         "a window of values from LO to HI",
-        f"{_MAKERS}:threshold",
         {
             "LO": _BOUND._replace(help="lower bound, in the image's unit"),
             "HI": _BOUND._replace(help="upper bound, in the image's unit"),
@@ -160,7 +149,6 @@ TERMS: Registry[TermSpec] = Registry(
     TermSpec(
         "geodesic",
         "the area, counted less on edges",
-        f"{_MAKERS}:geodesic",
         {
             "scale": _POSITIVE._replace(help="sigma of the Gaussian gradient, mm"),
             "contrast": _POSITIVE._replace(
@@ -177,14 +165,12 @@ TERMS: Registry[TermSpec] = Registry(
     TermSpec(
         "balloon",
         "the volume, so that the surface shrinks; with a weight below 0 it grows",
-        f"{_MAKERS}:balloon",
         sees_image=False,
         signed=True,
     ),
     TermSpec(
         "seeded",
         "what small networks read from the image around the clicks; needs --inside",
-        f"{_MAKERS}:seeded",
         {
             "area": Number(
                 0.0, help="weight of the area beside --smoothness, mm; of the model unless given"
@@ -198,7 +184,6 @@ TERMS: Registry[TermSpec] = Registry(
         "partition",
         "what is nearer to the object's own clicks than to those of the others, where what looks different is far: "
         "cells between membranes, nuclei; needs clicks in each of them",
-        f"{_MAKERS}:seeded",
         {
             "area": Number(
                 0.0, help="weight of the area beside --smoothness, mm; of the model unless given"
@@ -210,7 +195,6 @@ TERMS: Registry[TermSpec] = Registry(
     TermSpec(
         "area",
         "the surface's area; its weight is in mm, as --smoothness",
-        f"{_MAKERS}:area",
         sees_image=False,
     ),
 )

@@ -83,10 +83,6 @@ class Spec:
         As it is written.
     help : str
         Description in a few words.
-    make : str or callable
-        ``"module:function"`` or a function, imported when a run begins. Of a term: of
-        `accelsurf.run.image_context.TermInputs`, returns the energy and a dict of the settings that it has in the run,
-        for the report. Of a flow: of a RunConfig, returns the `accelsurf.flows.Flow`.
     settings : mapping of str to Number or Word
         Its settings after the colon, in the order in which values without a key are assigned.
     uses : tuple of str
@@ -97,7 +93,6 @@ class Spec:
 
     name: str
     help: str
-    make: str | Callable[[Any], Any]
     settings: Mapping[str, Number | Word] = field(default_factory=dict)
     uses: tuple[str, ...] = ()
     check: Callable[[Values], str] = lambda settings: ""

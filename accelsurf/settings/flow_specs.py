@@ -1,4 +1,4 @@
-"""The flows: one entry each, with its settings and the function that makes it; and a flow as it is written."""
+"""The flows: one entry each, with its settings; and a flow as it is written."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from accelsurf.settings.expression import (
     Word,
     Written,
 )
-from accelsurf.settings.registry import Registry
+from accelsurf.settings.registry import by_name
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,6 @@ class FlowSpec(Spec):
 AUTO = "auto"
 MOMENTUM = "constant-density"
 DESCENT = "gradient"
-_MAKERS = "accelsurf.run.makers"
 _POSITIVE = Number(0.0, low_too=False)
 _LENGTH = _POSITIVE._replace(words=("auto",))
 _CLOCK: dict[str, Number | Word] = {
@@ -81,12 +80,10 @@ def _start_expected(settings: Values) -> str:
     return ""
 
 
-FLOWS: Registry[FlowSpec] = Registry(
-    "flow",
+FLOWS: dict[str, FlowSpec] = by_name(
     FlowSpec(
         MOMENTUM,
         "momentum of a constant mass per area",
-        f"{_MAKERS}:constant_density",
         {**_CLOCK, **_NOISE},
         ("friction", "noise", "diffusion"),
         check=_start_expected,
@@ -94,7 +91,6 @@ FLOWS: Registry[FlowSpec] = Registry(
     FlowSpec(
         "flowable-mass",
         "momentum with mass that flows along the surface",
-        f"{_MAKERS}:flowable_mass",
         {**_CLOCK, "gravity": _GRAVITY, **_NOISE},
         ("friction", "noise", "diffusion"),
         # The mass is transported along the surface by cubic interpolation, which needs a wider band.
@@ -104,7 +100,6 @@ FLOWS: Registry[FlowSpec] = Registry(
     FlowSpec(
         "region-mass",
         "momentum of mass on the whole grid",
-        f"{_MAKERS}:region_mass",
         {**_CLOCK, "gravity": _GRAVITY},
         ("friction",),
         # The surface moves with means over a layer to either side of it; mass and momentum are on the grid.
@@ -112,11 +107,10 @@ FLOWS: Registry[FlowSpec] = Registry(
         voxel_bytes=64,
         check=_start_expected,
     ),
-    FlowSpec(DESCENT, "descent, the plain baseline", f"{_MAKERS}:gradient", uses=("diffusion",)),
+    FlowSpec(DESCENT, "descent, the plain baseline", uses=("diffusion",)),
     FlowSpec(
         "sobolev",
         "descent along the smoothed gradient",
-        f"{_MAKERS}:sobolev",
         {
             "length": _LENGTH._replace(
                 help="length over which the force is smoothed, mm; auto is 5 voxels"
@@ -126,7 +120,6 @@ FLOWS: Registry[FlowSpec] = Registry(
     FlowSpec(
         "momentum",
         "descent that adds a fraction of the last step (Andersson et al. 2013)",
-        f"{_MAKERS}:heavy_ball",
         {
             "blend": Number(
                 0.0,
@@ -140,7 +133,6 @@ FLOWS: Registry[FlowSpec] = Registry(
 _AUTO_SPEC = FlowSpec(
     AUTO,
     "momentum or descent, by the noise of the image and the energy; the report says which and why",
-    "",
 )
 
 

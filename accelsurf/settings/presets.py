@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from accelsurf.settings.registry import Registry
+from accelsurf.settings.registry import by_name
 
 
 class Preset(NamedTuple):
@@ -47,4 +47,4 @@ def _built_in() -> Iterator[Preset]:
         yield Preset(name, table["summary"], values, table["reasons"], table["tried"])
 
 
-PRESETS: Registry[Preset] = Registry("preset", *_built_in())
+PRESETS: dict[str, Preset] = by_name(*_built_in())

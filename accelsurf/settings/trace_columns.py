@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from accelsurf.settings.registry import Registry
+from accelsurf.settings.registry import by_name
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,7 @@ class TraceColumn:
 
 
 _ENERGY = "mm3"
-TRACE_COLUMNS: Registry[TraceColumn] = Registry(
-    "trace column",
+TRACE_COLUMNS: dict[str, TraceColumn] = by_name(
     TraceColumn("step", "", "number of the step; the last row is the final state"),
     TraceColumn("level", "", "grid of the step: 0 is the image's own, 1 the next coarser one"),
     TraceColumn("t", "flow time", "time at the beginning of the step"),

@@ -14,15 +14,15 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from accelsurf.settings.corrections import FrameCorrections
 from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, setting
-from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, Function, label_formats
+from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, label_formats
 from accelsurf.settings.mesh_formats import MESH_FORMATS
-from accelsurf.settings.registry import Registry
+from accelsurf.settings.registry import by_name
 from accelsurf.settings.toml import all_split
 
 
 @dataclass(frozen=True)
 class TrackFormat:
-    """A file, or a folder, of tracks.
+    """A file, or a folder, of tracks; `accelsurf.track.output.outputs` writes it.
 
     Attributes
     ----------
@@ -32,10 +32,6 @@ class TrackFormat:
         Description in a few words.
     ending : str
         Of its name, after the name of the sequence.
-    write : str or callable
-        Of an `accelsurf.track.output.frames.TrackSet` and a Path, writes it.
-    check : str or callable, optional
-        Of the grid, refuses one that this format cannot hold, before anything is computed.
     mark : str
         A file in it, where it is a folder: by this it is known as one that may be replaced. Empty: it is a file.
     """
@@ -43,49 +39,38 @@ class TrackFormat:
     name: str
     help: str
     ending: str
-    write: Function
-    check: Function | None = None
     mark: str = ""
 
 
-TRACK_FORMATS: Registry[TrackFormat] = Registry(
-    "format of tracks",
+TRACK_FORMATS: dict[str, TrackFormat] = by_name(
     TrackFormat(
         "ctc",
         "folder of the Cell Tracking Challenge: res_track.txt and a TIFF for each frame",
         "RES",
-        "accelsurf.track.output.outputs:write_challenge",
         mark="res_track.txt",
     ),
     TrackFormat(
         "geff",
         "folder of the Graph Exchange File Format",
         "tracks.geff",
-        "accelsurf.track.output.geff_file:write_geff",
-        "accelsurf.track.output.geff_file:check_geff",
         mark=".zattrs",
     ),
     TrackFormat(
         "surfaces",
         "folder of surfaces, prediction beside correction, for accelsurf view --tracks",
         "surfaces",
-        "accelsurf.track.output.surfaces:write_surfaces",
         mark="surfaces.json",
     ),
     TrackFormat(
         "mp4",
         "movie of slices, prediction beside correction",
         "movie.mp4",
-        "accelsurf.track.output.slices:write_movie",
-        "accelsurf.track.output.slices:check_mp4",
     ),
-    TrackFormat("gif", "the same as GIF", "movie.gif", "accelsurf.track.output.slices:write_movie"),
+    TrackFormat("gif", "the same as GIF", "movie.gif"),
     TrackFormat(
         "webp",
         "the same as WebP",
         "movie.webp",
-        "accelsurf.track.output.slices:write_movie",
-        "accelsurf.track.output.slices:check_webp",
     ),
 )
 

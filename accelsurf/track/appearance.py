@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import Box, Corner, corner_of, shared, widened
 from accelsurf.image.volume import Volume
-from accelsurf.track.boxed_surface import Floats
 from accelsurf.track.records import SurfacePiece
 
 #: Widths (sigma) of the windows, voxels, and their half width in sigmas.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import part_of
@@ -19,7 +20,6 @@ from accelsurf.kernels import point_sampling
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.track.records import SurfacePiece
 
-Floats = NDArray[np.float64]
 #: Values on a box of a grid, by its first voxel and its shape.
 OnBox = Callable[[Corner, Corner], NDArray[Any]]
 #: Voxels between the band and the edge of its box after the box was laid out, and the fewest before a step.

@@ -18,8 +18,8 @@ from accelsurf.run.result import Result
 from accelsurf.run.setup import EnergyLike, ObjectsLike
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts import starts
-from accelsurf.starts.objects import read as read_objects
+from accelsurf.text.objects import read_objects
+from accelsurf.text.starts import read_starts
 from accelsurf.track.boxed_surface import separate_parts
 from accelsurf.track.frame_run import Measured, measured, measured_start
 from accelsurf.track.records import BAND
@@ -110,11 +110,11 @@ def given_objects(
     Raises
     ------
     UsageError, InputError
-        As of `accelsurf.starts.objects.read`.
+        As of `accelsurf.text.objects.read_objects`.
     """
     given = config.objects if objects is None else objects
     if given is None:
-        parsed = [starts.parse(text) for text in config.start]
+        parsed = read_starts(config.start)
         if len(parsed) != 1 or parsed[0].kind != "label":
             return None
         given = config.start[0].strip().removeprefix("label:")

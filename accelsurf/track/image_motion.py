@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.registration import optical_flow_ilk
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import Box, bounding_box, corner_of, placed_at, shared, widened
 from accelsurf.image.volume import Volume
-from accelsurf.track.boxed_surface import Floats
 from accelsurf.track.records import SurfacePiece
 
 #: Voxels around an object that are matched; sigma of the blur before, voxels.

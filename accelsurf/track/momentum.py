@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet, SurfaceState, Workers, checkpoint_surface, restore_surface
 from accelsurf.track.boxed_surface import (
     BoxedSurface,
-    Floats,
     Halving,
     boxed_piece,
     boxed_surface,

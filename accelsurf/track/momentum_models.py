@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.flows import FlowableMass, StepInput, StepLimits
+from accelsurf.grid.arrays import Floats
 from accelsurf.levelset import Motion, Workers
-from accelsurf.track.boxed_surface import BoxedSurface, Floats, sample_fields, transferred
+from accelsurf.track.boxed_surface import BoxedSurface, sample_fields, transferred
 from accelsurf.track.image_motion import ImageMotion
 from accelsurf.track.momentum import Gains, SurfaceMomentum
 from accelsurf.track.observer import Displacement, in_frame, missing_velocity, smoothed_by

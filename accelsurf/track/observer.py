@@ -16,9 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.kernels import point_sampling
-from accelsurf.track.boxed_surface import BoxedSurface, Floats, boxed_piece, boxed_surface
+from accelsurf.track.boxed_surface import BoxedSurface, boxed_piece, boxed_surface
 from accelsurf.track.records import SurfacePiece
 
 #: Damping of a round of the fit, in parts of a surface that looks all ways: along a plane no shift is determined.

@@ -14,7 +14,7 @@ import numpy as np
 
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
-from accelsurf.starts import starts
+from accelsurf.text.starts import psi_of_starts, read_starts
 from benchmarks.peers.measure import Trial, best, ranked, search, timed
 from benchmarks.peers.programs import PEERS, Peer
 
@@ -61,7 +61,7 @@ def compare_peers(
     image: Volume, truth: np.ndarray, texts: tuple[str, ...], window: Window, seconds: float
 ) -> dict[str, Any]:
     """The best of each program, ``seconds`` of search each, with all that was tried."""
-    start = starts.build(texts, image)
+    start = psi_of_starts(read_starts(texts), image)
     where = np.argwhere(truth | (start < 0))
     low, high = where.min(axis=0) - MARGIN, where.max(axis=0) + MARGIN + 1
     box = tuple(slice(max(int(a), 0), int(b)) for a, b in zip(low, high, strict=True))

@@ -19,6 +19,8 @@ import accelsurf
 from accelsurf.cli import EXIT_CODES
 from accelsurf.grid.geometry import MAX_ORIGIN, SPACING_RANGE
 from accelsurf.image.check import MAX_VALUE, MIN_RANGE
+from accelsurf.io.format_functions import functions_of
+from accelsurf.io.meshes import MESH_READERS
 from accelsurf.run.arguments import GIVEN_KINDS
 from accelsurf.settings.budgets import BUDGETS
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of
@@ -370,15 +372,15 @@ def _values(form: ImageFormat) -> str:
 
 
 def _channels(form: ImageFormat) -> str:
-    return "one" if form.read_channels is None else "one or more"
+    return "one" if functions_of(form).read_channels is None else "one or more"
 
 
 def _boxes(form: ImageFormat) -> str:
     return (
         "no"
-        if form.open is None
+        if functions_of(form).open is None
         else "yes"
-        if form.store is None
+        if functions_of(form).store is None
         else "yes; label maps also written so"
     )
 
@@ -386,10 +388,10 @@ def _boxes(form: ImageFormat) -> str:
 def _uses(form: MeshFormat) -> list[str]:
     shapes: tuple[Shape, ...] = ("surface", "contour")
     words = [
-        ("written by auto" if shape in form.auto else "yes") if form.writer(shape) else "no"
+        ("written by auto" if shape in form.auto else "yes") if shape in form.shapes else "no"
         for shape in shapes
     ]
-    return [*words, "yes" if form.read else "no"]
+    return [*words, "yes" if form.suffix in MESH_READERS else "no"]
 
 
 def _trace() -> str:

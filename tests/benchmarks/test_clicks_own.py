@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from accelsurf.clicks.reading import read_clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.text.clicks import read_clicks
 from benchmarks.clicks import methods, own
 from benchmarks.clicks.games import Hints
 from benchmarks.clicks.person import PersonClick, ball_voxels, drawn_box, next_click

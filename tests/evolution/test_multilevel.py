@@ -20,7 +20,7 @@ from accelsurf.measure.metrics import dice
 from accelsurf.phantoms.recipes import make, recipe_from
 from accelsurf.run.energy import make_energy
 from accelsurf.run.setup import half_width, make_flow
-from accelsurf.starts import starts
+from accelsurf.text.starts import psi_of_starts, read_starts
 
 NOISY = {
     "kind": "cube",
@@ -164,7 +164,9 @@ def test_the_same_bytes_for_any_number_of_threads(cube):
 def test_one_level_is_the_plain_evolution(cube):
     result = segment(cube.image, levels=1, max_steps=30, flow="constant-density", **START)
     config, image = result.config, result.image
-    surface = LevelSet(starts.build(config.start, cube.image), (1.0, 1.0, 1.0), half_width(config))
+    surface = LevelSet(
+        psi_of_starts(read_starts(config.start), cube.image), (1.0, 1.0, 1.0), half_width(config)
+    )
     plain = Evolution(
         surface,
         make_energy(config, image, (1.0, 1.0, 1.0)).energy,

@@ -12,7 +12,6 @@ import numpy as np
 from accelsurf import io
 from accelsurf.cli.options import run_config
 from accelsurf.cli.segment import Settings
-from accelsurf.clicks.point_files import read_points
 from accelsurf.errors import AccelsurfError
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, meshes
@@ -20,7 +19,9 @@ from accelsurf.io.states import from_bytes
 from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts import objects, starts
+from accelsurf.text.objects import read_objects
+from accelsurf.text.point_files import read_points
+from accelsurf.text.starts import psi_of_starts, read_starts
 from tests.fuzz import independent, judges
 from tests.fuzz.inputs import DATA_FILE, VALUES, Input, Wrong
 
@@ -147,7 +148,7 @@ def _energy(given: Input, path: Path) -> None:
 
 
 def _start(given: Input, path: Path) -> None:
-    psi = starts.build([_text(given)], _volume())
+    psi = psi_of_starts(read_starts([_text(given)]), _volume())
     if not np.isfinite(psi).all():
         raise Wrong("psi is not finite")
 
@@ -176,7 +177,7 @@ def _argv(given: Input, path: Path) -> None:
 
 
 def _table(given: Input, path: Path) -> None:
-    for start in objects.read(str(path), _volume().geometry, 2):
+    for start in read_objects(str(path), _volume().geometry, 2):
         if not np.isfinite(start.psi).all():
             raise Wrong(f"psi of object {start.id} is not finite")
 

@@ -8,9 +8,9 @@ import pytest
 
 import accelsurf
 from accelsurf import cli
-from accelsurf.clicks.reading import read_clicks
 from accelsurf.serve.session import ImageSession
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.text.clicks import read_clicks
 from accelsurf.viewer.actions.opening import Opening, ViewerSettings
 from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.recent_files import RecentFiles

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import accelsurf
-from accelsurf.clicks.voxel_lists import click_of_voxels_text, voxels_text
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.interact import interaction
 from accelsurf.settings import budgets
+from accelsurf.text.voxel_lists import click_of_voxels_text, voxels_text
 
 SHAPE, MIDDLES, RADIUS = (24, 40, 28), ((12, 11, 14), (12, 27, 14)), 8.0
 

@@ -76,14 +76,15 @@ def bombs(folder):
     import numpy as np
 
     from accelsurf import io, segment, segment_objects
-    from accelsurf.clicks.reading import read_clicks
     from accelsurf.image.volume import Volume
     from accelsurf.io import meshes
     from accelsurf.io.formats import png, tiff_file
     from accelsurf.io.states import from_bytes
     from accelsurf.settings.energy_expression import EnergyText
     from accelsurf.settings.run_config import RunConfig
-    from accelsurf.starts import objects, starts
+    from accelsurf.text.clicks import read_clicks
+    from accelsurf.text.objects import read_objects
+    from accelsurf.text.starts import parse_start
     from accelsurf.viewer.movie_file import run_of_folder
 
     small = Volume.from_array(np.arange(120, dtype=np.int16).reshape(4, 5, 6))
@@ -185,7 +186,7 @@ def bombs(folder):
         rows = "".join("1,0,0,0,100\n" for _ in range(100_000))
         made("a.csv", f"id,x,y,z,r\n{rows}".encode())
         image = Volume.from_array(np.zeros((64, 64, 64), np.float32))
-        return objects.read(str(folder / "a.csv"), image.geometry, 2)
+        return read_objects(str(folder / "a.csv"), image.geometry, 2)
 
     noise = np.random.default_rng(0).integers(0, 256, (48, 48, 48)).astype(np.uint8)
     wide = Volume.from_array(np.zeros((80, 90, 100), np.uint8))
@@ -199,7 +200,7 @@ def bombs(folder):
         "OME text": lambda: described("<OME <Pixels " + "a" * 2_000_000 + ">"),
         "energy of digits": lambda: EnergyText("1" * 100_000 + "x*chan-vese"),
         "energy of blanks": lambda: RunConfig(energy="chan-vese" + " " * 100_000 + "x"),
-        "start of digits": lambda: starts.parse("label:a@" + "1" * 10_000),
+        "start of digits": lambda: parse_start("label:a@" + "1" * 10_000),
         "deep TOML": lambda: (
             made("a.toml", b"energy = " + b"[" * 200_000),
             RunConfig.from_toml(toml),
@@ -212,7 +213,7 @@ def bombs(folder):
         "image as objects": lambda: segment_objects(noise.astype(np.float32), noise),
         "large triangles": triangles,
         "packed checkpoint": checkpoint,
-        "large table": lambda: objects.read(
+        "large table": lambda: read_objects(
             str(made("b.csv", b"id,x,y,z,r\n" + b"1,1,1,1,1\n" * 500_000)), small.geometry, 2
         ),
         "many terms": lambda: segment(noise, energy=" + ".join(["local-region"] * 500)),

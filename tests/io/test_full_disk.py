@@ -2,6 +2,7 @@
 
 import os
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from accelsurf import io
 from accelsurf.errors import OutputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.io.format_functions import FORMAT_FUNCTIONS
 from accelsurf.measure.surface_mesh import Surface
 
 resource = pytest.importorskip("resource")
@@ -75,26 +77,17 @@ def test_a_mesh_that_was_cut_short_does_not_replace_the_old_one(suffix, tmp_path
 
 
 def test_a_draft_that_differs_is_refused_without_an_error_of_the_system(tmp_path, monkeypatch):
-    from accelsurf.io import images
-
     path = tmp_path / "labels.nii"
     new = volume(".nii")
-    real = images.load
+    real = FORMAT_FUNCTIONS["nii"]()
 
-    def load(function):
-        done = real(function)
-        if not str(function).endswith("nifti_volumes:write_nifti"):
-            return done
+    def write(volume, draft):
+        real.write(volume, draft)
+        with draft.open("r+b") as file:
+            file.seek(400)
+            file.write(b"?" if volume.array.ravel()[48] != ord("?") else b"!")
 
-        def write(volume, draft):
-            done(volume, draft)
-            with draft.open("r+b") as file:
-                file.seek(400)
-                file.write(b"?" if volume.array.ravel()[48] != ord("?") else b"!")
-
-        return write
-
-    monkeypatch.setattr(images, "load", load)
+    monkeypatch.setitem(FORMAT_FUNCTIONS, "nii", lambda: replace(real, write=write))
     with pytest.raises(OutputError, match="other voxels are read than were written"):
         io.write(new, path)
     assert list(tmp_path.iterdir()) == []

@@ -283,12 +283,12 @@ def states(made, array):
 
 def tables(made, small):
     """Tables and texts with huge numbers."""
-    from accelsurf.clicks import tables as object_clicks
-    from accelsurf.clicks.reading import read_clicks
     from accelsurf.io import label_tables
     from accelsurf.settings.labels import parse_ids
     from accelsurf.settings.run_config import RunConfig
-    from accelsurf.starts import objects
+    from accelsurf.text.clicks import read_clicks
+    from accelsurf.text.object_clicks import read_object_clicks
+    from accelsurf.text.objects import read_objects
 
     for size in [*SIZES, 10**30, 10**400]:
         for place in range(5):
@@ -297,13 +297,13 @@ def tables(made, small):
             yield (
                 "tables",
                 f"balls {place} {size}",
-                lambda path=balls: objects.read(str(path), small.geometry, 2),
+                lambda path=balls: read_objects(str(path), small.geometry, 2),
             )
             sides = made(".csv", f"id,x,y,z,r,side\n{row},inside\n".encode())
             yield (
                 "tables",
                 f"sides {place} {size}",
-                lambda path=sides: object_clicks.read(str(path), small.geometry),
+                lambda path=sides: read_object_clicks(str(path), small.geometry),
             )
             points = ",".join(["1,1,1,1", row.partition(",")[2]][place > 0].split(","))
             stroke = made(".csv", f"x,y,z,r\n{points}\n".encode())

@@ -3,6 +3,7 @@ import os
 import re
 import struct
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io import images
+from accelsurf.io.format_functions import FORMAT_FUNCTIONS
 from accelsurf.io.formats import raw_header
 from accelsurf.io.formats.deflate import gzip_writer
 from accelsurf.settings.file_formats import image_format
@@ -376,8 +377,8 @@ def test_writing_into_a_locked_folder(tmp_path):
     ("where", "failure", "raised"),
     [
         ("os.replace", OSError(28, "No space left on device"), OutputError),
-        ("load", RuntimeError("many lines\nITK ERROR: NiftiImageIO(0x5): disk full"), OutputError),
-        ("load", KeyboardInterrupt(), KeyboardInterrupt),
+        ("write", RuntimeError("many lines\nITK ERROR: NiftiImageIO(0x5): disk full"), OutputError),
+        ("write", KeyboardInterrupt(), KeyboardInterrupt),
     ],
 )
 def test_nothing_half_written_stays(tmp_path, monkeypatch, suffix, where, failure, raised):
@@ -388,9 +389,12 @@ def test_nothing_half_written_stays(tmp_path, monkeypatch, suffix, where, failur
     def fail(*args):
         raise failure
 
-    monkeypatch.setattr(
-        images.os if where == "os.replace" else images, where.removeprefix("os."), fail
-    )
+    if where == "os.replace":
+        monkeypatch.setattr(os, "replace", fail)
+    else:
+        name = image_format(suffix).name
+        failing = replace(FORMAT_FUNCTIONS[name](), write=fail)
+        monkeypatch.setitem(FORMAT_FUNCTIONS, name, lambda: failing)
     with pytest.raises(raised) as caught:
         io.write(make(seed=2), path)
     if raised is OutputError:

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 from accelsurf.io import meshes
+from accelsurf.io.meshes import MESH_READERS
 from accelsurf.measure.surface_mesh import Surface
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.mesh_formats import MESH_FORMATS, mesh_formats
@@ -23,7 +24,7 @@ TETRAHEDRON = Surface(
 
 @pytest.mark.sampled
 @pytest.mark.parametrize(
-    "kind", [name for name in mesh_formats("surface") if MESH_FORMATS[name].read]
+    "kind", [name for name in mesh_formats("surface") if MESH_FORMATS[name].suffix in MESH_READERS]
 )
 @pytest.mark.parametrize("label", [None, LIVER])
 def test_a_surface_is_read_back_in_place(

@@ -9,13 +9,13 @@ from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.io import meshes
 from accelsurf.io.formats import surface_files
+from accelsurf.io.meshes import MESH_READERS
 from accelsurf.measure.surface_mesh import Surface
-from accelsurf.settings.mesh_formats import MESH_FORMATS
 
 CORNERS = np.array([[10.0, 20, 30], [11, 20, 30], [10, 22, 30], [10, 20, 33]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
 TURNED = CORNERS * (-1.0, -1.0, 1.0)
-SUFFIXES = [form.suffix for form in MESH_FORMATS.values() if form.read]
+SUFFIXES = list(MESH_READERS)
 RAS = [
     "SPACE=RAS",
     "space=ras",

@@ -11,11 +11,11 @@ import pyvista
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io import meshes
+from accelsurf.io.meshes import MESH_READERS
 from accelsurf.measure.surface_mesh import extract
-from accelsurf.settings.mesh_formats import MESH_FORMATS
 
 #: Of meshes that can be read.
-SUFFIXES = [form.suffix for form in MESH_FORMATS.values() if form.read]
+SUFFIXES = list(MESH_READERS)
 GRID = Geometry((14, 15, 16), (1.0, 0.9, 0.8), (-3.0, 4.0, 5.0))
 CENTRE, RADIUS = GRID.index_to_world((6.6, 7.2, 8.1)), 4.5
 

@@ -15,7 +15,7 @@ from accelsurf.io import channels
 from accelsurf.output import document
 from accelsurf.output import folder as output_folder
 from accelsurf.output.pictures import canvas
-from accelsurf.starts import starts
+from accelsurf.text.starts import parse_start
 
 VALUES = np.arange(120, dtype=np.int16).reshape(4, 5, 6)
 BAD = os.fsdecode(b"scan\xff\xfe")
@@ -98,7 +98,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
     ],
 )
 def test_file_names_with_an_at_or_a_colon(text, file, ids):
-    start = starts.parse(text)
+    start = parse_start(text)
     assert (start.file, start.ids) == (file, ids)
 
 

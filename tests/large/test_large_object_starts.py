@@ -13,7 +13,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.io import LazyVolume
 from accelsurf.large import object_starts
 from accelsurf.large.object_starts import LabelMap
-from accelsurf.starts import objects
+from accelsurf.text.objects import read_objects
 
 SHAPE, MARGIN = (20, 17, 15), 2
 GEOMETRY = Geometry(SHAPE, (1.5, 1.0, 0.8), (4.0, -3.0, 2.0))
@@ -48,7 +48,7 @@ def assert_as_read(starts, want):
 
 
 def test_a_map_in_slabs(labels):
-    want = objects.read(labels, GEOMETRY, MARGIN)
+    want = read_objects(labels, GEOMETRY, MARGIN)
     found = LabelMap("map", LazyVolume.of_array(labels), GEOMETRY, MARGIN)
     assert_as_read(found, want)
     assert_as_read(found.only([1, 3]), [want[1], want[3]])
@@ -58,7 +58,7 @@ def test_some_ids_of_a_file_also_in_another_process(labels, tmp_path):
     io.write_labels(labels, tmp_path / "map.nii")
     name = f"{tmp_path / 'map.nii'}@3,6-80000"
     found = object_starts.opened(name, GEOMETRY, MARGIN)
-    want = objects.read(name, GEOMETRY, MARGIN)
+    want = read_objects(name, GEOMETRY, MARGIN)
     assert_as_read(found, want)
     assert_as_read(pickle.loads(pickle.dumps(found.only([0, 2]))), [want[0], want[2]])
 
@@ -67,7 +67,7 @@ def test_a_table(tmp_path):
     file = tmp_path / "balls.csv"
     file.write_text("id,x_vox,y_vox,z_vox,r_vox\n9,4,4,4,3\n2,8,4,4,3\n9,3,12,15,2\n4,11,12,14,2\n")
     found = object_starts.opened(str(file), GEOMETRY, MARGIN)
-    want = objects.read(str(file), GEOMETRY, MARGIN)
+    want = read_objects(str(file), GEOMETRY, MARGIN)
     assert_as_read(found, want)
     assert_as_read(pickle.loads(pickle.dumps(found.only([0, 2]))), [want[0], want[2]])
 

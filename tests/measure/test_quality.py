@@ -18,7 +18,7 @@ from accelsurf.measure.likely import Plateau, click_features, features
 from accelsurf.measure.metrics import dice
 from accelsurf.measure.quality import ValueRange, assess
 from accelsurf.output.document import describe_quality, to_json
-from accelsurf.starts import starts
+from accelsurf.text.starts import psi_of_starts, read_starts
 from tests.support.records import step_record
 
 SHAPE, SPACING = (40, 44, 48), (1.5, 1.0, 0.8)
@@ -414,7 +414,7 @@ def test_learned_values_are_those_of_the_image_that_is_evolved():
         term = segment(scan, presmooth=sigma, **words).terms[0]
         volume = Volume(scan.astype(np.float32), Geometry(SHAPE, SPACING))
         evolved = gaussian_mm(volume.array, SPACING, sigma) if sigma else volume.array
-        ball = evolved[starts.build((words["start"],), volume, volume.array) < 0]
+        ball = evolved[psi_of_starts(read_starts([words["start"]]), volume, volume.array) < 0]
         deviation = 1.4826 * np.median(np.abs(ball - np.median(ball)))
         assert term["HI"] - term["LO"] == pytest.approx(5 * deviation, rel=1e-3)
         assert 0.5 * (term["HI"] + term["LO"]) == pytest.approx(100, abs=1)

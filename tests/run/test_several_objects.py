@@ -18,7 +18,7 @@ from accelsurf.measure.metrics import dice
 from accelsurf.phantoms import recipes
 from accelsurf.run.ensemble import overall_stop
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts import objects
+from accelsurf.text.objects import read_objects
 
 ISOTROPIC = (1.0, 1.0, 1.0)
 
@@ -317,7 +317,7 @@ def test_tables_and_label_maps_say_the_same(tmp_path):
     )
     io.write_labels(Volume(starts, geometry), tmp_path / "starts.nii.gz")
     found = {
-        name: objects.read(str(tmp_path / name), geometry, 2)
+        name: read_objects(str(tmp_path / name), geometry, 2)
         for name in ("mm.csv", "vox.csv", "starts.nii.gz")
     }
     for read in found.values():
@@ -328,13 +328,13 @@ def test_tables_and_label_maps_say_the_same(tmp_path):
                 tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True))
             ] = one.psi < 0
             assert np.array_equal(labels, starts == one.id)
-    only = objects.read(f"{tmp_path / 'starts.nii.gz'}@6-9", geometry, 2)
+    only = read_objects(f"{tmp_path / 'starts.nii.gz'}@6-9", geometry, 2)
     assert [one.id for one in only] == [9]
 
 
 def test_balls_that_overlap_part_in_the_middle_and_a_tie_goes_to_the_lowest_id(tmp_path):
     (tmp_path / "s.csv").write_text("id,x,y,z,r\n8,12,8,8,5\n3,8,8,8,5\n")
-    low, high = objects.read(str(tmp_path / "s.csv"), Geometry((17, 17, 21), ISOTROPIC), 2)
+    low, high = read_objects(str(tmp_path / "s.csv"), Geometry((17, 17, 21), ISOTROPIC), 2)
     x = [np.argwhere(one.psi < 0)[:, 2] + one.corner[2] for one in (low, high)]
     assert (low.id, x[0].max(), x[1].min()) == (3, 10, 11)
 
@@ -362,22 +362,22 @@ GRID = Geometry((10, 12, 14), ISOTROPIC)
 def test_bad_tables_are_told(text, told, tmp_path):
     (tmp_path / "s.csv").write_text(text)
     with pytest.raises(InputError, match=told):
-        objects.read(str(tmp_path / "s.csv"), GRID, 2)
+        read_objects(str(tmp_path / "s.csv"), GRID, 2)
 
 
 def test_bad_label_maps_are_told(tmp_path):
     with pytest.raises(InputError, match="no voxel has a label above 0"):
-        objects.read(np.zeros(GRID.shape, int), GRID, 2)
+        read_objects(np.zeros(GRID.shape, int), GRID, 2)
     with pytest.raises(GeometryError, match="shape"):
-        objects.read(np.ones((3, 3, 3), int), GRID, 2)
+        read_objects(np.ones((3, 3, 3), int), GRID, 2)
     with pytest.raises(InputError, match="must be whole numbers"):
-        objects.read(np.full(GRID.shape, 0.5), GRID, 2)
+        read_objects(np.full(GRID.shape, 0.5), GRID, 2)
     with pytest.raises(GeometryError, match="on another grid"):
-        objects.read(
+        read_objects(
             Volume(np.ones(GRID.shape, int), Geometry(GRID.shape, (1.0, 1.0, 2.0))), GRID, 2
         )
     with pytest.raises(InputError, match="cannot be read|does not exist"):
-        objects.read(str(tmp_path / "absent.csv"), GRID, 2)
+        read_objects(str(tmp_path / "absent.csv"), GRID, 2)
 
 
 def test_settings_that_do_not_go_together():

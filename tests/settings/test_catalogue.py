@@ -1,18 +1,22 @@
 """What is said about settings, terms and flows agrees with itself."""
 
-import dataclasses
-
 import pytest
 
+from accelsurf.io.format_functions import FORMAT_FUNCTIONS, functions_of
+from accelsurf.measure.contours import CONTOUR_WRITERS
+from accelsurf.measure.surface_mesh import SURFACE_WRITERS
+from accelsurf.output.label_files import LABEL_WRITERS
+from accelsurf.run.makers import FLOW_MAKERS, TERM_MAKERS
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of, is_switch
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import entry_of
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.flow_specs import FLOWS
-from accelsurf.settings.mesh_formats import MESH_FORMATS
-from accelsurf.settings.registry import Registry, load
+from accelsurf.settings.mesh_formats import LABEL_OUTPUTS, mesh_formats
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_fields import TRACK_FORMATS
+from accelsurf.track.output.outputs import TRACK_WRITERS
 
 SETTINGS = list(SettingFields.model_fields)
 
@@ -37,8 +41,8 @@ def test_no_flow_or_term_uses_a_setting_that_there_is_not():
 
 
 @pytest.mark.parametrize("spec", [*TERMS.values(), *FLOWS.values()], ids=lambda spec: spec.name)
-def test_every_maker_is_there(spec):
-    assert callable(load(spec.make)) and len(spec.help) > 10
+def test_every_term_and_flow_is_explained(spec):
+    assert len(spec.help) > 10
 
 
 @pytest.mark.parametrize("spec", list(TERMS.values()), ids=lambda spec: spec.name)
@@ -73,22 +77,23 @@ def test_a_field_without_an_entry_is_refused():
         entry_of(FieldInfo(default=1))
 
 
-def test_a_registration_can_be_removed_twice():
-    registry = Registry("flow", *FLOWS.values())
-    first = next(iter(FLOWS.values()))
-    with pytest.raises(ValueError, match="a flow constant-density already"):
-        registry.register(first)
-    handle = Registry("flow").register(first)
-    handle.remove()
-    handle.remove()
+@pytest.mark.parametrize(
+    ("entries", "functions"),
+    [
+        (TERMS, TERM_MAKERS),
+        (FLOWS, FLOW_MAKERS),
+        (IMAGE_FORMATS, FORMAT_FUNCTIONS),
+        (mesh_formats("surface"), SURFACE_WRITERS),
+        (mesh_formats("contour"), CONTOUR_WRITERS),
+        ([name for name, entry in LABEL_OUTPUTS.items() if not entry.needs_dicom], LABEL_WRITERS),
+        (TRACK_FORMATS, TRACK_WRITERS),
+    ],
+    ids=["terms", "flows", "images", "surfaces", "contours", "label files", "tracks"],
+)
+def test_every_entry_has_its_function(entries, functions):
+    assert list(functions) == list(entries)
 
 
-@pytest.mark.parametrize("formats", [IMAGE_FORMATS, MESH_FORMATS], ids=["images", "meshes"])
-def test_functions_that_a_format_names_are_there(formats):
-    for form in formats.values():
-        values = (getattr(form, field.name) for field in dataclasses.fields(form))
-        assert all(
-            load(value)
-            for value in values
-            if isinstance(value, str) and value.startswith("accelsurf.")
-        )
+@pytest.mark.parametrize("form", IMAGE_FORMATS.values(), ids=lambda form: form.name)
+def test_a_format_of_images_is_written_if_its_entry_says_so(form):
+    assert (functions_of(form).write is not None) == form.is_written

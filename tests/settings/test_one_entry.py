@@ -1,5 +1,5 @@
-"""One entry adds a term, a flow, a trace column, a preset or a format of files: registered in this file, each is found
-wherever one can look.
+"""An entry, with its function in the table of its room, adds a term, a flow, a trace column, a preset or a format of
+files: registered in this file, each is found wherever one can look.
 
 Run as a program this file is the command line of accelsurf with the entries: ``python test_one_entry.py segment ...``.
 """
@@ -13,6 +13,7 @@ import subprocess
 import sys
 from contextlib import ExitStack
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -25,7 +26,11 @@ from accelsurf.flows import Gradient
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers, meshes
+from accelsurf.io.format_functions import FORMAT_FUNCTIONS, FormatFunctions
+from accelsurf.io.meshes import MESH_READERS
+from accelsurf.measure.surface_mesh import SURFACE_WRITERS
 from accelsurf.output.folder import check_outputs
+from accelsurf.run.makers import FLOW_MAKERS, TERM_MAKERS, TERM_REACHES
 from accelsurf.run.setup import choose_levels, window_reach
 from accelsurf.settings.catalogue import help_of
 from accelsurf.settings.energy_terms import TERMS, TermSpec, examples
@@ -66,17 +71,14 @@ def make_brighter(inputs):
 TERM = TermSpec(
     "toy",
     "a toy that wants bright voxels",
-    make_brighter,
     {"strength": Number(0.0, 9.0, low_too=False, help="how much it wants them")},
     uses=("balance",),
     example="toy:strength=2",
     keeps_fine_edges=True,
-    reach=lambda settings, largest_spacing: settings.get("strength", 1.0) * largest_spacing,
 )
 FLOW = FlowSpec(
     "toy-flow",
     "a toy that descends",
-    lambda config: Gradient(config.flow.numbers.get("blend", 0.0)),
     {"blend": Number(0.0, 1.0, help="how much it blends")},
     uses=("friction",),
 )
@@ -124,15 +126,12 @@ IMAGE = ImageFormat(
     "toy",
     "a toy that holds bytes",
     (".toy",),
-    parse_toy,
-    read_toy,
-    write_toy,
+    is_written=True,
     types=("uint8",),
     keeps="spacing",
     distances="nrrd",
-    is_anatomical=lambda metadata: metadata.get("toy") == "patient",
 )
-MESH = MeshFormat("toymesh", "a toy that holds triangles", surface=toy_mesh, read=read_toy_mesh)
+MESH = MeshFormat("toymesh", "a toy that holds triangles")
 REGISTERED = (
     (TERMS, TERM),
     (FLOWS, FLOW),
@@ -141,12 +140,23 @@ REGISTERED = (
     (IMAGE_FORMATS, IMAGE),
     (MESH_FORMATS, MESH),
 )
+#: The functions of the entries, each in the table of the room that has them.
+FUNCTIONS = (
+    (TERM_MAKERS, {"toy": make_brighter}),
+    (TERM_REACHES, {"toy": lambda settings, largest: settings.get("strength", 1.0) * largest}),
+    (FLOW_MAKERS, {"toy-flow": lambda config: Gradient(config.flow.numbers.get("blend", 0.0))}),
+    (FORMAT_FUNCTIONS, {"toy": lambda: FormatFunctions(parse_toy, read_toy, write_toy)}),
+    (SURFACE_WRITERS, {"toymesh": toy_mesh}),
+    (MESH_READERS, {".toymesh": read_toy_mesh}),
+)
 
 
 def registered():
     stack = ExitStack()
-    for registry, entry in REGISTERED:
-        stack.enter_context(registry.register(entry))
+    for table, entry in REGISTERED:
+        stack.enter_context(patch.dict(table, {entry.name: entry}))
+    for table, functions in FUNCTIONS:
+        stack.enter_context(patch.dict(table, functions))
     return stack
 
 
@@ -260,7 +270,7 @@ def test_an_image_is_read_and_written(toys, tmp_path):
     assert io.split_name("a/ball.toy") == ("ball", ".toy") and io.image_suffixes()[-1] == ".toy"
     (only,) = channels.read_channels(tmp_path / "ball.toy")
     np.testing.assert_array_equal(only.array, bytes_volume().array)
-    assert headers.is_anatomical({"toy": "patient"}) and not headers.is_anatomical(back.metadata)
+    assert not headers.is_anatomical(back.metadata)
     with pytest.raises(UsageError, match=r"values of type float32 given, a \.toy holds uint8"):
         io.write(volume(), tmp_path / "float.toy")
     (tmp_path / "ball.toy").write_bytes(b"TIY" + bytes(99))
@@ -428,11 +438,6 @@ def test_a_column_that_came_later_is_empty_in_a_record_that_was_made_before():
     with registered():
         rows = [row_values(row) for row in result.history]
     assert [row["toy_cells"] for row in rows] == [None, None, None]
-
-
-def test_a_name_is_taken_once(toys):
-    with pytest.raises(ValueError, match="there is a term toy already"):
-        TERMS.register(TERM)
 
 
 def _panel():

@@ -15,7 +15,7 @@ from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFormat
 from accelsurf.track.output import outputs as track_outputs
 from accelsurf.track.output.document import TrackRun
 from accelsurf.track.output.files import TrackFiles
-from accelsurf.track.output.outputs import TrackOutputs
+from accelsurf.track.output.outputs import TRACK_WRITERS, TrackOutputs
 from accelsurf.track.records import CarriedMesh
 from tests.support.trackings import dividing_cells, flat_cells
 
@@ -224,7 +224,7 @@ def test_report_says_how_objects_fared(folder):
     )
 
 
-def test_files_are_all_new_or_all_old(tmp_path):
+def test_files_are_all_new_or_all_old(tmp_path, monkeypatch):
     written(tmp_path, dividing_cells())
     before = contents(tmp_path)
 
@@ -232,14 +232,12 @@ def test_files_are_all_new_or_all_old(tmp_path):
         path.write_text("half")
         raise OutputError("the disk is full")
 
-    with TRACK_FORMATS.register(TrackFormat("failing", "fails", "failing.txt", fail)):
-        with pytest.raises(OutputError, match="the disk is full"):
-            written(
-                tmp_path,
-                flat_cells(),
-                TrackFiles(per_frame=True, also=("failing",)),
-                overwrite=True,
-            )
+    monkeypatch.setitem(TRACK_FORMATS, "failing", TrackFormat("failing", "fails", "failing.txt"))
+    monkeypatch.setitem(TRACK_WRITERS, "failing", fail)
+    with pytest.raises(OutputError, match="the disk is full"):
+        written(
+            tmp_path, flat_cells(), TrackFiles(per_frame=True, also=("failing",)), overwrite=True
+        )
     assert contents(tmp_path) == before
     assert json.loads((tmp_path / "cells_failed_report.json").read_text())["status"] == "failed"
 

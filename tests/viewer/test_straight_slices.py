@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from accelsurf.clicks.reading import read_clicks
 from accelsurf.image.grey_window import GreyWindow
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import DICOM_KEY
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.text.clicks import read_clicks
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.size_drag import SizeDrag

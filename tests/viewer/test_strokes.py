@@ -5,9 +5,9 @@ import pytest
 
 from accelsurf import io
 from accelsurf.api.segment import segment
-from accelsurf.clicks.reading import read_clicks
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.text.clicks import read_clicks
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE

@@ -14,7 +14,8 @@ from skimage.morphology import reconstruction
 
 from accelsurf.clicks.model.features import CUT, SMOOTHING, at_bins, likelihood_ratio
 from accelsurf.clicks.model.fronts import MIN_RANGE, MIN_VOXELS, robust
-from accelsurf.clicks.model.windows import Floats, Mask, Window
+from accelsurf.clicks.model.windows import Window
+from accelsurf.grid.arrays import Mask, Singles
 from accelsurf.grid.boxes import (
     Box,
     bounding_box,
@@ -79,11 +80,11 @@ class Levels:
         Of each block the largest probability at which it is connected to the click.
     """
 
-    def __init__(self, probability: Floats, window: Window) -> None:
+    def __init__(self, probability: Singles, window: Window) -> None:
         self.window = window
         top = np.where(window.mine, np.float32(1.0), probability)
         start = np.where(window.mine, top, np.float32(0.0))
-        self.blocks: Floats = reconstruction(start, top, "dilation").astype(np.float32)
+        self.blocks: Singles = reconstruction(start, top, "dilation").astype(np.float32)
         self._sorted = np.sort(self.blocks.ravel())[::-1]
 
     def volume(self, level: float) -> float:
@@ -126,7 +127,7 @@ class Alike(NamedTuple):
     """Box of the images at hand, score on it, below 0 where voxels are alike, and mask of those that are connected."""
 
     box: Box
-    score: Floats
+    score: Singles
     inside: Mask
 
 
@@ -169,7 +170,7 @@ def grown(window: Window, box: Box, inside: Mask) -> Alike:
         margin = [2 * n for n in margin]
 
 
-def _learned(window: Window, box: Box, inside: Mask) -> tuple[float, float, Floats]:
+def _learned(window: Window, box: Box, inside: Mask) -> tuple[float, float, Singles]:
     """Median and spread of the values in an answer, and the ratio of densities at bins of values in spreads."""
     scene, step = window.scene, window.scene.step
     deep = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=scene.spacing)[
@@ -190,12 +191,12 @@ def _learned(window: Window, box: Box, inside: Mask) -> tuple[float, float, Floa
     return median, spread, likelihood_ratio(z[core], z[beyond])
 
 
-def _smoothed(window: Window, box: Box) -> Floats:
+def _smoothed(window: Window, box: Box) -> Singles:
     """The image on a box, smoothed as if there were no box."""
     scene = window.scene
     sigma = [SMOOTHING * scene.step / h for h in scene.spacing]
 
-    def smooth(part: Box) -> Floats:
+    def smooth(part: Box) -> Singles:
         if scene.part is not None:
             scene.part.check_box(part)
         return np.asarray(
@@ -205,7 +206,7 @@ def _smoothed(window: Window, box: Box) -> Floats:
     return with_halo(smooth, box, scene.shape, [int(REACH * s + 0.5) for s in sigma])
 
 
-def _ratio_on(window: Window, box: Box, median: float, spread: float, ratio: Floats) -> Floats:
+def _ratio_on(window: Window, box: Box, median: float, spread: float, ratio: Singles) -> Singles:
     z = np.clip((_smoothed(window, box) - np.float32(median)) / np.float32(spread), -CUT, CUT)
     return at_bins(z, ratio).astype(np.float32)
 

@@ -17,7 +17,7 @@ from scipy import ndimage
 from accelsurf.clicks.kernels.distance import distances_within
 from accelsurf.clicks.model.fronts import MIN_RANGE
 from accelsurf.clicks.model.network import Network
-from accelsurf.clicks.model.windows import Floats, Mask
+from accelsurf.grid.arrays import Mask, Singles
 from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.image.blocks import block_means, on_voxels
 from accelsurf.image.smoothing import gaussian_mm
@@ -40,9 +40,9 @@ MAX_CONTRAST = 30.0
 
 
 def features_near(
-    image: Floats,
+    image: Singles,
     spacing: Sequence[float],
-    field: Floats,
+    field: Singles,
     inside: Mask,
     steps: Sequence[int],
     near: Mask | None = None,
@@ -112,13 +112,13 @@ def features_near(
 
 def at_boundary(
     network: Network,
-    image: Floats,
+    image: Singles,
     spacing: Sequence[float],
-    field: Floats,
+    field: Singles,
     inside: Mask,
     steps: Sequence[int],
     near: Mask | None = None,
-) -> Floats:
+) -> Singles:
     """Return 1 - 2 p of the probability p that a voxel is inside near a boundary with contrast, the field elsewhere.
 
     For the parameters see `features_near`.
@@ -131,5 +131,5 @@ def at_boundary(
     return out
 
 
-def _around(blocks: Floats) -> Floats:
+def _around(blocks: Singles) -> Singles:
     return np.asarray(ndimage.uniform_filter(blocks, AROUND, mode="constant"))

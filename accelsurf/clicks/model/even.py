@@ -13,14 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model.windows import (
-    DEEPER,
-    Floats,
-    Scene,
-    Seed,
-    inscribed_radius,
-    seed_of,
-)
+from accelsurf.clicks.model.windows import DEEPER, Scene, Seed, inscribed_radius, seed_of
+from accelsurf.grid.arrays import Singles
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click
 
@@ -147,7 +141,7 @@ def smaller_clicks(seed: Seed, scene: Scene) -> tuple[Seed, ...]:
     return tuple(_ball(seed.core[0], radius, seed, scene) for radius in radii)
 
 
-def dithered(values: Floats, noise: float) -> Floats:
+def dithered(values: Singles, noise: float) -> Singles:
     """Blocks with noise added, where there is none around the click; the same noise for the same shape."""
     span = float(np.ptp(values))
     if noise >= NO_NOISE * span:

@@ -26,7 +26,8 @@ from accelsurf.clicks.model.fronts import (
     robust,
     times_from,
 )
-from accelsurf.clicks.model.windows import DEEPER, Floats, Mask, Seed, Window
+from accelsurf.clicks.model.windows import DEEPER, Seed, Window
+from accelsurf.grid.arrays import Mask, Singles
 from accelsurf.image.blocks import block_means
 
 Features = dict[str, NDArray[np.floating]]
@@ -74,17 +75,17 @@ class Looks:
         self.gradient = (steepness / self.spread).astype(np.float32)
         self.relative = window.size / window.step
 
-    def arrival(self, seeds: Mask, median: float, spread: float) -> Floats:
+    def arrival(self, seeds: Mask, median: float, spread: float) -> Singles:
         """Arrival times of a front from seeds, slower at edges and where values differ from the median."""
         edge = EDGE * max(self.noise, 1e-6 * spread) / self.window.step
         tissue = Tissue(np.array([median]), np.array([spread]), np.array([edge]), np.array(COST))
         return times_from(seeds, self.values, self.window.size.tolist(), tissue)
 
-    def paths(self, seeds: Mask) -> Floats:
+    def paths(self, seeds: Mask) -> Singles:
         """Geodesic distance from seeds, longer across changes of the values."""
         return np.asarray(shortest_paths(seeds, self.z[None], self.relative, CHANGE))
 
-    def walk(self, outside: Mask) -> Floats:
+    def walk(self, outside: Mask) -> Singles:
         """Random-walker labelling, -1 at the click, 1 at outside blocks."""
         mine = self.window.mine
         out = np.where(mine, -1.0, np.where(outside, 1.0, 0.0))
@@ -209,7 +210,7 @@ def features_of_later(
     return out, side
 
 
-def _sorted(values: Floats) -> NDArray[np.int64]:
+def _sorted(values: Singles) -> NDArray[np.int64]:
     """Flat indices in rising order; equal values in that of their places."""
     return np.argsort(values.ravel(), kind="stable")
 
@@ -219,14 +220,14 @@ def _volume(count: NDArray[np.number], window: Window) -> NDArray[np.floating]:
     return (FLAT if window.scene.is_flat else 1.0) * np.log2(count / window.count_of_ball)
 
 
-def _ranks(order: NDArray[np.int64], shape: Sequence[int]) -> Floats:
+def _ranks(order: NDArray[np.int64], shape: Sequence[int]) -> Singles:
     """Number of blocks up to each one in an order of flat indices."""
     out = np.empty(len(order), np.float32)
     out[order] = np.arange(1, len(order) + 1)
     return out.reshape(shape)
 
 
-def _levels(name: str, times: Floats, order: NDArray[np.int64], looks: Looks) -> Features:
+def _levels(name: str, times: Singles, order: NDArray[np.int64], looks: Looks) -> Features:
     """Slowness of the front where a block arrives, contrast across it, edges along it; volume to the likeliest."""
     first, count = int(np.count_nonzero(looks.window.mine)), len(order)
     sizes = np.unique(
@@ -271,7 +272,7 @@ def _levels(name: str, times: Floats, order: NDArray[np.int64], looks: Looks) ->
     return out
 
 
-def _rays(maps: Sequence[Floats], middle: NDArray[np.float64]) -> list[Floats]:
+def _rays(maps: Sequence[Singles], middle: NDArray[np.float64]) -> list[Singles]:
     """Largest value on the straight line from a place to each block."""
     shape = maps[0].shape
     axes = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in shape), indexing="ij", sparse=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.clicks.kernels.arrival import Medium, Sources, Tissue, march
-from accelsurf.clicks.model.windows import Floats, Mask, Spacing
+from accelsurf.grid.arrays import Mask, Singles, Spacing
 from accelsurf.grid.boxes import widened
 from accelsurf.grid.clicks import Click
 from accelsurf.kernels.grid import Grid
@@ -27,13 +27,13 @@ MIN_RANGE = 1e-3
 
 def times_from(
     seeds: Mask,
-    image: Floats,
+    image: Singles,
     spacing: Sequence[float],
     tissue: Tissue,
     open: Mask | None = None,
-    sooner_than: Floats | None = None,
+    sooner_than: Singles | None = None,
     sources: Sources | None = None,
-) -> Floats:
+) -> Singles:
     """Return arrival times (nz, ny, nx) of a front from ``seeds``; inf where it does not come.
 
     It does not come where nothing is ``open``, nor where its time would not be ``sooner_than``.
@@ -68,7 +68,7 @@ def robust(values: NDArray[np.floating]) -> tuple[float, float]:
     return middle, 1.4826 * float(np.median(np.abs(values - middle)))
 
 
-def gradient(values: Floats, spacing: Sequence[float]) -> NDArray[np.floating]:
+def gradient(values: Singles, spacing: Sequence[float]) -> NDArray[np.floating]:
     """Length of the gradient by central differences, per unit of the spacing."""
     parts = (np.gradient(values, h, axis=i) for i, h in enumerate(spacing) if values.shape[i] > 1)
     return np.asarray(np.sqrt(sum((part**2 for part in parts), np.zeros(values.shape))))
@@ -83,7 +83,7 @@ def enough(mask: Mask) -> Mask:
     )
 
 
-def learned(images: Sequence[Floats], spacing: Spacing, click: Click) -> Tissue:
+def learned(images: Sequence[Singles], spacing: Spacing, click: Click) -> Tissue:
     """The tissue under a click, for fronts."""
     box = widened(click.box, images[0].shape, (3, 3, 3))
     sample, smallest = enough(click.mask_on(box)), min(spacing)

@@ -11,7 +11,8 @@ from scipy import ndimage
 
 from accelsurf.clicks.model.model import AROUND, CLICKED, ClickModel, is_right, with_click
 from accelsurf.clicks.model.network import Network, networks
-from accelsurf.clicks.model.windows import Floats, Mask, Scene, Seed, Spacing, seed_of
+from accelsurf.clicks.model.windows import Scene, Seed, seed_of
+from accelsurf.grid.arrays import Mask, Singles, Spacing
 from accelsurf.grid.boxes import (
     Box,
     bounding_box,
@@ -73,7 +74,7 @@ def model_of_mask(given: GivenMask, shape: tuple[int, int, int], spacing: Spacin
     return ClickModel(Clicks((), shape), box, field, field < 0)
 
 
-def _ramp(inside: Mask, steps: tuple[float, ...], spacing: Spacing) -> Floats:
+def _ramp(inside: Mask, steps: tuple[float, ...], spacing: Spacing) -> Singles:
     """F of a mask."""
     if inside.all():
         return np.full(inside.shape, -1.0, np.float32)

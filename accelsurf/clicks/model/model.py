@@ -32,18 +32,16 @@ from accelsurf.clicks.model.reach import (
 from accelsurf.clicks.model.surface import mean_curvature
 from accelsurf.clicks.model.windows import (
     SCALES,
-    Floats,
-    Mask,
     Scale,
     Scene,
     Seed,
-    Spacing,
     Window,
     radius_of_count,
     seed_of,
     window_around,
 )
 from accelsurf.errors import InputError
+from accelsurf.grid.arrays import Mask, Singles, Spacing
 from accelsurf.grid.boxes import (
     Box,
     bounding_box,
@@ -131,7 +129,7 @@ class ClickModel:
 
     clicks: Clicks
     box: Box
-    field: Floats
+    field: Singles
     inside: Mask
     answers: tuple[Answer, ...] = ()
     spread: float = 0.0
@@ -144,7 +142,7 @@ class ClickModel:
     reach: ClickReach | None = None
     least_overlap: float = 1.0
 
-    def field_on(self, box: Box) -> Floats:
+    def field_on(self, box: Box) -> Singles:
         """F on a box of the grid."""
         return on_box(self.field, self.box, box, 1.0)
 
@@ -233,7 +231,7 @@ class Shown(NamedTuple):
     """An answer to the first click on the blocks of its window: ``field`` (nz, ny, nx) is above 0 in it."""
 
     window: Window
-    field: Floats
+    field: Singles
 
 
 class FirstBlocks(NamedTuple):
@@ -254,7 +252,7 @@ class FirstBlocks(NamedTuple):
     """
 
     window: Window
-    field: Floats
+    field: Singles
     levels: Levels
     answers: tuple[Answer, ...]
     others: Mapping[int, Shown]
@@ -265,7 +263,7 @@ class _Reading(NamedTuple):
     """A click as it was read in the window where its answer ends."""
 
     window: Window
-    probability: Floats
+    probability: Singles
     levels: Levels
     answers: tuple[Answer, ...]
 
@@ -400,7 +398,7 @@ class _Score(NamedTuple):
     """F of a first answer on a box of the images at hand."""
 
     box: Box
-    field: Floats
+    field: Singles
 
 
 def _on_voxels(shown: Shown, click: Click, asked: Mapping[str, Network]) -> _Score:
@@ -435,26 +433,26 @@ def _true_volume(shown: Shown, click: Click, asked: Mapping[str, Network]) -> fl
     return float(np.mean(values > 0)) * float(np.prod(sides)) * voxel
 
 
-def read_first(window: Window, network: Network) -> tuple[Floats, Levels]:
+def read_first(window: Window, network: Network) -> tuple[Singles, Levels]:
     """Probability of each block of a window after its click, and the objects by the level of that."""
     probability = asked_of(features_of_first(window), network, window)
     return probability, Levels(probability, window)
 
 
-def _object(probability: Floats, answer: Answer, window: Window) -> Mask:
+def _object(probability: Singles, answer: Answer, window: Window) -> Mask:
     """Blocks of an answer that has a level."""
     assert answer.level is not None
     return connected_to((probability > answer.level) | window.mine, window.mine)
 
 
 def _fitted(
-    score: Floats,
+    score: Singles,
     box: Box,
     window: Window,
     network: Network,
     click: Click | None,
     near: Mask | None = None,
-) -> Floats:
+) -> Singles:
     """F on a box with its boundary fitted to the image; in one piece with a click, if given."""
     image, spacing = window.image_on(box), window.scene.spacing
     out = at_boundary(network, image, spacing, score, score < 0, window.steps.tolist(), near)
@@ -464,7 +462,7 @@ def _fitted(
     return out
 
 
-def _sized(score: Floats, count: float) -> Floats:
+def _sized(score: Singles, count: float) -> Singles:
     """F, shifted where it gives an object that is too far from a number of voxels; with holes filled."""
     found = int(np.count_nonzero(score < 0))
     wanted = int(np.clip(found, count / ABOUT, count * ABOUT))
@@ -651,7 +649,7 @@ def without_cut_off(model: ClickModel, before: ClickModel) -> ClickModel:
     return replace(model, field=field, inside=field < 0)
 
 
-def asked_of(features: Features, network: Network, window: Window) -> Floats:
+def asked_of(features: Features, network: Network, window: Window) -> Singles:
     """Probability of each block that it is on the side of the window's click; 0 where the object cannot be."""
     out = network.probability(features, window.values.shape)
     if window.closed is not None and window.seed.click.side == "inside":
@@ -699,7 +697,7 @@ def _with_clicks(model: ClickModel, scene: Scene) -> ClickModel:
     return replace(model, box=box, field=field, inside=field < 0)
 
 
-def _signed(probability: Floats, level: float, found: Mask) -> Floats:
+def _signed(probability: Singles, level: float, found: Mask) -> Singles:
     """From -1 where the probability is 0 to 1 where it is 1, 0 at a level; above 0 where something was found alone."""
     above = probability - np.float32(level)
     field = above / np.where(above > 0, np.float32(1.0 - level), np.float32(level))

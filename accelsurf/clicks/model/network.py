@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from accelsurf.clicks.kernels.dense import layer
+from accelsurf.grid.arrays import Singles
 
-Floats = NDArray[np.float32]
 #: Features are cut at this number of standard deviations.
 CUT = 5.0
 #: Windows are filled up to a multiple of this, for blocks of blocks.
@@ -29,8 +29,8 @@ WEIGHTS = "weights.npz"
 class Layer(NamedTuple):
     """Dense layer: ``weights`` (n, m) and ``biases`` (m,), float32."""
 
-    weights: Floats
-    biases: Floats
+    weights: Singles
+    biases: Singles
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +49,14 @@ class Network:
     """
 
     names: tuple[str, ...]
-    middle: Floats
-    spread: Floats
+    middle: Singles
+    spread: Singles
     layers: tuple[Layer, ...]
     around: tuple[Layer, ...] = ()
 
     def probability(
         self, features: Mapping[str, NDArray[np.floating]], shape: tuple[int, ...]
-    ) -> Floats:
+    ) -> Singles:
         """Probability of each block, by features of this shape, or of no dimension where they are the same for all."""
         values = self.standardised(features, shape)
         answer = self.logits(values)
@@ -66,7 +66,7 @@ class Network:
 
     def standardised(
         self, features: Mapping[str, NDArray[np.floating]], shape: tuple[int, ...]
-    ) -> Floats:
+    ) -> Singles:
         """Features (n, *shape) less their means, in their standard deviations, cut; 0 where unknown."""
         out = np.empty((len(self.names), *shape), np.float32)
         for row, name, middle, spread in zip(
@@ -76,7 +76,7 @@ class Network:
             row[...] = standardised(found, middle, spread)
         return out
 
-    def logits(self, values: Floats) -> Floats:
+    def logits(self, values: Singles) -> Singles:
         """Logits of each block alone, of `standardised` features."""
         out = values.reshape(len(values), -1)
         for number, (weights, biases) in enumerate(self.layers):
@@ -89,12 +89,12 @@ class Network:
         return sum(w.size + b.size for w, b in (*self.layers, *self.around))
 
 
-def standardised(values: Floats, middle: Floats, spread: Floats) -> Floats:
+def standardised(values: Singles, middle: Singles, spread: Singles) -> Singles:
     """Values less their means, in their standard deviations, cut; 0 where unknown."""
     return np.clip(np.nan_to_num((values - middle) / spread, nan=0.0), -CUT, CUT).astype(np.float32)
 
 
-def logits_around(layers: Sequence[Layer], features: Floats, answer: Floats) -> Floats:
+def logits_around(layers: Sequence[Layer], features: Singles, answer: Singles) -> Singles:
     """Logits of each block by its surroundings: convolutions at three resolutions.
 
     The first layer works on blocks; then come means of 2x2x2 blocks and of 4x4x4, and the way back, where earlier
@@ -121,12 +121,12 @@ def logits_around(layers: Sequence[Layer], features: Floats, answer: Floats) -> 
     return np.asarray(_single(near, layers[7], False)[0, :z, :y, :x] + answer)
 
 
-def _single(values: Floats, dense: Layer, is_rectified: bool = True) -> Floats:
+def _single(values: Singles, dense: Layer, is_rectified: bool = True) -> Singles:
     out = layer(np.ascontiguousarray(values.reshape(len(values), -1)), *dense, is_rectified)
     return np.asarray(out).reshape(-1, *values.shape[1:])
 
 
-def _cube(values: Floats, dense: Layer) -> Floats:
+def _cube(values: Singles, dense: Layer) -> Singles:
     """A layer on the 3x3x3 neighbours of each block, 0 beyond the window."""
     padded = np.pad(values, [(0, 0), (1, 1), (1, 1), (1, 1)])
     _, nz, ny, nx = values.shape
@@ -139,12 +139,12 @@ def _cube(values: Floats, dense: Layer) -> Floats:
     return _single(np.concatenate(shifted), dense)
 
 
-def _halved(values: Floats) -> Floats:
+def _halved(values: Singles) -> Singles:
     n, nz, ny, nx = values.shape
     return values.reshape(n, nz // 2, 2, ny // 2, 2, nx // 2, 2).mean((2, 4, 6), dtype=np.float32)
 
 
-def _doubled(values: Floats) -> Floats:
+def _doubled(values: Singles) -> Singles:
     return values.repeat(2, 1).repeat(2, 2).repeat(2, 3)
 
 

@@ -20,8 +20,8 @@ from scipy import ndimage
 from accelsurf.clicks.kernels.arrival import Sources, Tissue
 from accelsurf.clicks.model.fronts import learned, times_from
 from accelsurf.clicks.model.model import CLICKED, JUST, ClickModel
-from accelsurf.clicks.model.windows import Floats, Mask, Spacing
 from accelsurf.errors import InputError
+from accelsurf.grid.arrays import Mask, Singles, Spacing
 from accelsurf.grid.boxes import Box, connected_to, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.image.smoothing import gaussian_mm
@@ -66,8 +66,8 @@ class Basins(NamedTuple):
     numbers: dict[int, int]
     labels: NDArray[np.int32]
     boxes: list[Box]
-    first: Floats
-    second: Floats
+    first: Singles
+    second: Singles
     largest: NDArray[np.int32]
 
 
@@ -79,7 +79,7 @@ class BasinsOnce:
         self._seen: tuple[object, ...] = ()
 
     def of(
-        self, images: Sequence[Floats], spacing: Spacing, clicks: Clicks, mask: Mask | None
+        self, images: Sequence[Singles], spacing: Spacing, clicks: Clicks, mask: Mask | None
     ) -> Basins:
         """The basins of clicks as one object sees them; the last ones again where clicks and images are the same."""
         if not all(click.side == "inside" or click.owner is not None for click in clicks.clicks):
@@ -105,7 +105,7 @@ def owner_of(click: Click) -> int:
 
 
 def basins_of(
-    images: Sequence[Floats], spacing: Spacing, clicks: Sequence[Click], mask: Mask | None
+    images: Sequence[Singles], spacing: Spacing, clicks: Sequence[Click], mask: Mask | None
 ) -> Basins:
     """Find the basins of clicks.
 
@@ -154,7 +154,7 @@ def basins_of(
     return _with_shares(numbers, labels, spacing, clicks)
 
 
-def _cost(images: Sequence[Floats], tissue: Tissue) -> Floats:
+def _cost(images: Sequence[Singles], tissue: Tissue) -> Singles:
     """Cost of each voxel: a power of how many spreads it differs by from a tissue, in the channel where most."""
     out = np.zeros(images[0].shape, np.float32)
     for image, median, spread in zip(images, tissue.median, tissue.spread, strict=True):
@@ -203,14 +203,14 @@ def _with_shares(
     return found
 
 
-def _share(found: Basins, number: int, spacing: Spacing) -> Floats:
+def _share(found: Basins, number: int, spacing: Spacing) -> Singles:
     """The share of a number in the surroundings of each voxel of its box."""
     mine = found.labels[found.boxes[number]] == number
     return gaussian_mm(mine.astype(np.float32), spacing, SHARES * min(spacing))
 
 
 def partition_model(
-    images: Sequence[Floats],
+    images: Sequence[Singles],
     spacing: Spacing,
     clicks: Clicks,
     *,

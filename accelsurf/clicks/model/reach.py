@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.grid.arrays import Mask, Spacing
 from accelsurf.grid.boxes import (
     Box,
     bounding_box,
@@ -22,8 +23,6 @@ from accelsurf.grid.boxes import (
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import axis_steps
 
-Mask = NDArray[np.bool_]
-Spacing = tuple[float, float, float]
 #: A click reaches this number of its radii, and of its depths in the error; at least this number of the
 #: smallest spacings, and one of the largest. A person's ball is about half as wide as the error in whose middle it is,
 #: and an error is longer than it is deep. Voxels taken away by mistake were right before, so an outside click

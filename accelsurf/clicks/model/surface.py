@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.clicks.model.windows import Floats, Mask, Spacing
+from accelsurf.grid.arrays import Mask, Singles, Spacing
 from accelsurf.grid.boxes import bounding_box
 from accelsurf.image.blocks import block_means, coarsening
 from accelsurf.image.noise import SECOND_DIFFERENCE
@@ -30,7 +30,7 @@ MAX_OFFSET = 0.2
 
 
 def area_weight(
-    images: Sequence[Floats], spacing: Spacing, inside: Mask, open: Mask | None = None
+    images: Sequence[Singles], spacing: Spacing, inside: Mask, open: Mask | None = None
 ) -> float:
     """Weight of the area (mm) that suits the noise: more, the more noise there is for the contrast of the boundary.
 
@@ -66,7 +66,7 @@ def _widened(mask: Mask) -> Mask:
     return out
 
 
-def _noise_share(image: Floats, inside: Mask, near: Mask) -> float:
+def _noise_share(image: Singles, inside: Mask, near: Mask) -> float:
     """Noise in parts of the contrast near a boundary, at most 1."""
     within, beyond = near & inside, near & ~inside
     if not (within.any() and beyond.any()):

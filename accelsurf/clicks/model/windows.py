@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.grid.arrays import Mask, Singles, Spacing
 from accelsurf.grid.boxes import Box, overlap
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.window import Window as Part
 from accelsurf.image.blocks import block_means, on_voxels
 
-Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Spacing = tuple[float, float, float]
 #: Most blocks of a window; larger blocks are taken above.
 MOST = 42_000
 #: Least depth that the object around a click is taken to have, in the smallest spacings.
@@ -66,7 +64,7 @@ class Scene(NamedTuple):
         Least and largest volume of the object by its first click, mm3, where that is known.
     """
 
-    images: tuple[Floats, ...]
+    images: tuple[Singles, ...]
     spacing: Spacing
     open: Mask | None = None
     part: Part | None = None
@@ -151,7 +149,7 @@ class Window:
     scene: Scene
     box: Box
     steps: NDArray[np.int64]
-    values: Floats
+    values: Singles
     weights: tuple[float, ...]
     mine: Mask
     theirs: Mask
@@ -196,7 +194,7 @@ class Window:
             np.sqrt(np.prod(self.size[1:])) if self.scene.is_flat else np.prod(self.size) ** (1 / 3)
         )
 
-    def image_on(self, box: Box) -> Floats:
+    def image_on(self, box: Box) -> Singles:
         """The combination of the channels on a box of the images."""
         parts = (
             np.float32(w) * image[box]
@@ -204,7 +202,7 @@ class Window:
         )
         return np.asarray(sum(parts)) if len(self.weights) > 1 else self.scene.images[0][box]
 
-    def means(self, values: NDArray[np.generic]) -> Floats:
+    def means(self, values: NDArray[np.generic]) -> Singles:
         """Means of blocks of an array on the images' grid."""
         return block_means(values[self.box].astype(np.float32), self.steps.tolist())
 
@@ -213,7 +211,7 @@ class Window:
         low = np.array([side.start for side in self.box])
         return (seed.core - low - 0.5 * (self.steps - 1)) / self.steps
 
-    def distance_to(self, seed: Seed) -> Floats:
+    def distance_to(self, seed: Seed) -> Singles:
         """Distance (mm) of each block from a click's core."""
         out = np.full(self.values.shape, np.inf)
         for place in self.place_of(seed):
@@ -238,7 +236,7 @@ class Window:
             out |= (found > 0).reshape(out.shape) & (found >= least).reshape(out.shape)
         return out
 
-    def on_voxels(self, field: Floats) -> Floats:
+    def on_voxels(self, field: Singles) -> Singles:
         """Values at the voxels of the box, linear between the middles of blocks."""
         return on_voxels(field, self.steps.tolist(), [side.stop - side.start for side in self.box])
 
@@ -369,7 +367,7 @@ def window_around(scene: Scene, seeds: Sequence[Seed], scale: Scale) -> Window:
     return replace(window, values=values, weights=weights, mine=mine, theirs=theirs)
 
 
-def _weights(channels: Sequence[Floats], mine: Mask) -> tuple[float, ...]:
+def _weights(channels: Sequence[Singles], mine: Mask) -> tuple[float, ...]:
     """Weights of the channels by which a click differs most from its surroundings, in spreads (Fisher, 1936)."""
     values = np.stack([channel.ravel() for channel in channels]).astype(np.float64)
     sample, rest = values[:, mine.ravel()], values[:, ~mine.ravel()]

@@ -19,7 +19,6 @@ from accelsurf.io.dicom import sources
 from accelsurf.io.dicom.sources import (
     HEADER_HINT,
     Elements,
-    Floats,
     PixelBytes,
     damage_of,
     library,
@@ -155,9 +154,9 @@ class Frame:
     frames: int
     rows: int
     columns: int
-    position: Floats | None
-    orientation: Floats | None
-    spacing: Floats | None
+    position: tuple[float, ...] | None
+    orientation: tuple[float, ...] | None
+    spacing: tuple[float, ...] | None
     thickness: float | None
     slope: float
     intercept: float
@@ -326,7 +325,12 @@ def _common(path: Path, dataset: Elements) -> Frame:
 
 
 def _frame(
-    common: Frame, dataset: Elements, number: int, count: int, elapsed: Floats, kind: str = ""
+    common: Frame,
+    dataset: Elements,
+    number: int,
+    count: int,
+    elapsed: tuple[float, ...],
+    kind: str = "",
 ) -> Frame:
     place = _group(dataset, number, "PlanePositionSequence")
     turn = _group(dataset, number, "PlaneOrientationSequence")
@@ -450,7 +454,7 @@ def _phase(path: Path, dataset: Any, number: int, count: int) -> dict[str, str]:
     }
 
 
-def _times(dataset: Elements, number: int, elapsed: Floats) -> dict[str, float]:
+def _times(dataset: Elements, number: int, elapsed: tuple[float, ...]) -> dict[str, float]:
     """Times, s (from the first, since the heart's trigger, in the file, of the day), and numbers that give order."""
     content = _group(dataset, number, "FrameContentSequence")
     trigger = number_of(
@@ -486,7 +490,7 @@ def _elapsed(dataset: Elements) -> tuple[float, ...]:
     )
 
 
-def _time_in_file(dataset: Elements, number: int, elapsed: Floats) -> float | None:
+def _time_in_file(dataset: Elements, number: int, elapsed: tuple[float, ...]) -> float | None:
     """Time of a frame of a loop, seconds from the first."""
     if number < len(elapsed):
         return elapsed[number]
@@ -532,7 +536,7 @@ def order_of(dataset: Any, count: int) -> list[int]:
     return numbers if None in places else sorted(numbers, key=lambda number: places[number] or 0)
 
 
-def place_of(dataset: Any, number: int) -> tuple[Floats, Floats] | None:
+def place_of(dataset: Any, number: int) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
     """Position (3) and directions (6) of a frame; None where the file is of another kind, or does not say them.
 
     The sign of *Spacing Between Slices* says whether slices follow along the normal or against it (PS3.3 C.8.4.15).

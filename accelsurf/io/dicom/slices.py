@@ -12,16 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.sources import HEADER_HINT
 from accelsurf.io.dicom.volumes import DicomVolume, names_of
 from accelsurf.settings.reading import Spacing
 
-Floats = NDArray[np.float64]
 #: No slice may lie farther from its place on the grid, at any of its corners, mm.
 TOLERANCE_MM = 0.01
 #: Of the axes of a slice from unit vectors at a right angle.

@@ -48,7 +48,6 @@ _MARK = b"DICM"
 _MARK_AT = 128
 #: First elements of files that have no mark: groups 0002 and 0008, in either byte order.
 _FIRST_GROUPS = (b"\x02\x00", b"\x08\x00", b"\x00\x08")
-Floats = tuple[float, ...]
 SEGMENTATION = "segmentation"
 WHOLE_SLIDE = "whole-slide image"
 PROJECTION = "projection of a tomograph"
@@ -379,7 +378,7 @@ def text(dataset: Any, name: str) -> str:
     return "" if value is None else " ".join(str(value).split())[:120]
 
 
-def numbers_of(dataset: Any, name: str, count: int) -> Floats | None:
+def numbers_of(dataset: Any, name: str, count: int) -> tuple[float, ...] | None:
     """Read a number of finite numbers; None where the element has others."""
     value = None if dataset is None else dataset.get(name)
     if value is None or value == "":

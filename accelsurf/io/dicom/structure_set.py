@@ -11,10 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from accelsurf.errors import UsageError
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.source_images import SourceImages
@@ -30,8 +28,6 @@ from accelsurf.io.dicom.writing_tools import (
     short_text,
 )
 from accelsurf.settings.labels import LabelEntry
-
-Floats = NDArray[np.float64]
 
 _STRUCTURE_SET = "1.2.840.10008.5.1.4.1.1.481.3"
 _IMPLICIT = "1.2.840.10008.1.2"

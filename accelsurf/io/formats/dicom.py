@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,6 @@ _SERIES_HINT = "give the folder of a CT, MR or PET series"
 __all__ = [
     "DicomHeader",
     "holds_dicom",
-    "is_dicom_anatomical",
     "is_dicom",
     "listing",
     "parse_dicom",
@@ -351,11 +350,6 @@ def read_labels(
         ZERO_BEYOND_KEY: "yes",
     }
     return Volume(labels, header.geometry, with_warnings(metadata, header.note), path)
-
-
-def is_dicom_anatomical(metadata: Mapping[str, str]) -> bool:
-    """True if the axes of the world are a patient's."""
-    return DICOM_KEY in metadata
 
 
 def listing(path: Path) -> list[dict[str, Any]]:

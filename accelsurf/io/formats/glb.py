@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.settings.labels import LabelEntry
 
-Floats = NDArray[np.float64]
 #: From LPS in mm to glTF.
 FROM_LPS = np.array([[1e-3, 0, 0, 0], [0, 0, 1e-3, 0], [0, -1e-3, 0, 0], [0, 0, 0, 1]])
 

@@ -12,7 +12,7 @@ from accelsurf.grid.geometry import MAX_ORIGIN, Geometry
 from accelsurf.io.files import library_named
 from accelsurf.io.formats.deflate import GZIP_START, first_bytes
 from accelsurf.io.formats.raw_header import RawHeader
-from accelsurf.io.headers import with_warnings
+from accelsurf.io.headers import MGH_KEY, with_warnings
 
 _MGH_HEADER = 284
 _MGH_VERSION = b"\0\0\0\1"
@@ -67,7 +67,7 @@ def parse_mgh(path: Path) -> RawHeader:
         stored=np.dtype(_MGH_TYPES[code]).newbyteorder(">"),
         encoding="deflate" if is_packed else "raw",
         skip=_MGH_HEADER,
-        metadata=with_warnings({"mgh": "scanner"}, "" if has_place else _NO_PLACE),
+        metadata=with_warnings({MGH_KEY: "scanner"}, "" if has_place else _NO_PLACE),
     )
 
 
@@ -94,11 +94,6 @@ def _mgh_geometry(head: Any, shape: tuple[int, ...]) -> Geometry:
         tuple(map(float, _TO_LPS @ affine[:3, 3])),  # type: ignore[arg-type]
         steps / spacing,
     )
-
-
-def is_mgh_anatomical(metadata: dict[str, str]) -> bool:
-    """True if the axes of the world are a patient's: FreeSurfer's are."""
-    return "mgh" in metadata
 
 
 def _mgh_header(begin: bytes) -> tuple[Any, bool]:

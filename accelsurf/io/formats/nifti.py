@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.io.channels import MAX_CHANNELS
 from accelsurf.io.formats.deflate import GZIP_START, first_bytes
-from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
+from accelsurf.io.formats.nifti_grid import NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
 from accelsurf.io.headers import (
     FRAME_KEY,
+    NIFTI_KEY,
     TIMES_KEY,
     UNIT_KEY,
     check_data_file,
@@ -302,7 +303,7 @@ def _file_of(
         stored=header.voxel_type,
         encoding=encoding,
         skip=header.data_offset,
-        metadata={METADATA_KEY: header.grid.fields},
+        metadata={NIFTI_KEY: header.grid.fields},
         channels=header.channels,
         time_points=header.time_points,
         seconds=header.seconds,

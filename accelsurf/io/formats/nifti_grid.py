@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from accelsurf.errors import GeometryError
-from accelsurf.grid.geometry import ORTHONORMAL_TOLERANCE, Floats, Geometry, orthonormal_deviation
-
-METADATA_KEY = "nifti_grid"
-"""Where `Volume.metadata` keeps the fields that place the grid (hexadecimal, as `NiftiGrid.fields` gives them)."""
+from accelsurf.grid.arrays import Floats
+from accelsurf.grid.geometry import ORTHONORMAL_TOLERANCE, Geometry, orthonormal_deviation
 
 _MM_PER_UNIT = {
     1: 1000.0,
@@ -217,9 +215,3 @@ def _near(a: Geometry, b: Geometry) -> bool:
     # Half a voxel at the far corner: float32 quaternions near half a turn, and rounded pixdims, are that bad;
     # contradictions that matter are far larger.
     return a.matches(b, 0.5 * min(*a.spacing, *b.spacing))
-
-
-def is_nifti_anatomical(metadata: Mapping[str, str]) -> bool:
-    """Test if a transform code says that the world's axes are a patient's."""
-    # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
-    return any(bytes.fromhex(metadata.get(METADATA_KEY, ""))[17:21])

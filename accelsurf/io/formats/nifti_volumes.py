@@ -27,7 +27,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.io.formats import nifti, nifti_grid
 from accelsurf.io.formats.deflate import gzip_writer
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels, write_box
-from accelsurf.io.headers import LABELS_KEY, FrameTimes
+from accelsurf.io.headers import LABELS_KEY, NIFTI_KEY, FrameTimes
 from accelsurf.settings.labels import LabelTable
 
 #: Voxels along an axis of a NIfTI-1: its sizes are 16-bit numbers.
@@ -81,7 +81,7 @@ def header_of(
         header["pixdim"][4] = times.mean_step
     header["scl_slope"], header["magic"] = 1.0, b"n+2" if second else b"n+1"
     header["vox_offset"] = len(header.binaryblock) + 4 + len(extension)
-    block, fields = bytes(header.binaryblock), metadata.get(nifti_grid.METADATA_KEY)
+    block, fields = bytes(header.binaryblock), metadata.get(NIFTI_KEY)
     if fields is not None and not second:
         placed = nifti_grid.put_grid(block, fields)
         # Metadata may have come from another grid than the volume has now.

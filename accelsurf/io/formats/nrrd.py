@@ -22,7 +22,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.io.files import library_named
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
 from accelsurf.io.formats.text_header import check_units, data_file, header_lines
-from accelsurf.io.headers import TIMES_KEY
+from accelsurf.io.headers import NRRD_KEY, TIMES_KEY
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.wording import seconds_of
@@ -31,8 +31,6 @@ from accelsurf.settings.wording import seconds_of
 _SPACE = ("domain", "space")
 _TIME = ("time",)
 _SAYS_NOTHING = ("", "???", "none", "list")
-NRRD_KEY = "nrrd_space"
-"""Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
 _ITK_NAME = "NrrdImageIO"
 _TYPES = {
     name: np.dtype(code)
@@ -292,11 +290,6 @@ def _seconds(fields: Mapping[str, Any]) -> float | None:
         step, units = fields.get("space directions", [[0.0]])[-1][-1], fields.get("space units", [])
     seconds = float(step) * seconds_of(units[3]) if len(units) == 4 else 0.0
     return seconds if math.isfinite(seconds) and seconds > 0 else None
-
-
-def is_nrrd_anatomical(metadata: Mapping[str, str]) -> bool:
-    """Test if an NRRD names its space by a patient's axes."""
-    return "space: left-" in metadata.get(NRRD_KEY, "")
 
 
 def write_nrrd(volume: Volume, path: Path) -> None:

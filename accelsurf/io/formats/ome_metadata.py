@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from accelsurf.errors import InputError
-from accelsurf.grid.geometry import Floats, Geometry
+from accelsurf.grid.arrays import Floats
+from accelsurf.grid.geometry import Geometry
 from accelsurf.io.formats.zarr_files import STORED_KEY
 from accelsurf.io.headers import (
     FRAME_KEY,
@@ -318,11 +319,6 @@ def _placed(
             "as ngff-zarr writes it; if the image lies elsewhere, correct the translation"
         )
     return direction, with_warnings(metadata | {ORIENTED_KEY: "yes"}, *notes)
-
-
-def is_ome_anatomical(metadata: Mapping[str, str]) -> bool:
-    """Test if the axes of an OME-Zarr have an anatomical orientation."""
-    return ORIENTED_KEY in metadata
 
 
 def word_of(axis: Mapping[str, Any]) -> str:

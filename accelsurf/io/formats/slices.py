@@ -20,6 +20,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming
+from accelsurf.io.format_functions import functions_of
 from accelsurf.io.formats.tiff import TiffImage
 from accelsurf.io.headers import UNIT_KEY, WARNING_KEY, with_given_unit, with_warnings
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StackedVoxels, StoreLayout
@@ -27,7 +28,6 @@ from accelsurf.io.memory import check_memory
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import ImageFormat
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
-from accelsurf.settings.registry import load
 
 _SUFFIXES = (".tif", ".tiff", ".png")
 _LOSSY = (".jpg", ".jpeg")
@@ -233,7 +233,7 @@ def read_slices(path: Path, header: SliceFolder, available: int) -> Volume:
     array: np.ndarray | None = None
     for z, (file, claim) in enumerate(zip(header.files, header.headers, strict=True)):
         with naming(file):
-            found = load(header.form.read)(file, claim, available)
+            found = functions_of(header.form).read(file, claim, available)
             if array is None:
                 array, note = (
                     np.empty(header.geometry.shape, found.array.dtype),
@@ -258,16 +258,15 @@ def open_slices(path: Path, header: SliceFolder, opening: Opening) -> LazyVolume
     InputError
         When they are PNG or have colours.
     """
-    if header.form.open is None:
+    open_form = functions_of(header.form).open
+    if open_form is None:
         raise InputError(
             "slices in PNG are packed as a whole", "convert them to one OME-Zarr or to TIFF"
         )
     slabs = []
     for file, claim in zip(header.files, header.headers, strict=True):
         with naming(file):
-            slabs.append(
-                load(header.form.open)(file, claim, Opening(cache_bytes=opening.cache_bytes)).voxels
-            )
+            slabs.append(open_form(file, claim, Opening(cache_bytes=opening.cache_bytes)).voxels)
     layout = StoreLayout((header.geometry,), (1, *header.geometry.shape[1:]))
     voxels = StackedVoxels(slabs, [1] * len(slabs))
     return LazyVolume(voxels, header.geometry, dict(header.metadata), path, layout)

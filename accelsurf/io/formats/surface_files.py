@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.grid.arrays import Faces, Floats
 from accelsurf.settings.labels import LabelEntry
 
 _STL_HEADER, _STL_TRIANGLE = 80, 50  # bytes
@@ -29,8 +30,6 @@ _REMARKS = {
     "stl": re.compile(rb"^[ \t]*(?:end)?solid\b(.*)$", re.MULTILINE | re.IGNORECASE),
     "obj": re.compile(rb"^[ \t]*#(.*)$", re.MULTILINE),
 }
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 #: The spaces that are understood, by their letters: the short and the long name.
 _SPACES: dict[str, Literal["LPS", "RAS", ""]] = {
     "LPS": "LPS",
@@ -106,7 +105,7 @@ def _silent(logger: logging.Logger) -> Iterator[None]:
         logger.disabled = before
 
 
-def ply_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
+def ply_bytes(vertices: Floats, faces: Faces, space: str, label: LabelEntry | None = None) -> bytes:
     """The bytes of a .ply file; ``space`` is LPS or RAS."""
     named = ""
     colored = ""
@@ -127,7 +126,7 @@ def ply_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | Non
     return header.encode() + points.tobytes() + rows.tobytes()
 
 
-def stl_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
+def stl_bytes(vertices: Floats, faces: Faces, space: str, label: LabelEntry | None = None) -> bytes:
     """The bytes of a .stl file; ``space`` is LPS or RAS. The format keeps no name and no colour."""
     rows = np.zeros(
         len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "<u2")]
@@ -141,7 +140,7 @@ def stl_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | Non
     return header + np.uint32(len(faces)).astype("<u4").tobytes() + rows.tobytes()
 
 
-def obj_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
+def obj_bytes(vertices: Floats, faces: Faces, space: str, label: LabelEntry | None = None) -> bytes:
     """The bytes of a .obj file; ``space`` is LPS or RAS."""
     head = f"# accelsurf SPACE={space} UNIT=mm\n"
     if label is not None:
@@ -151,7 +150,7 @@ def obj_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | Non
     return (head + points + triangles).encode()
 
 
-def vtp_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
+def vtp_bytes(vertices: Floats, faces: Faces, space: str, label: LabelEntry | None = None) -> bytes:
     """The bytes of a .vtp file; ``space`` is LPS or RAS."""
     return polydata(
         vertices, faces.ravel(), np.arange(3, 3 * len(faces) + 1, 3), "Polys", space, label

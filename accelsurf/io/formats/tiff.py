@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from PIL.TiffImagePlugin import TiffImageFile
 
 from accelsurf.errors import InputError
+from accelsurf.grid.arrays import Spacing
 from accelsurf.grid.boxes import Box, whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
@@ -51,7 +52,6 @@ from accelsurf.io.memory import check_memory
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
-Spacing = tuple[float, float, float]
 _SUBFILE = 254
 _WIDTH = 256
 _HEIGHT = 257

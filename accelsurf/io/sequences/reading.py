@@ -11,8 +11,8 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.io import headers
 from accelsurf.io.files import naming
+from accelsurf.io.format_functions import functions_of
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
-from accelsurf.settings.registry import load
 
 if TYPE_CHECKING:
     from accelsurf.io.sequences.sources import FileSequence
@@ -132,7 +132,7 @@ def open_sequence(
             found = FrameFolder(path, options, memory_bytes)
         else:
             form = headers.format_of(path)
-            kind = FileFrames if form.sequence is None else load(form.sequence)
+            kind = functions_of(form).sequence or FileFrames
             found = kind(path, options, memory_bytes)
         if frame_time is not None:
             found.set_step(frame_time)

@@ -23,6 +23,7 @@ from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.slices import ordered
 from accelsurf.io.dicom.volumes import TIME_PHASES, Contents, DicomVolume, frames_in_time, is_cine
 from accelsurf.io.files import naming
+from accelsurf.io.format_functions import functions_of
 from accelsurf.io.formats import dicom
 from accelsurf.io.formats.slices import fitting_names, in_order
 from accelsurf.io.headers import FRAME_KEY, TIMES_KEY, WARNING_KEY, FrameTimes
@@ -31,7 +32,6 @@ from accelsurf.io.memory import available_memory, check_memory
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import ImageFormat
 from accelsurf.settings.reading import ReadOptions
-from accelsurf.settings.registry import load
 
 _MAX_SHOWN = 8
 
@@ -133,7 +133,7 @@ class SliceFrames(FileSequence):
 
     def _opened(self, form: ImageFormat, header: Any) -> LazyVolume:
         """The volume, box by box; one that is packed as a whole is read."""
-        if form.open is not None:
+        if functions_of(form).open is not None:
             asked = self._options
             return open_volume(
                 self.path,
@@ -141,7 +141,7 @@ class SliceFrames(FileSequence):
                 channel_index=asked.channel_index,
                 spacing=asked.spacing,
             )
-        return LazyVolume.of_array(load(form.read)(self.path, header, self.memory))
+        return LazyVolume.of_array(functions_of(form).read(self.path, header, self.memory))
 
     def read(self, number: int) -> list[Volume]:
         """Read a slice."""

@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io import headers, images
+from accelsurf.io import headers
 from accelsurf.io.files import SPACE_HINT, staging, undone_on_failure
+from accelsurf.io.format_functions import functions_of
 from accelsurf.io.headers import FrameTimes
+from accelsurf.io.writing import stored_grid, write_labels
+from accelsurf.io.writing import write as write_volume
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format
-from accelsurf.settings.registry import load
 
 #: Digits of the numbers of files, at least.
 _DIGITS = 4
@@ -201,8 +203,9 @@ class SequenceWriter:
                 names = self._write_each()
             else:
                 names = [self.path.name]
-                assert self._form.write_frames is not None
-                load(self._form.write_frames)(self._files.staging / self.path.name, self._frames)
+                write_frames = functions_of(self._form).write_frames
+                assert write_frames is not None
+                write_frames(self._files.staging / self.path.name, self._frames)
                 self._check()
             self._frames.path.unlink()
             self._files.commit(last=self.path.name if self.path.name in names else None)
@@ -234,7 +237,7 @@ class SequenceWriter:
             numbers = [int(t) for t in self.times.values]
         digits = max(_DIGITS, len(str(numbers[-1])))
         names = [self.path.name.replace("*", str(number).zfill(digits)) for number in numbers]
-        write = images.write_labels if self.dtype.kind == "u" else images.write
+        write = write_labels if self.dtype.kind == "u" else write_volume
         for name, array in zip(names, self._frames, strict=True):
             write(
                 Volume(array.astype(self.dtype, copy=False), self.geometry),
@@ -248,9 +251,9 @@ class SequenceWriter:
 
         try:
             found = open_sequence(self._files.staging / self.path.name, memory_bytes=sys.maxsize)
-            difference = images.stored_grid(
-                self.geometry, headers.split_name(self.path)[1]
-            ).difference(found.geometry)
+            difference = stored_grid(self.geometry, headers.split_name(self.path)[1]).difference(
+                found.geometry
+            )
             if not difference and FrameTimes.checked(found.times, found.time_unit) != self.times:
                 difference = "other times are read than were written"
             for number in range(len(self._frames)) if not difference else ():
@@ -278,7 +281,7 @@ def sequence_suffixes() -> tuple[str, ...]:
     return tuple(
         suffix
         for form in IMAGE_FORMATS.values()
-        if form.write_frames is not None
+        if functions_of(form).write_frames is not None
         for suffix in form.suffixes
     )
 
@@ -289,7 +292,7 @@ def _written_form(path: Path, dtype: np.dtype[Any], geometry: Geometry) -> Image
     suffix = headers.split_name(path)[1]
     form = image_format(suffix)
     each = "*" in path.name
-    if form is None or (form.write if each else form.write_frames) is None:
+    if form is None or not (form.is_written if each else functions_of(form).write_frames):
         raise UsageError(
             f"{path}: a sequence cannot be written to it, one of {', '.join(sequence_suffixes())} expected",
             "or give a name with a star, for a file for each frame: frame*.tif",

@@ -41,8 +41,8 @@ from accelsurf.output.pictures.canvas import (
 )
 from accelsurf.output.pictures.preview_content import ClickMark, PreviewContent
 from accelsurf.output.pictures.slice_views import Ranges, SliceView, displayed, fitted, plane_name
-from accelsurf.settings.coordinates import digits_of, suffix_of
 from accelsurf.settings.wording import in_unit
+from accelsurf.text.coordinates import digits_of, suffix_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,11 +12,11 @@ from typing import Literal, TypeVar
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import naming
+from accelsurf.io.format_functions import functions_of
 from accelsurf.output.reports import report_name
 from accelsurf.settings import budgets
-from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS
+from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, label_formats
 from accelsurf.settings.mesh_formats import Shape, mesh_formats
-from accelsurf.settings.registry import load
 from accelsurf.settings.track_fields import TRACK_FORMATS
 
 T = TypeVar("T")
@@ -58,14 +58,12 @@ class TrackFiles:
         is_2d = geometry.slice_axis is not None
         shape: Shape = "contour" if is_2d else "surface"
         frames = "frames of one slice" if is_2d else "volumes"
-        if self.labels not in IMAGE_FORMATS or IMAGE_FORMATS[self.labels].write is None:
-            written = ", ".join(
-                name for name, form in IMAGE_FORMATS.items() if form.write is not None
-            )
+        if self.labels not in IMAGE_FORMATS or not IMAGE_FORMATS[self.labels].is_written:
             raise UsageError(
-                f"format: {self.labels} was given, expected {written}", "nii.gz is the default"
+                f"format: {self.labels} was given, expected {', '.join(label_formats())}",
+                "nii.gz is the default",
             )
-        if not self.per_frame and IMAGE_FORMATS[self.labels].write_frames is None:
+        if not self.per_frame and functions_of(IMAGE_FORMATS[self.labels]).write_frames is None:
             raise UsageError(
                 f"format: {self.labels} was given, one file of it holds no time",
                 "add --per-frame, or take nii.gz",
@@ -83,9 +81,6 @@ class TrackFiles:
         for name in self.also:
             if name not in TRACK_FORMATS:
                 raise UsageError(f"also: {name} was given, expected {', '.join(TRACK_FORMATS)}")
-            check = TRACK_FORMATS[name].check
-            if check is not None:
-                load(check)(geometry)
 
     def names(self, name: str) -> dict[str, str]:
         """Name of every file by its kind, without the files of single frames."""

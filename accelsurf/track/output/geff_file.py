@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from accelsurf.grid.geometry import Geometry
 from accelsurf.io.formats.zarr_voxels import library
 from accelsurf.track.output.document import ML
 from accelsurf.track.output.frames import FrameRow, ObjectRow, TrackSet
@@ -44,7 +43,7 @@ _EDGES = {
 }
 
 
-def check_geff(geometry: Geometry) -> None:
+def check_geff() -> None:
     """Refuse to begin without the package that writes it.
 
     Raises

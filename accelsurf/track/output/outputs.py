@@ -10,8 +10,9 @@ parent at most: of several that merged, the one of the lowest id.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 
@@ -28,10 +29,8 @@ from accelsurf.measure.surface_mesh import Surface
 from accelsurf.output.document import describe_staged
 from accelsurf.output.folder import OutputFolder, naming_final
 from accelsurf.run.region_of_interest import cropped
-from accelsurf.settings.registry import load
-from accelsurf.settings.track_fields import TRACK_FORMATS
 from accelsurf.track.output import document as track_document
-from accelsurf.track.output import slices
+from accelsurf.track.output import geff_file, slices, surfaces
 from accelsurf.track.output.document import TrackRun
 from accelsurf.track.output.files import TrackFiles, is_of_frame, labels_name, mesh_name
 from accelsurf.track.output.frames import FrameStore, TrackSet, frame_digits, remove_store
@@ -91,6 +90,9 @@ class TrackOutputs:
     ) -> None:
         self.name, self.sequence, self.files = name, sequence, files or TrackFiles()
         self.files.check(sequence.geometry)
+        for kind in self.files.also:
+            if kind in TRACK_CHECKS:
+                TRACK_CHECKS[kind]()
         self._run, self._place = run or TrackRun(), OutputFolder(folder, name, overwrite=overwrite)
         with ExitStack() as stack:
             self._set = stack.enter_context(
@@ -266,7 +268,7 @@ class TrackOutputs:
             write_bytes(self._set.staging / names[kind], picture)
             kinds[names[kind]] = kind
         for kind in self.files.also:
-            load(TRACK_FORMATS[kind].write)(tracks, self._set.staging / names[kind])
+            TRACK_WRITERS[kind](tracks, self._set.staging / names[kind])
             kinds[names[kind]] = kind
         return kinds
 
@@ -387,3 +389,20 @@ def track_lines(found: Iterable[Stretch]) -> str:
     return "".join(
         f"{track.label} {track.first} {track.last} {(*track.parents, 0)[0]}\n" for track in found
     )
+
+
+#: The writers by the names of `accelsurf.settings.track_fields.TRACK_FORMATS`: of the tracks and a path.
+TRACK_WRITERS: dict[str, Callable[[TrackSet, Path], None]] = {
+    "ctc": write_challenge,
+    "geff": geff_file.write_geff,
+    "surfaces": surfaces.write_surfaces,
+    "mp4": slices.write_movie,
+    "gif": slices.write_movie,
+    "webp": slices.write_movie,
+}
+#: Checks before anything is computed of those that need a further library.
+TRACK_CHECKS: dict[str, Callable[[], None]] = {
+    "geff": geff_file.check_geff,
+    "mp4": partial(slices.check_movie, ".mp4"),
+    "webp": partial(slices.check_movie, ".webp"),
+}

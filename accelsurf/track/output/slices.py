@@ -291,14 +291,9 @@ def picked(rows: tuple[FrameRow, ...]) -> list[FrameRow]:
     return [rows[int(place)] for place in np.rint(np.linspace(0, len(rows) - 1, MAX_FRAMES))]
 
 
-def check_mp4(geometry: Geometry) -> None:
-    """Refuse to begin without the encoder of mp4; errors as `accelsurf.output.pictures.movies.check_target`."""
-    movies.check_target(Path("movie.mp4"), MOVIE_SIZE)
-
-
-def check_webp(geometry: Geometry) -> None:
-    """Refuse to begin without the encoder of webp; errors as `accelsurf.output.pictures.movies.check_target`."""
-    movies.check_target(Path("movie.webp"), MOVIE_SIZE)
+def check_movie(suffix: str) -> None:
+    """Refuse to begin without the encoder of a movie; errors as `accelsurf.output.pictures.movies.check_target`."""
+    movies.check_target(Path(f"movie{suffix}"), MOVIE_SIZE)
 
 
 def write_movie(tracks: TrackSet, path: Path, panels: Sequence[str] = PANELS) -> None:

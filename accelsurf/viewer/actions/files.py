@@ -60,7 +60,7 @@ class FilesFeature(Feature):
             *(
                 name
                 for name, form in MESH_FORMATS.items()
-                if form.surface is not None and name != mesh
+                if "surface" in form.shapes and name != mesh
             ),
         ]
         return {

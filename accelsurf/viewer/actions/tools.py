@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.clicks import Side
 from accelsurf.viewer.actions.tool import AllActions, Feature, Tool, ball_text, finest, numbers_text
 from accelsurf.viewer.core.size_drag import Dragging
@@ -134,8 +135,6 @@ STROKE_STEP = 0.5
 #: A stroke on a surface that jumps by this number of radii, over an edge of the visible part, begins anew there.
 JUMP = 4.0
 
-Place = NDArray[np.float64]
-
 
 class Inside(Tool):
     """Paints a stroke of voxels that are inside, which is sent as a correction."""
@@ -150,7 +149,7 @@ class Inside(Tool):
     def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         #: Pieces of the stroke, each a line of places.
-        self._pieces: list[list[Place]] = []
+        self._pieces: list[list[Floats]] = []
         self._mark = 0
         #: Corrections that were sent, each with its stroke, which is drawn until the surface obeys.
         self.sent: list[tuple[int, Future[Any]]] = []
@@ -210,7 +209,7 @@ class Inside(Tool):
             self.actions.scene.mark_ball(None)
         self._pieces, self._mark = [], 0
 
-    def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
+    def send(self, pieces: Sequence[Sequence[Floats]]) -> Future[None]:
         """Have the session make the correction."""
         texts = tuple(click_text(piece, self.width) for piece in pieces)
         return self.actions.session.add_click(self.side, texts, self.actions.object_id)
@@ -248,7 +247,7 @@ class CorrectionsFeature(Feature):
             tool.end_obeyed()
 
 
-def click_text(places: Sequence[Place], radius: float) -> str:
+def click_text(places: Sequence[Floats], radius: float) -> str:
     """Return a piece of a stroke as a click: a point, a ball or a path.
 
     Examples

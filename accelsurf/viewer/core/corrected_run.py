@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.reading import on_image
+from accelsurf.clicks.voxels import on_image
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import (
@@ -23,16 +23,14 @@ from accelsurf.grid.boxes import (
     enclosing,
     placed_at,
 )
-from accelsurf.grid.geometry import Geometry
 from accelsurf.interact.finished import result_of, state_at_end
 from accelsurf.interact.refiner import Change, Refiner, changes_text
 from accelsurf.output.pictures.preview_content import marks_of
 from accelsurf.run.ensemble import overall_stop
 from accelsurf.run.result import BoxMask, Result
 from accelsurf.run.run import Run
-from accelsurf.settings.coordinates import split_suffix
 from accelsurf.settings.corrections import Correction
-from accelsurf.starts import starts
+from accelsurf.text.clicks import first_place
 from accelsurf.viewer.core.frame import (
     Frame,
     SurfaceFrame,
@@ -211,7 +209,7 @@ class Corrections:
         refiner, distances = self._refiner, dict[int, float]()
         if not (run.has_ids if refiner is None else refiner.has_ids):
             return None
-        at = starts.ball_of(_as_ball(place, run.geometry), run.geometry)[0]
+        at = first_place(place, run.geometry).centre
         centre, spacing = np.array(at, float), run.geometry.spacing
         if refiner is None:
             for evolving, (corner, psi) in zip(run.objects, run.separated(), strict=True):
@@ -232,7 +230,7 @@ class Corrections:
             return None
         if self._refiner is None and not run.has_ids and object_id == run.objects[0].id:
             return None
-        centre = np.array(starts.ball_of(ball, run.geometry)[0], float)
+        centre = np.array(first_place(ball, run.geometry).centre, float)
         return self._begun(run).taken(centre, object_id)
 
     def result(self) -> Result | None:
@@ -335,20 +333,3 @@ def _distance_of(
         return float(part[tuple(voxel)])
     away = (np.argwhere(part < 0) - at) * spacing
     return float(np.linalg.norm(away, axis=1).min(initial=np.inf))
-
-
-def _as_ball(where: str, geometry: Geometry) -> str:
-    """A ball at a place."""
-    kind, _, rest = where.partition(":")
-    if kind in ("point", "path"):
-        body, suffix = split_suffix(rest)
-        first = body.partition(";")[0].split(",")[:3]
-        try:
-            found = suffix.coordinates([float(word) for word in first]).on(geometry)
-        except ValueError:
-            return f"ball:{rest}"  # the reader of the ball raises the error
-        # Its voxel has its centre within a ball of this radius.
-        radius = float(np.linalg.norm(geometry.spacing)) + 1.0
-        numbers = ",".join(map(repr, found.numbers))
-        where = f"ball:{numbers},{radius:g}{found.system}"
-    return where

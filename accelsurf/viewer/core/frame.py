@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.clicks.reading import on_image
+from accelsurf.clicks.voxels import on_image
 from accelsurf.evolution.records import StepFields, StepRecord
 from accelsurf.grid import pyramid
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import Box, bounding_box, corner_of
 from accelsurf.output.pictures.preview_content import ClickMark, marks_of
 
@@ -29,7 +30,6 @@ COLORS = ("plain", "speed", "force", "density")
 #: they are in the report alone.
 MAX_MEASURED = 1 << 21
 
-Floats = NDArray[np.float64]
 Index = tuple[int, int, int]
 
 

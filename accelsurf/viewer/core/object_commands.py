@@ -16,7 +16,6 @@ import numpy as np
 from accelsurf.clicks.model import Scene
 from accelsurf.clicks.model.model import ROOM, first_blocks
 from accelsurf.clicks.model.windows import seed_of
-from accelsurf.clicks.reading import read_clicks
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import corner_of, placed_at
 from accelsurf.grid.clicks import Clicks, Side
@@ -25,6 +24,7 @@ from accelsurf.run.result import BoxMask
 from accelsurf.run.run import Run
 from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.text.clicks import read_clicks
 from accelsurf.viewer.core.corrected_run import Corrections
 from accelsurf.viewer.core.first_answers import FirstAnswers
 from accelsurf.viewer.core.restarted import FROM_CLICKS

@@ -16,11 +16,11 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers
 from accelsurf.io.files import naming
+from accelsurf.io.format_functions import functions_of
 from accelsurf.io.headers import check_name, format_of, split_name
 from accelsurf.large.fitting_level import fitting_level
 from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.run.memory import allowed_bytes
-from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.track.output.surfaces import SavedTracks
 from accelsurf.viewer.core.sequence_view import SequenceView
@@ -154,10 +154,11 @@ def choices_of(path: Path, config: RunConfig) -> list[Choice]:
     """
     with naming(path):
         form = headers.format_of(path)
-        if form.listing is not None:
+        listing = functions_of(form).listing
+        if listing is not None:
             # One file stands for its series; where it does not, reading says so.
             is_study = path.is_dir()
-            found = load(form.listing)(path) if is_study and config.series is None else []
+            found = listing(path) if is_study and config.series is None else []
             return _several(
                 [Choice(_volume_text(entry), {"series": str(entry["number"])}) for entry in found]
             )

@@ -12,6 +12,7 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES
 from accelsurf.image.grey_window import GreyWindow
 from accelsurf.image.slice_stack import Patch, SliceStack, linear
@@ -24,7 +25,6 @@ from accelsurf.viewer.scene.overlay import FlatLine, Label, Pixels, ScaleBar
 from accelsurf.viewer.scene.redraw import TileContext
 from accelsurf.viewer.scene.shapes import Texture, add_actor, contour, dashed, polygon, slice_of
 
-Floats = NDArray[np.float64]
 NONE = np.zeros((0, 2, 2))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.geometry import Geometry
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.scene.colors import (
@@ -63,8 +64,6 @@ def place_in_renderer(
 
 #: Places along the line for each voxel of psi.
 FINE = 2.0
-
-Floats = NDArray[np.float64]
 
 
 def first_met(

@@ -14,9 +14,9 @@ from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io import images
 from accelsurf.io.channels import LUMINANCE
 from accelsurf.io.formats import tiff_file
+from accelsurf.io.writing import stored_grid
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 
 SUFFIXES = (".png", ".tif", ".tiff")
@@ -58,7 +58,7 @@ def test_round_trip(tmp_path, suffix, slices, dtype):
     back = io.read(path)
     assert back.array.dtype == dtype and back.source == path and back.metadata == {}
     np.testing.assert_array_equal(back.array, volume.array)
-    assert back.geometry.matches(images.stored_grid(grid, suffix), 1e-6)
+    assert back.geometry.matches(stored_grid(grid, suffix), 1e-6)
     io.write(back, tmp_path / f"b{suffix}")
     assert io.read(tmp_path / f"b{suffix}").geometry.spacing == back.geometry.spacing
 

@@ -7,6 +7,7 @@ import accelsurf
 from accelsurf import io
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.io.writing import stored_grid
 
 TURNED = Geometry((3, 4, 5), (3.0, 0.5, 0.7), (5.5, -6.0, 7.25), [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 FRAMES = np.random.default_rng(0).integers(0, 250, (4, 3, 4, 5))
@@ -38,7 +39,7 @@ def test_what_was_written_is_read_back_exactly(tmp_path, suffix, times):
     path = write(tmp_path / f"a{suffix}", times=times)
     found = accelsurf.read_sequence(path)
     assert (found.times, found.time_unit) == times
-    assert io.images.stored_grid(TURNED, suffix).difference(found.geometry) == ""
+    assert stored_grid(TURNED, suffix).difference(found.geometry) == ""
     for number in (3, 0, 2, 1):
         frame = found.frame(number)
         np.testing.assert_array_equal(frame.array, FRAMES[number].astype(np.uint8), strict=True)

@@ -1,12 +1,10 @@
 """Clicks from texts and files into voxels: points, balls, paths, strokes, and every kind of start.
 
-The only reader of clicks, inside and outside of an object. It also refuses clicks that contradict each other, and marks
-clicked voxels on the image's grid.
+The only reader of clicks, inside and outside of an object. It also refuses clicks that contradict each other.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -14,29 +12,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.point_files import has_own_columns, read_points
-from accelsurf.clicks.voxel_lists import click_of_voxels_text
+from accelsurf.clicks.voxels import click_of_ball, click_of_mask, click_of_path, click_of_voxels
 from accelsurf.errors import AccelsurfError, InputError, UsageError
+from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import (
-    Box,
-    Corner,
-    box_at,
     corner_of,
-    enclosing,
     meeting,
-    on_box,
-    placed_at,
-    tightened,
     whole_box,
-    widened,
 )
 from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks, Side
-from accelsurf.grid.geometry import Geometry, ball_distance
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.image.volume import Volume
-from accelsurf.io.files import columns_in, read_table
 from accelsurf.settings import budgets
-from accelsurf.settings.coordinates import (
+from accelsurf.settings.wording import shown
+from accelsurf.text.coordinates import (
     Coordinates,
     System,
     coordinates_of,
@@ -45,19 +35,25 @@ from accelsurf.settings.coordinates import (
     split_suffix,
     suffix_of,
 )
-from accelsurf.settings.wording import shown
-from accelsurf.starts import starts
+from accelsurf.text.point_files import has_own_columns, read_points
+from accelsurf.text.starts import (
+    MAX_LENGTH,
+    IndexBall,
+    Start,
+    ball_of,
+    ball_start_of,
+    extent_hint,
+    label_box,
+    parse_start,
+    psi_of_starts,
+)
+from accelsurf.text.tables import columns_in, read_table
+from accelsurf.text.voxel_lists import click_of_voxels_text
 
 #: How it is written; with the suffix ``vox`` in voxels, as a ball.
 _PATH_FORM = "path:X,Y,Z,R;X,Y,Z,R;..."
-#: Places along the line, of the smallest step from voxel to voxel, whose voxels always belong to it.
-_FINE = 0.4
-
-Floats = NDArray[np.float64]
 #: Kinds of clicks besides the kinds of starts -> the form in which they are written.
 KINDS = {"point": "point:X,Y,Z", "path": _PATH_FORM, "stroke": "stroke:FILE"}
-#: A voxel whose centre lies on a ball or a stroke is clicked, up to this part of the radius: a ball of one voxel has 7.
-_ROUNDED = 1e-6
 #: Columns of a stroke in world mm (LPS); a radius makes balls, a side overrides the option's.
 WORLD_COLUMNS = ("x", "y", "z")
 _STROKE = (
@@ -91,7 +87,7 @@ def _parse_path(text: str, geometry: Geometry) -> tuple[Floats, bool]:
         read = [Coordinates(())]
     rows = [found.numbers for found in read]
     if any(
-        len(row) != 4 or not 0 <= row[3] or not all(abs(v) <= starts.MAX_LENGTH for v in row)
+        len(row) != 4 or not 0 <= row[3] or not all(abs(v) <= MAX_LENGTH for v in row)
         for row in rows
     ):
         raise UsageError(
@@ -102,100 +98,15 @@ def _parse_path(text: str, geometry: Geometry) -> tuple[Floats, bool]:
     return np.array([found.numbers for found in placed]), placed[0].vox
 
 
-def _click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Click:
-    """Return the click of a path.
-
-    Parameters
-    ----------
-    text : str
-        ``path:X,Y,Z,R;...``. Between two places the radius changes linearly.
-    side : {"inside", "outside"}
-    geometry : Geometry
-        The image's grid.
-    id : int, optional
-        Of the object.
-
-    Returns
-    -------
-    Click
-        The voxels whose centres are closer to the line than its radius there, and those that the line passes.
-
-    Raises
-    ------
-    UsageError
-        When it is not of the form.
-    InputError
-        When no voxel is in it.
-    """
+def _click_of_path(text: str, side: Side, geometry: Geometry, id: int) -> Click:
+    """Return the click of a path, ``path:X,Y,Z,R;...``."""
     rows, is_vox = _parse_path(text, geometry)
-    finest = min(geometry.steps)
     places = rows[:, 2::-1] if is_vox else geometry.world_to_index(rows[:, :3])
-    radii = rows[:, 3] * finest if is_vox else rows[:, 3]
-    pieces = [(places[i : i + 2], radii[i : i + 2]) for i in range(max(len(rows) - 1, 1))]
-    boxes = (_extent(*piece, geometry) for piece in pieces)
-    budgets.PATH_VOXELS.check(
-        sum(int(np.prod(np.maximum(b - a, 0), dtype=object)) for a, b in boxes), f"{side} path"
-    )
-    parts = [segment_voxels(*piece, geometry) for piece in pieces]
-    found = [part for part in parts if part is not None]
-    if not found:
-        raise InputError(f"{side} {shown(text)!r}: no voxel is in it", starts.extent_hint(geometry))
-    box = found[0][0]
-    for other, _ in found[1:]:
-        box = enclosing(box, other)
-    mask = np.zeros([s.stop - s.start for s in box], np.bool_)
-    for part_box, voxels in found:
-        mask |= on_box(voxels, part_box, box, False)
-    return Click(side, box, mask, id)
-
-
-def segment_voxels(
-    places: Floats, radii: Sequence[float] | Floats, geometry: Geometry
-) -> tuple[Box, NDArray] | None:
-    """Voxels of a piece of a path, in their box; None where none lies in the volume.
-
-    Parameters
-    ----------
-    places : ndarray (1 or 2, 3)
-        Its ends as indices (z, y, x).
-    radii : sequence of float
-        There, mm.
-    geometry : Geometry
-    """
-    spacing = np.array(geometry.spacing)
-    first = places[0]
-    last = places[-1]
-    low, high = _extent(places, radii, geometry)
-    if (low >= high).any():
-        return None
-    axes = np.meshgrid(
-        *[np.arange(a, b) for a, b in zip(low, high, strict=True)], indexing="ij", sparse=True
-    )
-    along = (last - first) * spacing
-    offsets = [(axis - c) * h for axis, c, h in zip(axes, first, spacing, strict=True)]
-    length2 = float(along @ along)
-    share = (
-        sum(o * a for o, a in zip(offsets, along, strict=True)) / length2 if length2 > 0 else 0.0
-    )
-    share = np.clip(share, 0.0, 1.0)
-    distance2 = sum((o - share * a) ** 2 for o, a in zip(offsets, along, strict=True))
-    reach = (1.0 + _ROUNDED) * (radii[0] + share * (radii[-1] - radii[0]))
-    mask = np.asarray(distance2 <= reach**2)
-    mask = np.array(np.broadcast_to(mask, tuple(high - low)))
-    count = int(np.sqrt(length2) / (_FINE * min(geometry.steps))) + 2
-    line = np.rint(np.linspace(first, last, count)).astype(int) - low
-    line = line[((line >= 0) & (line < mask.shape)).all(axis=1)]
-    mask[tuple(line.T)] = True
-    return tightened(box_at((int(low[0]), int(low[1]), int(low[2])), mask.shape), mask)
-
-
-def _extent(
-    places: Floats, radii: Sequence[float] | Floats, geometry: Geometry
-) -> tuple[NDArray, NDArray]:
-    """First voxel that a piece of a path may reach in the volume, and the one after the last."""
-    width, shape = max(radii) / np.array(geometry.spacing), np.array(geometry.shape)
-    low = np.clip(np.floor(places.min(axis=0) - width), 0, shape)
-    return low.astype(int), np.clip(np.ceil(places.max(axis=0) + width) + 1, 0, shape).astype(int)
+    radii = rows[:, 3] * min(geometry.steps) if is_vox else rows[:, 3]
+    click = click_of_path(side, places, radii, geometry, id)
+    if click is None:
+        raise InputError(f"{side} {shown(text)!r}: no voxel is in it", extent_hint(geometry))
+    return click
 
 
 def read_clicks(
@@ -217,7 +128,7 @@ def read_clicks(
     volume : Volume
         The image.
     image : ndarray (nz, ny, nx), optional
-        Values for seeds and thresholds, as for `accelsurf.starts.starts.build`.
+        Values for seeds and thresholds, as for `accelsurf.text.starts.psi_of_starts`.
     id : int, optional
         Of the object.
     window : Window, optional
@@ -243,7 +154,7 @@ def read_clicks(
                 voxels = point_voxels([point.numbers], name, side, window.geometry, point.vox)
                 out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "point" or (not colon and "," in kind):
-            point = _point(text, rest if colon else kind).on(window.geometry)
+            point = read_point(text).on(window.geometry)
             voxels = point_voxels([point.numbers], text, side, window.geometry, point.vox)
             out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "path":
@@ -306,6 +217,33 @@ def clicks_of(
         if has_ids and not id
         else read
     )
+
+
+def first_place(text: str, geometry: Geometry) -> IndexBall:
+    """Return the place at which a text of clicks begins, as a ball that is not outside of the volume.
+
+    Parameters
+    ----------
+    text : str
+        ``ball:X,Y,Z,R``, ``point:X,Y,Z``, or ``path:X,Y,Z,R;...``.
+    geometry : Geometry
+        The image's grid.
+
+    Raises
+    ------
+    UsageError, InputError
+        When it is none of these or lies outside.
+    """
+    kind, _, rest = text.partition(":")
+    if kind not in ("point", "path"):
+        return ball_of(parse_start(text), geometry)
+    if kind == "path":
+        body, _ = split_suffix(rest)
+        rest = ",".join(body.partition(";")[0].split(",")[:3]) + rest[len(body) :]
+    place = read_point(rest).on(geometry)
+    # Its voxel has its centre within a ball of this radius.
+    radius = float(np.linalg.norm(geometry.spacing)) + 1.0
+    return ball_of(Start("ball", (*place.numbers, radius), place.system, text=text), geometry)
 
 
 def check_contradictions(
@@ -396,40 +334,9 @@ def point_voxels(
         given = ",".join(f"{v:g}" for v in place) + ("vox" if vox else "")
         raise InputError(
             f"{side} {shown(name)!r}: {given} lies outside of the volume",
-            starts.extent_hint(geometry),
+            extent_hint(geometry),
         )
     return voxels
-
-
-def click_of_mask(side: Side, mask: NDArray[np.bool_], id: int = 1) -> Click:
-    """Return a click of the voxels of a mask (nz, ny, nx), which has some."""
-    tight = tightened(whole_box(mask.shape), mask)
-    assert tight is not None
-    return Click(side, *tight, id)
-
-
-def _click_of_ball(
-    side: Side, centre: Sequence[float], radius: float, geometry: Geometry, id: int = 1
-) -> Click:
-    """Return a click of the voxels in a ball: its ``centre`` as index (z, y, x), its ``radius`` in mm."""
-    nearest = np.clip(np.rint(centre), 0, np.array(geometry.shape) - 1).astype(int)
-    a, b, c = (slice(int(i), int(i) + 1) for i in nearest)
-    reach = [math.ceil(radius / h) + 1 for h in geometry.spacing]
-    box = widened((a, b, c), geometry.shape, reach)
-    tight = tightened(
-        box, np.asarray(ball_distance(box, geometry.spacing, centre, radius) <= _ROUNDED * radius)
-    )
-    assert tight is not None
-    return Click(side, *tight, id)
-
-
-def click_of_voxels(side: Side, voxels: NDArray[np.int64], id: int = 1) -> Click:
-    """Return a click of some voxels (n, 3), z y x."""
-    low, high = voxels.min(axis=0), voxels.max(axis=0) + 1
-    mask = np.zeros(tuple(high - low), np.bool_)
-    mask[tuple((voxels - low).T)] = True
-    z, y, x = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
-    return Click(side, (z, y, x), mask, id)
 
 
 def click_of_numbers(
@@ -442,20 +349,26 @@ def click_of_numbers(
     InputError
         When no voxel centre is inside it.
     """
-    text = f"ball:{','.join(repr(float(v)) for v in ball)}{'vox' if vox else ''}"
     try:
-        return _click_of_ball(side, *starts.ball_of(text, geometry), geometry, id)
+        return click_of_ball(side, *ball_of(ball_start_of(ball, vox), geometry), geometry, id)
     except AccelsurfError as error:
         raise type(error)(error.message.replace("start ", f"{side} ", 1), error.hint) from None
 
 
-def _point(text: str, rest: str) -> Coordinates:
+def read_point(text: str) -> Coordinates:
+    """Return the place of a click ``point:X,Y,Z``, or ``X,Y,Z`` alone.
+
+    Raises
+    ------
+    UsageError
+        When it is not of this form.
+    """
     budgets.EXPRESSION.check(len(text), "a point", kind=UsageError)
-    point = coordinates_of(rest)
+    point = coordinates_of(text.strip().removeprefix("point:"))
     if (
         point is None
         or len(point.numbers) != 3
-        or not all(abs(v) <= starts.MAX_LENGTH for v in point.numbers)
+        or not all(abs(v) <= MAX_LENGTH for v in point.numbers)
     ):
         raise UsageError(
             f"click {shown(text)!r}: 3 numbers separated by commas expected",
@@ -474,13 +387,13 @@ def _of_start(
 ) -> list[Click]:
     """A click that is written as a start."""
     try:
-        start = starts.parse(text)
+        start = parse_start(text)
         if start.kind == "ball":
             return _within(
                 window,
-                [_click_of_ball(side, *starts.ball_of(text, window.geometry), window.geometry, id)],
+                [click_of_ball(side, *ball_of(start, window.geometry), window.geometry, id)],
             )
-        return [click_of_mask(side, starts.build([text], volume, image, window) < 0, id)]
+        return [click_of_mask(side, psi_of_starts([start], volume, image, window) < 0, id)]
     except AccelsurfError as error:
         message = error.message.replace("start ", f"{side} ", 1)
         hint = (
@@ -497,7 +410,7 @@ def _stroke(text: str, file: str, side: Side, window: Window, id: int) -> list[C
         raise UsageError(f"click {shown(text)!r}: no file named", f"write {KINDS['stroke']}")
     if file.lower().endswith(".csv"):
         return _within(window, _stroke_of_points(file, side, window.geometry, id))
-    labels = starts.label_box(file, window, f"stroke:{file}")
+    labels = label_box(file, window, f"stroke:{file}")
     found = [int(value) for value in np.unique(labels)]
     unknown = [value for value in found if value not in (0, *_LABELS)]
     if unknown:
@@ -555,7 +468,7 @@ def stroke_row(
         )
     except (TypeError, ValueError):
         numbers = ()
-    if not numbers or not all(abs(v) <= starts.MAX_LENGTH for v in numbers) or numbers[3] < 0:
+    if not numbers or not all(abs(v) <= MAX_LENGTH for v in numbers) or numbers[3] < 0:
         raise InputError(
             f"line {number}: {given} was given, expected three numbers, and no radius below 0",
             _STROKE,
@@ -581,47 +494,3 @@ def side_of(line: dict[str, str], number: int, otherwise: Side) -> Side:
             f"line {number}: side {shown(word)} was given, expected inside or outside", _STROKE
         )
     return otherwise
-
-
-def on_image(clicks: Clicks | None, first: Corner, shape: tuple[int, int, int]) -> Clicks | None:
-    """Clicks on the image's grid; None without any.
-
-    Parameters
-    ----------
-    clicks : Clicks or None
-        On the grid of the region of interest.
-    first : (z, y, x)
-        First voxel of that region in the image.
-    shape : (nz, ny, nx)
-        Of the image.
-    """
-    if clicks is None or not clicks.clicks:
-        return None
-    return Clicks(
-        tuple(click._replace(box=placed_at(click.box, first)) for click in clicks.clicks), shape
-    )
-
-
-def clicked_voxels(
-    clicks: Clicks | None, id: int, first: Corner, box: Box
-) -> NDArray[np.bool_] | None:
-    """Voxels that are clicked inside or outside of an object; None without clicks.
-
-    Parameters
-    ----------
-    clicks : Clicks or None
-        On the grid of the region of interest.
-    id : int
-        The object's id.
-    first : (z, y, x)
-        First voxel of that region in the image.
-    box : tuple of slice
-        The object's part of the image's grid.
-    """
-    if clicks is None:
-        return None
-    marked = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
-    for click in clicks.clicks:
-        if click.id == id:
-            marked |= on_box(click.mask, placed_at(click.box, first), box, False)
-    return marked

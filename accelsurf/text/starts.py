@@ -3,30 +3,32 @@
 A start is text, ``kind:values``. Coordinates are world mm (x, y, z; LPS), or in the unit at their end (``um``), and RAS
 with the suffix ``ras``. With the suffix ``grid`` they are those on the scales of pictures. With the suffix ``vox`` they
 are voxel indices (x, y, z; 0 is the centre of the first voxel), and a radius is in voxels of the smallest spacing.
-Each start becomes a function psi on the grid, negative inside; the minimum of several is their union. Tables of places
-in mm or in voxels, of balls and of clicks, are read here too.
+Each start becomes a function psi on the grid, negative inside; the minimum of several is their union.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, UsageError
-from accelsurf.grid.boxes import corner_of, slabs, whole_box
-from accelsurf.grid.geometry import Geometry, ball_distance
+from accelsurf.grid.boxes import corner_of, whole_box
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.window import Window
 from accelsurf.image.check import as_labels
 from accelsurf.image.volume import Volume
 from accelsurf.io import meshes, split_name
 from accelsurf.settings import budgets
-from accelsurf.settings.coordinates import (
+from accelsurf.settings.labels import parse_ids
+from accelsurf.settings.wording import did_you_mean, shown
+from accelsurf.starts.surfaces import middle_ball, psi_of_ball, psi_of_box, psi_of_mask
+from accelsurf.text.coordinates import (
     SUFFIXES,
     UNITS_MM,
     Coordinates,
@@ -34,10 +36,6 @@ from accelsurf.settings.coordinates import (
     box_of,
     coordinates_of,
 )
-from accelsurf.settings.labels import parse_ids
-from accelsurf.settings.wording import did_you_mean, shown
-
-Row = TypeVar("Row")
 
 #: mm or voxels.
 MAX_LENGTH = 1e12
@@ -67,7 +65,7 @@ class Start(NamedTuple):
     """A start, parsed: its ``kind``, its ``numbers`` and their ``system``, or its ``file``.
 
     ``word`` is the text after the kind or the file: ``dark``, ``otsu``, ``ras``; ``ids`` are the labels asked for, as
-    ranges.
+    ranges; ``text`` is the start as it was written, for messages.
     """
 
     kind: str
@@ -76,6 +74,35 @@ class Start(NamedTuple):
     file: str = ""
     word: str = ""
     ids: tuple[tuple[int, int], ...] = ()
+    text: str = ""
+
+    def checked(self) -> Start:
+        """Return the start, whose numbers make a shape.
+
+        Raises
+        ------
+        UsageError
+            When a number is too large, a radius not above 0, or a corner or threshold not below the other.
+        """
+        kind, numbers = self.kind, self.numbers
+        is_place = kind in ("ball", "box", "seed")
+        if is_place and not all(abs(v) <= MAX_LENGTH for v in numbers):
+            raise UsageError(
+                f"start {shown(self.text)!r}: finite numbers of at most {MAX_LENGTH:g} expected",
+                f"as in {KINDS[kind]}",
+            )
+        if kind in ("ball", "seed") and numbers[3] <= 0:
+            what = f"start {shown(self.text)!r}: radius {numbers[3]:g} given, expected above 0"
+            raise UsageError(what, f"as in {KINDS[kind]}")
+        if kind == "box" and any(a >= b for a, b in zip(numbers[:3], numbers[3:], strict=True)):
+            what = f"start {shown(self.text)!r}: the first corner must lie below the second in x, y and z"
+            raise UsageError(what, KINDS[kind])
+        if kind in ("threshold", "largest") and numbers[0] > numbers[1]:
+            raise UsageError(
+                f"start {shown(self.text)!r}: the low threshold is above the high one",
+                f"as in {KINDS[kind]}",
+            )
+        return self
 
     @property
     def vox(self) -> bool:
@@ -102,7 +129,7 @@ def has_label(labels: NDArray[Any], ids: Sequence[tuple[int, int]]) -> NDArray[n
     return mask
 
 
-def parse(text: str) -> Start:
+def parse_start(text: str) -> Start:
     """Read one start.
 
     Parameters
@@ -117,9 +144,9 @@ def parse(text: str) -> Start:
 
     Examples
     --------
-    >>> parse("ball:10,-20,5.5,12")
-    Start(kind='ball', numbers=(10.0, -20.0, 5.5, 12.0), system='', file='', word='', ids=())
-    >>> parse("box:0,0,0,9,9,9vox").vox
+    >>> parse_start("ball:10,-20,5.5,12").numbers
+    (10.0, -20.0, 5.5, 12.0)
+    >>> parse_start("box:0,0,0,9,9,9vox").vox
     True
     """
     budgets.EXPRESSION.check(len(text), "start", kind=UsageError)
@@ -132,7 +159,7 @@ def parse(text: str) -> Start:
             raise UsageError(
                 f"start {shown(text)!r}: {kind} takes no values", f"write --start {kind}, or a ball"
             )
-        return Start(kind)
+        return Start(kind, text=text)
     if kind in ("label", "mesh"):
         return _parse_file(text, kind, rest)
     if kind == "otsu":
@@ -140,22 +167,16 @@ def parse(text: str) -> Start:
             raise UsageError(
                 f"start {shown(text)!r}: otsu or otsu:dark expected", "otsu is for bright objects"
             )
-        return Start(kind, word=rest)
+        return Start(kind, word=rest, text=text)
     if kind == "largest" and rest in ("otsu", "otsu:dark"):
-        return Start(kind, word=rest)
+        return Start(kind, word=rest, text=text)
     numbers, system = _numbers(text, kind, rest)
-    if kind in ("ball", "seed") and numbers[3] <= 0:
-        what = f"start {shown(text)!r}: radius {numbers[3]:g} given, expected above 0"
-        raise UsageError(what, f"as in {KINDS[kind]}")
-    if kind == "box" and any(a >= b for a, b in zip(numbers[:3], numbers[3:], strict=True)):
-        what = f"start {shown(text)!r}: the first corner must lie below the second in x, y and z"
-        raise UsageError(what, KINDS[kind])
-    if kind in ("threshold", "largest") and numbers[0] > numbers[1]:
-        raise UsageError(
-            f"start {shown(text)!r}: the low threshold is above the high one",
-            f"as in {KINDS[kind]}",
-        )
-    return Start(kind, numbers, system)
+    return Start(kind, numbers, system, text=text).checked()
+
+
+def read_starts(texts: Iterable[str]) -> list[Start]:
+    """Read starts, as `parse_start` reads one."""
+    return [parse_start(text) for text in texts]
 
 
 def _parse_file(text: str, kind: str, rest: str) -> Start:
@@ -165,12 +186,14 @@ def _parse_file(text: str, kind: str, rest: str) -> Start:
         raise UsageError(f"start {shown(text)!r}: no file named", f"write {KINDS[kind]}")
     if kind == "mesh":
         return (
-            Start(kind, file=file, word=tail) if tail in ("ras", "lps") else Start(kind, file=rest)
+            Start(kind, file=file, word=tail, text=text)
+            if tail in ("ras", "lps")
+            else Start(kind, file=rest, text=text)
         )
     if not at or split_name(rest)[1]:
-        return Start(kind, file=rest)
+        return Start(kind, file=rest, text=text)
     ids = parse_ids(tail, f"start {shown(text)!r}", "label:FILE@2,41,251-255")
-    return Start(kind, file=file, ids=ids)
+    return Start(kind, file=file, ids=ids, text=text)
 
 
 def _numbers(text: str, kind: str, values: str) -> Coordinates:
@@ -191,11 +214,6 @@ def _numbers(text: str, kind: str, values: str) -> Coordinates:
             f"start {shown(text)!r}: {expected} numbers separated by commas expected",
             f"as in {form}",
         )
-    if not form.startswith(("threshold", "largest")) and any(abs(v) > MAX_LENGTH for v in numbers):
-        raise UsageError(
-            f"start {shown(text)!r}: finite numbers of at most {MAX_LENGTH:g} expected",
-            f"as in {form}",
-        )
     return Coordinates(numbers, "" if found is None else found.system)
 
 
@@ -206,8 +224,8 @@ def _thresholds(parts: Sequence[str]) -> Coordinates | None:
         return None
 
 
-def build(
-    starts: Sequence[str],
+def psi_of_starts(
+    starts: Sequence[Start],
     volume: Volume,
     image: NDArray[np.float32] | None = None,
     window: Window | None = None,
@@ -216,7 +234,7 @@ def build(
 
     Parameters
     ----------
-    starts : sequence of str
+    starts : sequence of Start
         At least one.
     volume : Volume
         The image; thresholds are in its units.
@@ -234,84 +252,108 @@ def build(
     Raises
     ------
     UsageError
-        When a start cannot be parsed, or looks at values everywhere and there is but a window.
+        When there is no start, or one looks at values everywhere and there is but a window.
     InputError
         When a start lies outside the volume, or their union is empty or the whole volume; GeometryError when a label
         map lies on another grid.
 
     Examples
     --------
-    >>> psi = build(["ball:4,4,4,2"], Volume.from_array(np.zeros((9, 9, 9))))
+    >>> psi = psi_of_starts([parse_start("ball:4,4,4,2")], Volume.from_array(np.zeros((9, 9, 9))))
     >>> int((psi < 0).sum()), float(psi[4, 4, 4])
     (27, -2.0)
     """
     values = volume.array if image is None else image
     psi: NDArray[np.float32] | None = None
     window = window or Window(volume.geometry, whole_box(volume.geometry.shape))
-    for text in starts:
-        added = _build_one(parse(text).on(window.geometry), text, window, values)
+    for start in starts:
+        added = _psi_of(start.on(window.geometry), window, values)
         if not (added < 0).any():
-            raise InputError(*_nothing_inside(text, window.geometry))
+            raise _nothing_inside(start, window.geometry)
         psi = added if psi is None else np.minimum(psi, added, out=psi)
     if psi is None:
         raise UsageError("start: none was given, expected one at least", f"as in {KINDS['ball']}")
     if (psi < 0).all():
         raise InputError(
-            f"start {shown(' + '.join(starts))}: every voxel of the volume is inside",
+            f"start {shown(' + '.join(start.text for start in starts))}: every voxel of the volume is inside",
             "leave some background outside",
         )
     return psi
 
 
-def ball_of(text: str, geometry: Geometry) -> tuple[tuple[float, float, float], float]:
-    """Return centre, as an index (z, y, x), and radius (mm) of a ball in a volume.
+def ball_start_of(numbers: Sequence[float], vox: bool = False) -> Start:
+    """Return the start of a ball (x, y, z, r) in world mm, or in voxels.
 
     Raises
     ------
     UsageError
-        When it cannot be parsed or is no ball.
+        When the radius is not above 0.
+
+    Examples
+    --------
+    >>> ball_start_of((1, 2, 3, 4), vox=True).text
+    'ball:1.0,2.0,3.0,4.0vox'
+    """
+    x, y, z, radius = (float(number) for number in numbers)
+    system: System = "vox" if vox else ""
+    text = f"ball:{x!r},{y!r},{z!r},{radius!r}{system}"
+    return Start("ball", (x, y, z, radius), system, text=text).checked()
+
+
+class IndexBall(NamedTuple):
+    """A ball on a grid: its ``centre`` as an index (z, y, x), its ``radius`` in mm."""
+
+    centre: tuple[float, float, float]
+    radius: float
+
+
+def ball_of(start: Start, geometry: Geometry) -> IndexBall:
+    """Return the ball that a start is in a volume.
+
+    Raises
+    ------
+    UsageError
+        When it is no ball.
     InputError
         When no voxel centre is inside it.
 
     Examples
     --------
-    >>> ball_of("ball:3,4,6,2", Geometry((9, 9, 9), (2.0, 1.0, 1.0)))
-    ((3.0, 4.0, 3.0), 2.0)
+    >>> ball_of(parse_start("ball:3,4,6,2"), Geometry((9, 9, 9), (2.0, 1.0, 1.0)))
+    IndexBall(centre=(3.0, 4.0, 3.0), radius=2.0)
     """
-    start = parse(text).on(geometry)
     if start.kind != "ball":
-        raise UsageError(f"{shown(text)!r} was given, expected a ball", f"as in {KINDS['ball']}")
-    if start.vox:
-        x, y, z = start.numbers[:3]
-        radius = start.numbers[3] * min(geometry.steps)
-    else:
-        z, y, x = (float(v) for v in geometry.world_to_index(start.numbers[:3]))
-        radius = start.numbers[3]
-    centre = np.array([z, y, x])
+        raise UsageError(
+            f"{shown(start.text)!r} was given, expected a ball", f"as in {KINDS['ball']}"
+        )
+    ball = _placed(start.on(geometry), geometry)
+    centre = np.array(ball.centre)
     nearest = np.clip(np.round(centre), 0, np.array(geometry.shape) - 1)
-    if not float(np.linalg.norm((nearest - centre) * geometry.spacing)) < radius:
-        raise InputError(*_nothing_inside(text, geometry))
-    return (z, y, x), radius
+    if not float(np.linalg.norm((nearest - centre) * geometry.spacing)) < ball.radius:
+        raise _nothing_inside(start, geometry)
+    return ball
 
 
-def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
-    kind = parse(text).kind
-    if kind == "label":
-        return (
-            f"start {shown(text)!r}: the label map has no voxel of these labels",
-            "give a map and labels that it has",
-        )
-    if kind == "mesh":
-        return (
-            f"start {shown(text)!r}: no voxel centre is inside the mesh",
-            "mm, LPS as ITK; mesh:FILE@ras for RAS",
-        )
-    if kind in ("threshold", "largest", "otsu"):
-        return (
-            f"start {shown(text)!r}: no voxel lies between these values",
-            "thresholds are in the image's own units",
-        )
-    return f"start {shown(text)!r}: no voxel centre is inside it", extent_hint(geometry)
+def _placed(start: Start, geometry: Geometry) -> IndexBall:
+    """Return the ball of four numbers in mm (LPS) or in voxels."""
+    x, y, z, radius = start.numbers
+    if start.vox:
+        return IndexBall((z, y, x), radius * min(geometry.steps))
+    z, y, x = (float(v) for v in geometry.world_to_index((x, y, z)))
+    return IndexBall((z, y, x), radius)
+
+
+def _nothing_inside(start: Start, geometry: Geometry) -> InputError:
+    reason, hint = "no voxel centre is inside it", extent_hint(geometry)
+    if start.kind == "label":
+        reason = "the label map has no voxel of these labels"
+        hint = "give a map and labels that it has"
+    elif start.kind == "mesh":
+        reason, hint = "no voxel centre is inside the mesh", "mm, LPS as ITK; mesh:FILE@ras for RAS"
+    elif start.kind in ("threshold", "largest", "otsu"):
+        reason = "no voxel lies between these values"
+        hint = "thresholds are in the image's own units"
+    return InputError(f"start {shown(start.text)!r}: {reason}", hint)
 
 
 def extent_hint(geometry: Geometry) -> str:
@@ -338,35 +380,31 @@ def _spans(names: Sequence[str], low: Sequence[float], high: Sequence[float]) ->
     )
 
 
-def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDArray[np.float32]:
-    geometry, box = window.geometry, window.box
+def _psi_of(start: Start, window: Window, values: NDArray) -> NDArray[np.float32]:
+    geometry = window.geometry
     if start.kind == CLICKS:
         raise UsageError(
-            f"start {text!r}: there is no click inside",
+            f"start {start.text!r}: there is no click inside",
             "give --inside point:X,Y,Z, or another start",
         )
     if not window.is_whole:
-        refuse_values(start, text)
-    if start.kind == "label":
-        return psi_of_mask(_read_mask(start, window), geometry)
-    if start.kind == "mesh":
-        return psi_of_mask(meshes.voxels_in_mesh(start.file, geometry, start.word, box), geometry)
-    if start.kind in BY_VALUES:
-        return psi_of_mask(_by_values(start, geometry, values), geometry)
+        refuse_values(start)
     if start.kind == "center":
-        extents = [e for e, n in zip(geometry.extent_mm, geometry.shape, strict=True) if n > 1]
-        centre = tuple(0.5 * (n - 1) for n in reversed(geometry.shape))
-        radius = 0.25 * min(extents or [geometry.spacing[0]])
-        return _ball(window, centre, radius)
+        return middle_ball(window)
     if start.kind == "ball":
-        if start.vox:
-            return _ball(window, start.numbers[:3], start.numbers[3] * min(geometry.steps))
-        z, y, x = geometry.world_to_index(start.numbers[:3])
-        return _ball(window, (x, y, z), start.numbers[3])
-    return _box(window, start)
+        return psi_of_ball(window, *_placed(start, geometry))
+    if start.kind == "box":
+        return psi_of_box(window, start.numbers, start.vox)
+    if start.kind == "label":
+        mask = start.mask_of(label_box(start.file, window, f"start label:{start.file}", start.ids))
+    elif start.kind == "mesh":
+        mask = meshes.voxels_in_mesh(start.file, geometry, start.word, window.box)
+    else:
+        mask = _by_values(start, geometry, values)
+    return psi_of_mask(mask, geometry)
 
 
-def refuse_values(start: Start, text: str) -> None:
+def refuse_values(start: Start) -> None:
     """Refuse a start that looks at values everywhere, in an image that is read in parts.
 
     Raises
@@ -375,7 +413,7 @@ def refuse_values(start: Start, text: str) -> None:
     """
     if start.kind in BY_VALUES:
         raise UsageError(
-            f"start {shown(text)!r}: it looks at values everywhere, and the image is read in parts",
+            f"start {shown(start.text)!r}: it looks at values everywhere, and the image is read in parts",
             "give --inside ball:X,Y,Z,R, or a ball, a box, a mesh or a label map as the start",
         )
 
@@ -386,9 +424,7 @@ def _by_values(start: Start, geometry: Geometry, values: NDArray) -> NDArray[np.
     from accelsurf.starts import region_growing
 
     if start.kind == "seed":
-        z, y, x = start.numbers[2::-1] if start.vox else geometry.world_to_index(start.numbers[:3])
-        radius = start.numbers[3] * (min(geometry.steps) if start.vox else 1.0)
-        return region_growing.grow_region(values, geometry, (float(z), float(y), float(x)), radius)
+        return region_growing.grow_region(values, geometry, *_placed(start, geometry))
     if start.numbers:
         # Beyond 32-bit floats a bound is open; numpy would warn.
         low, high = (math.copysign(math.inf, v) if abs(v) > 3e38 else v for v in start.numbers)
@@ -396,10 +432,6 @@ def _by_values(start: Start, geometry: Geometry, values: NDArray) -> NDArray[np.
     else:
         mask = region_growing.otsu(values, dark=start.word.endswith("dark"))
     return region_growing.largest(mask) if start.kind == "largest" else mask
-
-
-def _read_mask(start: Start, window: Window) -> NDArray[np.bool_]:
-    return start.mask_of(label_box(start.file, window, f"start label:{start.file}", start.ids))
 
 
 def label_box(
@@ -427,37 +459,3 @@ def label_box(
         if isinstance(labels, Volume)
         else as_labels(labels.read(window.box), corner_of(window.box))
     )
-
-
-def psi_of_mask(mask: NDArray[np.bool_], geometry: Geometry) -> NDArray[np.float32]:
-    """Psi of a mask: half a voxel of the smallest spacing to either side of its boundary, mm."""
-    half = np.float32(0.5 * min(geometry.steps))
-    return np.where(mask, -half, half)
-
-
-def _ball(window: Window, centre_xyz: Sequence[float], radius: float) -> NDArray[np.float32]:
-    # Whole volumes: sums of squares in single precision take half the time.
-    return ball_distance(window.box, window.geometry.spacing, centre_xyz[::-1], radius, np.float32)
-
-
-def _box(window: Window, start: Start) -> NDArray[np.float32]:
-    geometry, shape = window.geometry, window.shape
-    low, high = np.array(start.numbers[:3]), np.array(start.numbers[3:])
-    scale = np.array(geometry.spacing_xyz) if start.vox else np.ones(3)
-    middle, half = 0.5 * (low + high), 0.5 * (high - low) * scale
-
-    nz, ny, nx = (np.arange(s.start, s.stop, dtype=float) for s in window.box)
-    psi = np.empty(shape, np.float32)
-    for planes in slabs(shape):
-        z = nz[planes, None, None]
-        y = ny[:, None]
-        x = nx
-        if start.vox:
-            offsets = [(c - m) * s for c, m, s in zip((x, y, z), middle, scale, strict=True)]
-        else:
-            world = geometry.index_to_world(np.stack(np.broadcast_arrays(z, y, x), axis=-1))
-            offsets = [world[..., axis] - middle[axis] for axis in range(3)]
-        q = [np.abs(o) - a for o, a in zip(offsets, half, strict=True)]
-        outside = np.sqrt(sum(np.maximum(a, 0.0) ** 2 for a in q))
-        psi[planes] = outside + np.minimum(np.maximum(np.maximum(q[0], q[1]), q[2]), 0.0)
-    return psi

@@ -202,7 +202,18 @@ def is_point_file(text: str) -> bool:
     >>> is_point_file("F.mrk.json"), is_point_file("stroke:a.csv"), is_point_file("1,2,3")
     (True, False, False)
     """
-    return (
-        text.strip().lower().endswith(POINT_FILES)
-        and text.strip().partition(":")[0] not in _FILE_KINDS
-    )
+    return bool(file_in(text)) and text.strip().partition(":")[0] not in _FILE_KINDS
+
+
+def file_in(text: str) -> str:
+    """Return the name of the file that the text of a click or a start names; empty where it names none.
+
+    Examples
+    --------
+    >>> file_in("stroke:a.csv"), file_in("F.mrk.json"), file_in("ball:1,2,3,4")
+    ('a.csv', 'F.mrk.json', '')
+    """
+    kind, _, name = text.strip().partition(":")
+    if kind in _FILE_KINDS:
+        return name
+    return text.strip() if text.strip().lower().endswith(POINT_FILES) else ""

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from accelsurf.clicks.reading import read_clicks
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.settings.coordinates import Suffix, box_of, coordinates_of, split_suffix
-from accelsurf.starts import starts
+from accelsurf.text.clicks import read_clicks
+from accelsurf.text.coordinates import Suffix, box_of, coordinates_of, split_suffix
+from accelsurf.text.starts import parse_start
 
 GRID = Geometry((12, 16, 20), (2.0, 1.0, 0.5), (-30.0, 10.0, 5.0))
 #: Two voxels (z, y, x) and their places in world mm, LPS.
@@ -247,6 +247,6 @@ def test_the_end_of_a_place():
 )
 def test_places_that_are_none_are_refused(text):
     with pytest.raises(UsageError):
-        starts.parse(text)
+        parse_start(text)
     with pytest.raises(UsageError, match="3 numbers separated by commas"):
         read_clicks(["1,2"], "inside", Volume(np.zeros(GRID.shape, np.float32), GRID))

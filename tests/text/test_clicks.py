@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.clicks import tables
-from accelsurf.clicks.reading import check_contradictions, read_clicks
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.clicks import Clicks
 from accelsurf.image.volume import Volume
+from accelsurf.text.clicks import check_contradictions, read_clicks
+from accelsurf.text.object_clicks import read_object_clicks, starts_of
 
 SPACING = (3.0, 1.0, 0.5)
 
@@ -36,13 +36,16 @@ def test_a_point_is_the_voxel_that_it_lies_in(volume):
     "text", ["ball:6,8,12,2.5", "ball:12,8,4,3vox", "box:2,2,3,6,6,12", "seed:6,8,12,2"]
 )
 def test_other_clicks_are_as_starts(volume, text):
-    from accelsurf.starts import starts
+    from accelsurf.text.starts import psi_of_starts, read_starts
 
     (click,) = read_clicks([text], "inside", volume)
     assert click.mask.any(axis=(1, 2)).all() and click.mask.any(axis=(0, 1)).all()
     # A voxel whose centre lies on a ball is clicked: a ball of one voxel has seven.
     least = 1e-5 if text.startswith("ball") else 0.0
-    want = {tuple(int(i) for i in v) for v in np.argwhere(starts.build([text], volume) < least)}
+    want = {
+        tuple(int(i) for i in v)
+        for v in np.argwhere(psi_of_starts(read_starts([text]), volume) < least)
+    }
     assert voxels([click]) == want
 
 
@@ -200,20 +203,20 @@ def table(tmp_path, content):
 def test_a_table_of_objects_with_sides(volume, tmp_path):
     rows = "2,5,5,5,,inside\n2,9,5,5,,outside\n0,1,1,1,2,inside\n7,20,9,4,2,inside\n"
     content = f"id,x_vox,y_vox,z_vox,r_vox,side\n{rows}"
-    clicks = tables.read(table(tmp_path, content), volume.geometry)
+    clicks = read_object_clicks(table(tmp_path, content), volume.geometry)
     assert clicks.ids() == (0, 2, 7)
     assert voxels(clicks.clicks, "inside", 2) == {(5, 5, 5)} and voxels(
         clicks.clicks, "outside", 2
     ) == {(5, 5, 9)}
-    starts = tables.starts_of(clicks, volume.geometry, 2)
+    starts = starts_of(clicks, volume.geometry, 2)
     assert [one.id for one in starts] == [0, 2, 7]
     assert (
         int((starts[1].psi < 0).sum()) == 1
         and starts[1].psi.shape == (5, 5, 5)
         and starts[1].corner == (3, 3, 3)
     )
-    assert tables.read(table(tmp_path, "id,x,y,z,r\n1,5,5,5,2\n"), volume.geometry) is None
-    assert tables.read(np.ones((10, 20, 30), int), volume.geometry) is None
+    assert read_object_clicks(table(tmp_path, "id,x,y,z,r\n1,5,5,5,2\n"), volume.geometry) is None
+    assert read_object_clicks(np.ones((10, 20, 30), int), volume.geometry) is None
 
 
 @pytest.mark.parametrize(
@@ -231,4 +234,4 @@ def test_a_table_of_objects_with_sides(volume, tmp_path):
 )
 def test_tables_that_say_nothing_are_refused(volume, tmp_path, rows, message):
     with pytest.raises(InputError, match=message):
-        tables.read(table(tmp_path, f"id,x,y,z,side\n{rows}\n"), volume.geometry)
+        read_object_clicks(table(tmp_path, f"id,x,y,z,side\n{rows}\n"), volume.geometry)

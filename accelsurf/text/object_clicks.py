@@ -7,15 +7,23 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.clicks import reading
+from accelsurf.clicks.voxels import click_of_voxels
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import corner_of, enclosing, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.files import open_table, read_table
-from accelsurf.settings.coordinates import System
-from accelsurf.starts import starts
-from accelsurf.starts.objects import MAX_ID, ObjectStart
+from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts.surfaces import psi_of_mask
+from accelsurf.text.clicks import (
+    WORLD_COLUMNS,
+    check_contradictions,
+    click_of_numbers,
+    point_voxels,
+    stroke_row,
+)
+from accelsurf.text.coordinates import System
+from accelsurf.text.objects import MAX_ID
+from accelsurf.text.tables import open_table, read_table
 
 _FORM = (
     "columns id,x,y,z,side in world mm (LPS), or id,x_vox,y_vox,z_vox,side, or id,x_grid,y_grid,z_grid,side as on the "
@@ -23,13 +31,13 @@ _FORM = (
 )
 
 
-def read(objects: Any, geometry: Geometry) -> Clicks | None:
+def read_object_clicks(objects: Any, geometry: Geometry) -> Clicks | None:
     """Return the clicks of a table of objects; None for a label map, or a table without a column ``side``.
 
     Parameters
     ----------
     objects : str, Volume or ndarray
-        As for `accelsurf.starts.objects.read`.
+        As for `accelsurf.text.objects.read_objects`.
     geometry : Geometry
         The image's grid.
 
@@ -44,7 +52,7 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
         return None
     rows = read_table(
         objects,
-        ("id", *reading.WORLD_COLUMNS),
+        ("id", *WORLD_COLUMNS),
         _FORM,
         lambda line, number, system: _click_of_row(line, number, system, geometry),
     )
@@ -59,7 +67,7 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
             f"{objects}: id {min(lost)} has no row inside",
             "give it one, or take its other rows away",
         )
-    reading.check_contradictions(found, geometry)
+    check_contradictions(found, geometry)
     return found
 
 
@@ -90,7 +98,7 @@ def _click_of_row(line: dict[str, str], number: int, system: System, geometry: G
             f"line {number}: id {line.get('id')} was given, expected a whole number from 0 on",
             _FORM,
         )
-    side, (numbers, vox) = reading.stroke_row(line, number, system, "inside", geometry)
+    side, (numbers, vox) = stroke_row(line, number, system, "inside", geometry)
     name, id = f"line {number}", int(number_given)
     if id == NO_OBJECT and side == "outside":
         raise InputError(
@@ -98,10 +106,8 @@ def _click_of_row(line: dict[str, str], number: int, system: System, geometry: G
             "write inside, or an object's id",
         )
     if numbers[3] == 0:
-        return reading.click_of_voxels(
-            side, reading.point_voxels([numbers], name, side, geometry, vox), id
-        )
-    return reading.click_of_numbers(side, numbers, vox, geometry, id)
+        return click_of_voxels(side, point_voxels([numbers], name, side, geometry, vox), id)
+    return click_of_numbers(side, numbers, vox, geometry, id)
 
 
 def starts_of(clicks: Clicks, geometry: Geometry, margin: int) -> list[ObjectStart]:
@@ -123,5 +129,5 @@ def starts_of(clicks: Clicks, geometry: Geometry, margin: int) -> list[ObjectSta
         tight = functools.reduce(enclosing, (click.box for click in mine))
         box = widened(tight, geometry.shape, (margin, margin, margin))
         mask = np.logical_or.reduce([click.mask_on(box) for click in mine])
-        out.append(ObjectStart(id, corner_of(box), starts.psi_of_mask(mask, geometry)))
+        out.append(ObjectStart(id, corner_of(box), psi_of_mask(mask, geometry)))
     return out

@@ -13,11 +13,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from accelsurf.errors import InputError
-from accelsurf.io.files import bytes_within, columns_in
+from accelsurf.io.files import bytes_within
 from accelsurf.settings import budgets
-from accelsurf.settings.coordinates import UNITS_MM, Coordinates, Suffix
 from accelsurf.settings.wording import shown
-from accelsurf.starts import starts
+from accelsurf.text.coordinates import UNITS_MM, Coordinates, Suffix
+from accelsurf.text.starts import MAX_LENGTH
+from accelsurf.text.tables import columns_in
 
 #: Coordinate systems as Slicer names them, in words and, in older files, as numbers.
 _SYSTEMS = {
@@ -90,7 +91,7 @@ def read_points(file: str) -> list[Coordinates]:
     budgets.POINTS.check(sum(len(points.rows) for points in sets), file)
     found = []
     for rows, suffix in sets:
-        if not all(abs(value) <= starts.MAX_LENGTH for row in rows for value in row):
+        if not all(abs(value) <= MAX_LENGTH for row in rows for value in row):
             raise InputError(
                 f"{file}: a point has a coordinate that is no finite number",
                 f"expected {_EXPECTED}",

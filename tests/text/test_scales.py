@@ -7,8 +7,6 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.cli.look import _place
-from accelsurf.clicks import tables
-from accelsurf.clicks.reading import read_clicks, voxel_named
 from accelsurf.grid.boxes import corner_of
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import (
@@ -24,8 +22,11 @@ from accelsurf.output.pictures.canvas import Box, Canvas
 from accelsurf.output.pictures.slice_views import SliceView, displayed, whole_ranges
 from accelsurf.output.pictures.slices import ShownImage, open_slice, typed_note
 from accelsurf.run.region_of_interest import cropped, region_of_interest
-from accelsurf.settings.coordinates import UNITS_MM, place_text
-from accelsurf.starts import objects, starts
+from accelsurf.text.clicks import read_clicks, voxel_named
+from accelsurf.text.coordinates import UNITS_MM, place_text
+from accelsurf.text.object_clicks import read_object_clicks
+from accelsurf.text.objects import read_balls
+from accelsurf.text.starts import ball_of, parse_start, psi_of_starts, read_starts
 
 CASES = 60
 
@@ -101,20 +102,20 @@ def test_a_place_read_off_a_picture_is_the_voxel_that_was_seen(seed, tmp_path):
         assert corner_of(click.box) == voxel and click.mask.size == 1, text
     z, y, x = geometry.world_to_index(_place(f"{body}{ending}", geometry))
     assert np.rint([z, y, x]).astype(int).tolist() == list(voxel)
-    centre, _ = starts.ball_of(f"ball:{body},{small:.9g}{ending}", geometry)
+    centre, _ = ball_of(parse_start(f"ball:{body},{small:.9g}{ending}"), geometry)
     assert np.rint(centre).astype(int).tolist() == list(voxel)
     assert said in voxel_named(np.array(voxel), geometry)
     # Tables on the scales.
     rows = f"id,x_grid,y_grid,z_grid,r_grid\n7,{body},{small:.9g}\n"
     (tmp_path / "balls.csv").write_text(rows)
-    ((place,),) = objects.read_balls(str(tmp_path / "balls.csv"), geometry).values()
+    ((place,),) = read_balls(str(tmp_path / "balls.csv"), geometry).values()
     assert np.rint(place[:3]).astype(int).tolist() == list(voxel)
     (tmp_path / "stroke.csv").write_text(f"x_grid,y_grid,z_grid\n{body}\n")
     for text in (f"stroke:{tmp_path / 'stroke.csv'}", str(tmp_path / "stroke.csv")):
         (click,) = read_clicks([text], "inside", volume)
         assert corner_of(click.box) == voxel
     (tmp_path / "clicks.csv").write_text(f"id,x_grid,y_grid,z_grid,side\n7,{body},inside\n")
-    (click,) = tables.read(str(tmp_path / "clicks.csv"), geometry).clicks
+    (click,) = read_object_clicks(str(tmp_path / "clicks.csv"), geometry).clicks
     assert corner_of(click.box) == voxel and click.id == 7
 
 
@@ -133,7 +134,9 @@ def test_a_box_read_off_a_picture_is_the_voxels_within(seed):
     if "grid" in ending or not np.any(np.abs(np.abs(geometry.direction) - 0.5) < 0.4999):
         found = region_of_interest(text, geometry, "box")
         assert [(s.start, s.stop) for s in found] == expected
-    psi = starts.build([f"box:{text}"], Volume(np.zeros(geometry.shape, np.uint8), geometry))
+    psi = psi_of_starts(
+        read_starts([f"box:{text}"]), Volume(np.zeros(geometry.shape, np.uint8), geometry)
+    )
     inside = np.argwhere(psi < 0)
     if "grid" in ending:
         assert inside.min(axis=0).tolist() == [a for a, _ in expected]
