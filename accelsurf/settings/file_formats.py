@@ -239,7 +239,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         (".dcm", ".ima"),
         f"{_FORMATS}.dicom:parse_dicom",
         f"{_FORMATS}.dicom:read_dicom",
-        options=("series", "resample", "spacing"),
+        options=("series", "spacing"),
         read_labels=f"{_FORMATS}.dicom:read_labels",
         sequence=f"{_SEQUENCES}.sources:DicomFrames",
         is_anatomical=f"{_FORMATS}.dicom:is_dicom_anatomical",

@@ -202,7 +202,7 @@ def _grid(
     """The grid of all frames, and the slice of each on it."""
     slices = ordered(DicomVolume(tuple(frames)), root)
     if len(slices.frames) < len(frames):
-        raise GeometryError("; ".join(fault.text for fault in slices.faults), _HINT)
+        raise GeometryError("; ".join(slices.faults), _HINT)
     along, aside = slices.along, slices.aside
     if np.abs(aside).max() > TOLERANCE_MM:
         raise GeometryError(

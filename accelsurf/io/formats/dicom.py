@@ -16,7 +16,6 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.dicom import pixels, segments
 from accelsurf.io.dicom.frames import Frame, frames_of
-from accelsurf.io.dicom.resampling import RegularGrid, regular_grid, resampled
 from accelsurf.io.dicom.segments import Segments
 from accelsurf.io.dicom.slices import Slices, ordered
 from accelsurf.io.dicom.sources import (
@@ -71,8 +70,8 @@ class DicomHeader:
     ----------
     slices : Slices
         In their order.
-    grid : RegularGrid or None
-        Grid for the resampling, where they lie on none.
+    geometry : Geometry
+        The grid of the volume.
     notes : tuple of str
         Warnings for the user.
     options : ReadOptions
@@ -80,14 +79,9 @@ class DicomHeader:
     """
 
     slices: Slices
-    grid: RegularGrid | None
+    geometry: Geometry
     notes: tuple[str, ...]
     options: ReadOptions = AS_IT_IS
-
-    @property
-    def geometry(self) -> Geometry:
-        """The grid of the volume."""
-        return self.slices.geometry if self.grid is None else self.grid.geometry
 
     @property
     def values(self) -> int:
@@ -103,7 +97,7 @@ def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Se
     InputError
         When there is no image, or there are several and none was chosen.
     GeometryError
-        When the slices lie on no grid and are not to be put on one.
+        When the slices lie on no grid.
     """
     files, contents, file = found_in(path)
     if (segmentation := segmentation_of(contents)) is not None:
@@ -114,7 +108,7 @@ def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Se
             )
         return segments.parse_segments(segmentation, files.root)
     volume = volume_of(contents, options, file)
-    refuse_lost(contents, volume.uid, options)
+    refuse_lost(contents, volume.uid)
     slices = ordered(volume, files.root, options.spacing)
     notes = notes_on_left_out(contents, volume.uid, file)
     try:
@@ -168,19 +162,18 @@ def _frames_of(file: Path) -> list[Frame]:
         raise InputError(error.message.removeprefix(f"{file.name}: "), error.hint) from error
 
 
-def refuse_lost(contents: Contents, series: str, options: ReadOptions) -> None:
+def refuse_lost(contents: Contents, series: str) -> None:
     """Refuse a series of which a file cannot be read: at an end no gap tells of it.
 
     Raises
     ------
     InputError
-        With the names of the files; not where slices are put on a grid, as gaps are filled then.
+        With the names of the files.
     """
-    lost = contents.lost_from(series)
-    if lost and not options.resample:
+    if lost := contents.lost_from(series):
         raise InputError(
             f"a slice of the series is lost: {count_in_words(lost)}",
-            "copy it again; to go on without it, take it out of the folder or add --resample",
+            "copy it again; to go on without it, take it out of the folder",
         )
 
 
@@ -190,16 +183,10 @@ def on_grid(slices: Slices, options: ReadOptions, notes: list[str]) -> DicomHead
     Raises
     ------
     GeometryError
-        When the slices lie on no grid and are not to be put on one.
+        When the slices lie on no grid.
     """
     notes = [*notes, *([slices.note] if slices.note else [])]
-    grid = None
-    if slices.faults and options.resample:
-        grid = regular_grid(slices)
-        notes.append(grid.text)
-    header = DicomHeader(slices, grid, tuple(notes), options)
-    assert header.geometry is not None  # raises where there is none
-    return header
+    return DicomHeader(slices, slices.geometry, tuple(notes), options)
 
 
 def volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> DicomVolume:
@@ -310,12 +297,8 @@ def read_dicom(path: Path, header: DicomHeader | Segments, available: int) -> Vo
         return read_labels(path, header, available)
     frames = header.slices.frames
     dtype = pixels.value_type(frames)
-    check_memory(
-        header.geometry.size, dtype.itemsize + (8 if header.grid is not None else 0), available
-    )
+    check_memory(header.geometry.size, dtype.itemsize, available)
     values, note = pixels.read_values(frames)
-    if header.grid is not None:
-        values = resampled(values, header.grid)
     metadata = with_warnings({DICOM_KEY: frames[0].uids[1]}, *header.notes, note)
     metadata = with_given_unit(metadata, header.options)
     if frames[0].labels["unit"]:
@@ -395,7 +378,7 @@ def _entry(
     lost = contents.lost_from(volume.uid)
     entry["warnings"] = [
         *([f"a slice of the series is lost: {count_in_words(lost)}"] if lost else []),
-        *(fault.text for fault in slices.faults),
+        *slices.faults,
         *([slices.note] if slices.note else []),
     ]
     return entry

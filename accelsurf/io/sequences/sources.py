@@ -280,7 +280,7 @@ class DicomFrames(FileSequence):
         self._files, contents, file = dicom.found_in(path)
         frames = _frames_of(contents, options, file)
         series = frames[0].uids[1]
-        dicom.refuse_lost(contents, series, options)
+        dicom.refuse_lost(contents, series)
         self._parts, times = frames_in_time(frames, self._files.root)
         first = self._header(0)
         self.place(
