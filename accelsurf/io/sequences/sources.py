@@ -6,7 +6,6 @@ A DICOM series is a sequence if it has slices at several times, or is a loop in 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +23,12 @@ from accelsurf.io.dicom.slices import ordered
 from accelsurf.io.dicom.volumes import TIME_PHASES, Contents, DicomVolume, frames_in_time, is_cine
 from accelsurf.io.files import naming
 from accelsurf.io.formats import dicom
-from accelsurf.io.formats.slices import fitting_names, in_order
+from accelsurf.io.formats.slices import (
+    changing_numbers,
+    fitting_names,
+    in_order,
+    shown_gaps,
+)
 from accelsurf.io.headers import FRAME_KEY, TIMES_KEY, WARNING_KEY, FrameTimes
 from accelsurf.io.lazy_volume import LazyVolume, open_volume
 from accelsurf.io.memory import available_memory, check_memory
@@ -32,8 +36,6 @@ from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import ImageFormat
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.registry import load
-
-_MAX_SHOWN = 8
 
 
 class FileSequence(ImageSequence):
@@ -246,12 +248,9 @@ def times_of_names(names: Sequence[str]) -> tuple[FrameTimes, str]:
     ((0.0, 1.0, 3.0), (0.0, 1.0))
     """
     plain = FrameTimes.regular(len(names), None)
-    numbers = [
-        [int(n) for n in re.findall(r"[0-9]{1,18}", headers.split_name(name)[0])] for name in names
-    ]
-    if len(names) < 2 or len({len(some) for some in numbers}) != 1 or not numbers[0]:
+    columns = changing_numbers([headers.split_name(name)[0] for name in names])
+    if not columns:
         return plain, ""
-    columns = [column for column in zip(*numbers, strict=True) if len(set(column)) > 1]
     if len(columns) != 1 or len(set(columns[0])) < len(names):
         return (
             plain,
@@ -266,10 +265,8 @@ def times_of_names(names: Sequence[str]) -> tuple[FrameTimes, str]:
     )
     if not gaps:
         return FrameTimes(values), ""
-    text = ", ".join(map(str, gaps[:_MAX_SHOWN])) + (" ..." if len(gaps) > _MAX_SHOWN else "")
-    return FrameTimes(
-        values
-    ), f"frames are missing: no file has the number {text}; the times have the gap"
+    note = f"frames are missing: no file has the number {shown_gaps(gaps)}; the times have the gap"
+    return FrameTimes(values), note
 
 
 class DicomFrames(FileSequence):
