@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,26 +99,35 @@ def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Se
     GeometryError
         When the slices lie on no grid.
     """
-    files, contents, file = found_in(path)
+    found = found_in(path)
+    contents = found.contents
     if (segmentation := segmentation_of(contents)) is not None:
         if options.given:
             raise UsageError(
                 f"{options.given[0]} was given, a DICOM segmentation has no such choice",
                 "leave it out",
             )
-        return segments.parse_segments(segmentation, files.root)
-    volume = volume_of(contents, options, file)
+        return segments.parse_segments(segmentation, found.files.root)
+    volume = volume_of(contents, options, found.file)
     refuse_lost(contents, volume.uid)
-    slices = ordered(volume, files.root, options.spacing)
-    notes = notes_on_left_out(contents, volume.uid, file)
+    slices = ordered(volume, found.files.root, options.spacing)
+    notes = notes_on_left_out(contents, volume.uid, found.file)
     try:
         return on_grid(slices, options, notes)
     except GeometryError as error:  # a file that cannot be read may be the missing slice
         raise GeometryError("; ".join((error.message, *notes)), error.hint) from error
 
 
-def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
-    """The files of a path, their contents, and the file itself where one was given.
+class FoundDicom(NamedTuple):
+    """The DICOM files of a path, their contents, and the file itself where one was given."""
+
+    files: SourceFiles
+    contents: Contents
+    file: Path | None
+
+
+def found_in(path: Path) -> FoundDicom:
+    """Read the headers of the files of a path.
 
     Raises
     ------
@@ -129,11 +138,11 @@ def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
     files = files_of(path)
     file = path if path.is_file() else None
     if file is None:
-        return files, contents_of(files), None
+        return FoundDicom(files, contents_of(files), None)
     frames = _frames_of(file)
     if len(frames) > 1 or (frames and frames[0].labels["kind"] == SEGMENTATION):
         files = SourceFiles(files.root, (file,))
-    return files, contents_of(files, {file: frames}), file
+    return FoundDicom(files, contents_of(files, {file: frames}), file)
 
 
 def segmentation_of(contents: Contents) -> Path | None:
@@ -299,7 +308,7 @@ def read_dicom(path: Path, header: DicomHeader | Segments, available: int) -> Vo
     dtype = pixels.value_type(frames)
     check_memory(header.geometry.size, dtype.itemsize, available)
     values, note = pixels.read_values(frames)
-    metadata = with_warnings({DICOM_KEY: frames[0].uids[1]}, *header.notes, note)
+    metadata = with_warnings({DICOM_KEY: frames[0].uids.series}, *header.notes, note)
     metadata = with_given_unit(metadata, header.options)
     if frames[0].labels["unit"]:
         metadata[VALUE_UNIT_KEY] = frames[0].labels["unit"]
@@ -329,7 +338,7 @@ def read_labels(
         return read_dicom(path, header, available)
     labels = segments.read_segments(header, available, ids)
     metadata = {
-        DICOM_KEY: header.frames[0].uids[1],
+        DICOM_KEY: header.frames[0].uids.series,
         LABELS_KEY: header.table.to_json(),
         ZERO_BEYOND_KEY: "yes",
     }
@@ -349,17 +358,18 @@ def listing(path: Path) -> list[dict[str, Any]]:
     InputError
         When there is no DICOM.
     """
-    files, contents, file = found_in(path)
+    found = found_in(path)
+    files, contents = found.files, found.contents
     if (segmentation := segmentation_of(contents)) is not None:
         return [_segmentation_entry(segments.parse_segments(segmentation, files.root), files)]
     if not contents.volumes:
         volume_of(contents, AS_IT_IS, None)  # its error names the contents
-    volumes = contents.volumes if file is None else volumes_of_file(contents, file)
+    volumes = contents.volumes if found.file is None else volumes_of_file(contents, found.file)
     numbered = [
         (number, volume) for number, volume in enumerate(contents.volumes, 1) if volume in volumes
     ]
     entries = [_entry(number, volume, files, contents) for number, volume in numbered]
-    entries[0]["left_out"] = notes_on_left_out(contents, volumes[0].uid, file)
+    entries[0]["left_out"] = notes_on_left_out(contents, volumes[0].uid, found.file)
     return entries
 
 

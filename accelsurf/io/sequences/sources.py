@@ -274,19 +274,19 @@ class DicomFrames(FileSequence):
 
     def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
         super().__init__(path, options, memory_bytes)
-        self._files, contents, file = dicom.found_in(path)
-        frames = _frames_of(contents, options, file)
-        series = frames[0].uids[1]
-        dicom.refuse_lost(contents, series)
-        self._parts, times = frames_in_time(frames, self._files.root)
+        found = dicom.found_in(path)
+        self._root = found.files.root
+        frames = _frames_of(found.contents, options, found.file)
+        series = frames[0].uids.series
+        dicom.refuse_lost(found.contents, series)
+        self._parts, times = frames_in_time(frames, self._root)
         first = self._header(0)
-        self.place(
-            first.geometry, times, [*dicom.notes_on_left_out(contents, series, file), *first.notes]
-        )
+        left_out = dicom.notes_on_left_out(found.contents, series, found.file)
+        self.place(first.geometry, times, [*left_out, *first.notes])
 
     def _header(self, number: int) -> dicom.DicomHeader:
         """Slices of a frame in their order, on a grid."""
-        slices = ordered(DicomVolume(self._parts[number]), self._files.root, self._options.spacing)
+        slices = ordered(DicomVolume(self._parts[number]), self._root, self._options.spacing)
         return dicom.on_grid(slices, self._options, [])
 
     def read(self, number: int) -> list[Volume]:
