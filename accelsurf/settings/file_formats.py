@@ -54,7 +54,7 @@ class ImageFormat:
         box; None: the format is packed as a whole.
     store : str or callable, optional
         Of a Path, a Geometry, a type of values, metadata and a path to the image or None, returns the writer of
-        label maps box by box (``write``, ``read``, ``finish``, as of `accelsurf.io.LabelStore`); None: it cannot be.
+        label maps box by box (``write``, ``read``, ``finish``); None: it cannot be.
     sequence : str or callable, optional
         Of a Path, ReadOptions and the memory in bytes or None, returns the
         `accelsurf.io.sequences.sources.FileSequence` that is in it; None: one time point is read like the other.
@@ -152,15 +152,15 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         "nii.gz",
         "NIfTI-1 or NIfTI-2, compressed; written as NIfTI-1",
         (".nii.gz",),
-        parse=f"{_FORMATS}.nifti:read_compressed_header",
-        write=f"{_FORMATS}.nifti_volumes:write_compressed",
+        parse=f"{_FORMATS}.nifti:read_header",
+        write=f"{_FORMATS}.nifti_volumes:write_nifti",
         **_NIFTI,
     ),
     ImageFormat(
         "nii",
         "NIfTI-1 or NIfTI-2; written as NIfTI-1",
         (".nii",),
-        parse=f"{_FORMATS}.nifti:read_plain_header",
+        parse=f"{_FORMATS}.nifti:read_header",
         write=f"{_FORMATS}.nifti_volumes:write_nifti",
         open=f"{_FORMATS}.raw_header:open_raw",
         store=f"{_FORMATS}.nifti_volumes:store_nifti",

@@ -82,11 +82,6 @@ class Segments:
     table: LabelTable
 
     @property
-    def values(self) -> int:
-        """Number of voxels of the grid."""
-        return int(np.prod(self.geometry.shape, dtype=object))
-
-    @property
     def note(self) -> str:
         """Note for the user; empty for nothing."""
         return (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,11 +81,6 @@ class DicomHeader:
     geometry: Geometry
     notes: tuple[str, ...]
     options: ReadOptions = AS_IT_IS
-
-    @property
-    def values(self) -> int:
-        """Number of voxels."""
-        return math.prod(self.geometry.shape)
 
 
 def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Segments:

@@ -66,14 +66,6 @@ class OmeHeader:
     options: ReadOptions = AS_IT_IS
 
     @property
-    def values(self) -> int:
-        """Number of values that are read, all channels together; of the finest level where none was named."""
-        places = selected(self.channels, self.time_points, self.options)
-        level = self.options.level if isinstance(self.options.level, int) else 0
-        array = open_array(self.folder, self.ome.levels[min(level, len(self.ome.levels) - 1)].path)
-        return len(places) * math.prod(int(array.shape[axis]) for axis in self.ome.space_axes)
-
-    @property
     def channels(self) -> int:
         """Number of them."""
         return self._count("channel")

@@ -5,7 +5,6 @@ They are put in the order of the numbers in their names: 2 before 10. All have o
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -58,11 +57,6 @@ class SliceFolder:
     form: ImageFormat
     geometry: Geometry
     metadata: dict[str, str]
-
-    @property
-    def values(self) -> int:
-        """Number of values of the image."""
-        return math.prod(self.geometry.shape)
 
 
 def fitting_names(path: Path, stores: bool = False) -> tuple[Path, list[str]]:

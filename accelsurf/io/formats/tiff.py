@@ -656,12 +656,6 @@ class TiffImage:
         """The grid of the level that is read."""
         return self.grids[self.level]
 
-    @property
-    def values(self) -> int:
-        """Number of values that are read, all channels together."""
-        places = selected(self.channels, self.stack.time_points, self.options)
-        return len(places) * math.prod(self.geometry.shape)
-
 
 def parse_tiff(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
     """Read the directories of a TIFF (also BigTIFF), and of the files that belong to it.

@@ -17,7 +17,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
 from accelsurf.io import headers
-from accelsurf.io.channels import read_volumes
+from accelsurf.io.channels import read_volumes, values_read
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.slices import ordered
 from accelsurf.io.dicom.volumes import TIME_PHASES, Contents, DicomVolume, frames_in_time, is_cine
@@ -107,7 +107,7 @@ class FileFrames(FileSequence):
     @property
     def frame_values(self) -> int:
         """Number of values of a frame, all channels together."""
-        return int(with_time(self.header, 0).values)
+        return values_read(self.header, replace(self._options, time_index=0))
 
     def read(self, number: int) -> list[Volume]:
         """Read the channels of a frame."""
@@ -183,10 +183,14 @@ class FrameFolder(FileSequence):
     @property
     def frame_values(self) -> int:
         """Number of values of a frame, all channels together."""
-        return int(self._parsed(self.files[0])[1].values)
+        first = self.files[0]
+        return values_read(self._parsed(first)[1], self._asked(first))
+
+    def _asked(self, file: Path) -> ReadOptions:
+        return self._options.restricted_to(headers.options_of(file))
 
     def _parsed(self, file: Path) -> tuple[ImageFormat, Any]:
-        return headers.parse(file, self._options.restricted_to(headers.options_of(file)))
+        return headers.parse(file, self._asked(file))
 
     def read(self, number: int) -> list[Volume]:
         """Read a file."""
