@@ -98,7 +98,6 @@ class Shared(TypedDict, total=False):
     time_index: int | None
     channels_from_time: bool
     series: str | None
-    resample: bool
     mesh_smooth: float
     mesh_faces: int | None
     mesh_error: float | None

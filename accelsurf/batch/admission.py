@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from accelsurf.errors import AccelsurfError, UsageError
-from accelsurf.io.headers import count_values, options_of
+from accelsurf.io.channels import count_values
+from accelsurf.io.headers import options_of
 from accelsurf.run.memory import FREE_SHARE, PROCESS_BYTES, bytes_text, memory_of, run_bytes
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.track_config import TrackConfig

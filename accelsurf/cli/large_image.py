@@ -85,8 +85,9 @@ def large_image(
         When it cannot be read in parts.
     """
     from accelsurf.errors import InputError
+    from accelsurf.io.channels import count_values
     from accelsurf.io.format_functions import functions_of
-    from accelsurf.io.headers import count_values, is_store, split_name
+    from accelsurf.io.headers import is_store, split_name
     from accelsurf.run.memory import run_bytes
     from accelsurf.settings.file_formats import image_format
 

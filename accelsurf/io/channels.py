@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -88,6 +89,38 @@ def single(channels: int, time_points: int, options: ReadOptions) -> tuple[int, 
         )
         raise InputError(f"an image of {len(found)} channels given, one expected", hint)
     return found[0]
+
+
+def values_read(header: Any, options: ReadOptions) -> int:
+    """Count the values of the channels of an image that are read, by its header.
+
+    Raises
+    ------
+    InputError
+        As `selected`.
+    """
+    places = selected(getattr(header, "channels", 1), getattr(header, "time_points", 1), options)
+    return math.prod(header.geometry.shape) * len(places)
+
+
+def count_values(path: Path, options: ReadOptions = AS_IT_IS) -> int:
+    """Count the values of an image, all channels together, by its header alone.
+
+    Raises
+    ------
+    InputError
+        As `accelsurf.io.headers.parse`, without the name of the file.
+
+    Examples
+    --------
+    >>> count_values(Path("absent.nii"))
+    Traceback (most recent call last):
+    ...
+    accelsurf.errors.InputError: there is no such file
+    hint: check the path
+    """
+    _, header = headers.parse(path, options)
+    return values_read(header, options)
 
 
 def check_channels(count: int) -> None:

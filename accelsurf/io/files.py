@@ -6,11 +6,12 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from accelsurf.errors import AccelsurfError, InputError, OutputError
 from accelsurf.io.file_set import FileSet, open_set
@@ -19,6 +20,11 @@ from accelsurf.settings.budgets import Budget
 from accelsurf.settings.reading import check_readable
 
 SPACE_HINT = "is there space on the disk?"
+CHANGED = (
+    "the image has changed since it was opened",
+    "let no other program write it; then start again",
+)
+"""Message and hint where a file is not the one that was opened."""
 _BLOCK = 1 << 20  # bytes that are compared at once
 
 
@@ -113,9 +119,22 @@ def _itk_reason(error: RuntimeError) -> str:
     return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text)[:200]
 
 
-def file_version(found: os.stat_result) -> tuple[int, ...]:
+def file_version(path: Path) -> tuple[int, ...]:
     """Numbers that change when a file is written or replaced."""
+    found = path.stat()
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def refuse_changed(path: Path, version: tuple[int, ...]) -> None:
+    """Refuse a file that is not the one that was opened.
+
+    Raises
+    ------
+    InputError
+        When its numbers of `file_version` are others; OSError when it is gone.
+    """
+    if file_version(path) != version:
+        raise InputError(*CHANGED)
 
 
 @contextmanager
@@ -154,35 +173,76 @@ def staging(path: Path, folder_marks: tuple[str, ...] = ()) -> Iterator[FileSet]
         ) from error
 
 
-@contextmanager
-def undone_on_failure(path: Path, files: FileSet, undo: Callable[[], None]) -> Iterator[None]:
-    """Turn an error while staging files are written into one line with the name of the file, after ``undo``.
+class StagedOutput:
+    """An output that is written piece by piece. It appears when it is committed, whole, or not at all.
+
+    Used with ``with``, it is committed at the end, and aborted where an error ends the block.
 
     Parameters
     ----------
     path : Path
-        The output.
-    files : FileSet
-        The set of its staging files, whose folder no message names.
-    undo : callable
-        Removes the written files.
+        A star in its name stands for the numbers of several files.
+    folder_marks : tuple of str
+        As of `staging`.
+
+    Raises
+    ------
+    OutputError
+        When nothing can be written there.
     """
-    try:
-        yield
-    except AccelsurfError as error:
-        undo()
-        raise type(error)(
-            error.message.replace(str(files.staging), str(path.parent)), error.hint
-        ) from error
-    except OSError as error:
-        undo()
-        raise OutputError(
-            f"{path}: cannot be written ({error.strerror or error})",
-            f"does the folder {path.parent} exist, is it writable? {SPACE_HINT}",
-        ) from error
-    except BaseException:
-        undo()
-        raise
+
+    def __init__(self, path: Path, folder_marks: tuple[str, ...]) -> None:
+        self.path = path
+        self._stack = ExitStack()
+        name = path.name.replace("*", "_")
+        self._files = self._stack.enter_context(staging(path.with_name(name), folder_marks))
+
+    def commit(self) -> object:
+        """Put the output in its place.
+
+        Raises
+        ------
+        OutputError
+            When it cannot be written; nothing is left behind then.
+        """
+        raise NotImplementedError
+
+    def abort(self) -> None:
+        """Remove the written files; after `commit` this does nothing."""
+        self._stack.pop_all().close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.commit()
+        else:
+            self.abort()
+
+    @contextmanager
+    def _aborted_on_failure(self) -> Iterator[None]:
+        """Turn an error while staging files are written into one line with the name of the output; remove them."""
+        try:
+            yield
+        except AccelsurfError as error:
+            self.abort()
+            message = error.message.replace(str(self._files.staging), str(self.path.parent))
+            raise type(error)(message, error.hint) from error
+        except OSError as error:
+            self.abort()
+            raise OutputError(
+                f"{self.path}: cannot be written ({error.strerror or error})",
+                f"does the folder {self.path.parent} exist, is it writable? {SPACE_HINT}",
+            ) from error
+        except BaseException:
+            self.abort()
+            raise
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -237,7 +297,7 @@ def sha256(path: str | os.PathLike[str]) -> str:
     path = Path(path)
     with naming(path):
         if path.is_dir():
-            return _folder_sha256(path)
+            return _files_sha256(path, _names_in(path))
         if not path.exists():
             names = os.listdir(path.parent) if path.parent.is_dir() else []
             if found := sorted(name for name in names if fnmatchcase(name, path.name)):
@@ -259,10 +319,6 @@ def written_at(path: Path) -> list[int]:
         found = [file.stat() for file in files]
     newest = max((each.st_mtime_ns for each in found), default=0)
     return [len(found), sum(each.st_size for each in found), newest]
-
-
-def _folder_sha256(folder: Path) -> str:
-    return _files_sha256(folder, _names_in(folder))
 
 
 def _names_in(folder: Path) -> list[str]:

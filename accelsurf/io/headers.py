@@ -200,26 +200,6 @@ def counts(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[int, int]:
     return int(getattr(header, "channels", 1)), int(getattr(header, "time_points", 1))
 
 
-def count_values(path: Path, options: ReadOptions = AS_IT_IS) -> int:
-    """Count the values of an image, all channels together, by its header alone.
-
-    Raises
-    ------
-    InputError
-        As `parse`, without the name of the file.
-
-    Examples
-    --------
-    >>> count_values(Path("absent.nii"))
-    Traceback (most recent call last):
-    ...
-    accelsurf.errors.InputError: there is no such file
-    hint: check the path
-    """
-    _, header = parse(path, options)
-    return int(header.values)
-
-
 def is_stored(path: Path) -> bool:
     """Test if a path names a file, or a folder that is an image.
 

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from threading import Lock
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -21,7 +19,7 @@ from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import headers
-from accelsurf.io.files import naming, staging, undone_on_failure
+from accelsurf.io.files import StagedOutput, naming
 from accelsurf.io.format_functions import functions_of
 from accelsurf.io.headers import ZERO_BEYOND_KEY
 from accelsurf.io.lazy_volume import check_box
@@ -31,10 +29,10 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS, image_format
 _TOLERANCE = 1e-3
 
 
-class LabelStore:
-    """A label map that is being written. It appears when it is finished, whole, or not at all.
+class LabelStore(StagedOutput):
+    """A label map that is being written. It appears when it is committed, whole, or not at all.
 
-    Used with ``with``, it is finished at the end, and discarded where an error ends the block.
+    Used with ``with``, it is committed at the end, and aborted where an error ends the block.
 
     Parameters
     ----------
@@ -77,32 +75,27 @@ class LabelStore:
         metadata: Mapping[str, str] | None = None,
         source: str | os.PathLike[str] | None = None,
     ) -> None:
-        self.path, self.geometry, self.dtype = Path(path), geometry, np.dtype(dtype)
+        path = Path(path)
+        self.geometry = geometry
+        self.dtype = np.dtype(dtype)
         if self.dtype.name not in ("uint8", "uint16", "uint32"):
             raise UsageError(f"labels of type {self.dtype} given, uint8, uint16 or uint32 expected")
-        with naming(self.path):
-            headers.check_name(self.path)
-        form = image_format(headers.split_name(self.path)[1])
+        with naming(path):
+            headers.check_name(path)
+        form = image_format(headers.split_name(path)[1])
         make_store = None if form is None else functions_of(form).store
         if form is None or make_store is None:
             known = [
                 form.suffixes[0] for form in IMAGE_FORMATS.values() if functions_of(form).store
             ]
-            raise UsageError(
-                f"{self.path}: label maps are written box by box as {' or '.join(known)}"
-            )
+            raise UsageError(f"{path}: label maps are written box by box as {' or '.join(known)}")
         self._lock = Lock()
-        self._stack = ExitStack()
-        try:
-            self._files = self._stack.enter_context(staging(self.path, form.folder_marks))
-            with self._naming():
-                staged = self._files.staging / self.path.name
-                self._store = make_store(
-                    staged, geometry, self.dtype, metadata or {}, self._relative(source)
-                )
-        except BaseException:
-            self.discard()
-            raise
+        super().__init__(path, form.folder_marks)
+        with self._aborted_on_failure():
+            staged = self._files.staging / path.name
+            self._store = make_store(
+                staged, geometry, self.dtype, metadata or {}, self._relative(source)
+            )
 
     def write(self, box: Box, array: NDArray[Any]) -> None:
         """Write the labels of a box; those that were there are replaced. Several threads may call it.
@@ -120,7 +113,7 @@ class LabelStore:
             raise UsageError(
                 f"labels {array.shape} of {array.dtype} given, {shape} of {self.dtype} expected"
             )
-        with self._lock, self._naming():
+        with self._lock, self._aborted_on_failure():
             self._store.write(box, np.ascontiguousarray(array))
 
     def read(self, box: Box) -> NDArray[Any]:
@@ -132,11 +125,11 @@ class LabelStore:
             When the box goes beyond the grid.
         """
         check_box(box, self.geometry.shape)
-        with self._lock, self._naming():
+        with self._lock, self._aborted_on_failure():
             values: NDArray[Any] = self._store.read(box)
         return values
 
-    def finish(self) -> None:
+    def commit(self) -> None:
         """Make the coarser levels, and put the label map in its place.
 
         Raises
@@ -144,34 +137,10 @@ class LabelStore:
         OutputError
             When it cannot be written; nothing is left behind then.
         """
-        with self._lock, self._naming():
+        with self._lock, self._aborted_on_failure():
             self._store.finish()
             self._files.commit(last=self.path.name)
-        self._close()
-
-    def discard(self) -> None:
-        """Remove the written files; after `finish` this does nothing."""
-        self._close()
-
-    def __enter__(self) -> LabelStore:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
-        if kind is None:
-            self.finish()
-        else:
-            self.discard()
-
-    def _close(self) -> None:
-        self._stack.pop_all().close()
-
-    def _naming(self) -> AbstractContextManager[None]:
-        return undone_on_failure(self.path, self._files, self._close)
+        self.abort()
 
     def _relative(self, source: str | os.PathLike[str] | None) -> str | None:
         """The path of an image that is a folder, as seen from the labels."""

@@ -1,7 +1,7 @@
 """Images that stay where they are: a box of voxels is read when it is asked for.
 
 `accelsurf.io.read` brings a whole image into memory; `open_volume` reads its header only. A box holds the same values,
-voxel by voxel, in the same type. Unpacked pieces are held up to a number of bytes (`ChunkCache`).
+voxel by voxel, in the same type. Unpacked pieces are held up to a number of bytes (`PackedVoxels`).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume, in_unit_of
 from accelsurf.io import headers
 from accelsurf.io.channels import selected
-from accelsurf.io.files import naming
+from accelsurf.io.files import file_version, naming, refuse_changed
 from accelsurf.io.format_functions import functions_of
 from accelsurf.io.headers import with_warnings
 from accelsurf.io.memory import available_memory
-from accelsurf.settings.reading import Level, ReadOptions, Spacing
+from accelsurf.settings.reading import AS_IT_IS, Level, ReadOptions, Spacing
 
 #: Of a run, for each voxel, at most.
 _RUN_BYTES = 80
@@ -43,17 +43,9 @@ class Opening:
     ``again`` is true where the same image was opened before, so that its warnings have been given.
     """
 
-    level: Level = 0
-    channel_index: int | None = None
-    time_index: int | None = None
+    options: ReadOptions = AS_IT_IS
     cache_bytes: int = CACHE_BYTES
-    spacing: Spacing | None = None
     again: bool = False
-
-    @property
-    def options(self) -> ReadOptions:
-        """The same as options of reading."""
-        return ReadOptions(self.level, self.channel_index, self.time_index, spacing=self.spacing)
 
 
 @dataclass(frozen=True)
@@ -191,7 +183,8 @@ class LazyVolume:
         if self._opened is None or self.layout.level + 1 >= len(self.layout.levels):
             return None
         path, opening = self._opened
-        return _reopened(path, replace(opening, level=self.layout.level + 1))
+        coarser = replace(opening.options, level=self.layout.level + 1)
+        return _reopened(path, replace(opening, options=coarser))
 
     @property
     def bytes_read(self) -> int:
@@ -304,7 +297,8 @@ def open_volume(
     UsageError
         When the level, channel or time point does not exist.
     """
-    return _opened(Path(path), Opening(level, channel_index, time_index, cache_bytes, spacing))
+    options = ReadOptions(level, channel_index, time_index, spacing=spacing)
+    return _opened(Path(path), Opening(options, cache_bytes))
 
 
 def _opened(path: Path, opening: Opening) -> LazyVolume:
@@ -330,13 +324,7 @@ def _reopened(path: Path, opening: Opening) -> LazyVolume:
 def open_with(path: str | os.PathLike[str], options: ReadOptions) -> LazyVolume:
     """Open a volume with those options of an image that the format of the file has; see `open_volume`."""
     asked = options.restricted_to(headers.options_of(path))
-    return open_volume(
-        path,
-        level=asked.level,
-        channel_index=asked.channel_index,
-        time_index=asked.time_index,
-        spacing=asked.spacing,
-    )
+    return _opened(Path(path), Opening(replace(asked, channels_from_time=False, series=None)))
 
 
 def open_channels(path: str | os.PathLike[str], options: ReadOptions) -> list[LazyVolume]:
@@ -431,43 +419,66 @@ class StackedVoxels:
         return values
 
 
-class ChunkCache:
-    """Arrays by a key; may be used by several threads.
+class FileVoxels:
+    """Voxels of a file that is the same as long as it is open; of a store, of its file of metadata.
+
+    Several threads may read it.
 
     Parameters
     ----------
-    max_bytes : int
-        Of all arrays that are held. One that is larger by itself is not held.
+    path : Path
+        It is opened anew for each box: nothing stays open, and a file that is gone or replaced is noticed.
 
     Attributes
     ----------
-    bytes_made : int
-        Of all arrays that were made so far, held or not.
+    bytes_read : int
+        Bytes of the voxels that were read so far; of packed ones, unpacked.
     """
 
-    def __init__(self, max_bytes: int) -> None:
-        self.max_bytes, self.bytes_made = max_bytes, 0
-        self._held: OrderedDict[Hashable, NDArray[Any]] = OrderedDict()
-        self._bytes = 0
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._version = file_version(path)
+        self.bytes_read = 0
         self._lock = Lock()
 
-    def get(self, key: Hashable, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """Return the array of a key, made if it is not held; nobody writes into it.
+    def read(self, box: Box) -> NDArray[Any]:
+        """Return the values in a box; see `LazyVolume.read`.
 
-        Parameters
-        ----------
-        key : hashable
-        make : callable
-            Returns the array; two threads that miss it at the same time both call it.
+        Raises
+        ------
+        InputError
+            When it is damaged, or has changed since it was opened; OSError when it is gone.
+        """
+        refuse_changed(self._path, self._version)
+        values = self._values_in(box)
+        refuse_changed(self._path, self._version)
+        return values
 
-        Examples
-        --------
-        >>> import numpy as np
-        >>> cache = ChunkCache(16)
-        >>> for key in "abca":
-        ...     held = cache.get(key, lambda: np.zeros(1))
-        >>> cache.bytes_made
-        32
+    def _values_in(self, box: Box) -> NDArray[Any]:
+        """Return the values in a box, in a new array."""
+        raise NotImplementedError
+
+
+class PackedVoxels(FileVoxels):
+    """Voxels that are unpacked piece by piece; pieces that were used last are held.
+
+    Parameters
+    ----------
+    path : Path
+    cache_bytes : int
+        Of unpacked pieces that are held. One that is larger by itself is not held.
+    """
+
+    def __init__(self, path: Path, cache_bytes: int) -> None:
+        super().__init__(path)
+        self._cache_bytes = cache_bytes
+        self._held: OrderedDict[Hashable, NDArray[Any]] = OrderedDict()
+        self._held_bytes = 0
+
+    def _piece(self, key: Hashable, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """Return the piece of a key, made if it is not held; nobody writes into it.
+
+        Two threads that miss it at the same time both make it.
         """
         with self._lock:
             if (array := self._held.get(key)) is not None:
@@ -476,10 +487,10 @@ class ChunkCache:
         array = make()
         array.setflags(write=False)
         with self._lock:
-            self.bytes_made += array.nbytes
-            if array.nbytes <= self.max_bytes and key not in self._held:
+            self.bytes_read += array.nbytes
+            if array.nbytes <= self._cache_bytes and key not in self._held:
                 self._held[key] = array
-                self._bytes += array.nbytes
-                while self._bytes > self.max_bytes:
-                    self._bytes -= self._held.popitem(last=False)[1].nbytes
+                self._held_bytes += array.nbytes
+                while self._held_bytes > self._cache_bytes:
+                    self._held_bytes -= self._held.popitem(last=False)[1].nbytes
         return array

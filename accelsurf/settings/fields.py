@@ -397,12 +397,6 @@ class SettingFields(BaseModel):
         "Size of a voxel, X,Y,Z or one number, in mm or with a unit (0.2,0.2,1um), where the file does not say it.",
         entry=SettingEntry(IMAGE, metavar="X,Y,Z", fixed=True),
     )
-    resample: bool = setting(
-        False,
-        "Put slices that lie on no regular grid (gaps, uneven spacing, a tilted gantry) on one, by linear "
-        "interpolation.",
-        entry=SettingEntry(IMAGE, fixed=True),
-    )
     mesh: Annotated[
         Annotated[tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], Field(min_length=1)]
         | Literal["auto"],
@@ -512,5 +506,4 @@ class SettingFields(BaseModel):
             self.channels_from_time,
             self.series,
             None if self.spacing is None else spacing_of(self.spacing),
-            self.resample,
         )

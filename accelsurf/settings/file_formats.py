@@ -144,7 +144,7 @@ IMAGE_FORMATS: dict[str, ImageFormat] = by_name(
         "dcm",
         "DICOM, a folder of slices or one of its files; a segmentation as a label map; read only",
         (".dcm", ".ima"),
-        options=("series", "resample", "spacing"),
+        options=("series", "spacing"),
     ),
     ImageFormat("mgz", "MGH and MGZ of FreeSurfer; read only", (".mgz", ".mgh")),
     ImageFormat(

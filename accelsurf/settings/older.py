@@ -47,6 +47,8 @@ def modern(values: Mapping[str, Any]) -> dict[str, Any]:
     [{'step': 9, 'flow': 'constant-density:k=3,lam=2'}]
     """
     found = dict(values)
+    if found.get("resample") is False:  # slices were put on no other grid, as now
+        del found["resample"]
     edits = [edit.model_dump() for edit in edits_of(found.get("edit", ()))]
     if any(key in table for table in (found, *edits) for key in _MOVED):
         now = _Flow(AUTO, {})

@@ -61,8 +61,6 @@ class ReadOptions:
         Which series of a DICOM folder: its UID or its number in the list.
     spacing : Spacing, optional
         Size of a voxel (x, y, z), mm, where the file does not say it, and its unit.
-    resample : bool
-        Whether slices that lie on no regular grid are put on one.
     """
 
     level: Level = 0
@@ -71,7 +69,6 @@ class ReadOptions:
     channels_from_time: bool = False
     series: str | None = None
     spacing: Spacing | None = None
-    resample: bool = False
 
     @property
     def given(self) -> tuple[str, ...]:

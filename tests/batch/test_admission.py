@@ -8,7 +8,7 @@ from accelsurf.batch.admission import Admission, Need, admit, need_of, plan_rows
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io.headers import count_values
+from accelsurf.io.channels import count_values
 from accelsurf.run.memory import PROCESS_BYTES, memory_of
 
 GB = 10**9

@@ -337,7 +337,6 @@ def test_every_setting_is_an_option(capsys):
             spacing="1,2,3um",
         ),
         **dict(
-            resample=True,
             name=["2=liver"],
             color=["2=#102030"],
             label_table="t.csv",

@@ -75,13 +75,12 @@ def test_a_series_is_segmented_where_it_lies(tmp_path, capsys):
     assert volume == pytest.approx(4 / 3 * np.pi * 9**3, rel=0.1)
 
 
-def test_a_gap_ends_with_code_3_unless_it_is_to_be_filled(tmp_path, capsys):
+def test_a_gap_ends_with_code_3(tmp_path, capsys):
     ball_series(tmp_path / "scan")
     (tmp_path / "scan" / "IM0003").unlink()
     words = ["look", str(tmp_path / "scan"), "-o", str(tmp_path / "look.png")]
     assert cli.execute(words) == 3
     assert "1 slice missing: 3 mm between IM0002, IM0004" in capsys.readouterr().err
-    assert cli.execute([*words, "--resample"]) == 0
 
 
 def test_an_option_that_a_format_has_not_is_refused(tmp_path, capsys):

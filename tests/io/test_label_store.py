@@ -110,7 +110,7 @@ def test_a_full_disk_is_an_error_that_leaves_nothing(tmp_path, monkeypatch, suff
         OutputError, match=rf"a{suffix}: cannot be written \(No space left"
     ) as caught:
         store.write(box_at((0, 0, 0), (1, 1, 1)), np.ones((1, 1, 1), np.uint8))
-        store.finish()
+        store.commit()
     assert "space" in caught.value.hint and os.listdir(tmp_path) == []
 
 

@@ -151,7 +151,7 @@ def test_a_file_cut_short_gone_or_changed_is_an_error(tmp_path):
     path.write_bytes(whole)
     lazy = io.open_volume(path)
     path.write_bytes(whole[:-1])
-    with pytest.raises(InputError, match=r"scan.nii: the file has changed since"):
+    with pytest.raises(InputError, match=r"scan.nii: the image has changed since"):
         lazy.read(BOXES[0])
     path.unlink()
     with pytest.raises(InputError, match=r"scan.nii: cannot be read \(No such file"):

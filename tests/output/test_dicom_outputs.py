@@ -14,7 +14,6 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.metrics import dice
 from accelsurf.output import dicom
 from accelsurf.settings.labels import LabelEntry, LabelTable
-from accelsurf.settings.reading import ReadOptions
 from tests.support.dicom_sources import SERIES, write_slices
 from tests.support.even_odd import area, inside
 
@@ -180,31 +179,6 @@ def test_settings_of_files_and_threads_change_nothing(tmp_path, shell):
 
 def vars_of(result):
     return {name: getattr(result, name) for name in type(result).__dataclass_fields__}
-
-
-def test_a_resampled_series(tmp_path):
-    folder = tmp_path / "scan"
-    geometry = grid(False)
-    far = distances(geometry, (7.6, 14.3, 15.8))
-    files = write_slices(folder, geometry, values=np.where(far < 11, 300, 0))
-    files[5].unlink()
-    options = ReadOptions(resample=True)
-    volume = io.read(folder, options=options)
-    result = accelsurf.segment(volume, start=far < 11, flow="gradient", max_steps=2, resample=True)
-    dataset = pydicom.dcmread(
-        bytes_io.BytesIO(contents(tmp_path, result, dicom.write_structure_set))
-    )
-    ((mask, planes),) = rasterised(dataset, result.geometry)
-    assert dice(mask, result.labels > 0) >= 0.99 and 5 in planes
-    for item in dataset.ROIContourSequence[0].ContourSequence:
-        k = round((float(item.ContourData[2]) - 7.0) / 2)
-        assert ("ContourImageSequence" in item) == (k != 5)
-    found = highdicom.seg.segread(
-        bytes_io.BytesIO(contents(tmp_path, result, dicom.write_segmentation))
-    )
-    assert int(found.get_volume(combine_segments=True).array.sum()) == int(
-        (result.labels > 0).sum()
-    )
 
 
 def test_refusals(tmp_path, shell):

@@ -116,6 +116,12 @@ def test_present_settings_stay_as_they_are():
     assert modern(values) == values
 
 
+def test_resampling_of_slices_is_gone():
+    assert modern({"resample": False, "cfl": 0.3}) == {"cfl": 0.3}
+    with pytest.raises(UsageError, match="resample: there is no such setting"):
+        RunConfig(**modern({"resample": True}))
+
+
 @pytest.mark.parametrize(
     ("values", "words"),
     [

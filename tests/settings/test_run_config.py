@@ -68,7 +68,6 @@ ODD = RunConfig(
     channels_from_time=True,
     series="1.2.3",
     spacing="0.2,0.2,1um",
-    resample=True,
     name=["2=liver"],
     color=["2=#102030"],
     label_table="names.csv",

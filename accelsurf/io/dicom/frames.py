@@ -10,11 +10,12 @@ import re
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from accelsurf.errors import InputError
+from accelsurf.grid.arrays import Floats
 from accelsurf.io.dicom import sources
 from accelsurf.io.dicom.sources import (
     HEADER_HINT,
@@ -110,6 +111,25 @@ _MAX_SIDE = 1 << 16
 _MAX_BITS = 64
 
 
+class Identifiers(NamedTuple):
+    """UIDs of study, series, object and frame of reference; empty where a file does not say them."""
+
+    study: str
+    series: str
+    instance: str
+    world: str
+
+
+class PixelForm(NamedTuple):
+    """Form of the numbers of a pixel: bits that count, bits in the file, sign, how many, and their kind of colour."""
+
+    bits: int
+    allocated: int
+    is_signed: bool
+    samples: int
+    colour: str
+
+
 @dataclass(frozen=True)
 class Frame:
     """One slice.
@@ -117,11 +137,17 @@ class Frame:
     Attributes
     ----------
     path : Path
+    rows, columns : int
+    uids : Identifiers
+    labels : dict of str to str
+        modality, description, number, unit, class; kind: type of an object that is no slice of a volume, else empty.
+    pixel : PixelForm
+    padding : tuple of float or None
+        Lowest and highest stored number where there is no image.
     number : int
         Of the frame in its file, from 0 on.
     frames : int
         How many the file has.
-    rows, columns : int
     position : tuple of float or None
         Centre of the first pixel, mm, LPS.
     orientation : tuple of float or None
@@ -132,42 +158,32 @@ class Frame:
         Distance to the next slice as the file says it, mm; negative where the next lies against the normal.
     slope, intercept : float
         Value = slope * stored + intercept.
-    uids : tuple of str
-        Of study, series, instance and frame of reference.
-    labels : dict of str to str
-        modality, description, number, unit, class; kind: type of an object that is no slice of a volume, else empty.
-    image_type : tuple of str
-    pixel : tuple
-        Bits stored, bits allocated, whether signed, samples per pixel, photometric interpretation.
     phase : dict of str to str
         Elements that may tell apart slices at one place.
     times : dict of str to float
         Times in seconds, and other numbers that give the order of slices at one place, by name; see `_times`.
     has_table : bool
         Whether a table maps stored numbers to values, in place of slope and intercept.
-    padding : tuple of float or None
-        Lowest and highest stored number where there is no image.
     """
 
     path: Path
-    number: int
-    frames: int
     rows: int
     columns: int
-    position: tuple[float, ...] | None
-    orientation: tuple[float, ...] | None
-    spacing: tuple[float, ...] | None
-    thickness: float | None
-    slope: float
-    intercept: float
-    uids: tuple[str, str, str, str]
+    uids: Identifiers
     labels: dict[str, str]
-    image_type: tuple[str, ...]
-    pixel: tuple[int, int, bool, int, str]
-    phase: dict[str, str]
+    pixel: PixelForm
+    padding: tuple[float, float] | None = None
+    number: int = 0
+    frames: int = 1
+    position: Floats | None = None
+    orientation: Floats | None = None
+    spacing: Floats | None = None
+    thickness: float | None = None
+    slope: float = 1.0
+    intercept: float = 0.0
+    phase: dict[str, str] = field(default_factory=dict)
     times: dict[str, float] = field(default_factory=dict)
     has_table: bool = False
-    padding: tuple[float, float] | None = None
 
 
 def frames_of(path: Path, of_segmentation: bool = False) -> list[Frame]:
@@ -282,9 +298,13 @@ def _check_pixels(path: Path, dataset: Elements, pixels: PixelBytes, size: int, 
 
 def _common(path: Path, dataset: Elements) -> Frame:
     """A frame with the elements that a file has for all its frames."""
-    bits, is_signed = (
-        int(dataset.get("BitsAllocated") or 16),
+    allocated = int(dataset.get("BitsAllocated") or 16)
+    pixel = PixelForm(
+        int(dataset.get("BitsStored") or allocated),
+        allocated,
         bool(dataset.get("PixelRepresentation") or 0),
+        int(dataset.get("SamplesPerPixel") or 1),
+        text(dataset, "PhotometricInterpretation"),
     )
     names = {
         "modality": "Modality",
@@ -292,35 +312,15 @@ def _common(path: Path, dataset: Elements) -> Frame:
         "number": "SeriesNumber",
         "class": "SOPClassUID",
     }
-    study, series, instance, world = (
-        text(dataset, f"{what}UID")
-        for what in ("StudyInstance", "SeriesInstance", "SOPInstance", "FrameOfReference")
-    )
-    pixel = (
-        int(dataset.get("BitsStored") or bits),
-        bits,
-        is_signed,
-        int(dataset.get("SamplesPerPixel") or 1),
-        text(dataset, "PhotometricInterpretation"),
-    )
+    kinds_of_uid = ("StudyInstance", "SeriesInstance", "SOPInstance", "FrameOfReference")
     return Frame(
         path,
-        0,
-        1,
         int(dataset.get("Rows") or 0),
         int(dataset.get("Columns") or 0),
-        None,
-        None,
-        None,
-        None,
-        1.0,
-        0.0,
-        (study, series, instance, world),
-        {what: text(dataset, name) for what, name in names.items()},
-        tuple(listed(dataset.get("ImageType"))),
+        Identifiers(*(text(dataset, f"{name}UID") for name in kinds_of_uid)),
+        {label: text(dataset, name) for label, name in names.items()},
         pixel,
-        {},
-        padding=_padding(path, dataset, bits, is_signed),
+        _padding(path, dataset, pixel),
     )
 
 
@@ -383,9 +383,7 @@ def _rescaling(path: Path, dataset: Any, name: str, default: float) -> float:
     return number
 
 
-def _padding(
-    path: Path, dataset: Elements, bits: int, is_signed: bool
-) -> tuple[float, float] | None:
+def _padding(path: Path, dataset: Elements, pixel: PixelForm) -> tuple[float, float] | None:
     """Return the lowest and the highest stored number where there is no image."""
     for kind in ("", "Float", "DoubleFloat"):
         value = dataset.get(f"{kind}PixelPaddingValue")
@@ -397,10 +395,11 @@ def _padding(
             raise InputError(f"{path.name}: the value of its padding is no number", HEADER_HINT)
         if (
             not kind
-        ):  # some write it without the sign that their pixels have, or with one that they have not
-            whole = 1 << bits
-            ends = [end - whole if is_signed and end >= whole // 2 else end for end in ends]
-            ends = [end + whole if not is_signed and end < 0 else end for end in ends]
+        ):  # some write it without the sign of their pixels, or with one that they have not
+            whole = 1 << pixel.allocated
+            sign = pixel.is_signed
+            ends = [end - whole if sign and end >= whole // 2 else end for end in ends]
+            ends = [end + whole if not sign and end < 0 else end for end in ends]
         return min(ends), max(ends)
     return None
 

@@ -53,12 +53,12 @@ def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
         return fractions
     lows, highs = [], []
     for frame in frames:
-        bits, allocated, signed = frame.pixel[:3]
-        if allocated > 32 or not 1 <= bits <= 32:
+        bits = frame.pixel.bits
+        if frame.pixel.allocated > 32 or not 1 <= bits <= 32:
             return fractions
-        low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
+        low = -(1 << (bits - 1)) if frame.pixel.is_signed else 0
         lows.append(low + frame.intercept)
-        highs.append(high + frame.intercept)
+        highs.append(low + (1 << bits) - 1 + frame.intercept)
     for name in ("uint8", "int8", "uint16", "int16", "uint32", "int32"):
         if np.iinfo(name).min <= min(lows) and max(highs) <= np.iinfo(name).max:
             return np.dtype(name)
@@ -68,7 +68,7 @@ def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
 def _is_fraction(frame: Frame) -> bool:
     """Test if the values of a slice may have fractions, or any size."""
     return (
-        frame.pixel[3] == _COLOURS
+        frame.pixel.samples == _COLOURS
         or frame.has_table
         or frame.slope != 1.0
         or bool(frame.intercept % 1.0)
@@ -119,7 +119,9 @@ def read_values(frames: Sequence[Frame]) -> tuple[NDArray[Any], str]:
             _check_fits(values, dtype, frame)
             out[place] = values
     if padding is not None and padding.any():
-        notes[_fill(out, padding, any(frame.pixel[4] == "MONOCHROME1" for frame in frames))] = None
+        notes[_fill(out, padding, any(frame.pixel.colour == "MONOCHROME1" for frame in frames))] = (
+            None
+        )
     return _narrowed(out), "; ".join(notes)
 
 
@@ -132,7 +134,7 @@ def _check_fits(values: NDArray[Any], dtype: np.dtype[Any], frame: Frame) -> Non
     known = np.iinfo(dtype)
     if low < known.min or high > known.max:
         raise InputError(
-            f"{frame.path.name}: values of {low:g} to {high:g}, {frame.pixel[0]} bits announced",
+            f"{frame.path.name}: values of {low:g} to {high:g}, {frame.pixel.bits} bits announced",
             HEADER_HINT,
         )
 
@@ -186,7 +188,7 @@ def _narrowed(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _grey(stored: NDArray[Any], frame: Frame) -> tuple[NDArray[Any], str]:
-    kind = frame.pixel[4]
+    kind = frame.pixel.colour
     if kind == "PALETTE COLOR":
         raise InputError(
             f"{frame.path.name}: a picture in the colours of a palette given, values expected",
@@ -231,7 +233,7 @@ def stored_values(path: Path, dataset: Any, frame: Frame) -> NDArray[Any]:
             dataset.file_meta = meta
         if syntax.is_encapsulated and syntax != pydicom.uid.RLELossless:
             array = _by_itk(dataset, frame)
-        elif frame.pixel[1] == 1 and syntax.is_little_endian and not syntax.is_encapsulated:
+        elif frame.pixel.allocated == 1 and syntax.is_little_endian and not syntax.is_encapsulated:
             array = _bits(dataset.PixelData, frame)
         else:
             array = pydicom.pixels.pixel_array(
@@ -291,11 +293,11 @@ def _check_packed(packed: bytes, frame: Frame, size: tuple[int, int]) -> None:
             "export it again",
         )
     has_sign = bool(found.get("is_signed"))
-    stored, allocated, is_signed = frame.pixel[:3]
-    if bits > min(allocated, -(-stored // 8) * 8) or (has_sign and not is_signed):
+    form = frame.pixel
+    if bits > min(form.allocated, -(-form.bits // 8) * 8) or (has_sign and not form.is_signed):
         raise InputError(
-            f"{frame.path.name}: the header announces {'' if is_signed else 'un'}signed values of {stored} bits, the "
-            f"compressed pixels have {'' if has_sign else 'un'}signed ones of {bits} bits",
+            f"{frame.path.name}: the header announces {'' if form.is_signed else 'un'}signed values of "
+            f"{form.bits} bits, the compressed pixels have {'' if has_sign else 'un'}signed ones of {bits} bits",
             "export it again",
         )
 

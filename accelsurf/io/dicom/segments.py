@@ -82,11 +82,6 @@ class Segments:
     table: LabelTable
 
     @property
-    def values(self) -> int:
-        """Number of voxels of the grid."""
-        return int(np.prod(self.geometry.shape, dtype=object))
-
-    @property
     def note(self) -> str:
         """Note for the user; empty for nothing."""
         return (
@@ -202,7 +197,7 @@ def _grid(
     """The grid of all frames, and the slice of each on it."""
     slices = ordered(DicomVolume(tuple(frames)), root)
     if len(slices.frames) < len(frames):
-        raise GeometryError("; ".join(fault.text for fault in slices.faults), _HINT)
+        raise GeometryError("; ".join(slices.faults), _HINT)
     along, aside = slices.along, slices.aside
     if np.abs(aside).max() > TOLERANCE_MM:
         raise GeometryError(

@@ -1,7 +1,8 @@
 """Places of the slices of a volume: their order along the normal, and whether that is a regular grid.
 
 The order of slices follows from where they lie, never from their numbers or names. A grid is one where no slice lies
-farther than `TOLERANCE_MM` from its place. Otherwise each fault is told with the names of the files.
+farther than `TOLERANCE_MM` from its place. Otherwise each fault is told with the names of the files: voxels between
+slices are not made up.
 """
 
 from __future__ import annotations
@@ -25,22 +26,10 @@ from accelsurf.settings.reading import Spacing
 TOLERANCE_MM = 0.01
 #: Of the axes of a slice from unit vectors at a right angle.
 _AXES_TOLERANCE = 1e-3
-
-
-@dataclass(frozen=True)
-class Fault:
-    """Why slices make no regular grid.
-
-    Attributes
-    ----------
-    text : str
-        With the names of files.
-    can_resample : bool
-        Whether `accelsurf.io.dicom.resampling` puts them on one.
-    """
-
-    text: str
-    can_resample: bool = False
+_FAULT_HINT = (
+    "give a complete series, without files that do not belong to it; dcm2niix converts a tilted gantry, "
+    "uneven distances and gaps"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +46,8 @@ class Slices:
         (z, y, x), mm; z is the mean distance of slices.
     positions : ndarray, shape (n, 3)
         Of the first pixels, mm.
-    faults : tuple of Fault
+    faults : tuple of str
+        Why they make no regular grid, with the names of files.
     note : str
         Note on it for the user; empty for none.
     """
@@ -66,7 +56,7 @@ class Slices:
     axes: Floats
     spacing: tuple[float, float, float]
     positions: Floats
-    faults: tuple[Fault, ...]
+    faults: tuple[str, ...]
     note: str = ""
 
     @property
@@ -89,13 +79,7 @@ class Slices:
             When there is a fault.
         """
         if self.faults:
-            can = all(fault.can_resample for fault in self.faults)
-            raise GeometryError(
-                "; ".join(fault.text for fault in self.faults),
-                "add --resample to put the slices on a regular grid, or give a complete series"
-                if can
-                else "take the files that do not belong to the volume out of the folder",
-            )
+            raise GeometryError("; ".join(self.faults), _FAULT_HINT)
         first = self.frames[0]
         shape = (len(self.frames), first.rows, first.columns)
         return Geometry(shape, self.spacing, tuple(self.positions[0].tolist()), self.axes)
@@ -192,7 +176,7 @@ def _axes(frame: Frame, root: Path) -> Floats:
     return np.stack([along_row, np.cross(normal, along_row), normal], axis=1)
 
 
-def _alike(frames: Sequence[Frame], axes: Floats, root: Path) -> tuple[list[Frame], list[Fault]]:
+def _alike(frames: Sequence[Frame], axes: Floats, root: Path) -> tuple[list[Frame], list[str]]:
     """The slices of the commonest size, spacing and direction, and a fault for those that differ."""
     faults = []
     first = frames[0]
@@ -223,10 +207,8 @@ def _alike(frames: Sequence[Frame], axes: Floats, root: Path) -> tuple[list[Fram
         if others:
             alike = [frame for frame in alike if not _differ(key(frame), common, slack)]
             faults.append(
-                Fault(
-                    f"slices of several {what} in one series: {names_of(others, root)} differ from "
-                    f"{names_of(alike, root, 1)}"
-                )
+                f"slices of several {what} in one series: {names_of(others, root)} differ from "
+                f"{names_of(alike, root, 1)}"
             )
     return alike, faults
 
@@ -238,7 +220,7 @@ def _differ(key: tuple[int, ...], other: tuple[int, ...], slack: int) -> bool:
     )
 
 
-def _place_faults(slices: Slices, root: Path) -> list[Fault]:
+def _place_faults(slices: Slices, root: Path) -> list[str]:
     """List the faults in the places of slices that are alike."""
     along, frames = slices.along, slices.frames
     steps = np.diff(along)
@@ -246,7 +228,7 @@ def _place_faults(slices: Slices, root: Path) -> list[Fault]:
     if same.size:
         pair = [frames[same[0]], frames[same[0] + 1]]
         count = "two images lie" if same.size == 1 else f"{same.size} pairs of images lie"
-        return [Fault(f"{count} at one place: {names_of(pair, root)}")]
+        return [f"{count} at one place: {names_of(pair, root)}"]
     faults = []
     aside = slices.aside
     if np.abs(aside).max() > TOLERANCE_MM:
@@ -256,24 +238,19 @@ def _place_faults(slices: Slices, root: Path) -> list[Fault]:
             angle = np.degrees(np.arctan(np.linalg.norm(slope)))
             ends = names_of([frames[0], frames[-1]], root)
             faults.append(
-                Fault(
-                    f"the slices are tilted by {angle:.2f} degrees against their normal: {ends}",
-                    True,
-                )
+                f"the slices are tilted by {angle:.2f} degrees against their normal: {ends}"
             )
         else:
             worst = int(np.argmax(off))
             which = names_of([frames[worst]], root)
-            faults.append(
-                Fault(f"slices are shifted sideways, {which} by {off[worst]:.3g} mm", True)
-            )
+            faults.append(f"slices are shifted sideways, {which} by {off[worst]:.3g} mm")
     regular = np.arange(len(frames)) * slices.spacing[0]
     if np.abs(along - regular).max() > TOLERANCE_MM:
         faults.append(_spacing_fault(slices, steps, root))
     return faults
 
 
-def _spacing_fault(slices: Slices, steps: Floats, root: Path) -> Fault:
+def _spacing_fault(slices: Slices, steps: Floats, root: Path) -> str:
     """A gap, named, or uneven distances."""
     usual = float(np.median(steps))
     if len(steps) == 2:  # of two distances the smaller is the usual one
@@ -287,14 +264,12 @@ def _spacing_fault(slices: Slices, steps: Floats, root: Path) -> Fault:
         between = names_of(slices.frames[n : n + 2], root)
         missing = int(np.rint(multiples[gaps]).sum()) - len(gaps)
         more = f", and in {len(gaps) - 1} more places" if len(gaps) > 1 else ""
-        return Fault(
+        return (
             f"{missing} slice{'s' if missing > 1 else ''} missing: {steps[n]:.4g} mm between {between}{more}, "
-            f"{usual:.4g} mm elsewhere",
-            True,
+            f"{usual:.4g} mm elsewhere"
         )
     n = int(np.argmax(np.abs(steps - usual)))
-    return Fault(
+    return (
         f"distances of slices differ: {steps[n]:.4g} mm between {names_of(slices.frames[n : n + 2], root)}, "
-        f"{usual:.4g} mm elsewhere",
-        True,
+        f"{usual:.4g} mm elsewhere"
     )

@@ -75,7 +75,9 @@ class SourceImages:
     @cached_property
     def instances(self) -> tuple[tuple[str, str], ...]:
         """Class and identifier of each file's object, once."""
-        return tuple(dict.fromkeys((frame.labels["class"], frame.uids[2]) for frame in self.frames))
+        return tuple(
+            dict.fromkeys((frame.labels["class"], frame.uids.instance) for frame in self.frames)
+        )
 
     def in_planes(self, geometry: Geometry) -> tuple[tuple[Frame, ...], ...]:
         """Frames in the plane of each slice of a grid, anywhere in the plane.
@@ -149,13 +151,15 @@ def read_source_images(frames: Sequence[Frame]) -> SourceImages:
     first = frames[0]
     header = read_dataset(first.path, [*_TEXTS, *_DATES, *_TIMES, *_OTHERS])
     date, time = _date_and_time(header)
-    study, series, _, world = first.uids
+    uids = first.uids
     number = first.labels["number"]
     return SourceImages(
         _patient(header),
-        study,
-        series,
-        world if _is_uid(world) else derived_uid(study, series, "frame of reference"),
+        uids.study,
+        uids.series,
+        uids.world
+        if _is_uid(uids.world)
+        else derived_uid(uids.study, uids.series, "frame of reference"),
         first.labels["modality"] or "OT",
         int(number) if re.fullmatch("[0-9]{1,7}", number) else 0,
         date,

@@ -46,7 +46,7 @@ class DicomVolume:
     @property
     def uid(self) -> str:
         """UID of its series."""
-        return self.frames[0].uids[1]
+        return self.frames[0].uids.series
 
     def label(self, name: str) -> str:
         """One of the labels of its first slice."""
@@ -129,7 +129,7 @@ def contents_of(
         if not frames:
             left.append(LeftOut(path, name, "object without an image", "", *series_of(path)))
         elif kind := frames[0].labels["kind"]:
-            left.append(LeftOut(path, name, kind, "", frames[0].uids[1], has_image=True))
+            left.append(LeftOut(path, name, kind, "", frames[0].uids.series, has_image=True))
         else:
             for frame in frames:
                 series.setdefault(_series_key(frame), []).append(frame)
@@ -152,7 +152,7 @@ def contents_of(
                     names_of([frame], files.root),
                     picture,
                     "",
-                    frame.uids[1],
+                    frame.uids.series,
                     has_image=True,
                 )
             )
@@ -204,7 +204,7 @@ def names_of(frames: Iterable[Frame], root: Path, limit: int = 3) -> str:
 
 def _series_key(frame: Frame) -> tuple[str, ...]:
     """Key that slices of one series share; without a UID, of the other elements."""
-    uid, labels = frame.uids[1], frame.labels
+    uid, labels = frame.uids.series, frame.labels
     if uid:
         return (uid,)
     return (
@@ -220,7 +220,11 @@ def _series_key(frame: Frame) -> tuple[str, ...]:
 def _order(frames: Sequence[Frame]) -> tuple[int, str, str]:
     """Series in the order of their numbers."""
     number = frames[0].labels["number"]
-    return (int(number) if number.isdigit() else 1 << 62, frames[0].uids[1], str(frames[0].path))
+    return (
+        int(number) if number.isdigit() else 1 << 62,
+        frames[0].uids.series,
+        str(frames[0].path),
+    )
 
 
 def _split(frames: list[Frame]) -> list[DicomVolume]:

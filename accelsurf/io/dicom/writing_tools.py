@@ -101,7 +101,7 @@ def reference(sop_class: str, instance: str, **elements: Any) -> Any:
 def image_reference(frame: Frame, **elements: Any) -> Any:
     """Return an item that refers to a frame of an image."""
     of_several = {"ReferencedFrameNumber": frame.number + 1} if frame.frames > 1 else {}
-    return reference(frame.labels["class"], frame.uids[2], **of_several, **elements)
+    return reference(frame.labels["class"], frame.uids.instance, **of_several, **elements)
 
 
 def file_bytes(dataset: Any) -> bytes:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,6 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.dicom import pixels, segments
 from accelsurf.io.dicom.frames import Frame, frames_of
-from accelsurf.io.dicom.resampling import RegularGrid, regular_grid, resampled
 from accelsurf.io.dicom.segments import Segments
 from accelsurf.io.dicom.slices import Slices, ordered
 from accelsurf.io.dicom.sources import (
@@ -70,8 +68,8 @@ class DicomHeader:
     ----------
     slices : Slices
         In their order.
-    grid : RegularGrid or None
-        Grid for the resampling, where they lie on none.
+    geometry : Geometry
+        The grid of the volume.
     notes : tuple of str
         Warnings for the user.
     options : ReadOptions
@@ -79,19 +77,9 @@ class DicomHeader:
     """
 
     slices: Slices
-    grid: RegularGrid | None
+    geometry: Geometry
     notes: tuple[str, ...]
     options: ReadOptions = AS_IT_IS
-
-    @property
-    def geometry(self) -> Geometry:
-        """The grid of the volume."""
-        return self.slices.geometry if self.grid is None else self.grid.geometry
-
-    @property
-    def values(self) -> int:
-        """Number of voxels."""
-        return math.prod(self.geometry.shape)
 
 
 def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Segments:
@@ -102,28 +90,37 @@ def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Se
     InputError
         When there is no image, or there are several and none was chosen.
     GeometryError
-        When the slices lie on no grid and are not to be put on one.
+        When the slices lie on no grid.
     """
-    files, contents, file = found_in(path)
+    found = found_in(path)
+    contents = found.contents
     if (segmentation := segmentation_of(contents)) is not None:
         if options.given:
             raise UsageError(
                 f"{options.given[0]} was given, a DICOM segmentation has no such choice",
                 "leave it out",
             )
-        return segments.parse_segments(segmentation, files.root)
-    volume = volume_of(contents, options, file)
-    refuse_lost(contents, volume.uid, options)
-    slices = ordered(volume, files.root, options.spacing)
-    notes = notes_on_left_out(contents, volume.uid, file)
+        return segments.parse_segments(segmentation, found.files.root)
+    volume = volume_of(contents, options, found.file)
+    refuse_lost(contents, volume.uid)
+    slices = ordered(volume, found.files.root, options.spacing)
+    notes = notes_on_left_out(contents, volume.uid, found.file)
     try:
         return on_grid(slices, options, notes)
     except GeometryError as error:  # a file that cannot be read may be the missing slice
         raise GeometryError("; ".join((error.message, *notes)), error.hint) from error
 
 
-def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
-    """The files of a path, their contents, and the file itself where one was given.
+class FoundDicom(NamedTuple):
+    """The DICOM files of a path, their contents, and the file itself where one was given."""
+
+    files: SourceFiles
+    contents: Contents
+    file: Path | None
+
+
+def found_in(path: Path) -> FoundDicom:
+    """Read the headers of the files of a path.
 
     Raises
     ------
@@ -134,11 +131,11 @@ def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
     files = files_of(path)
     file = path if path.is_file() else None
     if file is None:
-        return files, contents_of(files), None
+        return FoundDicom(files, contents_of(files), None)
     frames = _frames_of(file)
     if len(frames) > 1 or (frames and frames[0].labels["kind"] == SEGMENTATION):
         files = SourceFiles(files.root, (file,))
-    return files, contents_of(files, {file: frames}), file
+    return FoundDicom(files, contents_of(files, {file: frames}), file)
 
 
 def segmentation_of(contents: Contents) -> Path | None:
@@ -167,19 +164,18 @@ def _frames_of(file: Path) -> list[Frame]:
         raise InputError(error.message.removeprefix(f"{file.name}: "), error.hint) from error
 
 
-def refuse_lost(contents: Contents, series: str, options: ReadOptions) -> None:
+def refuse_lost(contents: Contents, series: str) -> None:
     """Refuse a series of which a file cannot be read: at an end no gap tells of it.
 
     Raises
     ------
     InputError
-        With the names of the files; not where slices are put on a grid, as gaps are filled then.
+        With the names of the files.
     """
-    lost = contents.lost_from(series)
-    if lost and not options.resample:
+    if lost := contents.lost_from(series):
         raise InputError(
             f"a slice of the series is lost: {count_in_words(lost)}",
-            "copy it again; to go on without it, take it out of the folder or add --resample",
+            "copy it again; to go on without it, take it out of the folder",
         )
 
 
@@ -189,16 +185,10 @@ def on_grid(slices: Slices, options: ReadOptions, notes: list[str]) -> DicomHead
     Raises
     ------
     GeometryError
-        When the slices lie on no grid and are not to be put on one.
+        When the slices lie on no grid.
     """
     notes = [*notes, *([slices.note] if slices.note else [])]
-    grid = None
-    if slices.faults and options.resample:
-        grid = regular_grid(slices)
-        notes.append(grid.text)
-    header = DicomHeader(slices, grid, tuple(notes), options)
-    assert header.geometry is not None  # raises where there is none
-    return header
+    return DicomHeader(slices, slices.geometry, tuple(notes), options)
 
 
 def volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> DicomVolume:
@@ -309,13 +299,9 @@ def read_dicom(path: Path, header: DicomHeader | Segments, available: int) -> Vo
         return read_labels(path, header, available)
     frames = header.slices.frames
     dtype = pixels.value_type(frames)
-    check_memory(
-        header.geometry.size, dtype.itemsize + (8 if header.grid is not None else 0), available
-    )
+    check_memory(header.geometry.size, dtype.itemsize, available)
     values, note = pixels.read_values(frames)
-    if header.grid is not None:
-        values = resampled(values, header.grid)
-    metadata = with_warnings({DICOM_KEY: frames[0].uids[1]}, *header.notes, note)
+    metadata = with_warnings({DICOM_KEY: frames[0].uids.series}, *header.notes, note)
     metadata = with_given_unit(metadata, header.options)
     if frames[0].labels["unit"]:
         metadata[VALUE_UNIT_KEY] = frames[0].labels["unit"]
@@ -345,7 +331,7 @@ def read_labels(
         return read_dicom(path, header, available)
     labels = segments.read_segments(header, available, ids)
     metadata = {
-        DICOM_KEY: header.frames[0].uids[1],
+        DICOM_KEY: header.frames[0].uids.series,
         LABELS_KEY: header.table.to_json(),
         ZERO_BEYOND_KEY: "yes",
     }
@@ -360,17 +346,18 @@ def listing(path: Path) -> list[dict[str, Any]]:
     InputError
         When there is no DICOM.
     """
-    files, contents, file = found_in(path)
+    found = found_in(path)
+    files, contents = found.files, found.contents
     if (segmentation := segmentation_of(contents)) is not None:
         return [_segmentation_entry(segments.parse_segments(segmentation, files.root), files)]
     if not contents.volumes:
         volume_of(contents, AS_IT_IS, None)  # its error names the contents
-    volumes = contents.volumes if file is None else volumes_of_file(contents, file)
+    volumes = contents.volumes if found.file is None else volumes_of_file(contents, found.file)
     numbered = [
         (number, volume) for number, volume in enumerate(contents.volumes, 1) if volume in volumes
     ]
     entries = [_entry(number, volume, files, contents) for number, volume in numbered]
-    entries[0]["left_out"] = notes_on_left_out(contents, volumes[0].uid, file)
+    entries[0]["left_out"] = notes_on_left_out(contents, volumes[0].uid, found.file)
     return entries
 
 
@@ -389,7 +376,7 @@ def _entry(
     lost = contents.lost_from(volume.uid)
     entry["warnings"] = [
         *([f"a slice of the series is lost: {count_in_words(lost)}"] if lost else []),
-        *(fault.text for fault in slices.faults),
+        *slices.faults,
         *([slices.note] if slices.note else []),
     ]
     return entry

@@ -13,12 +13,10 @@ import struct
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.io.channels import MAX_CHANNELS
@@ -35,7 +33,6 @@ from accelsurf.io.headers import (
     split_name,
     with_warnings,
 )
-from accelsurf.io.scaling import scaled, scaled_type
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions, check_readable
 
@@ -169,26 +166,6 @@ class NiftiHeader:
         guessed = len(self.size) == 4 and not self.is_vector and not self.says_time
         return guessed and self.size[3] <= MAX_CHANNELS
 
-    @property
-    def is_scaled(self) -> bool:
-        """True if stored numbers stand for others."""
-        return (self.slope, self.intercept) != (1.0, 0.0)
-
-    @property
-    def value_type(self) -> np.dtype[Any]:
-        """Type of the values: that of the voxels, a float that holds them when whole numbers are scaled."""
-        stored = self.voxel_type.newbyteorder("=")
-        if not self.is_scaled:
-            return stored
-        needed = scaled_type(self.slope, self.intercept)
-        return np.promote_types(stored, needed) if stored.kind == "f" else needed
-
-    def values(self, stored: NDArray[Any]) -> NDArray[Any]:
-        """Return the values that stored numbers stand for, of ``value_type``."""
-        if self.is_scaled:
-            return scaled(stored, self.slope, self.intercept, self.value_type)
-        return stored.astype(self.value_type, copy=False)
-
 
 @dataclass(frozen=True, kw_only=True)
 class NiftiFile(RawHeader):
@@ -206,24 +183,10 @@ class NiftiFile(RawHeader):
     parts: tuple[Path, ...] = ()
 
     @property
-    def are_channels_guessed(self) -> bool:
-        """True if a few volumes are taken for channels because nothing is said of time."""
-        return self.nifti.are_channels_guessed
-
-    @property
-    def is_scaled(self) -> bool:
-        """True if stored numbers stand for others."""
-        return self.nifti.is_scaled
-
-    def scaled(self, stored: NDArray[Any]) -> NDArray[Any]:
-        """Return the values that stored numbers stand for."""
-        return self.nifti.values(stored)
-
-    @property
     def volume_metadata(self) -> dict[str, str]:
         """The fields of the header, and a warning when qform and sform disagree."""
         fields, notes = self.nifti, [self.nifti.grid.check_agreement(self.geometry)]
-        if fields.are_channels_guessed and self.asked.channel_index is None:
+        if self.are_channels_guessed and self.asked.channel_index is None:
             notes.append(
                 f"the {fields.volumes} volumes of the file are taken for channels: its header says nothing of time or "
                 "vectors; --channel-index N takes one of them"
@@ -239,17 +202,15 @@ class NiftiFile(RawHeader):
         return channel * self.nifti.time_points + time
 
 
-def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool) -> NiftiFile:
+def read_header(path: Path, options: ReadOptions = AS_IT_IS) -> NiftiFile:
     """Read the header of a file.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The file; the voxels of one that ends in .gz are packed.
     options : ReadOptions
         Which channel and time point is read.
-    compressed : bool
-        Whether its suffix says so.
 
     Raises
     ------
@@ -257,6 +218,7 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
         When it is no NIfTI file of real numbers, or packed against its suffix; GeometryError when it has no grid of
         perpendicular axes.
     """
+    compressed = path.suffix.lower() == _PACKED
     with path.open("rb") as file:
         start = file.read(max(HEADER_BYTES.values()))
         zipped = start[:2] == GZIP_START
@@ -310,6 +272,9 @@ def _file_of(
         asked=options,
         nifti=header,
         times_text=times_text,
+        are_channels_guessed=header.are_channels_guessed,
+        slope=header.slope,
+        intercept=header.intercept,
         parts=parts,
     )
 
@@ -381,7 +346,7 @@ def extensions_of(path: Path) -> list[tuple[int, str]]:
     InputError
         As `read_header`.
     """
-    found = read_header(path, compressed=path.suffix.lower() == ".gz")
+    found = read_header(path)
     with path.open("rb") as file:
         return _extensions(file, found.nifti, found.encoding == "deflate")
 
@@ -424,10 +389,6 @@ def _times_text_in(extensions: Iterable[tuple[int, str]]) -> str:
         if code == COMMENT_CODE and text.startswith(begin)
     )
     return next(found, "")
-
-
-read_plain_header = partial(read_header, compressed=False)
-read_compressed_header = partial(read_header, compressed=True)
 
 
 def parse_header(raw: bytes, is_pair: bool = False) -> NiftiHeader:

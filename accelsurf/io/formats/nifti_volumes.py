@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from gzip import GzipFile
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -37,22 +37,20 @@ _CODE = 30
 
 
 def write_nifti(volume: Volume, path: Path) -> None:
-    """Write a NIfTI, with the numbers and codes that placed the volume when it was read."""
-    with path.open("wb") as out:
-        _write(volume, out)
+    """Write a NIfTI, with the numbers and codes that placed the volume when it was read; compressed if it ends in .gz.
 
-
-def write_compressed(volume: Volume, path: Path) -> None:
-    """Write a NIfTI, compressed, the same bytes for the same volume."""
-    with gzip_writer(path) as out:
-        _write(volume, out)
-
-
-def _write(volume: Volume, out: BinaryIO | GzipFile) -> None:
+    The same volume gives the same bytes.
+    """
     labels = volume.metadata.get(LABELS_KEY)
     extension = b"" if labels is None else extension_of(LabelTable.from_json(labels))
-    out.write(header_of(volume.geometry, volume.array.dtype, volume.metadata, extension))
-    out.write(np.ascontiguousarray(volume.array, volume.array.dtype.newbyteorder("<")).data)
+    with opened_nifti(path) as out:
+        out.write(header_of(volume.geometry, volume.array.dtype, volume.metadata, extension))
+        out.write(np.ascontiguousarray(volume.array, volume.array.dtype.newbyteorder("<")).data)
+
+
+def opened_nifti(path: Path) -> AbstractContextManager[BinaryIO | GzipFile]:
+    """Open a file to be written; all that is written is compressed if it ends in .gz."""
+    return gzip_writer(path) if path.suffix == ".gz" else path.open("wb")
 
 
 def header_of(

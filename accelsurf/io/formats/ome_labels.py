@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.grid.boxes import whole_box
 from accelsurf.image.volume import Volume
 from accelsurf.io.file_set import open_set, refuse_links
 from accelsurf.io.files import read_json, write_bytes
 from accelsurf.io.formats import ome_zarr
-from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
+from accelsurf.io.formats.zarr_pyramid import ZarrPyramid
 from accelsurf.io.headers import check_within_store
 
 _NAME = re.compile(r"[0-9A-Za-z][0-9A-Za-z_.-]{0,63}")
@@ -111,13 +110,7 @@ def put(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:
                 True,
                 "../../",
             )
-            for first in range(0, labels.array.shape[0], CHUNK):
-                box = (
-                    slice(first, min(first + CHUNK, labels.array.shape[0])),
-                    *whole_box(labels.array.shape)[1:],
-                )
-                pyramid.write(box, labels.array[box])
-            pyramid.finish()
+            pyramid.write_whole(labels.array)
             write_bytes(files.staging / _MARK, _listing(group / _MARK, name))
             files.commit(last=_MARK)
     except OSError as error:

@@ -18,7 +18,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.channels import selected, single
 from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
-from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
+from accelsurf.io.formats.zarr_pyramid import ZarrPyramid
 from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array, read_mark
 from accelsurf.io.headers import (
     FRAME_KEY,
@@ -31,7 +31,7 @@ from accelsurf.io.headers import (
 )
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout, checked_level
 from accelsurf.io.memory import check_memory
-from accelsurf.settings.reading import AS_IT_IS, Level, ReadOptions
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 _SERIES_KEY = "bioformats2raw.layout"
 #: Keys of metadata; a group of OME-Zarr has one of them.
@@ -66,27 +66,19 @@ class OmeHeader:
     options: ReadOptions = AS_IT_IS
 
     @property
-    def values(self) -> int:
-        """Number of values that are read, all channels together; of the finest level where none was named."""
-        places = selected(self.count("channel"), self.count("time"), self.options)
-        level = self.options.level if isinstance(self.options.level, int) else 0
-        array = open_array(self.folder, self.ome.levels[min(level, len(self.ome.levels) - 1)].path)
-        return len(places) * math.prod(int(array.shape[axis]) for axis in self.ome.space_axes)
-
-    @property
     def channels(self) -> int:
         """Number of them."""
-        return self.count("channel")
+        return self._count("channel")
 
     @property
     def time_points(self) -> int:
         """Number of them."""
-        return self.count("time")
+        return self._count("time")
 
     @property
     def frame_times(self) -> FrameTimes | None:
         """When they are; None where the metadata do not say it."""
-        count = self.count("time")
+        count = self.time_points
         if (text := self.ome.metadata.get(TIMES_KEY)) is not None:
             return FrameTimes.from_text(text, count)
         found = self.ome.metadata.get(FRAME_KEY)
@@ -101,9 +93,7 @@ class OmeHeader:
         OSError
             When the folders of the image cannot be looked into.
         """
-        places = selected(
-            self.count("channel"), self.count("time"), replace(self.options, time_index=0)
-        )
+        places = selected(self.channels, self.time_points, replace(self.options, time_index=0))
         number = checked_level(self.options.level, [grid.shape for grid in _grids(self)])
         at = [{"time": None, "channel": channel} for _, channel in places]
         missing = (_voxels(self, number, place, 0).missing() for place in at)
@@ -115,7 +105,7 @@ class OmeHeader:
         grids = _grids(self)
         return grids[checked_level(self.options.level, [grid.shape for grid in grids])]
 
-    def count(self, kind: str) -> int:
+    def _count(self, kind: str) -> int:
         """Number of channels ("channel") or time points ("time")."""
         return math.prod(
             n for n, axis in zip(self.shape, self.ome.axes, strict=True) if axis.kind == kind
@@ -256,7 +246,7 @@ def open_ome_zarr(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume
     header : OmeHeader
         Claims of its metadata.
     opening : Opening
-        Which level, channel and time point.
+        How many bytes of unpacked chunks are held.
 
     Raises
     ------
@@ -265,28 +255,22 @@ def open_ome_zarr(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume
     UsageError
         When the level, channel or time point does not exist.
     """
-    asked = replace(
-        header.options, channel_index=opening.channel_index, time_index=opening.time_index
-    )
-    place = single(header.count("channel"), header.count("time"), asked)
-    return _opened(path, header, place, opening.level, opening.cache_bytes, not opening.again)[0]
+    place = single(header.channels, header.time_points, header.options)
+    return _opened(path, header, place, opening.cache_bytes, not opening.again)[0]
 
 
 def _opened(
     path: Path,
     header: OmeHeader,
     place: tuple[int, int],
-    level: Level,
     cache_bytes: int,
     listed: bool = False,
 ) -> tuple[LazyVolume, ZarrVoxels]:
-    """Open a level of a time point and a channel; if ``listed``, with a warning about missing chunks."""
+    """Open the level of a time point and a channel; if ``listed``, with a warning about missing chunks."""
     grids = _grids(header)
-    number = checked_level(level, [grid.shape for grid in grids])
+    number = checked_level(header.options.level, [grid.shape for grid in grids])
     voxels = _voxels(header, number, {"time": place[0], "channel": place[1]}, cache_bytes)
-    layout = StoreLayout(
-        grids, voxels.chunk_shape, header.count("channel"), header.count("time"), number
-    )
+    layout = StoreLayout(grids, voxels.chunk_shape, header.channels, header.time_points, number)
     note = voxels.missing if listed else None
     return LazyVolume(voxels, grids[number], dict(header.ome.metadata), path, layout, note), voxels
 
@@ -329,9 +313,8 @@ def read_ome_zarr(path: Path, header: OmeHeader, available: int) -> Volume:
     InputError
         When it is larger than the memory, a chunk is damaged, or there are several channels or time points.
     """
-    asked = header.options
-    place = single(header.count("channel"), header.count("time"), asked)
-    return _in_memory(*_opened(path, header, place, asked.level, 0), available, 1)
+    place = single(header.channels, header.time_points, header.options)
+    return _in_memory(*_opened(path, header, place, 0), available, 1)
 
 
 def read_ome_zarr_channels(path: Path, header: OmeHeader, available: int) -> list[Volume]:
@@ -342,8 +325,8 @@ def read_ome_zarr_channels(path: Path, header: OmeHeader, available: int) -> lis
     InputError
         As `read_ome_zarr`, and for more than `accelsurf.io.channels.MAX_CHANNELS` channels.
     """
-    places = selected(header.count("channel"), header.count("time"), header.options)
-    opened = [_opened(path, header, place, header.options.level, 0) for place in places]
+    places = selected(header.channels, header.time_points, header.options)
+    opened = [_opened(path, header, place, 0) for place in places]
     return [_in_memory(*image, available, len(opened)) for image in opened]
 
 
@@ -371,13 +354,7 @@ def write_labels(volume: Volume, path: Path) -> None:
 def _write(volume: Volume, path: Path, labels: bool) -> None:
     name = split_name(path)[0]
     pyramid = ZarrPyramid(path, volume.geometry, volume.array.dtype, volume.metadata, name, labels)
-    for first in range(0, volume.array.shape[0], CHUNK):
-        box = (
-            slice(first, min(first + CHUNK, volume.array.shape[0])),
-            *whole_box(volume.array.shape)[1:],
-        )
-        pyramid.write(box, volume.array[box])
-    pyramid.finish()
+    pyramid.write_whole(volume.array)
 
 
 def store_ome_zarr(

@@ -66,11 +66,6 @@ class PngHeader:
     options: ReadOptions = AS_IT_IS
 
     @property
-    def values(self) -> int:
-        """Number of pixels of the image; colours become one value."""
-        return math.prod(self.shape)
-
-    @property
     def geometry(self) -> Geometry:
         """The grid."""
         return Geometry(self.shape, self.spacing)

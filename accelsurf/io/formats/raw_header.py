@@ -24,6 +24,7 @@ from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels, native
 from accelsurf.io.headers import FRAME_KEY, FrameTimes
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import check_memory
+from accelsurf.io.scaling import scaled, scaled_type
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -62,6 +63,10 @@ class RawHeader:
         Which channel and time point is read.
     times_text : str
         A line of our own with the times; empty where there is none.
+    are_channels_guessed : bool
+        Whether a few volumes are taken for channels because nothing is said of time.
+    slope, intercept : float
+        A stored number v stands for slope * v + intercept.
     """
 
     data: Path
@@ -78,6 +83,9 @@ class RawHeader:
     is_interleaved: bool = False
     asked: ReadOptions = AS_IT_IS
     times_text: str = ""
+    are_channels_guessed: bool = False
+    slope: float = 1.0
+    intercept: float = 0.0
 
     @property
     def claimed_bytes(self) -> int:
@@ -99,20 +107,10 @@ class RawHeader:
         return None if self.seconds is None else FrameTimes.regular(self.time_points, self.seconds)
 
     @property
-    def values(self) -> int:
-        """Number of values that are read, all channels together."""
-        return math.prod(self.geometry.shape) * len(self.selected())
-
-    @property
     def volume_metadata(self) -> dict[str, str]:
         """Metadata of a volume that is read."""
         seconds = {} if self.seconds is None else {FRAME_KEY: repr(self.seconds)}
         return self.metadata | seconds
-
-    @property
-    def are_channels_guessed(self) -> bool:
-        """True if a few volumes are taken for channels because nothing is said of time."""
-        return False
 
     @property
     def has_boxes(self) -> bool:
@@ -122,11 +120,19 @@ class RawHeader:
     @property
     def is_scaled(self) -> bool:
         """True if stored numbers stand for others."""
-        return False
+        return (self.slope, self.intercept) != (1.0, 0.0)
 
     def scaled(self, stored: NDArray[Any]) -> NDArray[Any]:
-        """Return the values that stored numbers stand for, in this machine's byte order."""
-        return native(stored)
+        """Return the values that stored numbers stand for, in this machine's byte order.
+
+        Scaled whole numbers are a float that holds them.
+        """
+        if not self.is_scaled:
+            return native(stored)
+        dtype = scaled_type(self.slope, self.intercept)
+        if stored.dtype.kind == "f":
+            dtype = np.promote_types(stored.dtype.newbyteorder("="), dtype)
+        return scaled(stored, self.slope, self.intercept, dtype)
 
     def selected(self) -> list[int]:
         """Numbers of the components or volumes that are read as channels.

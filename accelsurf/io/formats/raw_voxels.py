@@ -7,11 +7,9 @@ is cut short, or a network drive that goes away, would end the process by a sign
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,14 +17,9 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
-from accelsurf.io.files import file_version
+from accelsurf.io.files import CHANGED
 from accelsurf.io.formats.deflate import TRUNCATED_HINT
-
-#: Message and hint where a file is not the one that was opened.
-CHANGED = (
-    "the file has changed since it was opened",
-    "let no other program write it; then start again",
-)
+from accelsurf.io.lazy_volume import FileVoxels
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +59,7 @@ class RawLayout:
         return self.offset + z * math.prod(self.shape[1:]) * self.stored.itemsize
 
 
-class RawVoxels:
+class RawVoxels(FileVoxels):
     """The voxels of a file, read where they lie.
 
     Parameters
@@ -80,8 +73,6 @@ class RawVoxels:
     ----------
     dtype : numpy.dtype
         Of the values.
-    bytes_read : int
-        Bytes of the voxels that were read so far.
 
     Raises
     ------
@@ -92,33 +83,21 @@ class RawVoxels:
     def __init__(
         self, layout: RawLayout, values: Callable[[NDArray[Any]], NDArray[Any]] | None = None
     ) -> None:
+        super().__init__(layout.path)
         self.layout = layout
         self._values = values or native
         self.dtype = self._values(np.zeros(1, layout.stored)).dtype
-        self.bytes_read = 0
-        self._lock = Lock()
-        found = layout.path.stat()
-        if found.st_size < layout.end:
+        size = layout.path.stat().st_size
+        if size < layout.end:
             raise InputError(
                 f"the header announces {layout.end - layout.offset} bytes of voxels, the file holds "
-                f"{max(found.st_size - layout.offset, 0)}",
+                f"{max(size - layout.offset, 0)}",
                 TRUNCATED_HINT,
             )
-        self._version = file_version(found)
 
-    def read(self, box: Box) -> NDArray[Any]:
-        """Return the values in a box; see `accelsurf.io.LazyVolume.read`.
-
-        Raises
-        ------
-        InputError
-            When the file has changed since it was opened; OSError when it is gone.
-        """
+    def _values_in(self, box: Box) -> NDArray[Any]:
         stored = np.empty([s.stop - s.start for s in box], self.layout.stored)
-        # Opened anew each time: a file that is gone or replaced is noticed, and nothing is left open.
         with self.layout.path.open("rb") as file:
-            if file_version(os.fstat(file.fileno())) != self._version:
-                raise InputError(*CHANGED)
             for piece in _pieces(self.layout, box, stored):
                 file.seek(piece.offset)
                 if file.readinto(piece.raw) < len(piece.raw):

@@ -5,7 +5,6 @@ They are put in the order of the numbers in their names: 2 before 10. All have o
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -58,11 +57,6 @@ class SliceFolder:
     form: ImageFormat
     geometry: Geometry
     metadata: dict[str, str]
-
-    @property
-    def values(self) -> int:
-        """Number of values of the image."""
-        return math.prod(self.geometry.shape)
 
 
 def fitting_names(path: Path, stores: bool = False) -> tuple[Path, list[str]]:
@@ -200,12 +194,28 @@ def _files(path: Path) -> list[Path]:
     return [folder / name for name in in_order(names)]
 
 
+def changing_numbers(names: Sequence[str]) -> list[tuple[int, ...]]:
+    """Numbers in names of files that are not the same in all: for each place in the names, one of each name.
+
+    Examples
+    --------
+    >>> changing_numbers(["a1_z2", "a1_z10"]), changing_numbers(["a1", "b"])
+    ([(2, 10)], [])
+    """
+    numbers = [[int(n) for n in re.findall(r"[0-9]{1,18}", name)] for name in names]
+    if len({len(some) for some in numbers}) != 1:
+        return []
+    return [column for column in zip(*numbers, strict=True) if len(set(column)) > 1]
+
+
+def shown_gaps(gaps: Sequence[int]) -> str:
+    """The first numbers that no file has, for a message."""
+    return ", ".join(map(str, gaps[:_MAX_SHOWN])) + (" ..." if len(gaps) > _MAX_SHOWN else "")
+
+
 def _gaps(names: Sequence[str]) -> str:
     """Warning of gaps in the numbers of the names; empty where there is none."""
-    numbers = [[int(n) for n in re.findall(r"[0-9]+", name)] for name in names]
-    if len({len(some) for some in numbers}) != 1 or not numbers[0]:
-        return ""
-    columns = [column for column in zip(*numbers, strict=True) if len(set(column)) > 1]
+    columns = changing_numbers(names)
     if len(columns) != 1:
         return ""
     there = sorted(set(columns[0]))
@@ -213,8 +223,10 @@ def _gaps(names: Sequence[str]) -> str:
     gaps = [a + step for a, b in zip(there, there[1:], strict=False) if b - a != step]
     if not gaps:
         return ""
-    text = ", ".join(map(str, gaps[:_MAX_SHOWN])) + (" ..." if len(gaps) > _MAX_SHOWN else "")
-    return f"slices are missing: the numbers of the files have gaps at {text}; the others are put side by side"
+    return (
+        f"slices are missing: the numbers of the files have gaps at {shown_gaps(gaps)}; the others are put side by "
+        "side"
+    )
 
 
 def read_slices(path: Path, header: SliceFolder, available: int) -> Volume:

@@ -1,8 +1,8 @@
 """TIFF images: stacks, hyperstacks of ImageJ, OME-TIFF also of several files, pyramids; one or more channels at a time.
 
-tifffile reads and unpacks the pages. It drops a tag that is damaged, ends a stack where the next page is damaged, cuts
-off the surplus of a strip and fills up missing bytes, all in silence or with a line in a log. So the entries of
-each page are compared with the file before tifffile reads them, and its strips before and after they are unpacked.
+tifffile reads and unpacks the pages. It drops a tag that is damaged with a line in a log, ends a stack where the next
+page is damaged, cuts off the surplus of a strip and fills up missing bytes. So its log is heard, the chain of pages is
+followed here, and strips are compared with the file before and after they are unpacked.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import itertools
 import logging
 import math
 import os
+import re
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,7 +21,7 @@ from functools import cached_property, partial
 from io import BytesIO
 from pathlib import Path
 from threading import get_ident
-from typing import Any, BinaryIO, Literal, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import tifffile
@@ -34,15 +35,15 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import headers, itk
 from accelsurf.io.channels import selected, single, to_grey
-from accelsurf.io.files import file_version, library_named, one_line
+from accelsurf.io.files import library_named, one_line
 from accelsurf.io.formats.png import TRUNCATED_HINT
-from accelsurf.io.formats.raw_voxels import CHANGED, RawLayout, RawVoxels
+from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
 from accelsurf.io.formats.tiff_stack import IMAGEJ, TiffStack, description_of, stack_of
 from accelsurf.io.headers import FRAME_KEY, UNIT_KEY, FrameTimes, with_given_unit, with_warnings
 from accelsurf.io.lazy_volume import (
-    ChunkCache,
     LazyVolume,
     Opening,
+    PackedVoxels,
     StackedVoxels,
     StoreLayout,
     VoxelSource,
@@ -52,7 +53,6 @@ from accelsurf.io.memory import check_memory
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
-_SUBFILE = 254
 _WIDTH = 256
 _HEIGHT = 257
 _PHOTOMETRIC = 262
@@ -64,39 +64,16 @@ _STRIPS = 273
 _STRIP_BYTES = 279
 _TILES = 324
 _TILE_BYTES = 325
-#: Types of values: whole numbers of any length but bytes, which tifffile leaves as they are.
-_WHOLE = (3, 4, 16)
-_OFFSET = (3, 4, 13, 16, 18)
-_TEXT = (1, 2, 7)
-_FRACTION = (5,)
-#: Types that BigTIFF alone has.
-_OF_BIG_TIFF = (16, 18)
-_MAX_SAMPLES = (1 << 16) - 1
-_MAX_LEVELS = 32
-_ANY = 1 << 62
-#: Entries of a directory, as in tifffile.
-_MAX_ENTRIES = 4096
-
-
-class TagRule(NamedTuple):
-    """Types of the values of a tag, by their numbers in TIFF, and the largest number of values."""
-
-    types: tuple[int, ...]
-    most: int
-
-
-#: Tags that describe the voxels and their places.
-_RULES = {
-    **dict.fromkeys((_SUBFILE, _WIDTH, _HEIGHT, _PHOTOMETRIC, _ORIENTATION), TagRule(_WHOLE, 1)),
-    # Compression, order of bits, values of a pixel, rows of a strip, planes, unit of the resolution, predictor, tiles.
-    **dict.fromkeys((259, 266, 277, 278, 284, 296, 317, 322, 323), TagRule(_WHOLE, 1)),
-    **dict.fromkeys((_BITS, _EXTRA, _FORMAT), TagRule(_WHOLE, _MAX_SAMPLES)),
-    **dict.fromkeys((_STRIPS, _TILES), TagRule(_OFFSET, _ANY)),
-    **dict.fromkeys((_STRIP_BYTES, _TILE_BYTES), TagRule(_WHOLE, _ANY)),
-    **dict.fromkeys((282, 283), TagRule(_FRACTION, 1)),
-    270: TagRule(_TEXT, _ANY),
-    330: TagRule(_OFFSET, _MAX_LEVELS),
+#: Tags that describe the voxels and their places: beside the named ones kind of page, packing, order of bits,
+#: description, values of a pixel, rows of a strip, resolution (2), planes, its unit, predictor, tiles (2), levels.
+_DESCRIBING = frozenset((254, 259, 266, 270, 277, 278, 282, 283, 284, 296, 317, 322, 323, 330)) | {
+    *(_WIDTH, _HEIGHT, _PHOTOMETRIC, _ORIENTATION, _BITS, _EXTRA, _FORMAT),
+    *(_STRIPS, _STRIP_BYTES, _TILES, _TILE_BYTES),
 }
+#: Types of values that are bytes: the rest of their field is not zero.
+_TEXT = (1, 2, 7)
+#: A line of tifffile's log about a tag that it drops, or has no value of.
+_DROPPED = re.compile(r"TiffTag (\d+) @\d+> (invalid|could not)")
 _DAMAGED = ("the TIFF header is cut short or damaged", TRUNCATED_HINT)
 _PALETTE = 3
 _RGB = 2
@@ -119,27 +96,10 @@ _RATIOS = {
 _STREAMS = (_NONE, _LZW, _PACKBITS, *_DEFLATE, 34925, 34926, 50000)
 #: The first byte that is no part of the head of the file.
 _FIRST_BYTE = 8
-_VALUE_BYTES = {
-    kind: struct.calcsize("=" + code) for kind, code in tifffile.TIFF.DATA_FORMATS.items()
-}
-_FORMATS = {
-    b"II*\0": tifffile.TIFF.CLASSIC_LE,
-    b"MM\0*": tifffile.TIFF.CLASSIC_BE,
-    b"II+\0": tifffile.TIFF.BIG_LE,
-    b"MM\0+": tifffile.TIFF.BIG_BE,
-}
+_BEGINNINGS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 # ------------------------------------------------------------------------------------------------ pages of a file
-
-
-class Directory(NamedTuple):
-    """Place of a page, whether it is a reduced copy of another, and its size."""
-
-    at: int
-    is_reduced: bool
-    height: int
-    width: int
 
 
 class PageKind(NamedTuple):
@@ -183,28 +143,20 @@ class TiffReader:
         self._file = file
         self._size = file.seek(0, os.SEEK_END)
         file.seek(0)
-        form = _FORMATS.get(file.read(4))
-        if form is None:
+        if file.read(4) not in _BEGINNINGS:
             raise InputError(
                 "this is not a TIFF image: it does not start as one", hint="is it the right file?"
             )
-        self._form = form
-        file.seek(8 if form.is_bigtiff else 4)
-        self._first = self._unpacked(form.offsetformat)
+        file.seek(0)
+        with heard(), library_named(*_DAMAGED):
+            # Without pages of other files, and without arrangements that single makers mean.
+            self._library = tifffile.TiffFile(
+                file, _multifile=False, is_lsm=False, is_ndpi=False, is_scanimage=False
+            )
+            self._first = self._library.pages.first.offset
+        self._form = self._library.tiff
         self._spent = self._stored = 0
         self._known: set[int] = set()
-
-    def _unpacked(self, code: str) -> int:
-        """The next number of the file."""
-        return int(struct.unpack(code, self._file.read(struct.calcsize(code)))[0])
-
-    @cached_property
-    def _library(self) -> tifffile.TiffFile:
-        """The file in tifffile, without pages of other files, and without arrangements that single makers mean."""
-        self._file.seek(0)
-        return tifffile.TiffFile(
-            self._file, _multifile=False, is_lsm=False, is_ndpi=False, is_scanimage=False
-        )
 
     @cached_property
     def is_imagej(self) -> bool:
@@ -213,79 +165,35 @@ class TiffReader:
         ImageJ measures the stored numbers whatever table is chosen. Where another program writes a palette, the numbers
         are places in it and say nothing by themselves.
         """
-        return description_of(self.page(self._first)).text.startswith(IMAGEJ)
+        return description_of(self._library.pages.first).text.startswith(IMAGEJ)
 
     @cached_property
-    def directories(self) -> list[Directory]:
+    def pages(self) -> list[tifffile.TiffPage]:
         """All of the chain.
 
         Raises
         ------
         InputError
-            When the chain is a circle, or entries are damaged; ValueError or struct.error when it is cut short.
+            When the chain is a circle, or tags are damaged; struct.error when it is cut short.
         """
-        found: list[Directory] = []
+        found: dict[int, tifffile.TiffPage] = {}
         at = self._first
         while at:
-            if at in self._known:
+            if at in found:
                 raise InputError(
                     "the TIFF is damaged: its last page points back to an earlier one",
                     hint=TRUNCATED_HINT,
                 )
-            values = self._entries(at)
-            if not {_HEIGHT, _WIDTH} <= set(values):
-                raise ValueError(f"page {len(found) + 1} has no size")
-            is_reduced = bool(values.get(_SUBFILE, 0) & 1)
-            found.append(Directory(at, is_reduced, values[_HEIGHT], values[_WIDTH]))
+            found[at] = self.page(at)
+            self._file.seek(at)
+            entries = self._unpacked(self._form.tagnoformat)
+            self._file.seek(entries * self._form.tagsize, os.SEEK_CUR)
             at = self._unpacked(self._form.offsetformat)
-        return found
+        return list(found.values())
 
-    def _entries(self, at: int) -> dict[int, int]:
-        """Values of the tags with a single value, of a directory that tifffile reads without loss.
-
-        Raises
-        ------
-        InputError
-            When a tag is damaged, or the values take more bytes than the file has: pages may name the same
-            bytes again and again, and tifffile loads them all.
-        """
-        form, size = self._form, self._form.tagsize
-        self._file.seek(at)
-        count = self._unpacked(form.tagnoformat)
-        if count > _MAX_ENTRIES:
-            raise ValueError(f"{count} entries of a page")
-        raw = self._file.read(count * size)
-        order: Literal["little", "big"] = "little" if form.byteorder == "<" else "big"
-        values: dict[int, int] = {}
-        tags: set[int] = set()
-        for place in range(0, count * size, size):
-            tag, kind, n, field = struct.unpack_from(
-                form.tagformat1 + form.tagformat2[1:], raw, place
-            )
-            length = n * _VALUE_BYTES.get(kind, 0)
-            begin = int.from_bytes(field, order) if length > len(field) else _FIRST_BYTE
-            is_within = _FIRST_BYTE <= begin <= self._size - length
-            if tag in tifffile.TIFF.TAG_LOAD and is_within:
-                self._spent += length
-            if (rule := _RULES.get(tag)) is None:
-                continue
-            # The rest of an entry is zero: other bytes are of a longer value.
-            is_short = rule.types != _TEXT and any(field[length:])
-            is_known = kind in rule.types and (kind not in _OF_BIG_TIFF or form.is_bigtiff)
-            if tag in tags or not is_known or not 0 < n <= rule.most or is_short or not is_within:
-                raise InputError(
-                    f"the tag {tifffile.TIFF.TAGS[tag]} of the TIFF is damaged, or there twice: "
-                    f"{n} values of type {kind}",
-                    TRUNCATED_HINT,
-                )
-            tags.add(tag)
-            if length <= len(field):
-                values[tag] = int.from_bytes(field[:length], order)
-        # Directories may not lie upon one another: there could be one for nearly each byte of the file.
-        self._spent += len(raw) + form.tagnosize
-        budgets.TIFF_TAGS.check(self._spent, "the entries of the TIFF", self._size + _SLACK)
-        self._known.add(at)
-        return values
+    def _unpacked(self, code: str) -> int:
+        """The next number of the file."""
+        return int(struct.unpack(code, self._file.read(struct.calcsize(code)))[0])
 
     def page(self, at: int) -> tifffile.TiffPage:
         """The page whose directory begins at a byte, as tifffile reads it.
@@ -293,13 +201,34 @@ class TiffReader:
         Raises
         ------
         InputError
-            As for `directories`, and when tifffile cannot read it.
+            When tifffile cannot read it, a tag is damaged, or the values of tags take more bytes than the file has:
+            pages may name the same bytes again and again, and tifffile loads them all.
         """
+        with library_named(*_DAMAGED):
+            with heard() as said:
+                self._library.filehandle.seek(at)
+                page = tifffile.TiffPage(self._library, index=0)
+            dropped = (int(found[1]) for line in said if (found := _DROPPED.search(line)))
+            short = (tag.code for tag in page.tags if self._is_cut(tag))
+            if damaged := sorted(_DESCRIBING.intersection([*dropped, *short])):
+                raise ValueError(f"tag {tifffile.TIFF.TAGS[damaged[0]]}")
+            if not {_HEIGHT, _WIDTH} <= {tag.code for tag in page.tags}:
+                raise ValueError("a page has no size")
         if at not in self._known:
-            self._entries(at)
-        with heard(), library_named(*_DAMAGED):
-            self._library.filehandle.seek(at)
-            return tifffile.TiffPage(self._library, index=0)
+            self._known.add(at)
+            loaded = (tag for tag in page.tags if tag.code in tifffile.TIFF.TAG_LOAD)
+            self._spent += sum(tag.valuebytecount for tag in loaded)
+            self._spent += len(page.tags) * self._form.tagsize
+            budgets.TIFF_TAGS.check(self._spent, "the entries of the TIFF", self._size + _SLACK)
+        return page
+
+    def _is_cut(self, tag: tifffile.TiffTag) -> bool:
+        """Test if the field of a short value has more than it: it is of a longer one, whose type is damaged."""
+        left = tag.offset + self._form.tagsize - tag.valueoffset - tag.valuebytecount
+        if tag.dtype in _TEXT or not 0 < left < self._form.tagoffsetthreshold:
+            return False
+        self._file.seek(tag.valueoffset + tag.valuebytecount)
+        return any(self._file.read(left))
 
     def kind_of(self, page: tifffile.TiffPage) -> PageKind:
         """The properties of a page that can be read.
@@ -534,7 +463,7 @@ class TiffPart:
         return replace(self, directories=directories, planes=planes, faults={}, sample=sample)
 
 
-class TiffPages:
+class TiffPages(PackedVoxels):
     """The pages of a stack, unpacked one by one.
 
     Parameters
@@ -545,32 +474,18 @@ class TiffPages:
     """
 
     def __init__(self, part: TiffPart, cache_bytes: int) -> None:
+        super().__init__(part.data, cache_bytes)
         self._part = part
         stored = part.kind.stored
         self.dtype = np.dtype(np.uint8) if stored is None else stored.newbyteorder("=")
-        self._cache = ChunkCache(cache_bytes)
-        self._version = file_version(part.data.stat())
 
-    @property
-    def bytes_read(self) -> int:
-        """Bytes of the pages that were read so far, unpacked."""
-        return self._cache.bytes_made
-
-    def read(self, box: Box) -> NDArray[Any]:
-        """Return the values in a box, of colours with these along a last axis; see `accelsurf.io.LazyVolume.read`.
-
-        Raises
-        ------
-        InputError
-            When a page is damaged, or the file has changed since it was opened; OSError when it is gone.
-        """
+    def _values_in(self, box: Box) -> NDArray[Any]:
+        """Return the values in a box, of colours with these along a last axis."""
         values: NDArray[Any] | None = None
         with self._part.data.open("rb") as file:
-            if file_version(os.fstat(file.fileno())) != self._version:
-                raise InputError(*CHANGED)
             reader = TiffReader(file)
             for z in range(box[0].start, box[0].stop):
-                page = self._cache.get(z, partial(self._values, reader, z))[box[1:]]
+                page = self._piece(z, partial(self._values, reader, z))[box[1:]]
                 if values is None:
                     values = np.empty([box[0].stop - box[0].start, *page.shape], page.dtype)
                 values[z - box[0].start] = page
@@ -741,12 +656,6 @@ class TiffImage:
         """The grid of the level that is read."""
         return self.grids[self.level]
 
-    @property
-    def values(self) -> int:
-        """Number of values that are read, all channels together."""
-        places = selected(self.channels, self.stack.time_points, self.options)
-        return len(places) * math.prod(self.geometry.shape)
-
 
 def parse_tiff(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
     """Read the directories of a TIFF (also BigTIFF), and of the files that belong to it.
@@ -761,12 +670,12 @@ def parse_tiff(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
     try:
         with path.open("rb") as file:
             reader = TiffReader(file)
-            shown = _without_thumbnails(reader.directories)
-            first = reader.page(shown[0].at)
+            shown = _without_thumbnails(reader.pages)
+            first = shown[0]
             stack = stack_of(first, len(shown), reader.kind_of(first).samples)
             sizes = _level_sizes(reader, first)
             level = checked_level(options.level, sizes)
-            counted = reader.directories if stack.counts_all else shown
+            counted = reader.pages if stack.counts_all else shown
             parts, stack = _pages_of_files(path, reader, counted, stack, level)
         spacing, metadata = _spacing(stack, options)
         grids = _grids(stack, sizes, spacing)
@@ -776,7 +685,7 @@ def parse_tiff(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
     return TiffImage(path, stack, parts, grids, level, metadata, options)
 
 
-def _without_thumbnails(directories: Sequence[Directory]) -> list[Directory]:
+def _without_thumbnails(pages: Sequence[tifffile.TiffPage]) -> list[tifffile.TiffPage]:
     """The pages that are not smaller versions of others.
 
     Raises
@@ -784,12 +693,12 @@ def _without_thumbnails(directories: Sequence[Directory]) -> list[Directory]:
     InputError
         When there is none, or one is called smaller and is not.
     """
-    shown = [page for page in directories if not page.is_reduced]
+    shown = [page for page in pages if not page.is_reduced]
     if not shown:
         raise InputError("the TIFF holds no page", hint=TRUNCATED_HINT)
-    full = shown[0].height * shown[0].width
-    for number, page in enumerate(directories, 1):
-        if page.is_reduced and page.height * page.width >= full:
+    full = shown[0].imagelength * shown[0].imagewidth
+    for number, page in enumerate(pages, 1):
+        if page.is_reduced and page.imagelength * page.imagewidth >= full:
             raise InputError(
                 f"page {number} of the TIFF is marked as a reduced copy of another, but is as large as the first page",
                 "save the stack again, without this mark (NewSubfileType)",
@@ -812,7 +721,7 @@ def _level_sizes(reader: TiffReader, first: tifffile.TiffPage) -> list[tuple[int
 def _pages_of_files(
     path: Path,
     reader: TiffReader,
-    counted: Sequence[Directory],
+    counted: Sequence[tifffile.TiffPage],
     stack: TiffStack,
     level: int,
 ) -> tuple[tuple[TiffPart, ...], TiffStack]:
@@ -830,7 +739,7 @@ def _pages_of_files(
             headers.check_data_file(path, other)
             with other.open("rb") as file:
                 further = TiffReader(file)
-                part = _pages_of_file(other, further, further.directories, wanted.tolist(), level)
+                part = _pages_of_file(other, further, further.pages, wanted.tolist(), level)
         elif len(counted) == 1 < len(wanted) and not stack.counts_all:
             part = _pages_of_file(path, reader, counted, [0], level)
             part = _repeated(part, len(wanted), path.stat().st_size)
@@ -844,7 +753,11 @@ def _pages_of_files(
 
 
 def _pages_of_file(
-    path: Path, reader: TiffReader, counted: Sequence[Directory], wanted: list[int], level: int
+    path: Path,
+    reader: TiffReader,
+    counted: Sequence[tifffile.TiffPage],
+    wanted: list[int],
+    level: int,
 ) -> TiffPart:
     """Some pages of a file.
 
@@ -862,7 +775,7 @@ def _pages_of_file(
     directories, planes = [], []
     faults: dict[int, InputError] = {}
     for place, number in enumerate(wanted):
-        page = reader.page(counted[number].at)
+        page = counted[number]
         if level:
             page = reader.page(int((page.subifds or ())[level - 1]))
         kind = reader.kind_of(page)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box
+from accelsurf.grid.boxes import Box, whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import MAX_SPACING_RATIO
 from accelsurf.io.formats.ome_metadata import OWN_KEY, VERSIONS, attributes_of
@@ -165,6 +165,13 @@ class ZarrPyramid:
         self._written.update(_places(box, self._arrays[0].chunks))
         if self._labels and len(self._values) <= MAX_COLORS:
             self._values.update(np.unique(array).tolist())
+
+    def write_whole(self, array: NDArray[Any]) -> None:
+        """Write all voxels, and finish: a layer of chunks at a time."""
+        for first in range(0, len(array), CHUNK):
+            layer = slice(first, min(first + CHUNK, len(array)))
+            self.write((layer, *whole_box(array.shape)[1:]), array[layer])
+        self.finish()
 
     def read(self, box: Box) -> NDArray[Any]:
         """Return the voxels of a box of the finest level; 0 where none were written."""

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
-from accelsurf.io.files import file_version, one_line
+from accelsurf.io.files import one_line
 from accelsurf.io.formats.zarr_files import ChunkFiles, is_in_runs
 from accelsurf.io.headers import check_within_store
-from accelsurf.io.lazy_volume import ChunkCache
+from accelsurf.io.lazy_volume import PackedVoxels
 from accelsurf.settings import budgets
 
 #: Voxels along an axis: beyond that the numbers of the header are damaged.
@@ -122,7 +122,7 @@ def _check_claims(said: Any) -> None:
             raise ValueError(f"its {key} has {len(given)} entries, at most {_MAX_LISTED} expected")
 
 
-class ZarrVoxels:
+class ZarrVoxels(PackedVoxels):
     """The voxels of an array that may have further axes than space.
 
     Parameters
@@ -151,6 +151,8 @@ class ZarrVoxels:
         stored: Sequence[int] | None = None,
     ) -> None:
         self._array = open_array(folder, path)
+        mark = "zarr.json" if self._array.metadata.zarr_format == 3 else ".zarray"
+        super().__init__(folder / path / mark, cache_bytes)
         self._name, self._stored = path, stored
         self._files = ChunkFiles(folder, path, self._array)
         self._missing: set[tuple[int, ...]] = set()
@@ -159,38 +161,17 @@ class ZarrVoxels:
         nz, ny, nx = (*[1] * self._flat, *(int(self._array.chunks[axis]) for axis in self._order))
         self.chunk_shape = (nz, ny, nx)
         self.dtype = np.dtype(self._array.dtype).newbyteorder("=")
-        self._cache = ChunkCache(cache_bytes)
-        mark = "zarr.json" if self._array.metadata.zarr_format == 3 else ".zarray"
-        self._mark = folder / path / mark
-        self._version = file_version(self._mark.stat())
 
-    @property
-    def bytes_read(self) -> int:
-        """Bytes of the chunks that were read so far, unpacked."""
-        return self._cache.bytes_made
-
-    def read(self, box: Box) -> NDArray[Any]:
-        """Return the values in a box; see `accelsurf.io.LazyVolume.read`.
-
-        Raises
-        ------
-        InputError
-            When a chunk is damaged, or the store has changed since it was opened; OSError when it is gone.
-        """
+    def _values_in(self, box: Box) -> NDArray[Any]:
         values = np.empty([s.stop - s.start for s in box], self.dtype)
         for place in self._chunks(box):
-            chunk = self._cache.get(place, lambda place=place: self._chunk(place))  # type: ignore[misc]
+            chunk = self._piece(place, lambda place=place: self._chunk(place))  # type: ignore[misc]
             inside, into = [], []
             for along, at, width in zip(box, place, self.chunk_shape, strict=True):
                 first, last = max(along.start, at * width), min(along.stop, (at + 1) * width)
                 inside.append(slice(first - at * width, last - at * width))
                 into.append(slice(first - along.start, last - along.start))
             values[tuple(into)] = chunk[tuple(inside)]
-        if file_version(self._mark.stat()) != self._version:
-            raise InputError(
-                "the store has changed while it was read",
-                "let no program write it; then start again",
-            )
         return values
 
     def _chunks(self, box: Box) -> Iterator[tuple[int, ...]]:
@@ -237,7 +218,7 @@ class ZarrVoxels:
 
     def _check_missing(self, place: tuple[int, ...]) -> None:
         """Note that a file is missing, or refuse it where the store says that it had one."""
-        self._mark.stat()  # raises where the whole store has gone
+        self._path.stat()  # raises where the whole store has gone
         file = self._files.file_of(place)
         self._missing.add(file)
         if self._stored is not None and is_in_runs(self._files.number(file), self._stored):

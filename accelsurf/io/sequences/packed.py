@@ -17,10 +17,9 @@ from typing import IO
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.io.channels import read_volumes
-from accelsurf.io.files import file_version
+from accelsurf.io.files import file_version, refuse_changed
 from accelsurf.io.formats.deflate import inflate
 from accelsurf.io.formats.raw_header import RawHeader
-from accelsurf.io.formats.raw_voxels import CHANGED
 from accelsurf.io.headers import FrameTimes
 from accelsurf.io.sequences.sources import FileFrames, with_time
 from accelsurf.settings.reading import ReadOptions
@@ -37,14 +36,13 @@ class PackedFrames(FileFrames):
 
     def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
         super().__init__(path, options, memory_bytes)
-        self._version = file_version(self.header.data.stat())
+        self._version = file_version(self.header.data)
         if self.header.are_channels_guessed:
             self.place(self.geometry, FrameTimes.regular(self.header.channels, None))
 
     def unpacked_header(self) -> RawHeader:
         """The header of the voxels as they are, in a temporary file where the file itself is packed."""
-        if file_version(self.header.data.stat()) != self._version:
-            raise InputError(*CHANGED)
+        refuse_changed(self.header.data, self._version)
         if self.header.encoding != "deflate":
             return self.header
         if self._unpacked is None:

@@ -6,7 +6,6 @@ A DICOM series is a sequence if it has slices at several times, or is a loop in 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,22 +17,25 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
 from accelsurf.io import headers
-from accelsurf.io.channels import read_volumes
+from accelsurf.io.channels import read_volumes, values_read
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.slices import ordered
 from accelsurf.io.dicom.volumes import TIME_PHASES, Contents, DicomVolume, frames_in_time, is_cine
 from accelsurf.io.files import naming
 from accelsurf.io.format_functions import functions_of
 from accelsurf.io.formats import dicom
-from accelsurf.io.formats.slices import fitting_names, in_order
+from accelsurf.io.formats.slices import (
+    changing_numbers,
+    fitting_names,
+    in_order,
+    shown_gaps,
+)
 from accelsurf.io.headers import FRAME_KEY, TIMES_KEY, WARNING_KEY, FrameTimes
 from accelsurf.io.lazy_volume import LazyVolume, open_volume
 from accelsurf.io.memory import available_memory, check_memory
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import ImageFormat
 from accelsurf.settings.reading import ReadOptions
-
-_MAX_SHOWN = 8
 
 
 class FileSequence(ImageSequence):
@@ -105,7 +107,7 @@ class FileFrames(FileSequence):
     @property
     def frame_values(self) -> int:
         """Number of values of a frame, all channels together."""
-        return int(with_time(self.header, 0).values)
+        return values_read(self.header, replace(self._options, time_index=0))
 
     def read(self, number: int) -> list[Volume]:
         """Read the channels of a frame."""
@@ -181,10 +183,14 @@ class FrameFolder(FileSequence):
     @property
     def frame_values(self) -> int:
         """Number of values of a frame, all channels together."""
-        return int(self._parsed(self.files[0])[1].values)
+        first = self.files[0]
+        return values_read(self._parsed(first)[1], self._asked(first))
+
+    def _asked(self, file: Path) -> ReadOptions:
+        return self._options.restricted_to(headers.options_of(file))
 
     def _parsed(self, file: Path) -> tuple[ImageFormat, Any]:
-        return headers.parse(file, self._options.restricted_to(headers.options_of(file)))
+        return headers.parse(file, self._asked(file))
 
     def read(self, number: int) -> list[Volume]:
         """Read a file."""
@@ -246,12 +252,9 @@ def times_of_names(names: Sequence[str]) -> tuple[FrameTimes, str]:
     ((0.0, 1.0, 3.0), (0.0, 1.0))
     """
     plain = FrameTimes.regular(len(names), None)
-    numbers = [
-        [int(n) for n in re.findall(r"[0-9]{1,18}", headers.split_name(name)[0])] for name in names
-    ]
-    if len(names) < 2 or len({len(some) for some in numbers}) != 1 or not numbers[0]:
+    columns = changing_numbers([headers.split_name(name)[0] for name in names])
+    if not columns:
         return plain, ""
-    columns = [column for column in zip(*numbers, strict=True) if len(set(column)) > 1]
     if len(columns) != 1 or len(set(columns[0])) < len(names):
         return (
             plain,
@@ -266,10 +269,8 @@ def times_of_names(names: Sequence[str]) -> tuple[FrameTimes, str]:
     )
     if not gaps:
         return FrameTimes(values), ""
-    text = ", ".join(map(str, gaps[:_MAX_SHOWN])) + (" ..." if len(gaps) > _MAX_SHOWN else "")
-    return FrameTimes(
-        values
-    ), f"frames are missing: no file has the number {text}; the times have the gap"
+    note = f"frames are missing: no file has the number {shown_gaps(gaps)}; the times have the gap"
+    return FrameTimes(values), note
 
 
 class DicomFrames(FileSequence):
@@ -277,19 +278,19 @@ class DicomFrames(FileSequence):
 
     def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
         super().__init__(path, options, memory_bytes)
-        self._files, contents, file = dicom.found_in(path)
-        frames = _frames_of(contents, options, file)
-        series = frames[0].uids[1]
-        dicom.refuse_lost(contents, series, options)
-        self._parts, times = frames_in_time(frames, self._files.root)
+        found = dicom.found_in(path)
+        self._root = found.files.root
+        frames = _frames_of(found.contents, options, found.file)
+        series = frames[0].uids.series
+        dicom.refuse_lost(found.contents, series)
+        self._parts, times = frames_in_time(frames, self._root)
         first = self._header(0)
-        self.place(
-            first.geometry, times, [*dicom.notes_on_left_out(contents, series, file), *first.notes]
-        )
+        left_out = dicom.notes_on_left_out(found.contents, series, found.file)
+        self.place(first.geometry, times, [*left_out, *first.notes])
 
     def _header(self, number: int) -> dicom.DicomHeader:
         """Slices of a frame in their order, on a grid."""
-        slices = ordered(DicomVolume(self._parts[number]), self._files.root, self._options.spacing)
+        slices = ordered(DicomVolume(self._parts[number]), self._root, self._options.spacing)
         return dicom.on_grid(slices, self._options, [])
 
     def read(self, number: int) -> list[Volume]:

@@ -6,10 +6,8 @@ import os
 import sys
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,7 @@ from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import headers
-from accelsurf.io.files import SPACE_HINT, staging, undone_on_failure
+from accelsurf.io.files import SPACE_HINT, StagedOutput
 from accelsurf.io.format_functions import functions_of
 from accelsurf.io.headers import FrameTimes
 from accelsurf.io.writing import stored_grid, write_labels
@@ -88,7 +86,7 @@ class FrameStack:
         return (self.frame(number) for number in range(len(self)))
 
 
-class SequenceWriter:
+class SequenceWriter(StagedOutput):
     """A sequence that is being written. It appears when all frames are there, whole, or not at all.
 
     Used with ``with``, it is committed at the end, and aborted where an error ends the block. The bytes do not depend
@@ -141,25 +139,17 @@ class SequenceWriter:
         time_unit: str,
         dtype: Any,
     ) -> None:
-        self.path, self.geometry = Path(path), geometry
+        self.geometry = geometry
         self.times = FrameTimes.checked(times, time_unit)
         self.dtype = np.dtype(dtype).newbyteorder("=")
-        self._form = _written_form(self.path, self.dtype, geometry)
+        self._form = _written_form(Path(path), self.dtype, geometry)
         self._sums: dict[int, int] = {}
-        self._stack = ExitStack()
-        try:
-            base = self.path.with_name(self.path.name.replace("*", "_"))
-            self._files = self._stack.enter_context(staging(base, self._form.folder_marks))
-            with self._naming():
-                scratch = self._files.staging.parent / "frames.raw"
-                self._frames = FrameStack(scratch, geometry, self.times, self.dtype)
-                with scratch.open("wb") as file:
-                    file.truncate(
-                        len(self._frames) * self._frames.frame_bytes
-                    )  # sparse where the system can
-        except BaseException:
-            self.abort()
-            raise
+        super().__init__(Path(path), self._form.folder_marks)
+        with self._aborted_on_failure():
+            scratch = self._files.staging.parent / "frames.raw"
+            self._frames = FrameStack(scratch, geometry, self.times, self.dtype)
+            with scratch.open("wb") as file:  # sparse where the system can
+                file.truncate(len(self._frames) * self._frames.frame_bytes)
 
     def write(self, number: int, array: NDArray[Any]) -> None:
         """Write the frame ``number``, from 0; one that was there is replaced.
@@ -177,7 +167,7 @@ class SequenceWriter:
             raise UsageError(
                 f"a frame {array.shape} of {array.dtype} given, {self.geometry.shape} of {self.dtype} expected"
             )
-        with self._naming():
+        with self._aborted_on_failure():
             self._frames.put(number, array)
         self._sums[number] = _checksum(array)
 
@@ -198,7 +188,7 @@ class SequenceWriter:
         """
         if self.missing:
             raise UsageError(f"frame {self.missing[0]} of {len(self._frames)} was not written")
-        with self._naming():
+        with self._aborted_on_failure():
             if "*" in self.path.name:
                 names = self._write_each()
             else:
@@ -209,26 +199,8 @@ class SequenceWriter:
                 self._check()
             self._frames.path.unlink()
             self._files.commit(last=self.path.name if self.path.name in names else None)
-        self._stack.close()
+        self.abort()
         return tuple(self.path.with_name(name) for name in names)
-
-    def abort(self) -> None:
-        """Remove the written files; after `commit` this does nothing."""
-        self._stack.close()
-
-    def __enter__(self) -> SequenceWriter:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
-        if kind is None:
-            self.commit()
-        else:
-            self.abort()
 
     def _write_each(self) -> list[str]:
         """Write a file for each frame; their names."""
@@ -265,9 +237,6 @@ class SequenceWriter:
             difference = f"what was written is damaged: {error.message}"
         if difference:
             raise OutputError(f"{self.path}: cannot be written ({difference})", SPACE_HINT)
-
-    def _naming(self) -> AbstractContextManager[None]:
-        return undone_on_failure(self.path, self._files, self.abort)
 
 
 def sequence_suffixes() -> tuple[str, ...]:

@@ -49,7 +49,6 @@ OF_ONE_IMAGE = (
     "channels_from_time",
     "series",
     "spacing",
-    "resample",
     "name",
     "color",
     "label_table",

@@ -155,9 +155,9 @@ def test_frames_of_one_file_are_named_by_number(tmp_path):
         )
 
 
-def test_a_resampled_grid_has_places_of_its_own(tmp_path):
+def test_a_grid_with_planes_between_the_slices_has_places_of_its_own(tmp_path):
     source = source_of(write_slices(tmp_path, Geometry((6, 20, 24), (3.0, 0.8, 0.7))))
-    # As --resample puts slices on a grid: same planes and others between them, other pixels.
+    # Same planes and others between them, other pixels.
     geometry = Geometry((11, 10, 12), (1.5, 1.6, 1.4), (0.2, 0.1, 0.0))
     labels = np.zeros(geometry.shape, np.uint16)
     labels[1:9, 2:4, 3:8] = 3

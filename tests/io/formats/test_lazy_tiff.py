@@ -158,7 +158,7 @@ def test_a_file_that_goes_or_changes_is_an_error(tmp_path):
     io.write(Volume.from_array(values("u1")), path)
     lazy = io.open_volume(path, cache_bytes=0)
     os.utime(path, ns=(1, 1))
-    with pytest.raises(InputError, match=r"a\.tif: the file has changed since"):
+    with pytest.raises(InputError, match=r"a\.tif: the image has changed since"):
         lazy.read(whole_box(lazy.shape))
     path.unlink()
     with pytest.raises(InputError, match=r"cannot be read \(No such file"):

@@ -276,7 +276,7 @@ def test_a_store_that_goes_away_or_changes_is_an_error(tmp_path):
     path, array = written(tmp_path)
     lazy = io.open_volume(path, cache_bytes=0)
     os.utime(path / "0" / "zarr.json", ns=(1, 1))
-    refused(path, "the store has changed", lazy)
+    refused(path, "the image has changed", lazy)
     lazy = io.open_volume(path, cache_bytes=0)
     path.rename(tmp_path / "elsewhere")
     refused(path, r"cannot be read \(No such file", lazy)

@@ -14,7 +14,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io import headers
+from accelsurf.io import channels
 from accelsurf.settings.reading import ReadOptions
 from tests.io.test_lazy_volume import assert_same_boxes, values
 
@@ -49,7 +49,7 @@ def test_slices_are_in_the_order_of_their_numbers(tmp_path, suffix):
         )
     one = io.read(folder / "a1?.*", options=SPACING)
     np.testing.assert_array_equal(one.array, values("u1")[3:])
-    assert headers.count_values(folder) == values("u1").size
+    assert channels.count_values(folder) == values("u1").size
     if suffix == ".tif":
         lazy = io.open_volume(folder, spacing=(0.1, 0.2, 0.5))
         np.testing.assert_array_equal(
@@ -186,7 +186,7 @@ HOSTILE = {
 def test_hostile_arrays_are_refused(tmp_path, name):
     content, words = HOSTILE[name]
     (tmp_path / "a.npy").write_bytes(content)
-    for read in (io.read, headers.count_values):
+    for read in (io.read, channels.count_values):
         with pytest.raises(InputError, match=words) as caught:
             read(tmp_path / "a.npy")
         assert caught.value.hint

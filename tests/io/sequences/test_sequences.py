@@ -89,7 +89,7 @@ def test_vectors_are_channels_whatever_is_said_of_time(tmp_path):
         channels.read_channels(path, ReadOptions(channels_from_time=True))
     assert (
         headers.counts(path) == (2, 3)
-        and headers.count_values(path, ReadOptions(time_index=1)) == 2 * 120
+        and channels.count_values(path, ReadOptions(time_index=1)) == 2 * 120
     )
 
 
