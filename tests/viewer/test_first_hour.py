@@ -7,12 +7,12 @@ import pytest
 
 from accelsurf import io
 from accelsurf.cli import execute
-from accelsurf.cli.view import FirstImage, finished_run
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.viewer.actions.actions import Actions
+from accelsurf.viewer.core.opening import ImageToOpen, finished_run
 from accelsurf.viewer.core.recent_files import Hints, RecentFiles
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
@@ -188,7 +188,7 @@ def test_what_is_no_finished_run_is_an_image_or_one_line(result, tmp_path):
     )
     given, config = finished_run(tmp_path)
     with pytest.raises(InputError, match="another image than that of the run.*voxels differ"):
-        FirstImage(given.path, config, None, None, TrackConfig(), given).start_reading()()
+        ImageToOpen(given.path, config, None, None, TrackConfig(), given).start_reading()()
     (tmp_path / "b_report.json").write_text(json.dumps(report))
     with pytest.raises(InputError, match="several results"):
         finished_run(tmp_path)

@@ -636,11 +636,10 @@ class Timeline:
         """Write files, see `saving.save`; those written before may be replaced."""
         self._check_begun("save")
         self.run.apply_edits()
-        known, corrected = None if overwrite else self._written, self.corrections.result()
+        known = None if overwrite else self._written
+        result = self.corrections.result() or saving.present_result(self.run)
         others = self.objects.named_settings(self.run.config) | ({"mesh": (mesh,)} if mesh else {})
-        written = saving.save(
-            self.run, folder, name, source, what, known, corrected, others, self._channels
-        )
+        written = saving.save(result, folder, name, source, what, known, others, self._channels)
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"
         return written
