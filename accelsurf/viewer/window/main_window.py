@@ -98,7 +98,7 @@ class MainWindow(QMainWindow):
     def ask_folder(self) -> None:
         """Ask for a folder that is an image, and open it."""
         name = QFileDialog.getExistingDirectory(
-            self, "Open a folder: a scan in DICOM, slices, OME-Zarr"
+            self, "Open a folder: a scan in DICOM, slices, OME-Zarr, or a result"
         )
         if name:
             self.opening.request("open", name)

@@ -47,7 +47,7 @@ class StartPage(QWidget):
         )
         self.open_folder = furnished(
             QPushButton("Open folder ..."),
-            toolTip="A scan in DICOM, slices, or OME-Zarr (Ctrl+Shift+O)",
+            toolTip="A scan in DICOM, slices, OME-Zarr, or a result (Ctrl+Shift+O)",
             clicked=self.folder_wanted.emit,
         )
         self.recent = _list(
