@@ -17,7 +17,7 @@ from accelsurf.settings.corrections import Correction
 from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
-from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with, in_words
+from accelsurf.viewer.core.change_log import ChangeLog, Moment, differing, edits_with, in_words
 from accelsurf.viewer.core.corrected_run import Corrections
 from accelsurf.viewer.core.first_answers import FirstAnswers
 from accelsurf.viewer.core.frame import Frame
@@ -352,14 +352,8 @@ class Timeline:
     def restart(self) -> None:
         """Go to the start and forget all edits and corrections but the settings in force."""
         run, before = self.run, self._now()
-        base = run.config.at(-1)
-        now = run.settings
         config = run.config
-        changed = {
-            key: getattr(now, key)
-            for key in RunConfig.model_fields
-            if getattr(now, key) != getattr(base, key)
-        }
+        changed = differing(config.at(-1), run.settings)
         changed.pop("seed", None)
         self.pause()
         self._restore(0)

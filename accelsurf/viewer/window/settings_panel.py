@@ -77,7 +77,8 @@ class SettingRow(QWidget):
         self.choice: QComboBox | None = None
         self.line: QLineEdit | None = None
         self.error: QLabel | None = None
-        self._value, kind, name = "", row["kind"], row["label"]
+        kind, name = row["kind"], row["label"]
+        self._value = ""
         grid = bare(QGridLayout(self), 3)
         grid.setColumnStretch(0, 4)
         grid.setColumnStretch(1, 5)
