@@ -380,7 +380,7 @@ class ChangesBar(QWidget):
         self.save = button(
             "Save",
             "Labels, mesh, picture, report and settings (Ctrl+S)",
-            clicked=self.save_wanted.emit,
+            clicked=self.save_wanted,
         )
         self.mesh = choice(
             "format of the mesh",
@@ -388,7 +388,7 @@ class ChangesBar(QWidget):
             toolTip="Format of the mesh that is saved",
             textActivated=lambda name: ask("mesh", name),
         )
-        self.help = button("?", "Keys and mouse (F1)", clicked=self.help_wanted.emit)
+        self.help = button("?", "Keys and mouse (F1)", clicked=self.help_wanted)
         self.help.setFixedWidth(28)
         filled(bare(QHBoxLayout(self), 4), self.undo, self.redo, self.save, self.mesh, self.help)
 
@@ -500,7 +500,7 @@ class SidePanels(QWidget):
         self.changes = ChangesBar(actions)
         self.panels = {type(panel).__name__: panel for panel in (make(actions) for make in PANELS)}
         self.hints, self._hints_text = QWidget(), wrapped("hints")
-        hide = button("Do not show this again", clicked=self.hints_unwanted.emit)
+        hide = button("Do not show this again", clicked=self.hints_unwanted)
         filled(framed(QVBoxLayout(self.hints)), self._hints_text, hide)
         self.hints.hide()
         inner = QWidget()

@@ -107,7 +107,7 @@ class SettingRow(QWidget):
             QLineEdit(),
             accessibleName="energy expression",
             placeholderText="local-region:R=8 + 0.3*geodesic",
-            textEdited=self.typing.emit,
+            textEdited=self.typing,
         )
         line.returnPressed.connect(lambda: self.changed.emit(line.text()))
         self.error = furnished(QLabel(), objectName="message", wordWrap=True)

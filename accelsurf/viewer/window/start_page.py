@@ -43,12 +43,12 @@ class StartPage(QWidget):
         self.open_file = furnished(
             QPushButton("Open file ..."),
             toolTip="An image in a file (Ctrl+O)",
-            clicked=self.file_wanted.emit,
+            clicked=self.file_wanted,
         )
         self.open_folder = furnished(
             QPushButton("Open folder ..."),
             toolTip="A scan in DICOM, slices, OME-Zarr, or a result (Ctrl+Shift+O)",
-            clicked=self.folder_wanted.emit,
+            clicked=self.folder_wanted,
         )
         self.recent = _list(
             "Recent images", lambda item: self._ask("open_recent", self.recent.row(item))
