@@ -180,11 +180,12 @@ class ObjectsFeature(Feature):
             raise UsageError(f"color: {short(color)} was given, expected #rrggbb")
         self._describe(object_id, color=color)
 
-    def _describe(self, object_id: int, **change: str) -> None:
+    def _describe(self, object_id: int, name: str = "", color: str = "") -> None:
         """Name or colour an object. Files then have a name and a colour for each: those that are seen."""
         ids = self._ids(self.actions.session.status)
         styles = {each: self.actions.scene.styles[each] for each in ids}
-        styles[object_id] = styles[object_id]._replace(**change)
+        before = styles[object_id]
+        styles[object_id] = before._replace(name=name or before.name, color=color or before.color)
         said = {each: (style.name, style.color) for each, style in styles.items()}
         self.actions.ask(
             self.actions.session.objects(lambda objects: objects.describe(said, object_id))

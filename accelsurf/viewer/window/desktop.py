@@ -431,7 +431,7 @@ class HistoryPanel(Section):
     def __init__(self, actions: Actions) -> None:
         super().__init__("History", actions)
         # A long line ends in an ellipsis, with all of it in its tip: a bar below would cover one of the few lines.
-        self.list = furnished(
+        self.list: QListWidget = furnished(
             QListWidget(),
             accessibleName="changes",
             toolTip="A click goes back, or forward again, to what was in force after that change",
