@@ -145,7 +145,7 @@ def movie(
         return 0
     volume, *more = given.read("run accelsurf segment again")
     shown = look.theme, look.color, look.view, movie_settings.size, look.planes
-    scene = movie_file.SceneRecipe(volume, run_settings, reference, *shown).scene()
+    scene = movie_file.scene_of_run(volume, run_settings, reference, *shown)
     drawn: Run | Result
     try:
         if on_disk:
@@ -206,7 +206,7 @@ def _movie_of_tracks(folder: Path, given: GivenImage, config: TrackConfig, targe
     from accelsurf.viewer import movie_file
 
     given.check_files("run accelsurf track again")
-    name = movie_file.report_in(folder).name.removesuffix(report_name(""))
+    name = movie_file.report_in(folder).path.name.removesuffix(report_name(""))
     saved = SavedTracks(folder, name, open_sequence(given.path, config))
     tracks = saved.track_set()
     slices.write_movie(tracks, target, slices.PANELS if saved.has_predictions else ("corrected",))

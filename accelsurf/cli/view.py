@@ -8,10 +8,8 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -25,116 +23,19 @@ from accelsurf.cli.options import (
     Output,
     Overwrite,
     Switch,
-    given_options,
     run_config,
     settings_class,
 )
 from accelsurf.cli.track_options import SequenceSettings, track_config
-from accelsurf.errors import InputError, UsageError
+from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
-    from accelsurf.image.volume import Volume
-    from accelsurf.output.given_image import GivenImage
     from accelsurf.viewer.actions.opening import Opening, ViewerSettings
-    from accelsurf.viewer.core.opening import ImageWithSession, OpenedImage
+    from accelsurf.viewer.core.opening import ImageToOpen, ImageWithSession, OpenedImage
 
 Settings = settings_class("Settings")
-
-
-@dataclass(frozen=True)
-class FirstImage:
-    """The image that is opened first, as the command line names it.
-
-    Attributes
-    ----------
-    source : Path
-        A file or folder.
-    config : RunConfig
-        Settings of its run; among them how it is read.
-    reference : Path or None
-        Labels to compare with.
-    tracks : Path or None
-        Folder of its tracks, from ``accelsurf track``.
-    times : TrackConfig
-        How a sequence is read.
-    given : GivenImage or None
-        The image of a finished run: another one is refused.
-    """
-
-    source: Path
-    config: RunConfig
-    reference: Path | None
-    tracks: Path | None
-    times: TrackConfig
-    given: GivenImage | None = None
-
-    def start_reading(self) -> Callable[[], OpenedImage]:
-        """Begin to read; return a function that waits for the image.
-
-        A single image is read in a thread. Of a sequence headers and one frame are read, when it is waited for.
-
-        Raises
-        ------
-        InputError
-            When the header cannot be read; other errors are raised by the returned function.
-        UsageError
-            When a time between frames was given for a single image.
-        """
-        from accelsurf.io import channels, headers
-        from accelsurf.io.files import naming
-        from accelsurf.io.format_functions import functions_of
-        from accelsurf.io.sequences import reading as sequences
-        from accelsurf.viewer.core.command_queue import in_background
-
-        reading = self.config.reading
-        if (
-            self.tracks is not None
-            or self.times.frames_from_slices
-            or sequences.is_sequence(self.source, reading)
-        ):
-            return self._sequence
-        if self.times.frame_time is not None:
-            raise UsageError(
-                "frame_time: it was given for a single image",
-                "leave it out, or add --frames-from-slices",
-            )
-        with naming(self.source):
-            form = headers.format_of(self.source)
-        # Loaded here: two threads that load the same library may see it half loaded.
-        functions_of(form)
-        volumes = in_background(
-            lambda: channels.read_channels(self.source, reading), "accelsurf reading"
-        )
-        return partial(self._image, volumes)
-
-    def _image(self, volumes: Future[list[Volume]]) -> OpenedImage:
-        from accelsurf.io import on_grid, split_name
-        from accelsurf.viewer.core.opening import OpenedImage
-
-        truth = self._truth()
-        volume, *more = volumes.result()
-        if self.given is not None:
-            self.given.check([volume, *more], "run accelsurf segment again")
-        truth = None if truth is None else on_grid(truth, volume.geometry)
-        return OpenedImage(
-            volume, self.config, split_name(self.source)[0], self.source, tuple(more), truth
-        )
-
-    def _sequence(self) -> OpenedImage:
-        from accelsurf.viewer.core.opening import read_tracked
-
-        truth, times = self._truth(), self.times
-        found = read_tracked(
-            self.source, self.config, self.tracks, times.frame_time, times.frames_from_slices
-        )
-        return replace(found, reference=truth)
-
-    def _truth(self) -> Volume | None:
-        from accelsurf.io import read_labels
-
-        return None if self.reference is None else read_labels(self.reference)
 
 
 @contextmanager
@@ -242,24 +143,20 @@ def view(
     page = page or PageOptions()
     viewer = viewer or ViewerOptions()
     times = track_config(frames, None, None)
-    finished = None if input is None else finished_run(input)
-    image = None if finished is None else finished[0]
-    if input is not None and finished is not None:
-        folder, (given, before) = input, finished
-        input = given.path
-        if isinstance(before, TrackConfig):
-            tracks = tracks or (folder if folder.is_dir() else folder.parent)
-            times, before = before.replace(**given_options(frames)), before.run
-        made = before.replace(**{key: getattr(made, key) for key in made.model_fields_set})
-    _check_given(input, reference, tracks, times)
+    asked: ImageToOpen | None = None
     waiting: list[Callable[[], OpenedImage]] = []
 
     def start() -> None:
-        if input is not None:
-            first = FirstImage(input, made, reference, tracks, times, image)
-            waiting.append(first.start_reading())
+        if asked is not None:
+            waiting.append(asked.start_reading())
 
     with loading():
+        if input is not None:
+            from accelsurf.viewer.core.opening import ImageToOpen
+
+            asked = ImageToOpen(input, made, reference, tracks, times).of_result()
+            made, tracks, times = asked.config, asked.tracks, asked.times
+        _check_given(input, reference, tracks, times)
         page = front_end(page, start)
     first = waiting[0]() if waiting else None
     with ExitStack() as stack:
@@ -270,7 +167,6 @@ def view(
         settings = ViewerSettings(output, viewer.theme, overwrite, viewer.keep)
         session = None
         if first is not None:
-            first = replace(first, is_result=finished is not None and tracks is None)
             session = first.session(viewer.keep, begin=page.browser)
             stack.callback(session.close, 0.0)  # window and page wait for it, if it may take time
             if page.browser:
@@ -281,42 +177,6 @@ def view(
         else:
             _open_window(opening, opened, settings)
     return 0
-
-
-def finished_run(path: Path) -> tuple[GivenImage, RunConfig | TrackConfig] | None:
-    """Return image and settings of the result that a folder or a report has; None for an image.
-
-    Raises
-    ------
-    InputError
-        When there are several results, or the image is not there.
-    """
-    from accelsurf.io.file_set import refuse_unfinished
-    from accelsurf.output.given_image import GivenImage, settings_of
-    from accelsurf.output.reports import Report
-
-    known = (
-        sorted(path.glob("*_report.json"))
-        if path.is_dir()
-        else [path]
-        if path.suffix == ".json"
-        else []
-    )
-    if path.is_dir() and not known:
-        refuse_unfinished(path)
-    found = [Report(each) for each in known]
-    reports = {each.path: each.document for each in found if each.document and not each.is_failure}
-    if not reports:
-        return None
-    if len(reports) > 1:
-        raise InputError(
-            f"{path}: there are several results: {', '.join(map(str, reports))}", "give one of them"
-        )
-    ((report, document),) = reports.items()
-    run = report.with_name(f"{report.name.removesuffix('_report.json')}_run.toml")
-    hint = f"give where it is now: accelsurf view IMAGE --config {run}"
-    given = GivenImage.of_report(document, report).found(None, hint)
-    return given, settings_of(document, report)
 
 
 def _check_given(

@@ -47,7 +47,7 @@ def _nifti() -> FormatFunctions:
 
     return replace(
         _nifti_pair(),
-        parse=nifti.read_plain_header,
+        parse=nifti.read_header,
         write=nifti_volumes.write_nifti,
         open=raw_header.open_raw,
         store=nifti_volumes.store_nifti,
@@ -61,8 +61,8 @@ def _compressed_nifti() -> FormatFunctions:
 
     return replace(
         _nifti(),
-        parse=nifti.read_compressed_header,
-        write=nifti_volumes.write_compressed,
+        parse=nifti.read_header,
+        write=nifti_volumes.write_nifti,
         open=None,
         store=None,
     )

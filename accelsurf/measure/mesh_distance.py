@@ -145,25 +145,10 @@ class TriangleIndex:
 
 
 def nearest_in(points: Floats, corners: Floats) -> Floats:
-    """The place in a triangle (n, 3, 3) that is nearest to its point (n, 3)."""
-    best = np.full(len(points), np.inf)
-    places = np.empty_like(points)
-    for k in range(3):
-        a, side = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
-        length2 = np.maximum(np.einsum("ij,ij->i", side, side), 1e-300)
-        t = np.clip(np.einsum("ij,ij->i", points - a, side) / length2, 0.0, 1.0)
-        place = a + t[:, None] * side
-        distance = np.linalg.norm(place - points, axis=1)
-        nearer = distance < best
-        best[nearer], places[nearer] = distance[nearer], place[nearer]
-    a = corners[:, 0]
-    u = corners[:, 1] - corners[:, 0]
-    v = corners[:, 2] - corners[:, 0]
-    normal = np.cross(u, v)
-    area2 = np.maximum(np.einsum("ij,ij->i", normal, normal), 1e-300)
-    w = points - a
-    s = np.einsum("ij,ij->i", np.cross(w, v), normal) / area2
-    t = np.einsum("ij,ij->i", np.cross(u, w), normal) / area2
-    within = (s > 0) & (t > 0) & (s + t < 1)
-    places[within] = (a + s[:, None] * u + t[:, None] * v)[within]
-    return places
+    """Return the place in a triangle (n, 3, 3) that is nearest to its point (n, 3)."""
+    from trimesh.triangles import closest_point  # loads half a second of modules
+
+    # The tolerances of trimesh are lengths: triangles as large as 1 at their points make them shares of their size.
+    away = corners - points[:, None]
+    size = float(np.ptp(corners, axis=1).max(initial=0.0)) or 1.0
+    return np.asarray(points + size * closest_point(away / size, np.zeros_like(points)))

@@ -11,87 +11,76 @@ from typing import TYPE_CHECKING
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import StepRecord
 from accelsurf.image.volume import Volume
-from accelsurf.io.files import read_json
-from accelsurf.output.given_image import GivenImage, settings_of
+from accelsurf.output.given_image import GivenImage
+from accelsurf.output.label_files import given_labels
 from accelsurf.output.pictures.movies import MAX_SIDE, MIN_SIDE, Picture
-from accelsurf.output.reports import FAILED, Report, report_name
+from accelsurf.output.reports import Report
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run
+from accelsurf.viewer.core.opening import finished_run, report_of
 
 if TYPE_CHECKING:
     from accelsurf.viewer.scene.scene import Scene
 
+#: Size of a picture unless another is asked for, pixels.
+SIZE = (1280, 720)
 Histories = Sequence[Sequence[StepRecord]]
 #: Called with each record and the id of its object (None for one without an id); a true value ends the run.
 OnStep = Callable[[StepRecord, int | None], bool | None]
 
 
-@dataclass(frozen=True)
-class SceneRecipe:
-    """Recipe of a scene, as `accelsurf.viewer.scene.scene.Scene` and its methods take it.
+def scene_of_run(
+    volume: Volume,
+    settings: RunConfig,
+    reference: Path | None = None,
+    theme: str = "dark",
+    color: str = "plain",
+    view: str = "corner",
+    size: tuple[int, int] = SIZE,
+    planes: bool = False,
+) -> Scene:
+    """Return the scene of a movie; errors as of `Scene`, and of the reference and the settings.
 
-    Attributes
+    Parameters
     ----------
     volume : Volume
         The image.
     settings : RunConfig
         Of the run: its names and colours of objects, and the window of grey values.
-    reference : Path or None
+    reference : Path, optional
         Label map to compare with.
-    theme, color, view : str
-    size : (int, int)
+    theme, color, view : str, optional
+        As `Scene` and its methods take them.
+    size : (int, int), optional
         Pixels.
-    shows_planes : bool
+    planes : bool, optional
+        Show the slices in 3D.
+
+    Raises
+    ------
+    GraphicsError
+        When nothing here can draw.
     """
+    from accelsurf.viewer.scene.headless import require_graphics
 
-    volume: Volume
-    settings: RunConfig
-    reference: Path | None = None
-    theme: str = "dark"
-    color: str = "plain"
-    view: str = "corner"
-    size: tuple[int, int] = (1280, 720)
-    shows_planes: bool = False
+    require_graphics()
+    # Only now: where nothing can draw, VTK ends the process.
+    from accelsurf import io
+    from accelsurf.image.grey_window import parse_window
+    from accelsurf.viewer.scene.scene import Scene
 
-    def scene(self) -> Scene:
-        """Make it; errors as of `Scene`, and of the reference and the settings.
-
-        Raises
-        ------
-        GraphicsError
-            When nothing here can draw.
-        """
-        from accelsurf.viewer.scene.headless import require_graphics
-
-        require_graphics()
-        # Only now: where nothing can draw, VTK ends the process.
-        import pyvista
-
-        from accelsurf import io
-        from accelsurf.image.grey_window import parse_window
-        from accelsurf.viewer.scene.colors import given_styles
-        from accelsurf.viewer.scene.scene import Scene
-
-        styles, window = given_styles(self.settings), parse_window(self.settings.window)
-        truth = (
-            None
-            if self.reference is None
-            else io.read_labels(self.reference, grid=self.volume.geometry)
-        )
-        layout = Scene.layout(self.volume.geometry)
-        plotter = pyvista.Plotter(off_screen=True, window_size=list(self.size), **layout)
-        scene = Scene(
-            self.volume, theme=self.theme, reference=truth, plotter=plotter, window=window
-        )
-        scene.restyle(styles)
-        scene.color_by(self.color)
-        scene.tiles.look_from(self.view)
-        scene.show_planes(self.shows_planes)
-        scene.render()
-        return scene
+    labels, window = given_labels(settings), parse_window(settings.window)
+    truth = None if reference is None else io.read_labels(reference, grid=volume.geometry)
+    scene = Scene(volume, theme=theme, reference=truth, size=size, window=window)
+    scene.name_objects(labels)
+    scene.color_by(color)
+    scene.tiles.look_from(view)
+    scene.show_planes(planes)
+    scene.render()
+    return scene
 
 
 @dataclass(frozen=True)
@@ -121,7 +110,7 @@ class MovieSettings:
     fps: float = 15.0
     orbit: float = 12.0
     hold: float = 2.0
-    size: tuple[int, int] = SceneRecipe.size
+    size: tuple[int, int] = SIZE
 
     def __post_init__(self) -> None:
         bounds = {
@@ -225,14 +214,10 @@ def run_of_folder(folder: Path) -> tuple[GivenImage, RunConfig | TrackConfig]:
     InputError
         When there is no report or more than one, it is not of a run that can be repeated, or the image is not there.
     """
-    path = report_in(folder)
-    document = read_json(path)
-    if not isinstance(document, dict):
-        message = f"{path}: not the report of a run that can be repeated"
-        raise InputError(message, "run accelsurf segment again")
-    config = settings_of(document, path)
-    image = GivenImage.of_report(document, path)
-    return image.found(None, "give the image and --config instead"), config
+    report_in(folder)
+    found = finished_run(folder)
+    assert found is not None  # there is a report
+    return found
 
 
 def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -> Result:
@@ -256,7 +241,7 @@ def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -
     from accelsurf.interact.restored import restored
     from accelsurf.interact.state_file import read_state
 
-    report = Report(report_in(folder))
+    report = report_in(folder)
     names = report.names
     name = names.get("state", names.get("labels"))
     if name is None:
@@ -270,25 +255,18 @@ def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -
     return segment(volume, labels=str(folder / name))
 
 
-def report_in(folder: Path) -> Path:
-    """The one report of a result in a folder.
+def report_in(folder: Path) -> Report:
+    """Return the one report of a result in a folder.
 
     Raises
     ------
     InputError
         When there is none, or more than one.
     """
-    reports = [
-        path for path in sorted(folder.glob("*_report.json")) if not _is_failure_beside(path)
-    ]
-    if len(reports) != 1:
-        found = "no report (NAME_report.json)" if not reports else f"{len(reports)} reports"
+    report = report_of(folder)
+    if report is None:
         raise InputError(
-            f"{folder}: {found} there, expected one", "give the image and its settings instead"
+            f"{folder}: no report of a run (NAME_report.json) there, expected one",
+            "give the image and its settings instead",
         )
-    return reports[0]
-
-
-def _is_failure_beside(path: Path) -> bool:
-    """Test if a report is that of a failed run beside a result."""
-    return path.name.endswith(report_name(FAILED)) and Report(path).is_failure
+    return report

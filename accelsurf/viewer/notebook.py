@@ -15,10 +15,10 @@ from accelsurf.api.segment import Result
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.library_images import ImageLike, as_volume
+from accelsurf.output.label_files import given_labels
 from accelsurf.output.pictures.movies import png_bytes
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.export import html_page, write_html
-from accelsurf.viewer.scene.colors import given_styles
 from accelsurf.viewer.scene.headless import GraphicsError
 from accelsurf.viewer.scene.scene import SIZE, Scene
 
@@ -74,7 +74,7 @@ def show(
     plotter = None if to is not None else _plotter(image.geometry, size, title)
     scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size, title=title)
     if isinstance(what, Result):
-        scene.restyle(given_styles(what.config))
+        scene.name_objects(given_labels(what.config))
         scene.update(Frame.of_result(what), [segmented.history for segmented in what.objects])
     scene.show_planes(planes)
     if plotter is not None:

@@ -12,7 +12,6 @@ import pytest
 from PIL import Image
 
 from accelsurf import cli, io
-from accelsurf.cli.view import FirstImage, finished_run
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels
@@ -21,6 +20,7 @@ from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.viewer import movie_file
+from accelsurf.viewer.core.opening import ImageToOpen, finished_run
 from tests.support.folders import contents
 
 SHAPE, SPACING = (12, 16, 20), (1.5, 0.75, 1.0)
@@ -209,7 +209,7 @@ def test_all_commands_take_an_image_as_segment_took_it(given, tmp_path, capsys):
         assert one.array.tobytes() == other.array.tobytes() and not one.geometry.difference(
             other.geometry
         )
-    opened = FirstImage(image.path, config, None, None, TrackConfig(), image).start_reading()()
+    opened = ImageToOpen(image.path, config, None, None, TrackConfig(), image).start_reading()()
     assert finished_run(given.out) == (image, config) and len(opened.channels) == len(volumes) - 1
     assert opened.volume.array.tobytes() == volumes[0].array.tobytes()
     # Moved, it is named; where it was, nothing is.
@@ -367,7 +367,7 @@ def test_a_report_that_names_no_file_is_refused_in_a_line(finished, name, where,
     with suppress(AccelsurfError):
         image, config = finished_run(out) or (None, None)
         if image is not None:
-            FirstImage(image.path, config, None, None, TrackConfig(), image).start_reading()()
+            ImageToOpen(image.path, config, None, None, TrackConfig(), image).start_reading()()
 
 
 @pytest.mark.parametrize("name", [n for n in NO_FILE if "\0" not in n], ids=repr)
@@ -481,7 +481,7 @@ def test_tracks_are_resumed_shown_and_made_a_movie(tmp_path, kind, also, capsys)
     assert run("movie", tmp_path / "out", "-o", tmp_path / "b.png", "--preview") == 2
     image, config = finished_run(tmp_path / "out")
     assert image.path == path and config.friction == "auto" and config.run.seed == 1
-    shown = FirstImage(path, config.run, None, tmp_path / "out", config, image).start_reading()()
+    shown = ImageToOpen(path, config.run, None, tmp_path / "out", config, image).start_reading()()
     assert shown.frames is not None
     # A correction of a frame is a new tracking of the same sequence.
     correct = ("--correct", "frame=2 outside=ball:16,8,0,1vox", "--overwrite", "--quiet")

@@ -9,12 +9,12 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.cli import view
-from accelsurf.cli.view import FirstImage
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
+from accelsurf.viewer.core.opening import ImageToOpen
 from accelsurf.viewer.scene.headless import GraphicsError
 from accelsurf.viewer.window import display
 
@@ -29,7 +29,7 @@ def scan(tmp_path):
 
 
 def first_image(path, reference=None):
-    return FirstImage(path, RunConfig(), reference, None, TrackConfig())
+    return ImageToOpen(path, RunConfig(), reference, None, TrackConfig())
 
 
 def test_it_is_read_while_something_else_is_done(scan, monkeypatch):

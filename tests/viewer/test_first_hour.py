@@ -1,18 +1,20 @@
 """What a person meets first: what to do, nothing unasked for, what is known of a result, going on with one."""
 
 import json
+import time
 
 import numpy as np
 import pytest
 
 from accelsurf import io
 from accelsurf.cli import execute
-from accelsurf.cli.view import FirstImage, finished_run
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.viewer.actions.actions import Actions
+from accelsurf.viewer.actions.opening import Opening
+from accelsurf.viewer.core.opening import ImageToOpen, ServedFolder, finished_run
 from accelsurf.viewer.core.recent_files import Hints, RecentFiles
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
@@ -166,6 +168,34 @@ def test_a_finished_run_goes_on(result, tmp_path):
         assert len(session.status.refinements) == 1
 
 
+def opened_by(opening, name):
+    """What an opener reads by a name; None where it says why not."""
+    opening.request("open", str(name))
+    end = time.monotonic() + 60
+    found = None
+    while found is None and opening.is_busy and time.monotonic() < end:
+        time.sleep(0.01)
+        found = opening.fetch()
+    return found
+
+
+@pytest.mark.parametrize("name", ["out", "out/balls_report.json"])
+def test_a_result_opens_in_the_window_and_never_in_a_page(result, name):
+    """Settings of a window are of another image; a result names files that a page may not read."""
+    window = Opening(RunConfig(smoothness=3.0, roi="0:9,0:9,0:9"), RecentFiles(None))
+    opened = opened_by(window, result / name)
+    given, config = finished_run(result / name)
+    assert opened.is_result and opened.source == given.path == result / "balls.nii.gz"
+    assert opened.config == config
+    with opened.session(begin=False) as session:
+        assert session.origin == "saved"
+    page = Opening(RunConfig(), RecentFiles(None), ServedFolder(result))
+    alone = opened_by(page, name)  # a folder with one picture is an image of one slice
+    assert page.failed if alone is None else not alone.is_result
+    for opening in (window, page):
+        opening.close()
+
+
 def test_what_is_no_finished_run_is_an_image_or_one_line(result, tmp_path):
     assert finished_run(tmp_path) is None and finished_run(result / "balls.nii.gz") is None
     report = json.loads((result / "out" / "balls_report.json").read_text())
@@ -184,7 +214,7 @@ def test_what_is_no_finished_run_is_an_image_or_one_line(result, tmp_path):
     )
     given, config = finished_run(tmp_path)
     with pytest.raises(InputError, match="another image than that of the run.*voxels differ"):
-        FirstImage(given.path, config, None, None, TrackConfig(), given).start_reading()()
+        ImageToOpen(given.path, config, None, None, TrackConfig(), given).start_reading()()
     (tmp_path / "b_report.json").write_text(json.dumps(report))
     with pytest.raises(InputError, match="several results"):
         finished_run(tmp_path)

@@ -213,6 +213,10 @@ def test_edits_are_made_again_too(image, tmp_path):
     assert frame.step == report["stop"]["steps"] == histories[0][-1].step
 
 
+#: A file that a report lists.
+FILE = {"kind": "labels", "path": "a_seg.nii.gz", "sha256": "0"}
+
+
 def test_folders_without_a_run_are_refused(tmp_path):
     with pytest.raises(InputError, match="no report"):
         movie_file.run_of_folder(tmp_path)
@@ -224,15 +228,14 @@ def test_folders_without_a_run_are_refused(tmp_path):
         '{"config": 3, "input": {"path": "a", "sha256": null}}',
     ):
         report.write_text(text)
-        with pytest.raises(InputError, match="not JSON|not the report of a run"):
+        with pytest.raises(InputError, match="no report of a run"):
             movie_file.run_of_folder(tmp_path)
-    report.write_text(
-        json.dumps({"config": {"energy": "custom: Mine"}, "input": {"path": "a", "sha256": None}})
-    )
+    own = {"status": "ok", "exit_code": 0, "outputs": [FILE], "config": {"energy": "custom: Mine"}}
+    report.write_text(json.dumps({**own, "input": {"path": str(tmp_path), "sha256": None}}))
     with pytest.raises(InputError, match="one of your own"):
         movie_file.run_of_folder(tmp_path)
-    (tmp_path / "b_report.json").write_text("{}")
-    with pytest.raises(InputError, match="2 reports"):
+    (tmp_path / "b_report.json").write_text(report.read_text())
+    with pytest.raises(InputError, match="several results"):
         movie_file.run_of_folder(tmp_path)
 
 
@@ -376,8 +379,8 @@ def test_a_report_that_names_an_image_no_system_can_have(tmp_path):
         "config": {},
         "input": {"path": "v" * 5000, "sha256": None},
         "status": "ok",
-        "outputs": [1],
+        "outputs": [FILE],
     }
     (tmp_path / "a_report.json").write_text(json.dumps(config))
-    with pytest.raises(InputError, match="is not there"):
+    with pytest.raises(InputError, match="no report of a run"):
         movie_file.run_of_folder(tmp_path)

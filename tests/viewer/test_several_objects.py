@@ -15,6 +15,7 @@ from accelsurf import cli, io, segment_objects, show
 from accelsurf.grid import pyramid
 from accelsurf.levelset import LevelSet
 from accelsurf.output import outputs
+from accelsurf.output.label_files import given_labels
 from accelsurf.output.pictures import preview
 from accelsurf.run.run import Run
 from accelsurf.settings.labels import LabelTable
@@ -22,7 +23,6 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, ObjectState
 from accelsurf.viewer.export import write_html
 from accelsurf.viewer.scene import colors
-from accelsurf.viewer.scene.colors import ObjectStyle, given_styles
 from tests.support import two_balls, viewing
 
 
@@ -279,9 +279,12 @@ def test_a_page_has_what_the_scene_shows(scene_of, tmp_path):
     frame, histories = two_objects(volume)
     scene = scene_of(volume)
     scene.update(frame, histories)
-    scene.restyle(
-        {4: ObjectStyle("a", "#112233", visible=False), 7: ObjectStyle("b", "#112233", opacity=0.4)}
+    scene.name_objects(
+        given_labels(RunConfig(name=["4=a", "7=b"], color=["4=#112233", "7=#112233"]))
     )
+    scene.styles.show(4, False)
+    scene.styles.fade(7, 0.4)
+    scene.restyle()
     write_html(scene, tmp_path / "a.html")
     page = (tmp_path / "a.html").read_text()
     _, surface = json.loads(re.search(r'application/json">(.*?)</script>', page).group(1))["meshes"]
@@ -319,7 +322,7 @@ def test_one_object_with_a_name_is_called_so_beside_the_reference(scene_of):
     scene = scene_of(volume, reference=volume.with_array(volume.array > 0))
     scene.update(frames[-1], [history])
     assert scene.legend[0] == "surface"
-    scene.restyle(given_styles(RunConfig(name=["liver"], color=["#aa00ff"])))
+    scene.name_objects(given_labels(RunConfig(name=["liver"], color=["#aa00ff"])))
     assert scene.legend[0] == "liver"
 
 

@@ -145,3 +145,23 @@ def test_window_and_page_have_the_same_panels_tools_and_buttons_in_the_same_orde
 
 def test_the_wheel_changes_a_number_only_after_it_was_clicked():
     assert lines_of(WHEEL) == ["50.0 True", "50 True"]
+
+
+def test_a_property_that_qt_does_not_know_is_refused():
+    program = """
+from PySide6.QtWidgets import QApplication, QPushButton
+application = QApplication([])
+from accelsurf.viewer.window.section_panel import furnished
+pressed = []
+made = furnished(QPushButton("a"), toolTip="tip", enabled=True, clicked=lambda: pressed.append(1))
+made.click()
+print(made.toolTip(), pressed)
+for wrong in ({"tooltip": "b"}, {"pushed": print}):
+    try:
+        furnished(made, **wrong)
+    except AttributeError as error:
+        print(error)
+"""
+    first, *others = lines_of(program)
+    assert first == "tip [1]"
+    assert len(others) == 2 and all("QPushButton" in line for line in others)

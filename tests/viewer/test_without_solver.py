@@ -40,12 +40,12 @@ DRAWN = (
     NOTE
     + """
 from pathlib import Path
-from accelsurf.cli.view import FirstImage
+from accelsurf.viewer.core.opening import ImageToOpen
 from accelsurf.cli.view import _load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
-wait = FirstImage(Path(sys.argv[1]), RunConfig(threads=1), None, None, TrackConfig()).start_reading()
+wait = ImageToOpen(Path(sys.argv[1]), RunConfig(threads=1), None, None, TrackConfig()).start_reading()
 _load()
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.actions.actions import Actions

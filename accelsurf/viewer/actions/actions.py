@@ -260,7 +260,8 @@ class IdleDrawing:
     """
 
     def __init__(self, actions: Actions) -> None:
-        self._actions, self._since, self._is_full = actions, time.perf_counter(), True
+        self._actions = actions
+        self._since, self._is_full = time.perf_counter(), True
 
     @functools.cached_property
     def is_software(self) -> bool:

@@ -7,12 +7,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from accelsurf.errors import UsageError
-from accelsurf.output.pictures.canvas import object_color
 from accelsurf.viewer.actions.slices import SlicesFeature
 from accelsurf.viewer.actions.tool import AllActions, Feature, Key, whole
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.status import Status, View
-from accelsurf.viewer.scene.colors import ObjectStyle, unnamed
 
 #: Frames a second while they play; fewer where one takes longer to read and draw.
 RATE = 8.0
@@ -66,12 +64,9 @@ class FramesFeature(Feature):
         if self._frames is not None:
             self.number = self._frames.home
             tracks = self._frames.tracks
-            ids = () if tracks is None else tracks.ids
-            actions.scene.styles.tracked = {
-                object_id: ObjectStyle(unnamed(object_id), object_color(place))
-                for place, object_id in enumerate(ids)
-            }
             if tracks is not None:
+                # Each has the colour of its place among all, whichever are in the first frame.
+                actions.scene.styles.choose_colors(tracks.ids)
                 self._draw()
 
     def requests(self) -> Mapping[str, Callable[..., None]]:

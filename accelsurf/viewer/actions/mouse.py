@@ -123,7 +123,8 @@ class MouseFeature(Feature):
         self._pressed = LEFT
         self._button = LEFT
         self._at = (0.0, 0.0)
-        self._moved_at, self.gesture, self._scrolled = 0.0, 0, SliceScroll()
+        self._moved_at, self.gesture = 0.0, 0
+        self._scrolled = SliceScroll()
         self._unit, self._per = read_in("mm", actions.scene.unit)
 
     def requests(self) -> Mapping[str, Callable[..., None]]:

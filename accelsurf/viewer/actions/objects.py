@@ -23,7 +23,6 @@ from accelsurf.viewer.actions.tool import (
     word,
 )
 from accelsurf.viewer.core.status import Status, View
-from accelsurf.viewer.scene.colors import OBJECT_COLORS, ObjectStyle, unnamed
 from accelsurf.viewer.scene.space import Picked
 
 #: In place of an id: the object that is nearest to where a correction begins.
@@ -62,9 +61,6 @@ class ObjectsFeature(Feature):
 
     def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
-        self._hidden: set[int] = set()
-        self._opacity: dict[int, float] = {}
-        self._palette: dict[int, str] = {}
         #: Sizes of the objects in the last frame.
         self._sizes: dict[int, dict[str, Any]] = {}
 
@@ -91,12 +87,10 @@ class ObjectsFeature(Feature):
         }
 
     def state(self, status: Status) -> dict[str, Any]:
-        styles = self._styles(status)
+        self._take_names(status)
         return {
             "object_active": self.actions.object_id or 0,
-            "object_rows": [
-                self._described(object_id, style, status) for object_id, style in styles.items()
-            ],
+            "object_rows": [self._described(object_id, status) for object_id in self._ids(status)],
         }
 
     def update(self, view: View) -> None:
@@ -107,7 +101,7 @@ class ObjectsFeature(Feature):
             }
             for surface in view.frame.surfaces
         }
-        self._show(view.status)
+        self._take_names(view.status)
 
     # -- state --------------------------------------------------------------------------------------------
 
@@ -117,35 +111,19 @@ class ObjectsFeature(Feature):
         ids = list(status.objects or (1,))
         return ids if object_id is None or object_id in ids else [*ids, object_id]
 
-    def _styles(self, status: Status) -> dict[int, ObjectStyle]:
-        styles = {}
-        for object_id in self._ids(status):
-            # A colour stays with its object, whatever becomes of the others.
-            usual = self._palette.setdefault(
-                object_id, OBJECT_COLORS[len(self._palette) % len(OBJECT_COLORS)]
-            )
-            said = status.labels.entries.get(object_id)
-            name = unnamed(object_id) if said is None else said.name
-            color = usual if said is None else said.hex
-            is_visible, opacity = object_id not in self._hidden, self._opacity.get(object_id, 1.0)
-            styles[object_id] = ObjectStyle(name, color, is_visible, opacity)
-        return styles
-
-    def _described(self, object_id: int, style: ObjectStyle, status: Status) -> dict[str, Any]:
+    def _described(self, object_id: int, status: Status) -> dict[str, Any]:
         size = self._sizes.get(object_id) if object_id in (status.objects or (1,)) else None
-        word = status.object_words.get(object_id, NOT_BEGUN)
         return {
             "id": object_id,
-            **style._asdict(),
+            **self.actions.scene.styles[object_id]._asdict(),
             **(size or {"volume": "", "voxels": 0}),
-            "word": word,
+            "word": status.object_words.get(object_id, NOT_BEGUN),
         }
 
-    def _show(self, status: Status) -> None:
-        """Draw each object in its style, where that has changed."""
-        styles = self._styles(status)
-        if styles != self.actions.scene.styles.given:
-            self.actions.scene.restyle(styles)
+    def _take_names(self, status: Status) -> None:
+        """Draw each object with its name and colour, where those have changed."""
+        if status.labels is not self.actions.scene.styles.labels:
+            self.actions.scene.name_objects(status.labels)
 
     def _known(self, wanted: Any) -> int:
         """The id of an object in the list.
@@ -204,7 +182,8 @@ class ObjectsFeature(Feature):
 
     def _describe(self, object_id: int, name: str = "", color: str = "") -> None:
         """Name or colour an object. Files then have a name and a colour for each: those that are seen."""
-        styles = self._styles(self.actions.session.status)
+        ids = self._ids(self.actions.session.status)
+        styles = {each: self.actions.scene.styles[each] for each in ids}
         before = styles[object_id]
         styles[object_id] = before._replace(name=name or before.name, color=color or before.color)
         said = {each: (style.name, style.color) for each, style in styles.items()}
@@ -213,14 +192,12 @@ class ObjectsFeature(Feature):
         )
 
     def _visible(self, wanted: Any, on: Any) -> None:
-        object_id = self._known(wanted)
-        self._hidden = self._hidden - {object_id} if on else self._hidden | {object_id}
-        self._show(self.actions.session.status)
+        self.actions.scene.styles.show(self._known(wanted), bool(on))
+        self.actions.scene.restyle()
 
     def _set_opacity(self, wanted: Any, opacity: Any) -> None:
-        object_id = self._known(wanted)
-        self._opacity[object_id] = number(opacity, 0.0, 1.0)
-        self._show(self.actions.session.status)
+        self.actions.scene.styles.fade(self._known(wanted), number(opacity, 0.0, 1.0))
+        self.actions.scene.restyle()
 
     def _merge(self, *wanted: Any) -> None:
         ids = tuple(self._known(named) for named in wanted)

@@ -27,11 +27,11 @@ from accelsurf.viewer.core.opening import (
     Choice,
     OpenedImage,
     ServedFolder,
-    choices_of,
     for_another_image,
     make_phantom,
     phantom_texts,
     read_image,
+    read_path,
     read_reference,
     read_unsaved,
 )
@@ -121,7 +121,6 @@ class Opening:
         self.closing: Literal["", "save", "discard"] = ""
         self._work: Future[Any] | None = None
         self._began, self._doing = 0.0, ""
-        self._path: Path | None = None
         self._choices: list[Choice] = []
         #: Actions of the answers to the question, by their names; its words.
         self._asked: dict[str, Callable[[], None]] = {}
@@ -178,11 +177,13 @@ class Opening:
         UsageError
             When something is being opened already.
         """
-        self._check_free()
-        then: dict[str, Callable[[], None]] = {"open": partial(self._look_into, path)}
-        if dropped and self.actions is not None:
-            then["reference"] = partial(self.open_reference, path)
-        self._ask_first(path.name or str(path), then)
+        config, results = self._config, self._served is None
+        self._ask_first(
+            path.name or str(path),
+            f"reading {path.name}",
+            lambda: read_path(path, config, results),
+            partial(self.open_reference, path) if dropped else None,
+        )
 
     def open_reference(self, path: Path) -> None:
         """Compare the open image with labels.
@@ -212,25 +213,15 @@ class Opening:
         self.open_path(entries[whole(number, 0, len(entries) - 1)].path)
 
     def _open_phantom(self, name: Any) -> None:
-        self._check_free()
-        known = word(name, tuple(self._phantoms))
-        config = self._config
-        self._ask_first(
-            known,
-            {
-                "open": lambda: self._start(
-                    f"making the phantom {known}", lambda: make_phantom(known, config)
-                )
-            },
-        )
+        known, config = word(name, tuple(self._phantoms)), self._config
+        self._ask_first(known, f"making the phantom {known}", lambda: make_phantom(known, config))
 
     def _choose(self, number: Any) -> None:
-        if not self._choices or self._path is None:
+        if not self._choices:
             raise UsageError("choose: there is nothing to choose from")
         choice = self._choices[whole(number, 0, len(self._choices) - 1)]
-        path, config = self._path, self._config.replace(**choice.settings)
-        self._choices = []
-        self._start(f"reading {path.name}", lambda: read_image(path, config))
+        config, self._choices = self._config.replace(**choice.settings), []
+        self._start(f"reading {choice.path.name}", lambda: read_image(choice.path, config))
 
     def _answer(self, answer: Any) -> None:
         asked = {**self._asked, "cancel": lambda: self.say("")}
@@ -256,10 +247,6 @@ class Opening:
             )
         self.open_path(self._named(names[0]), dropped=True)
 
-    def refuse(self, line: str) -> None:
-        """Say that something could not be opened."""
-        self.say(line, failed=True)
-
     # -- to do --------------------------------------------------------------------------------------------
 
     def _check_free(self) -> None:
@@ -268,25 +255,27 @@ class Opening:
                 f"something else is being opened: {self._doing}", "wait until it is open"
             )
 
-    def _ask_first(self, name: str, then: dict[str, Callable[[], None]]) -> None:
-        """Do it at once, or when the question is answered: unsaved work would be lost."""
+    def _ask_first(
+        self,
+        name: str,
+        doing: str,
+        work: Callable[[], Any],
+        as_reference: Callable[[], None] | None = None,
+    ) -> None:
+        """Open an image at once, or when the question is answered: unsaved work would be lost.
+
+        ``as_reference`` is offered too, where an image is open.
+        """
+        self._check_free()
         self._choices = []
-        if not self.is_unsaved and len(then) == 1:
-            then["open"]()
-            return
+        then: dict[str, Callable[[], None]] = {"open": partial(self._start, doing, work)}
+        if as_reference is not None and self.actions is not None:
+            then["reference"] = as_reference
+        elif not self.is_unsaved:
+            return then["open"]()
         loss = "; what was done here and is not saved will be lost" if self.is_unsaved else ""
         self._asked, self._question = then, f"Open {name}{loss}?"
-        self.say("")
-
-    def _look_into(self, path: Path) -> None:
-        """Open a path, or find the images to choose from in it."""
-        config = self._config
-        self._path = path
-
-        def work() -> OpenedImage | list[Choice]:
-            return choices_of(path, config) or read_image(path, config)
-
-        self._start(f"reading {path.name}", work)
+        return self.say("")
 
     def _start(self, doing: str, work: Callable[[], Any]) -> None:
         """Begin work in a thread; `fetch` takes its result."""
@@ -344,7 +333,7 @@ class Opening:
         if self._keeper is not None:
             self._keeper.forget()  # a person has said so
         self._keeper = Keeper(self._sessions, actions, opened)
-        self.actions, self._path = actions, None
+        self.actions = actions
         self._config = for_another_image(self._config)
         if opened.source is not None:
             self._recent.add(opened.source)

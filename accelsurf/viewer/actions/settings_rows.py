@@ -233,7 +233,8 @@ def unit_read(key: str, of_file: str) -> tuple[str, float]:
 
 
 def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool, of_file: str) -> Row:
-    said, value, (unit, per) = entry(key), getattr(settings, key), unit_read(key, of_file)
+    said, value = entry(key), getattr(settings, key)
+    unit, per = unit_read(key, of_file)
     kind = "energy" if key == "energy" else kind_of(key)
     row: Row = DEFAULTS | {
         "key": key,

@@ -151,14 +151,22 @@ def edits_with(
     config.replace(edit=(*earlier, Edit(step=step, **settings)))
     before = config.replace(edit=earlier).at(step)
     after = before.replace(**{**(last.settings if last else {}), **settings})
-    changed = {
-        key: getattr(after, key)
-        for key in RunConfig.model_fields
-        if getattr(after, key) != getattr(before, key)
-    }
+    changed = differing(before, after)
     # An edit without settings makes a converged run continue.
     continues = last is not None and not last.settings
     return (*earlier, Edit(step=step, **changed)) if changed or continues else earlier
+
+
+def differing(before: RunConfig, after: RunConfig) -> dict[str, Any]:
+    """Return the settings that differ, with their later values.
+
+    Examples
+    --------
+    >>> differing(RunConfig(), RunConfig(smoothness=0.5))
+    {'smoothness': 0.5}
+    """
+    values = {key: getattr(after, key) for key in RunConfig.model_fields}
+    return {key: value for key, value in values.items() if value != getattr(before, key)}
 
 
 def in_words(settings: Mapping[str, Any]) -> str:

@@ -38,7 +38,7 @@ from accelsurf.viewer.core.frame import (
     histories_of_run,
     volume_estimate,
 )
-from accelsurf.viewer.core.saving import repeating
+from accelsurf.viewer.core.saving import present_result
 
 #: Voxels around an object that a frame has.
 AROUND = 2
@@ -88,9 +88,7 @@ class Corrections:
     def _begun(self, run: Run) -> Refiner:
         """Return the refiner of a run that has ended."""
         if self._refiner is None:
-            result = dataclasses.replace(
-                result_of(run), config=repeating(run), state=state_at_end(run)
-            )
+            result = dataclasses.replace(present_result(run), state=state_at_end(run))
             self._refiner, self._before = Refiner(result), []
             surfaces = self._refiner.surfaces
             self._last_step = max(surface.history[-1].step for surface in surfaces)

@@ -14,7 +14,7 @@ from accelsurf.clicks.voxels import on_image
 from accelsurf.evolution.records import StepFields, StepRecord
 from accelsurf.grid import pyramid
 from accelsurf.grid.arrays import Floats
-from accelsurf.grid.boxes import Box, bounding_box, corner_of
+from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, placed_at, widened
 from accelsurf.output.pictures.preview_content import ClickMark, marks_of
 
 if TYPE_CHECKING:
@@ -112,56 +112,42 @@ class SurfaceFrame:
         cls, state: ObjectState, level: pyramid.Level, max_voxels: int | None, first: Index
     ) -> SurfaceFrame:
         """Copy the drawn part of an object; parameters as of `Frame.of`."""
-        record = state.record
-        surface = state.surface
-        corner = state.corner
-        quantities = _quantities(state)
-        ranges = _band_box(surface)
-        if ranges is None:
-            nothing = np.zeros((0, 0, 0), np.float32)
-            return cls(
-                state.id,
-                record,
-                level,
-                nothing,
-                corner,
-                1,
-                corner,
-                surface.shape,
-                quantities,
-                first,
-            )
-        stride = 1
-        if max_voxels is not None:
-            while math.prod(-(-(b - a) // stride) for a, b in ranges) > max_voxels:
-                stride += 1
-        psi = surface.psi[tuple(slice(a, b, stride) for a, b in ranges)].copy()
-        offset = (corner[0] + ranges[0][0], corner[1] + ranges[1][0], corner[2] + ranges[2][0])
-        return cls(
-            state.id, record, level, psi, offset, stride, corner, surface.shape, quantities, first
+        surface, corner = state.surface, state.corner
+        made = cls(
+            state.id,
+            state.record,
+            level,
+            np.zeros((0, 0, 0), np.float32),
+            corner,
+            1,
+            corner,
+            surface.shape,
+            _quantities(state),
+            first,
         )
+        box = _band_box(surface)
+        if box is None:
+            return made
+        made = made._shown(surface.psi, box)
+        made = made if max_voxels is None else made.coarser(max_voxels)
+        return replace(made, psi=made.psi.copy())
 
     @classmethod
     def of_result(cls, segmented: SegmentedObject, level: pyramid.Level) -> SurfaceFrame:
         """Copy the drawn part of an object of a result; ``level`` is the image's grid."""
-        record = segmented.history[-1]
-        corner = corner_of(segmented.box)
+        corner, nothing = corner_of(segmented.box), np.zeros((0, 0, 0), np.float32)
+        shape, record = segmented.psi.shape, segmented.history[-1]
+        made = cls(segmented.id, record, level, nothing, corner, 1, corner, shape)
         inside = segmented.psi < 0
         box = bounding_box(inside, 2)
         if box is None or inside.all():
-            nothing = np.zeros((0, 0, 0), np.float32)
-            return cls(segmented.id, record, level, nothing, corner, 1, corner, segmented.psi.shape)
-        z, y, x = (a + b for a, b in zip(corner, corner_of(box), strict=True))
-        return cls(
-            segmented.id,
-            record,
-            level,
-            segmented.psi[box].copy(),
-            (z, y, x),
-            1,
-            corner,
-            segmented.psi.shape,
-        )
+            return made
+        made = made._shown(segmented.psi, box)
+        return replace(made, psi=made.psi.copy())
+
+    def _shown(self, psi: NDArray[np.float32], box: Box) -> SurfaceFrame:
+        """Return the same with a box of the surface's grid, a view of all of its psi."""
+        return replace(self, psi=psi[box], offset=corner_of(placed_at(box, self.corner)))
 
     @property
     def has_surface(self) -> bool:
@@ -490,21 +476,12 @@ def _quantities(state: ObjectState) -> dict[str, BandQuantity]:
     return quantities
 
 
-def _band_box(surface: LevelSet) -> list[tuple[int, int]] | None:
-    """First and one past the last index along z, y, x of the band, and a voxel around it; None without a surface."""
+def _band_box(surface: LevelSet) -> Box | None:
+    """Return the box of the band, and a voxel around it; None without a surface."""
     cells = surface.band.cells
     if cells.size == 0:
         return None
-    _, ny, nx = surface.shape
-    # Raster order: the planes of the first and the last cell; the other two axes have to be searched.
-    line = cells // nx
-    column, row = cells - line * nx, line % ny
-    ends = [
-        (cells[0] // (ny * nx), cells[-1] // (ny * nx)),
-        (row.min(), row.max()),
-        (column.min(), column.max()),
-    ]
-    return [
-        (max(int(a) - 1, 0), min(int(b) + 2, n))
-        for (a, b), n in zip(ends, surface.shape, strict=True)
-    ]
+    index = np.stack(np.unravel_index(cells, surface.shape))
+    low, high = index.min(axis=1).tolist(), index.max(axis=1).tolist()
+    sides = [last - first + 1 for first, last in zip(low, high, strict=True)]
+    return widened(box_at(low, sides), surface.shape, (1, 1, 1))

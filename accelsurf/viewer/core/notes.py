@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
-import stat
 import tempfile
 from pathlib import Path
 from typing import Any
 
-#: A pipe does not wait for a writer; bytes are not changed. Neither is on every system.
-_FLAGS = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+from accelsurf.errors import InputError
+from accelsurf.io.files import read_json
 
 
-def read_note(file: Path, max_bytes: int) -> Any:
-    """Return the content of a JSON file in the user's own folder; None where it cannot be read, for whatever reason.
-
-    A pipe or a device in its place is not read, and does not hold up the start; nor is a file that is too long.
-    """
-    try:
-        handle = os.open(file, os.O_RDONLY | _FLAGS)
-        with os.fdopen(handle, "rb") as opened:
-            if not stat.S_ISREG(os.fstat(handle).st_mode):
-                return None
-            content = opened.read(max_bytes + 1)
-        return json.loads(content) if len(content) <= max_bytes else None
-    except (OSError, ValueError, RecursionError):
-        return None
+def read_note(file: Path) -> Any:
+    """Return the content of a JSON file in the user's own folder; None where it cannot be read, for whatever reason."""
+    with contextlib.suppress(InputError):
+        return read_json(file)
+    return None
 
 
 def write_note(file: Path, content: Any) -> None:

@@ -1,11 +1,12 @@
-"""Reading of images in the viewer: from a path, one of several in a folder, a phantom; from a served folder alone
-where a page asks.
+"""Reading of images and runs in the viewer: a path is an image, one of several, a sequence, a result, or tracks.
+
+Phantoms have a name in place of a path. A page asks for files of a served folder alone.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,14 +16,20 @@ from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers
+from accelsurf.io.file_set import refuse_unfinished
 from accelsurf.io.files import naming
 from accelsurf.io.format_functions import functions_of
 from accelsurf.io.headers import check_name, format_of, split_name
+from accelsurf.io.sequences.reading import is_sequence
 from accelsurf.large.fitting_level import fitting_level
+from accelsurf.output.given_image import GivenImage, settings_of
+from accelsurf.output.reports import Report
 from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.run.memory import allowed_bytes
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import TrackConfig
 from accelsurf.track.output.surfaces import SavedTracks
+from accelsurf.viewer.core.command_queue import in_background
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Origin, Session
 from accelsurf.viewer.core.unsaved import Unsaved, fingerprint
@@ -57,8 +64,9 @@ OF_ONE_IMAGE = (
 
 @dataclass(frozen=True)
 class Choice:
-    """One of several images of a file or folder: its description, and the settings with which it is read."""
+    """One of several images of a file or folder: its path and description, and the settings with which it is read."""
 
+    path: Path
     text: str
     settings: Mapping[str, Any]
 
@@ -159,7 +167,10 @@ def choices_of(path: Path, config: RunConfig) -> list[Choice]:
             is_study = path.is_dir()
             found = listing(path) if is_study and config.series is None else []
             return _several(
-                [Choice(_volume_text(entry), {"series": str(entry["number"])}) for entry in found]
+                [
+                    Choice(path, _volume_text(entry), {"series": str(entry["number"])})
+                    for entry in found
+                ]
             )
         asked = config.reading.restricted_to(form.options)
         if (
@@ -170,7 +181,10 @@ def choices_of(path: Path, config: RunConfig) -> list[Choice]:
             return []
         moments = headers.counts(path, replace(asked, level=0))[1]
     return _several(
-        [Choice(f"time point {n + 1} of {moments}", {"time_index": n}) for n in range(moments)]
+        [
+            Choice(path, f"time point {n + 1} of {moments}", {"time_index": n})
+            for n in range(moments)
+        ]
     )
 
 
@@ -195,6 +209,196 @@ def _volume_text(entry: Mapping[str, Any]) -> str:
     return f"{entry['number']}  {', '.join([*words, *entry['warnings']])}"
 
 
+def report_of(path: Path) -> Report | None:
+    """Return the report of a run or tracking that has ended: a report itself, or the one in a folder; None without one.
+
+    Raises
+    ------
+    InputError
+        When there are several.
+    """
+    known = sorted(path.glob("*_report.json")) if path.is_dir() else [path]
+    found = [Report(each) for each in known if each.suffix == ".json"]
+    if path.is_dir() and not known:
+        refuse_unfinished(path)
+    found = [report for report in found if report.document and not report.is_failure]
+    if len(found) > 1:
+        names = ", ".join(str(report.path) for report in found)
+        raise InputError(f"{path}: there are several results: {names}", "give one of them")
+    return found[0] if found else None
+
+
+def finished_run(path: Path) -> tuple[GivenImage, RunConfig | TrackConfig] | None:
+    """Return image and settings of the result that a folder or a report has; None for an image.
+
+    Raises
+    ------
+    InputError
+        When there are several results, or the image is not there.
+    """
+    report = report_of(path)
+    if report is None or report.document is None:
+        return None
+    run = report.path.with_name(f"{report.path.name.removesuffix('_report.json')}_run.toml")
+    hint = f"give the image where it is now, and --config {run}"
+    given = GivenImage.of_report(report.document, report.path).found(None, hint)
+    return given, settings_of(report.document, report.path)
+
+
+@dataclass(frozen=True)
+class ImageToOpen:
+    """An image, and how it is read.
+
+    Attributes
+    ----------
+    source : Path
+        A file or folder.
+    config : RunConfig
+        Settings of its run; among them how it is read.
+    reference : Path or None
+        Labels to compare with.
+    tracks : Path or None
+        Folder of its tracks, from ``accelsurf track``.
+    times : TrackConfig
+        How a sequence is read.
+    given : GivenImage or None
+        The image of a finished run: another one is refused.
+    """
+
+    source: Path
+    config: RunConfig
+    reference: Path | None = None
+    tracks: Path | None = None
+    times: TrackConfig = TrackConfig()
+    given: GivenImage | None = None
+
+    def of_result(self) -> ImageToOpen:
+        """Return the image of the result or tracks that a folder or report has, with its settings; itself of an image.
+
+        Settings that are given here override those of the result.
+
+        Raises
+        ------
+        InputError
+            As `finished_run`.
+        """
+        finished = finished_run(self.source)
+        if finished is None:
+            return self
+        given, before = finished
+        tracks, times = self.tracks, self.times
+        if isinstance(before, TrackConfig):
+            tracks = tracks or (self.source if self.source.is_dir() else self.source.parent)
+            times = before.replace(**{**_given(times), "run": before.run})
+            before = before.run
+        config = before.replace(**_given(self.config))
+        return replace(
+            self, source=given.path, config=config, tracks=tracks, times=times, given=given
+        )
+
+    def start_reading(self) -> Callable[[], OpenedImage]:
+        """Begin to read; return a function that waits for the image.
+
+        A single image is read in a thread. Of a sequence headers and one frame are read, when it is waited for.
+
+        Raises
+        ------
+        InputError
+            When the header cannot be read; other errors are raised by the returned function.
+        UsageError
+            When a time between frames was given for a single image.
+        """
+        given = self.tracks is not None or self.times.frames_from_slices
+        if given or is_sequence(self.source, self.config.reading):
+            return self._sequence
+        if self.times.frame_time is not None:
+            raise UsageError(
+                "frame_time: it was given for a single image",
+                "leave it out, or add --frames-from-slices",
+            )
+        with naming(self.source):
+            form = headers.format_of(self.source)
+        # Loaded here: two threads that load the same library may see it half loaded.
+        for work in (form.parse, form.read, form.read_channels):
+            if work is not None:
+                load(work)
+        return in_background(self._image, "accelsurf reading").result
+
+    def _image(self) -> OpenedImage:
+        volume, *more = channels.read_channels(self.source, self.config.reading)
+        if self.given is not None:
+            self.given.check([volume, *more], "run accelsurf segment again")
+        truth = self._truth()
+        return OpenedImage(
+            volume,
+            self.config,
+            split_name(self.source)[0],
+            self.source,
+            tuple(more),
+            None if truth is None else io.on_grid(truth, volume.geometry),
+            str(volume.metadata.get(io.WARNING_KEY, "")),
+            is_result=self.given is not None,
+        )
+
+    def _sequence(self) -> OpenedImage:
+        """Open a sequence at a frame, 0 unless the settings name one."""
+        path, times = self.source, self.times
+        sequence = io.read_sequence(
+            path,
+            frame_time=times.frame_time,
+            frames_from_slices=times.frames_from_slices,
+            options=replace(self.config.reading, time_index=None),
+        )
+        name = headers.name_of(path)
+        home = self.config.time_index or 0
+        volume, *more = sequence.channels(home)
+        saved = None if self.tracks is None else SavedTracks(self.tracks, name, sequence)
+        is_file = not path.is_dir() and not headers.is_pattern(path)
+        has_time = is_file and not times.frames_from_slices
+        alone = volume.source or path
+        return OpenedImage(
+            volume,
+            self.config.replace(time_index=home if has_time else None),
+            name,
+            path if has_time else None if times.frames_from_slices else alone,
+            tuple(more),
+            self._truth(),
+            "; ".join(sequence.notes),
+            SequenceView(sequence, home, saved),
+            is_result=self.given is not None and self.tracks is None,
+        )
+
+    def _truth(self) -> Volume | None:
+        return None if self.reference is None else io.read_labels(self.reference)
+
+
+def _given(config: RunConfig | TrackConfig) -> dict[str, Any]:
+    """Return the settings that were given."""
+    return {key: getattr(config, key) for key in config.model_fields_set}
+
+
+def read_path(path: Path, config: RunConfig, results: bool = True) -> OpenedImage | list[Choice]:
+    """Read the image that a path stands for, or that of a result, or return the images to choose from.
+
+    Parameters
+    ----------
+    path : Path
+        A file or folder, or the report of a result.
+    config : RunConfig
+        Settings of the run of an image; a result has those of its own run.
+    results : bool, optional
+        Whether a result may be opened: it names files anywhere on this machine.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    """
+    if results and finished_run(path) is not None:
+        return ImageToOpen(path, RunConfig()).of_result().start_reading()()
+    return choices_of(path, config) or read_image(path, config)
+
+
 def read_image(path: Path, config: RunConfig) -> OpenedImage:
     """Read an image, of one with levels the finest whose run fits into the memory.
 
@@ -210,23 +414,15 @@ def read_image(path: Path, config: RunConfig) -> OpenedImage:
     InputError
         When it cannot be read.
     """
-    asked = config.reading.restricted_to(_options(path))
+    with naming(path):
+        asked = config.reading.restricted_to(format_of(path).options)
     config = config.replace(
         **{name: getattr(asked, name) for name in OF_ONE_IMAGE if hasattr(asked, name)}
     )
     config, note = _with_level(path, config)
-    volume, *more = channels.read_channels(path, config.reading)
-    notes = [text for text in (note, volume.metadata.get(io.WARNING_KEY, "")) if text]
-    name = io.split_name(path)[0]
-    return OpenedImage(
-        volume,
-        config,
-        name,
-        path,
-        tuple(more),
-        note="; ".join(notes),
-        frames=frames_of(path, config),
-    )
+    opened = ImageToOpen(path, config)._image()
+    notes = "; ".join(filter(None, (note, opened.note)))
+    return replace(opened, note=notes, frames=frames_of(path, config))
 
 
 def read_unsaved(unsaved: Unsaved, path: Path) -> OpenedImage:
@@ -264,63 +460,6 @@ def frames_of(path: Path, config: RunConfig) -> SequenceView | None:
         return None
     sequence = io.read_sequence(path, options=replace(config.reading, time_index=None))
     return SequenceView(sequence, config.time_index)
-
-
-def read_tracked(
-    path: Path,
-    config: RunConfig,
-    tracks: Path | None = None,
-    frame_time: float | None = None,
-    frames_from_slices: bool = False,
-) -> OpenedImage:
-    """Open a sequence at a frame, 0 unless the settings name one.
-
-    Parameters
-    ----------
-    path : Path
-        As `accelsurf.io.read_sequence` takes it.
-    config : RunConfig
-    tracks : Path, optional
-        Folder of the results of ``accelsurf track`` for it.
-    frame_time, frames_from_slices : optional
-        As of `accelsurf.io.read_sequence`.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read.
-    UsageError
-        When there is no frame of this index.
-    """
-    sequence = io.read_sequence(
-        path,
-        frame_time=frame_time,
-        frames_from_slices=frames_from_slices,
-        options=replace(config.reading, time_index=None),
-    )
-    name = headers.name_of(path)
-    home = config.time_index or 0
-    volume, *more = sequence.channels(home)
-    saved = None if tracks is None else SavedTracks(tracks, name, sequence)
-    is_file = not path.is_dir() and not headers.is_pattern(path)
-    config = config.replace(time_index=home if is_file and not frames_from_slices else None)
-    source = None if frames_from_slices else path if is_file else volume.source or path
-    note = "; ".join(sequence.notes)
-    return OpenedImage(
-        volume,
-        config,
-        name,
-        source,
-        tuple(more),
-        note=note,
-        frames=SequenceView(sequence, home, saved),
-    )
-
-
-def _options(path: Path) -> tuple[str, ...]:
-    """Names of the options that the format of a file has; also of one that is known by its content alone."""
-    with naming(path):
-        return headers.format_of(path).options
 
 
 def _with_level(path: Path, config: RunConfig) -> tuple[RunConfig, str]:

@@ -14,8 +14,7 @@ from accelsurf.viewer.core.unsaved import UnsavedSessions
 
 #: Largest number of images that are listed.
 MAX_RECENT = 12
-#: Bytes of the list that are read at most, and letters of a path.
-_MAX_BYTES = 1 << 16
+#: Letters of a path.
 _MAX_LETTERS = 4096
 
 
@@ -65,7 +64,7 @@ class RecentFiles:
             write_note(self._file, names[:MAX_RECENT])
 
     def _read(self) -> list[str]:
-        found = None if self._file is None else read_note(self._file, _MAX_BYTES)
+        found = None if self._file is None else read_note(self._file)
         names = found if isinstance(found, list) else []
         fit = (
             item

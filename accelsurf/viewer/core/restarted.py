@@ -10,6 +10,7 @@ from accelsurf.settings.corrections import Correction
 from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.change_log import differing
 
 #: Start of a run from clicks.
 FROM_CLICKS = ("clicks",)
@@ -84,16 +85,12 @@ def restart_message(before: RunConfig, after: RunConfig) -> str:
     >>> restart_message(RunConfig(), RunConfig(cfl=0.3, presmooth="1vox"))
     'from the start: presmooth 1vox, cfl 0.3'
     """
-    shown = [
-        key
-        for key in RunConfig.model_fields
+    words = [
+        f"{key.replace('_', ' ')} {as_typed(value) or 'none'}"
+        for key, value in differing(before, after).items()
         if key not in ("edit", "refine", "inside", "outside", "preset")
     ]
-    changed = [key for key in shown if getattr(before, key) != getattr(after, key)]
-    said = ", ".join(
-        f"{key.replace('_', ' ')} {as_typed(getattr(after, key)) or 'none'}" for key in changed
-    )
-    said = said or "nothing else changes"
+    said = ", ".join(words) or "nothing else changes"
     if after.preset is None or after.preset == before.preset:
         return f"from the start: {said}"
     waits = (

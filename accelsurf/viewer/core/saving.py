@@ -26,25 +26,24 @@ from accelsurf.viewer.core.status import SAVED_KINDS
 RUN_FILE = "_run.toml"
 
 
-def save(  # noqa: PLR0913
-    run: Run,
+def save(
+    result: Result,
     folder: Path,
     name: str,
     source: Path | None,
     what: Collection[str],
     replaceable: Collection[Path] | None,
-    corrected: Result | None = None,
     others: Mapping[str, Any] | None = None,
     channels: Sequence[Volume] = (),
 ) -> list[Path]:
-    """Write the present result of a run into a folder, all files at once.
+    """Write a result into a folder, all files at once.
 
     Beside a report of this name, all files that it lists are written too: they show the same state then.
 
     Parameters
     ----------
-    run : Run
-        Between two steps, its edits applied.
+    result : Result
+        With settings that repeat it, see `present_result`.
     folder : Path
     name : str
         First part of the files' names.
@@ -54,8 +53,6 @@ def save(  # noqa: PLR0913
         Of `SAVED_KINDS`.
     replaceable : collection of Path or None
         Files that may be replaced; None: all.
-    corrected : Result, optional
-        Of the run and the corrections that were made after its end, with settings that repeat them.
     others : mapping of str to value, optional
         Settings of files in place of the run's: names, colours, formats.
     channels : sequence of Volume, optional
@@ -75,19 +72,18 @@ def save(  # noqa: PLR0913
     """
     for kind in what:
         check_known("save", kind, SAVED_KINDS)
-    result = corrected or dataclasses.replace(result_of(run), config=repeating(run))
     config = result.config.replace(**(others or {}))
     result = dataclasses.replace(result, config=config)
     empty = not result.labels.any() or bool(result.labels.all())
     if empty and set(what) & {"labels", "mesh"}:
         raise UsageError("there is no surface to save", "go back, or restart")
     place = OutputFolder(folder, name, source, overwrite=True)
-    check_outputs(config, place.label_format(config), run.volume.geometry)
-    label_files.check_label_settings(config, run.volume)
+    check_outputs(config, place.label_format(config), result.volume.geometry)
+    label_files.check_label_settings(config, result.volume)
     inputs = place.inputs(config)
     with place.stage(inputs=inputs) as files:
         what = _all_beside_report(place.report, what)
-        plain, is_2d = config.replace(layout="plain"), run.volume.geometry.slice_axis is not None
+        plain, is_2d = config.replace(layout="plain"), result.volume.geometry.slice_axis is not None
         names = {k: last for k, last in place.names(plain, is_2d).items() if _kind(k) in what}
         planned = place.plan(plain, is_2d)
         paths = {kind: path for kind, path in planned.items() if _kind(kind) in what}
@@ -183,6 +179,11 @@ def _kind(output: str) -> str:
     kinds |= {"preview": "picture", "run": "run", "state": "report", "config": ""}
     kinds |= {"report": "report"}
     return kinds.get(output, "mesh")
+
+
+def present_result(run: Run) -> Result:
+    """Return the result of a run between two steps, its edits applied, with settings that repeat it."""
+    return dataclasses.replace(result_of(run), config=repeating(run))
 
 
 def repeating(run: Run) -> RunConfig:

@@ -117,7 +117,8 @@ class Session:
             config = config.replace(levels=1)
         self.volume, self.source = volume, source or volume.source
         self.name = name or "surface"
-        self._config, self._checkpoint_mb, self._channels = config, checkpoint_mb, tuple(channels)
+        self._config, self._checkpoint_mb = config, checkpoint_mb
+        self._channels = tuple(channels)
         self._commands, self._views = CommandQueue(), ViewSlot()
         #: Counts changes of the picture: steps and commands.
         self._version, self._uncertainty = 0, UncertaintyWatch()

@@ -17,7 +17,7 @@ from accelsurf.settings.edits import Edit
 from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
-from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with, in_words
+from accelsurf.viewer.core.change_log import ChangeLog, Moment, differing, edits_with, in_words
 from accelsurf.viewer.core.corrected_run import Corrections
 from accelsurf.viewer.core.first_answers import FirstAnswers
 from accelsurf.viewer.core.frame import Frame
@@ -350,14 +350,8 @@ class Timeline:
     def restart(self) -> None:
         """Go to the start and forget all edits and corrections but the settings in force."""
         run, before = self.run, self._now()
-        base = run.config.at(-1)
-        now = run.settings
         config = run.config
-        changed = {
-            key: getattr(now, key)
-            for key in RunConfig.model_fields
-            if getattr(now, key) != getattr(base, key)
-        }
+        changed = differing(config.at(-1), run.settings)
         changed.pop("seed", None)
         self.pause()
         self._restore(0)
@@ -611,11 +605,10 @@ class Timeline:
         """Write files, see `saving.save`; those written before may be replaced."""
         self._check_begun("save")
         self.run.apply_edits()
-        known, corrected = None if overwrite else self._written, self.corrections.result()
+        known = None if overwrite else self._written
+        result = self.corrections.result() or saving.present_result(self.run)
         others = self.objects.named_settings(self.run.config) | ({"mesh": (mesh,)} if mesh else {})
-        written = saving.save(
-            self.run, folder, name, source, what, known, corrected, others, self._channels
-        )
+        written = saving.save(result, folder, name, source, what, known, others, self._channels)
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"
         return written

@@ -22,8 +22,7 @@ from accelsurf.viewer.core.notes import read_note, write_note
 
 #: Largest number of sessions that are kept; the oldest goes first.
 MAX_NOTES = 20
-#: Bytes of one that are read at most, files that are looked at, and letters of a path.
-_MAX_BYTES = 1 << 22
+#: Files that are looked at, and letters of a path.
 _MAX_FILES = 1000
 _MAX_LETTERS = 4096
 _NAME = re.compile(r"[0-9a-f]{16}\.json")
@@ -92,7 +91,7 @@ class UnsavedSessions:
     def entries(self) -> Iterator[Unsaved]:
         """Return the sessions of programs that have ended, the newest first."""
         for _, path in self._files():
-            found = _parsed(path, read_note(path, _MAX_BYTES))
+            found = _parsed(path, read_note(path))
             if found is not None:
                 yield found
 

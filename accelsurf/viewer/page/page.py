@@ -264,7 +264,7 @@ class Page:
             try:
                 self.open(opened)
             except AccelsurfError as error:
-                self.opening.refuse(error_line(error))
+                self.opening.say(error_line(error), failed=True)
         if self.actions is not None and self.idle is not None:
             self._update_picture(self.actions, self.idle)
         with self._server.state as state:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import groupby
-from typing import Literal, NamedTuple
+from operator import attrgetter
 
 import numpy as np
 import pyvista as pv
-from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkStringArray
 
 from accelsurf.evolution.records import StepRecord
 from accelsurf.viewer.scene.colors import OBJECT_COLORS, Theme
@@ -19,29 +18,6 @@ from accelsurf.viewer.scene.overlay import Label, Pixels, round_up
 LINE = 2.0
 #: Said before there is a curve.
 WAIT = "energies: from the first step on"
-
-
-class _Curve(NamedTuple):
-    """A curve of the object at this ``position`` in the order of ids: ``values`` against ``steps``."""
-
-    position: int
-    steps: list[float]
-    values: list[float]
-
-    @classmethod
-    def of(
-        cls, position: int, records: Sequence[StepRecord], column: Literal["potential", "kinetic"]
-    ) -> _Curve:
-        """The curve of an energy."""
-        values = [
-            record.potential if column == "potential" else record.kinetic for record in records
-        ]
-        return cls(position, [float(record.step) for record in records], values)
-
-    def points(self) -> tuple[list[float], list[float]]:
-        """Steps and values, at least two of each, all finite, as the chart needs them."""
-        x, y = self.steps, [float(np.nan_to_num(value)) for value in self.values]
-        return (x, y) if len(x) > 1 else ([x[0], x[0] + 1e-3], [y[0], y[0]])
 
 
 class EnergyChart:
@@ -67,21 +43,14 @@ class EnergyChart:
             chart.title = title
             chart.border_style = ""
             chart.x_label, chart.y_label = "", ""
-            chart.grid = True
             plotter.add_chart(chart)
         self._charts[1].x_label = "step"
-        self._potential: list[pv.LinePlot2D] = []
-        self._kinetic: list[pv.LinePlot2D] = []
-        self._curves: tuple[list[_Curve], list[_Curve]] = ([], [])
-        self._is_single = True
+        self._histories: Sequence[Sequence[StepRecord]] = ()
         self.colors: Sequence[str] = OBJECT_COLORS
-        self._theme = theme
-        #: Width and height of the tile, and height of text, for which the ticks were made; pixels.
-        self._renderer, self._room = plotter.renderer, (0, 0, 0)
+        self._theme, self._pixels = theme, Pixels(0)
+        self._renderer = plotter.renderer
         #: Text before there is a curve.
-        self._wait = Label(plotter.renderer, theme.ink, (0.5, 0.5))
-        self._draw([], [])
-        self.update([])
+        self._wait = Label(plotter.renderer, theme.ink, (0.5, 0.5), WAIT)
         self.paint(theme)
 
     def update(self, histories: Sequence[Sequence[StepRecord]]) -> None:
@@ -89,77 +58,60 @@ class EnergyChart:
 
         Each level has an image of its own, with energies of its own: lines of the potential have gaps there.
         """
-        self._is_single = len(histories) < 2
-        numbered = [
-            (position, list(history)) for position, history in enumerate(histories) if history
-        ]
-        potential = [
-            _Curve.of(position, list(records), "potential")
-            for position, history in numbered
-            for _, records in groupby(history, key=lambda record: record.level)
-        ]
-        kinetic = [_Curve.of(position, history, "kinetic") for position, history in numbered]
-        self._draw(potential, kinetic)
-        last = max((1.0, *(history[-1].step for _, history in numbered)))
-        for chart, curves in zip(self._charts, (potential, kinetic), strict=True):
-            if curves:
-                chart.x_range = (0.0, float(last))
-                chart.y_range = _range(
-                    [v for curve in curves for v in curve.values], from_zero=curves is kinetic
-                )
-            chart.visible = bool(curves)
-        self._wait.text = "" if potential else WAIT
-        self._room = (0, 0, 0)
+        self._histories = histories
+        self._wait.text = "" if any(histories) else WAIT
+        potential, kinetic = self._charts
+        self._draw(potential, "potential")
+        self._draw(kinetic, "kinetic")
 
-    def _draw(self, potential: list[_Curve], kinetic: list[_Curve]) -> None:
-        """Draw the curves, in place of those before; a chart needs at least one line of kinetic energy."""
-        self._curves = (potential, kinetic or [_Curve(0, [0.0, 1.0], [0.0, 0.0])])
-        for chart, lines, curves in zip(
-            self._charts, (self._potential, self._kinetic), self._curves, strict=True
-        ):
-            while len(lines) < len(curves):
-                lines.append(chart.line([0.0, 1.0], [0.0, 0.0], width=LINE))
-            while len(lines) > len(curves):
-                chart.remove_plot(lines.pop())
-            for line, curve in zip(lines, curves, strict=True):
-                line.update(*curve.points())
-        self._paint_lines()
+    def _draw(self, chart: pv.Chart2D, column: str) -> None:
+        """Draw a column of the records: of one object in the colour of text, of several in those of their surfaces."""
+        chart.clear()
+        values, last = [], 1.0
+        for position, history in enumerate(self._histories):
+            several = len(self._histories) > 1 and position < len(self.colors)
+            color = self.colors[position] if several else self._theme.ink
+            by_level = groupby(history, key=attrgetter("level"))
+            parts = [list(part) for _, part in by_level] if column == "potential" else [history]
+            for part in filter(None, parts):
+                found = [float(np.nan_to_num(getattr(record, column))) for record in part]
+                steps = [float(record.step) for record in part]
+                # A line has two points at least.
+                x, y = [*steps, steps[-1] + 1e-3], [*found, found[-1]]
+                chart.line(x, y, color=color, width=self._line)
+                values += [getattr(record, column) for record in part]
+                last = max(last, steps[-1])
+        chart.visible = bool(values)
+        chart.x_range = 0.0, last
+        chart.y_range = _range(values, from_zero=column == "kinetic")
+        self._set_ticks(chart)
 
-    def _paint_lines(self) -> None:
-        """Colour the lines: of one object as text, of several each in the colour of its surface."""
-        ink = self._theme.ink
-        for lines, curves in zip((self._potential, self._kinetic), self._curves, strict=True):
-            for line, curve in zip(lines, curves, strict=True):
-                several = self.colors[curve.position] if curve.position < len(self.colors) else ink
-                line.color = ink if self._is_single else several
+    @property
+    def _line(self) -> float:
+        """Width of a curve in pixels of the device."""
+        return LINE * self._pixels.ratio
 
     def fit(self, pixels: Pixels) -> None:
         """Make text readable, and lines as wide as the screen asks for."""
-        size = pixels.text
+        self._pixels = pixels
         self._wait.fit(pixels)
-        self._set_ticks(size)
-        for line in (*self._potential, *self._kinetic):
-            line.width = LINE * pixels.ratio
         for chart in self._charts:
-            chart.GetTitleProperties().SetFontSize(size)
+            self._set_ticks(chart)
+            chart.GetTitleProperties().SetFontSize(pixels.text)
+            for plot in chart.plots():
+                plot.line_width = self._line
             for axis in (chart.x_axis, chart.y_axis):
-                axis.GetLabelProperties().SetFontSize(size - 1)
-                axis.pen.width = pixels.ratio
-                axis.GetGridPen().SetWidth(pixels.ratio)
-                axis.GetTitleProperties().SetFontSize(size)
+                axis.tick_label_size = pixels.text - 1
+                axis.label_size = pixels.text
+                axis.pen.width = axis.grid_pen.width = pixels.ratio
 
-    def _set_ticks(self, text: int) -> None:
+    def _set_ticks(self, chart: pv.Chart2D) -> None:
         """Put as many ticks on the axes as have room beside each other."""
         width, height = self._renderer.GetSize()
-        if self._room == (width, height, text):
-            return
-        self._room = (width, height, text)
+        text = self._pixels.text
         # Half of the tile for each chart; three lines of it are title and steps.
-        rows, columns = 0.5 * height / text - 3.5, width / text - 6.0
-        for chart in self._charts:
-            if chart.visible:
-                _set_ticks(chart.x_axis, chart.x_range, _most(columns / 3.0), whole=True)
-                _set_ticks(chart.y_axis, chart.y_range, _most(rows / 1.6), whole=False)
+        _set_ticks(chart.x_axis, (width / text - 6.0) / 3.0, least=1.0)
+        _set_ticks(chart.y_axis, (0.5 * height / text - 3.5) / 1.6, least=0.0)
 
     def paint(self, theme: Theme) -> None:
         """Use a theme."""
@@ -168,35 +120,27 @@ class EnergyChart:
         ink = pv.Color(theme.ink).float_rgb
         for chart in self._charts:
             chart.background_color = theme.background
-            chart.GetTitleProperties().SetColor(ink)
-            chart.GetTitleProperties().SetBold(False)
+            texts = [chart.GetTitleProperties()]
             for axis in (chart.x_axis, chart.y_axis):
-                axis.GetLabelProperties().SetColor(ink)
-                axis.GetTitleProperties().SetColor(ink)
-                axis.GetTitleProperties().SetBold(False)
+                texts += [axis.GetLabelProperties(), axis.GetTitleProperties()]
                 axis.pen.color = theme.lines
-                axis.GetGridPen().SetColor(*pv.Color(theme.lines).int_rgb)
-                axis.GetGridPen().SetOpacity(90)
-        self._paint_lines()
+                axis.grid_pen.color = (*pv.Color(theme.lines).int_rgb, 90)
+            for text in texts:
+                text.SetColor(ink)
+                text.SetBold(False)
+        self.update(self._histories)
 
 
-def _most(room: float) -> int:
-    """Return the largest number of gaps between ticks, from 1 to 5."""
-    return min(max(int(room), 1), 5)
-
-
-def _set_ticks(
-    axis: pv.plotting.charts.Axis, ends: tuple[float, float], most: int, whole: bool
-) -> None:
-    """Put ticks at round numbers, with at most ``most`` gaps in the range; VTK's own have many digits."""
-    low, high = ends
-    gap = max(round_up((high - low) / most), 1.0) if whole else round_up((high - low) / most)
-    positions, labels = vtkDoubleArray(), vtkStringArray()
-    for number in range(math.ceil(low / gap - 1e-9), math.floor(high / gap + 1e-9) + 1):
-        positions.InsertNextValue(number * gap)
-        # VTK draws the last column of a text once more before the first, over a minus sign: blanks stand at both ends.
-        labels.InsertNextValue(f" {tick_text(number * gap)} ")
-    axis.SetCustomTickPositions(positions, labels)
+def _set_ticks(axis: pv.plotting.charts.Axis, room: float, least: float) -> None:
+    """Put ticks at round numbers, at least ``least`` apart, with room for a number of gaps from 1 to 5; VTK's own have
+    many digits.
+    """
+    low, high = axis.range
+    gap = max(round_up((high - low) / min(max(int(room), 1), 5)), least)
+    numbers = range(math.ceil(low / gap - 1e-9), math.floor(high / gap + 1e-9) + 1)
+    axis.tick_locations = [number * gap for number in numbers]
+    # VTK draws the last column of a text once more before the first, over a minus sign: blanks stand at both ends.
+    axis.tick_labels = [f" {tick_text(number * gap)} " for number in numbers]
 
 
 def tick_text(value: float) -> str:

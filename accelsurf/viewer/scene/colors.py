@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.output.label_files import given_labels
 from accelsurf.output.pictures import canvas
 from accelsurf.output.pictures.canvas import GREEN, PURPLE, VERMILION, YELLOW, object_color
-from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.labels import LabelTable
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.overlay import round_up
 
@@ -127,44 +126,59 @@ def unnamed(object_id: int) -> str:
     return f"object {object_id}"
 
 
-def given_styles(config: RunConfig) -> dict[int, ObjectStyle]:
-    """Return the styles of the objects that settings name or colour, by id.
-
-    Raises
-    ------
-    InputError
-        When a table that they name cannot be read.
-
-    Examples
-    --------
-    >>> given_styles(RunConfig(name=["liver"], color=["#c83c3c"]))
-    {1: ObjectStyle(name='liver', color='#c83c3c', visible=True, opacity=1.0)}
-    """
-    return {
-        object_id: ObjectStyle(said.name, said.hex)
-        for object_id, said in given_labels(config).entries.items()
-    }
-
-
 class ObjectStyles:
-    """The styles of objects by id; one that has none has a colour by its place among the ids.
+    """How each object is drawn, by its id: in the name and colour that were given, else in a colour that stays with it.
 
     Attributes
     ----------
-    given : mapping of int to ObjectStyle
-    tracked : mapping of int to ObjectStyle
-        Of the tracked objects of a sequence: the same colour in every frame.
+    labels : LabelTable
+        Names and colours that were given.
     """
 
     def __init__(self) -> None:
-        self.given: Mapping[int, ObjectStyle] = {}
-        self.tracked: Mapping[int, ObjectStyle] = {}
+        self.labels = LabelTable()
+        self._hidden: set[int] = set()
+        self._opacity: dict[int, float] = {}
+        self._palette: dict[int, str] = {}
+
+    def __getitem__(self, object_id: int) -> ObjectStyle:
+        """Return the style of an object.
+
+        Examples
+        --------
+        >>> from accelsurf.output.label_files import given_labels
+        >>> from accelsurf.settings.run_config import RunConfig
+        >>> styles = ObjectStyles()
+        >>> styles.give(given_labels(RunConfig(name=["liver"], color=["#c83c3c"])))
+        >>> styles[1], styles[7].name
+        (ObjectStyle(name='liver', color='#c83c3c', visible=True, opacity=1.0), 'object 7')
+        """
+        self.choose_colors((object_id,))
+        said = self.labels.entries.get(object_id)
+        return ObjectStyle(
+            unnamed(object_id) if said is None else said.name,
+            self._palette[object_id] if said is None else said.hex,
+            object_id not in self._hidden,
+            self._opacity.get(object_id, 1.0),
+        )
+
+    def choose_colors(self, ids: Iterable[int]) -> None:
+        """Choose colours for these objects in this order; one that an object has stays, whatever becomes of others."""
+        for object_id in ids:
+            self._palette.setdefault(object_id, object_color(len(self._palette)))
 
     def of(self, frame: Frame | None) -> list[ObjectStyle]:
-        """The style of each surface of a frame."""
-        surfaces = () if frame is None else frame.surfaces
-        given = self.tracked if frame is not None and frame.said else self.given
-        return [
-            given.get(surface.id) or ObjectStyle(unnamed(surface.id), object_color(position))
-            for position, surface in enumerate(surfaces)
-        ]
+        """Return the style of each surface of a frame."""
+        return [] if frame is None else [self[surface.id] for surface in frame.surfaces]
+
+    def give(self, labels: LabelTable) -> None:
+        """Use these names and colours from now on."""
+        self.labels = labels
+
+    def show(self, object_id: int, on: bool) -> None:
+        """Draw an object, or not."""
+        self._hidden = self._hidden - {object_id} if on else self._hidden | {object_id}
+
+    def fade(self, object_id: int, opacity: float) -> None:
+        """Draw an object with an opacity from 0 to 1."""
+        self._opacity[object_id] = opacity

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pyvista as pv
 from vtkmodules.vtkRenderingAnnotation import vtkAnnotatedCubeActor
-from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D
 
 from accelsurf.grid.orientation import LETTERS
 from accelsurf.settings.wording import in_unit
@@ -77,44 +77,36 @@ class Label:
         top: bool = False,
         backed: bool = False,
     ) -> None:
-        self._renderer = renderer
-        self._actor = actor = vtkTextActor()
-        actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
-        self.move(*place)
-        style = actor.GetTextProperty()
-        style.SetFontFamilyToArial()
-        style.SetBold(boxed)
         side = (place[0] >= 0.4) + (place[0] > 0.6)
-        (
-            style.SetJustificationToLeft,
-            style.SetJustificationToCentered,
-            style.SetJustificationToRight,
-        )[side]()
-        if top:
-            style.SetVerticalJustificationToTop()
-        if boxed or backed:
-            style.SetBackgroundColor(0.0, 0.0, 0.0)
-            style.SetBackgroundOpacity(0.65)
-        if boxed:
-            style.SetJustificationToCentered()
-            style.SetVerticalJustificationToCentered()
-        renderer.AddViewProp(actor)
-        self.paint(color)
+        style = pv.TextProperty(
+            color=color,
+            font_family="arial",
+            bold=boxed,
+            justification_horizontal="center" if boxed else ("left", "center", "right")[side],
+            justification_vertical="center" if boxed else "top" if top else "bottom",
+            background_color="black",
+            background_opacity=0.65 if boxed or backed else 0.0,
+        )
+        self._actor = pv.Text()
+        self._actor.prop = style
+        self._actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+        self.move(*place)
+        renderer.AddViewProp(self._actor)
         self.text = text
 
     @property
     def text(self) -> str:
         """Text that is written; several lines are allowed."""
-        return str(self._actor.GetInput() or "")
+        return str(self._actor.input or "")
 
     @text.setter
     def text(self, text: str) -> None:
-        self._actor.SetInput(text)
+        self._actor.input = text
         self._actor.SetVisibility(bool(text))
 
     def fit(self, pixels: Pixels) -> None:
         """Make the text readable."""
-        self._actor.GetTextProperty().SetFontSize(pixels.text)
+        self._actor.prop.font_size = pixels.text
 
     def move(self, right: float, up: float) -> None:
         """Change the place."""
@@ -122,7 +114,7 @@ class Label:
 
     def paint(self, color: str) -> None:
         """Change the colour."""
-        self._actor.GetTextProperty().SetColor(pv.Color(color).float_rgb)
+        self._actor.prop.color = color
 
 
 class FlatLine:

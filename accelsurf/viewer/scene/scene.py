@@ -5,7 +5,7 @@ A scene draws `Frame`s and knows no solver. Nothing is rendered before `render` 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +23,11 @@ from accelsurf.image.slice_stack import SliceStack
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import shows_patient
 from accelsurf.output.pictures.movies import write_png
+from accelsurf.settings.labels import LabelTable
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.chart import EnergyChart
-from accelsurf.viewer.scene.colors import ObjectStyle, ObjectStyles, theme_named
+from accelsurf.viewer.scene.colors import ObjectStyles, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend, caption, legend_lines, volume_line
 from accelsurf.viewer.scene.redraw import Redraw, TileContext
@@ -211,9 +212,13 @@ class Scene:
             tile.draw_objects(frame)
         self._legend.show(legend_lines(frame, self.dice, self.styles.of(frame)))
 
-    def restyle(self, given: Mapping[int, ObjectStyle]) -> None:
-        """Draw objects in these styles, by id; those that are not named as by default."""
-        self.styles.given = dict(given)
+    def name_objects(self, labels: LabelTable) -> None:
+        """Draw objects with these names and in these colours; those that have none as by default."""
+        self.styles.give(labels)
+        self.restyle()
+
+    def restyle(self) -> None:
+        """Draw objects in their styles, which have changed."""
         if self.space is not None:
             self.space.restyle()
         if self.frame is not None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkFiltersCore import vtkFlyingEdges2D, vtkFlyingEdges3D
+from vtkmodules.vtkFiltersCore import vtkFlyingEdges2D
 from vtkmodules.vtkRenderingCore import vtkPolyDataMapper, vtkTexture
 
 from accelsurf.grid.geometry import Geometry
@@ -83,13 +83,9 @@ def closed_surface(psi: NDArray[np.float32]) -> pv.PolyData:
             np.abs(side, out=side)
     grid = pv.ImageData(dimensions=padded.shape[::-1], origin=(-1.0, -1.0, -1.0))
     grid.point_data["psi"] = padded.ravel()
-    filter_ = vtkFlyingEdges3D()
-    filter_.SetInputData(grid)
-    filter_.SetValue(0, 0.0)
-    filter_.ComputeNormalsOn()
-    filter_.ComputeScalarsOff()
-    filter_.Update()
-    mesh = pv.wrap(filter_.GetOutput())
+    mesh = grid.contour(
+        [0.0], "psi", compute_normals=True, compute_scalars=False, method="flying_edges"
+    )
     if "Normals" in mesh.point_data:
         mesh.point_data.active_normals_name = "Normals"
     return mesh
@@ -183,10 +179,8 @@ def add_actor(
     mapper = vtkPolyDataMapper()
     mapper.SetInputData(mesh)
     mapper.ScalarVisibilityOff()
-    actor = pv.Actor(mapper=mapper)
-    actor.prop.color = color
-    actor.prop.opacity = opacity
-    actor.prop.lighting = is_lit
+    style = pv.Property(color=color, opacity=opacity, lighting=is_lit)
+    actor = pv.Actor(mapper=mapper, prop=style)
     renderer.add_actor(actor, reset_camera=False, render=False)
     return actor
 

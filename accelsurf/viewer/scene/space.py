@@ -458,9 +458,11 @@ class SpaceTile:
 
     def _add_surface(self) -> pv.Actor:
         actor = add_actor(self.renderer, pv.PolyData(), SURFACE, is_lit=True)
-        style = actor.prop
-        style.interpolation = "Gouraud"
-        style.ambient = 0.15
-        style.specular = 0.2
-        style.specular_power = 20.0
+        actor.prop = pv.Property(
+            color=SURFACE,
+            interpolation="Gouraud",
+            ambient=0.15,
+            specular=0.2,
+            specular_power=20.0,
+        )
         return actor

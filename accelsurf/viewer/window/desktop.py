@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
-from PySide6.QtGui import QAction, QCloseEvent, QKeySequence, QPalette, QResizeEvent, QShowEvent
+from PySide6.QtCore import QMargins, QSignalBlocker, Qt, QTimer, Signal
+from PySide6.QtGui import QCloseEvent, QPalette, QResizeEvent, QShowEvent
 from PySide6.QtWidgets import (
     QApplication,
     QButtonGroup,
@@ -47,10 +47,14 @@ from accelsurf.viewer.window.section_panel import (
     Amount,
     Message,
     Section,
+    bare,
     button,
     choice,
+    filled,
     framed,
+    furnished,
     in_row,
+    made_action,
     show_choice,
     wrapped,
 )
@@ -130,39 +134,30 @@ class Window(QMainWindow):
         self._shown: dict[str, Any] = {}
         self._lay_out()
         self._connect()
-        self._timer = QTimer(self, interval=POLL_MS)
-        self._timer.timeout.connect(self._poll)
+        self._timer = furnished(QTimer(self), interval=POLL_MS, timeout=self._poll)
         self._timer.start()
 
     # -- layout -------------------------------------------------------------------------------------------
 
     def _lay_out(self) -> None:
         whole = QWidget()
-        rows = QVBoxLayout(whole)
-        rows.setContentsMargins(0, 0, 0, 0)
-        rows.setSpacing(0)
-        upper = QHBoxLayout()
-        upper.setSpacing(0)
+        upper = furnished(QHBoxLayout(), spacing=0)
         upper.addWidget(self.canvas, 1)
         upper.addWidget(self.side)
-        rows.addLayout(upper, 1)
-        rows.addWidget(self.frame_bar)
-        rows.addWidget(self.bar)
-        last = QHBoxLayout()
-        last.setContentsMargins(10, 0, 10, 3)
-        last.setSpacing(24)
-        self.message, self.read_out = Message(), QLabel("")
-        self.read_out.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.read_out.setToolTip(
-            "Place (x, y, z), voxel (i, j, k), value and label under the mouse"
+        self.message = Message()
+        self.read_out = furnished(
+            QLabel(),
+            textInteractionFlags=Qt.TextInteractionFlag.TextSelectableByMouse,
+            toolTip="Place (x, y, z), voxel (i, j, k), value and label under the mouse",
         )
+        last = furnished(QHBoxLayout(), spacing=24, contentsMargins=QMargins(10, 0, 10, 3))
         last.addWidget(self.message, 1)
         last.addWidget(self.read_out)
-        rows.addLayout(last)
+        rows = filled(bare(QVBoxLayout(whole), 0), upper, self.frame_bar, self.bar, last)
+        rows.setStretchFactor(upper, 1)
         self.setCentralWidget(whole)
-        self.help = QLabel(page_of_help(self.user_actions.keys), whole)
-        self.help.setObjectName("help")
-        self.help.setWordWrap(True)
+        page = page_of_help(self.user_actions.keys)
+        self.help = furnished(QLabel(page, whole), objectName="help", wordWrap=True)
         self.help.hide()
 
     def _connect(self) -> None:
@@ -176,11 +171,8 @@ class Window(QMainWindow):
             "Ctrl+Q": lambda: self.window().close(),
         }
         for key in dict.fromkeys((*self.user_actions.keys, *of_window)):
-            action = QAction(self)
-            action.setShortcut(QKeySequence(key))
             work = of_window.get(key) or functools.partial(self._ask, "key", key)
-            action.triggered.connect(lambda _=False, work=work: work())
-            self.addAction(action)
+            self.addAction(made_action(self, "", key, work))
 
     # -- requests --------------------------------------------------------------------------------------
 
@@ -278,11 +270,8 @@ class Window(QMainWindow):
         room = self.help.parentWidget().size()
         self.help.setFixedWidth(min(HELP_WIDTH, room.width() - 2 * HELP_MARGIN))
         self.help.adjustSize()
-        left, above = (
-            (room.width() - self.help.width()) // 2,
-            (room.height() - self.help.height()) // 2,
-        )
-        self.help.move(max(left, 0), max(above, 0))
+        middle = (room - self.help.size()) / 2
+        self.help.move(max(middle.width(), 0), max(middle.height(), 0))
         self.help.raise_()
 
     def leave(self) -> None:
@@ -326,19 +315,12 @@ class ToolsPanel(Section):
             made.setCheckable(True)
             self._group.addButton(made)
             grid.addWidget(made, place // IN_ROW, place % IN_ROW)
-        row = -(-len(self.tools) // IN_ROW)
-        self.tip = wrapped("tip")
-        grid.addWidget(self.tip, row, 0, 1, IN_ROW)
-        row += 1
         shown = actions.state()["radius_row"]
-        self.radius = Amount(shown)
-        self.radius.changed.connect(lambda value: self.ask("set_radius", value))
-        grid.addWidget(
-            QLabel(f"Radius of click, ball and brush ({shown['unit']})"), row, 0, 1, IN_ROW
-        )
-        grid.addWidget(self.radius, row + 1, 0, 1, IN_ROW)
-        self.answers = AnswersRow(actions)
-        grid.addWidget(self.answers, row + 2, 0, 1, IN_ROW)
+        self.tip, self.answers = wrapped("tip"), AnswersRow(actions)
+        self.radius = furnished(Amount(shown), changed=lambda value: self.ask("set_radius", value))
+        title = QLabel(f"Radius of click, ball and brush ({shown['unit']})")
+        for part in (self.tip, title, self.radius, self.answers):
+            grid.addWidget(part, grid.rowCount(), 0, 1, IN_ROW)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the tool in use, its radius, and other meanings of the first click."""
@@ -361,36 +343,26 @@ class AnswersRow(QWidget):
     def __init__(self, actions: Actions) -> None:
         super().__init__()
         self.buttons = {number: self._made(number, actions) for number in KEYS}
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(2)
-        column.addWidget(QLabel(f"The first click may mean: keys {' '.join(KEYS.values())}"))
-        column.addLayout(in_row(*self.buttons.values()))
-        self._shown: Any = None
+        title = QLabel(f"The first click may mean: keys {' '.join(KEYS.values())}")
+        filled(bare(QVBoxLayout(self), 2), title, in_row(*self.buttons.values()))
         self.hide()
 
     def _made(self, number: int, actions: Actions) -> QPushButton:
-        made = button("", f"Show this one; dashed outlines are of the others ({KEYS[number]})")
-        made.setCheckable(True)
-        made.clicked.connect(lambda: actions.request("take_answer", number))
-        return made
+        return button(
+            "",
+            f"Show this one; dashed outlines are of the others ({KEYS[number]})",
+            checkable=True,
+            clicked=lambda: actions.request("take_answer", number),
+        )
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the answers, the taken one pressed."""
-        answers = state["first_answers"]
-        if answers == self._shown and [
-            self.buttons[each["number"]].isChecked() for each in answers
-        ] == [each["taken"] for each in answers]:
-            return
-        self._shown = answers
+        answers = {answer["number"]: answer for answer in state["first_answers"]}
         self.setVisible(bool(answers))
-        for made in self.buttons.values():
-            made.hide()
-        for answer in answers:
-            made = self.buttons[answer["number"]]
-            made.setText(answer["volume"])
-            made.setChecked(answer["taken"])
-            made.show()
+        for number, made in self.buttons.items():
+            made.setVisible(number in answers)
+            if number in answers:
+                furnished(made, text=answers[number]["volume"], checked=answers[number]["taken"])
 
 
 class ChangesBar(QWidget):
@@ -400,22 +372,25 @@ class ChangesBar(QWidget):
 
     def __init__(self, actions: Actions) -> None:
         super().__init__()
-        self.undo = button("Undo", "Undo the last change (Ctrl+Z)")
-        self.redo = button("Redo", "Make the undone change again (Ctrl+Shift+Z)")
-        self.save = button("Save", "Labels, mesh, picture, report and settings (Ctrl+S)")
-        self.mesh = choice("format of the mesh")
-        self.mesh.setMinimumContentsLength(3)
-        self.mesh.setToolTip("Format of the mesh that is saved")
-        self.mesh.activated.connect(lambda _: actions.request("mesh", self.mesh.currentText()))
-        self.undo.clicked.connect(lambda: actions.request("undo"))
-        self.redo.clicked.connect(lambda: actions.request("redo"))
-        self.help = button("?", "Keys and mouse (F1)")
+        ask = actions.request
+        self.undo = button("Undo", "Undo the last change (Ctrl+Z)", clicked=lambda: ask("undo"))
+        self.redo = button(
+            "Redo", "Make the undone change again (Ctrl+Shift+Z)", clicked=lambda: ask("redo")
+        )
+        self.save = button(
+            "Save",
+            "Labels, mesh, picture, report and settings (Ctrl+S)",
+            clicked=self.save_wanted,
+        )
+        self.mesh = choice(
+            "format of the mesh",
+            minimumContentsLength=3,
+            toolTip="Format of the mesh that is saved",
+            textActivated=lambda name: ask("mesh", name),
+        )
+        self.help = button("?", "Keys and mouse (F1)", clicked=self.help_wanted)
         self.help.setFixedWidth(28)
-        self.save.clicked.connect(self.save_wanted)
-        self.help.clicked.connect(self.help_wanted)
-        row = in_row(self.undo, self.redo, self.save, self.mesh, self.help, spacing=4)
-        row.setContentsMargins(0, 0, 0, 0)
-        self.setLayout(row)
+        filled(bare(QHBoxLayout(self), 4), self.undo, self.redo, self.save, self.mesh, self.help)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the state of the buttons."""
@@ -435,9 +410,7 @@ class ResultPanel(Section):
         self.next = self.button("Next doubtful place", tip, "next_uncertain")
         row = in_row(self.next)
         row.addWidget(self.where, 1)
-        column = framed(QVBoxLayout(self.body))
-        column.addWidget(self.lines)
-        column.addLayout(row)
+        filled(framed(QVBoxLayout(self.body)), self.lines, row)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the lines about the objects; hidden before there is one."""
@@ -457,14 +430,14 @@ class HistoryPanel(Section):
 
     def __init__(self, actions: Actions) -> None:
         super().__init__("History", actions)
-        self.list = QListWidget()
-        self.list.setAccessibleName("changes")
-        self.list.setToolTip(
-            "A click goes back, or forward again, to what was in force after that change"
-        )
         # A long line ends in an ellipsis, with all of it in its tip: a bar below would cover one of the few lines.
-        self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.list.itemClicked.connect(lambda item: self.ask("change", self.list.row(item)))
+        self.list: QListWidget = furnished(
+            QListWidget(),
+            accessibleName="changes",
+            toolTip="A click goes back, or forward again, to what was in force after that change",
+            horizontalScrollBarPolicy=Qt.ScrollBarPolicy.ScrollBarAlwaysOff,
+            itemClicked=lambda item: self.ask("change", self.list.row(item)),
+        )
         framed(QVBoxLayout(self.body)).addWidget(self.list)
         self._shown: list[Any] | None = None
 
@@ -526,34 +499,26 @@ class SidePanels(QWidget):
         self.setFixedWidth(WIDTH)
         self.changes = ChangesBar(actions)
         self.panels = {type(panel).__name__: panel for panel in (make(actions) for make in PANELS)}
-        inner = QWidget()
-        column = QVBoxLayout(inner)
-        column.setContentsMargins(8, 2, 8, 8)
-        column.setSpacing(4)
         self.hints, self._hints_text = QWidget(), wrapped("hints")
-        hide = button("Do not show this again")
-        hide.clicked.connect(self.hints_unwanted)
-        hints = framed(QVBoxLayout(self.hints))
-        hints.addWidget(self._hints_text)
-        hints.addWidget(hide)
+        hide = button("Do not show this again", clicked=self.hints_unwanted)
+        filled(framed(QVBoxLayout(self.hints)), self._hints_text, hide)
         self.hints.hide()
-        for panel in (self.hints, *self.panels.values()):
-            column.addWidget(panel)
-        column.addStretch(1)
-        area = QScrollArea()
+        inner = QWidget()
+        margins = QMargins(8, 2, 8, 8)
+        column = furnished(QVBoxLayout(inner), spacing=4, contentsMargins=margins)
+        filled(column, self.hints, *self.panels.values()).addStretch(1)
+        area = furnished(
+            QScrollArea(),
+            widgetResizable=True,
+            accessibleName="panels",
+            frameShape=QScrollArea.Shape.NoFrame,
+            horizontalScrollBarPolicy=Qt.ScrollBarPolicy.ScrollBarAlwaysOff,
+            focusPolicy=Qt.FocusPolicy.NoFocus,
+        )
         area.setWidget(inner)
-        area.setWidgetResizable(True)
-        area.setAccessibleName("panels")
-        area.setFrameShape(QScrollArea.Shape.NoFrame)
-        area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        whole = QVBoxLayout(self)
-        whole.setContentsMargins(0, 8, 0, 0)
-        changes = QVBoxLayout()
-        changes.setContentsMargins(16, 0, 16, 0)
-        changes.addWidget(self.changes)
-        whole.addLayout(changes)
-        whole.addWidget(area, 1)
+        changes = furnished(in_row(self.changes), contentsMargins=QMargins(16, 0, 16, 0))
+        whole = furnished(QVBoxLayout(self), contentsMargins=QMargins(0, 8, 0, 0))
+        filled(whole, changes, area).setStretchFactor(area, 1)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the state."""

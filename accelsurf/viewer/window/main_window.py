@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from typing import Any, Literal
 
 from PySide6.QtCore import Qt, QTimer
-from PySide6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence
+from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QMenu
 
 from accelsurf.settings.file_formats import image_suffixes
@@ -18,6 +16,7 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import SIZE
 from accelsurf.viewer.window.appearance import palette, sheet
 from accelsurf.viewer.window.desktop import Window, application
+from accelsurf.viewer.window.section_panel import furnished, made_action
 from accelsurf.viewer.window.start_page import StartPage, choice_dialog, question_box
 
 #: Interval between looks for an opened image, milliseconds.
@@ -64,8 +63,7 @@ class MainWindow(QMainWindow):
         self.start_page.file_wanted.connect(self.ask_file)
         self.start_page.folder_wanted.connect(self.ask_folder)
         self.setCentralWidget(self.start_page)
-        self._timer = QTimer(self, interval=POLL_MS)
-        self._timer.timeout.connect(self._poll)
+        self._timer = furnished(QTimer(self), interval=POLL_MS, timeout=self._poll)
         self._timer.start()
 
     def _fit_screen(self) -> None:
@@ -81,22 +79,15 @@ class MainWindow(QMainWindow):
     def _add_menu(self) -> None:
         menu = self.menuBar().addMenu("&File")
         self._recent, self._phantoms = QMenu("Open recent", self), QMenu("Phantoms", self)
-        self._action(menu, "Open file ...", "Ctrl+O", self.ask_file)
-        self._action(menu, "Open folder ...", "Ctrl+Shift+O", self.ask_folder)
+        self._reference = made_action(self, "Add reference ...", "Ctrl+R", self.ask_reference)
+        menu.addAction(made_action(self, "Open file ...", "Ctrl+O", self.ask_file))
+        menu.addAction(made_action(self, "Open folder ...", "Ctrl+Shift+O", self.ask_folder))
         menu.addMenu(self._recent)
         menu.addMenu(self._phantoms)
         menu.addSeparator()
-        self._reference = self._action(menu, "Add reference ...", "Ctrl+R", self.ask_reference)
+        menu.addAction(self._reference)
         menu.addSeparator()
-        self._action(menu, "Close", "", self.close)
-
-    def _action(self, menu: QMenu, text: str, key: str, work: Callable[[], Any]) -> QAction:
-        action = QAction(text, self)
-        if key:
-            action.setShortcut(QKeySequence(key))
-        action.triggered.connect(lambda _=False: work())
-        menu.addAction(action)
-        return action
+        menu.addAction(made_action(self, "Close", "", self.close))
 
     # -- requests of the user -----------------------------------------------------------------------------
 
@@ -107,7 +98,7 @@ class MainWindow(QMainWindow):
     def ask_folder(self) -> None:
         """Ask for a folder that is an image, and open it."""
         name = QFileDialog.getExistingDirectory(
-            self, "Open a folder: a scan in DICOM, slices, OME-Zarr"
+            self, "Open a folder: a scan in DICOM, slices, OME-Zarr, or a result"
         )
         if name:
             self.opening.request("open", name)
@@ -174,14 +165,13 @@ class MainWindow(QMainWindow):
             menu.clear()
             for number, entry in enumerate(state[key]):
                 value = number if key == "recent" else entry["name"]
-                action = menu.addAction(entry["name"])
-                action.setToolTip(entry.get("folder") or entry.get("text"))
-                action.setEnabled(entry.get("exists", True))
-                action.triggered.connect(functools.partial(self._ask, request, value))
+                furnished(
+                    menu.addAction(entry["name"]),
+                    toolTip=entry.get("folder") or entry.get("text"),
+                    enabled=entry.get("exists", True),
+                    triggered=lambda _, ask=(request, value): self.opening.request(*ask),
+                )
             menu.setEnabled(bool(state[key]))
-
-    def _ask(self, request: str, value: Any, _: bool = False) -> None:
-        self.opening.request(request, value)
 
     def _ask_back(self, state: dict[str, Any]) -> None:
         """Show the question that is open, or the choice; the window goes on meanwhile."""

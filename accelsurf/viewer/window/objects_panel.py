@@ -23,7 +23,13 @@ from PySide6.QtWidgets import (
 
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.objects import NEAREST
-from accelsurf.viewer.window.section_panel import ScrollGuard, Section, button, framed
+from accelsurf.viewer.window.section_panel import (
+    ScrollGuard,
+    Section,
+    button,
+    framed,
+    furnished,
+)
 
 Index = QModelIndex | QPersistentModelIndex
 COLUMNS = ("", "", "Name", "Volume", "State")
@@ -46,15 +52,18 @@ class ObjectsPanel(Section):
 
     def __init__(self, actions: Actions) -> None:
         super().__init__("Objects", actions)
-        table = self.table = QTableWidget(0, len(COLUMNS))
-        table.setAccessibleName("objects")
-        table.setToolTip(
-            "The chosen object takes strokes and sizes; double click: rename, or another colour"
+        table = self.table = furnished(
+            QTableWidget(0, len(COLUMNS)),
+            accessibleName="objects",
+            toolTip="The chosen object takes strokes and sizes; double click: rename, or another colour",
+            selectionBehavior=QAbstractItemView.SelectionBehavior.SelectRows,
+            focusPolicy=Qt.FocusPolicy.ClickFocus,
+            itemChanged=self._edited,
+            cellClicked=lambda row, _: self.ask("object_active", self._id(row)),
+            cellDoubleClicked=self._double_clicked,
         )
         table.setHorizontalHeaderLabels(list(COLUMNS))
         table.verticalHeader().hide()
-        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        table.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         header = table.horizontalHeader()
         header.setMinimumSectionSize(20)
         volume = table.fontMetrics().horizontalAdvance("888.8 mm3") + 18
@@ -64,25 +73,24 @@ class ObjectsPanel(Section):
         header.setSectionResizeMode(_NAME, QHeaderView.ResizeMode.Stretch)
         table.verticalHeader().setDefaultSectionSize(table.fontMetrics().lineSpacing() + 7)
         table.setItemDelegateForColumn(_COLOR, _ColorCell(table))
-        table.itemChanged.connect(self._edited)
-        table.cellClicked.connect(lambda row, _: self.ask("object_active", self._id(row)))
-        table.cellDoubleClicked.connect(self._double_clicked)
         self.add = self.button(
             "Add", "A further object: the next press or click inside begins it (U)", "object_add"
         )
         self.merge = button(
-            "Merge", "Make the chosen objects the first of them (choose several with Ctrl)"
+            "Merge",
+            "Make the chosen objects the first of them (choose several with Ctrl)",
+            clicked=lambda: self.ask("object_merge", *self._selected()),
         )
-        self.merge.clicked.connect(lambda: self.ask("object_merge", *self._selected()))
-        self.remove = button("Remove", "Take the chosen object away")
-        self.remove.clicked.connect(self._remove)
+        self.remove = button("Remove", "Take the chosen object away", clicked=self._remove)
         tip = "Strokes are for the object that is nearest to where they begin"
         self.nearest = self.button("Nearest", tip, "object_active", NEAREST)
-        self.opacity = QSlider(Qt.Orientation.Horizontal)
-        self.opacity.setAccessibleName("opacity")
-        self.opacity.setRange(0, 100)
+        self.opacity = furnished(
+            QSlider(Qt.Orientation.Horizontal),
+            accessibleName="opacity",
+            maximum=100,
+            valueChanged=self._set_opacity,
+        )
         ScrollGuard(self.opacity)
-        self.opacity.valueChanged.connect(self._set_opacity)
         grid = framed(QGridLayout(self.body))
         grid.addWidget(table, 0, 0, 1, 4)
         for column, made in enumerate((self.add, self.merge, self.remove, self.nearest)):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtCore import QMargins, QSignalBlocker, Qt
 from PySide6.QtWidgets import QLabel, QPushButton, QSlider, QWidget
 
 from accelsurf.viewer.actions.actions import Actions
-from accelsurf.viewer.window.section_panel import button, in_row
+from accelsurf.viewer.window.section_panel import button, furnished, in_row, restyle
 
 
 class _Bar(QWidget):
@@ -18,25 +18,18 @@ class _Bar(QWidget):
     def __init__(self, actions: Actions, slider: QSlider, name: str) -> None:
         super().__init__()
         self._actions = actions
-        slider.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        slider.setAccessibleName(name)
+        furnished(slider, focusPolicy=Qt.FocusPolicy.NoFocus, accessibleName=name)
         self.where = QLabel("")
 
     def _button(self, text: str, tip: str, request: str, *values: int) -> QPushButton:
-        made = button(text, tip)
+        made = button(text, tip, clicked=lambda: self._actions.request(request, *values))
         made.setFixedWidth(64)
-        made.clicked.connect(lambda: self._actions.request(request, *values))
         return made
 
-    def _lay_out(
-        self, buttons: Sequence[QWidget], slider: QSlider, others: Sequence[QWidget], below: int
-    ) -> None:
-        row = in_row(*buttons, spacing=6)
-        row.setContentsMargins(8, 5, 8, below)
-        row.addWidget(slider, 1)
-        for widget in others:
-            row.addWidget(widget)
-        self.setLayout(row)
+    def _lay_out(self, buttons: Sequence[QWidget], slider: QSlider, below: int) -> None:
+        row = in_row(*buttons, slider, self.where, spacing=6)
+        row.setStretchFactor(slider, 1)
+        self.setLayout(furnished(row, contentsMargins=QMargins(8, 5, 8, below)))
 
 
 class PlaybackBar(_Bar):
@@ -55,7 +48,7 @@ class PlaybackBar(_Bar):
         self.play.setObjectName("play")
         self.where.setMinimumWidth(170)
         buttons = self.restart, self.back, self.play, self.forward
-        self._lay_out(buttons, self.timeline, (self.where,), 5)
+        self._lay_out(buttons, self.timeline, 5)
         self.timeline.valueChanged.connect(self._slid)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
@@ -63,9 +56,7 @@ class PlaybackBar(_Bar):
         self.setVisible(state["can_run"])
         self._steps = list(state["checkpoints"])
         self.play.setText("Pause" if state["playing"] else "Run")
-        if self.play.property("main") != state["is_due"]:
-            self.play.setProperty("main", state["is_due"])
-            self.play.style().polish(self.play)
+        restyle(self.play, "main", state["is_due"])
         self.back.setEnabled(state["step"] > 0)
         rests = f"; it rested at {', '.join(map(str, state['rests']))}" if state["rests"] else ""
         self.timeline.setToolTip(f"Stored steps: drag to go back and forward{rests}")
@@ -94,7 +85,7 @@ class FrameBar(_Bar):
         self.next = self._button("Next", "Next frame (.)", "step_frame", 1)
         self.slider.valueChanged.connect(lambda number: actions.request("frame", number))
         self.where.setMinimumWidth(210)
-        self._lay_out((self.before, self.play, self.next), self.slider, (self.where,), 0)
+        self._lay_out((self.before, self.play, self.next), self.slider, 0)
         self.hide()
 
     def show_state(self, state: Mapping[str, Any]) -> None:

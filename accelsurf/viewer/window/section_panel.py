@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
-from PySide6.QtCore import QEvent, QObject, QSignalBlocker, Qt, QTimer, Signal
+from PySide6.QtCore import QEvent, QMargins, QObject, QSignalBlocker, Qt, QTimer, Signal
+from PySide6.QtGui import QAction, QKeySequence
 from PySide6.QtWidgets import (
+    QBoxLayout,
     QCheckBox,
     QComboBox,
     QDoubleSpinBox,
@@ -26,6 +28,30 @@ from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.settings_rows import TICKS
 
 L = TypeVar("L", bound=QLayout)
+Q = TypeVar("Q", bound=QObject)
+
+
+def furnished(thing: Q, **properties: Any) -> Q:
+    """Return a widget, layout or action of Qt with these properties; a callable is connected to the signal of its name.
+
+    Properties are set in their order.
+
+    Raises
+    ------
+    AttributeError
+        When Qt knows no property or signal of a name.
+
+    Examples
+    --------
+    >>> furnished(QObject(), objectName="tip").objectName()
+    'tip'
+    """
+    for name, value in properties.items():
+        if callable(value):
+            getattr(thing, name).connect(value)
+        elif not thing.setProperty(name, value):
+            raise AttributeError(f"{type(thing).__name__} has no property {name}")
+    return thing
 
 
 class ScrollGuard(QObject):
@@ -66,21 +92,19 @@ class Section(QWidget):
     def __init__(self, title: str, actions: Actions, folded: bool = False) -> None:
         super().__init__()
         self.user_actions = actions
-        self.title = QToolButton()
-        self.title.setObjectName("section")
-        self.title.setText(title)
-        self.title.setCheckable(True)
-        self.title.setChecked(not folded)
-        self.title.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.title.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.title.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        self.title.toggled.connect(self._fold)
+        self.title = furnished(
+            QToolButton(),
+            objectName="section",
+            text=title,
+            checkable=True,
+            checked=not folded,
+            toolButtonStyle=Qt.ToolButtonStyle.ToolButtonTextBesideIcon,
+            sizePolicy=_WIDE,
+            focusPolicy=Qt.FocusPolicy.TabFocus,
+            toggled=self._fold,
+        )
         self.body = QWidget()
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(2)
-        column.addWidget(self.title)
-        column.addWidget(self.body)
+        filled(bare(QVBoxLayout(self), 2), self.title, self.body)
         self._fold(not folded)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
@@ -92,54 +116,64 @@ class Section(QWidget):
 
     def button(self, text: str, tip: str, request: str, *values: Any) -> QPushButton:
         """Return a button that makes a request."""
-        made = button(text, tip)
-        made.clicked.connect(lambda: self.ask(request, *values))
-        return made
+        return button(text, tip, clicked=lambda: self.ask(request, *values))
 
     def switch(self, text: str, request: str, tip: str = "") -> QCheckBox:
         """Return a box to check that makes a request."""
-        made = switch(text, tip)
-        made.toggled.connect(lambda is_on: self.ask(request, is_on))
-        return made
+        return switch(text, tip, toggled=lambda is_on: self.ask(request, is_on))
 
     def choice(self, label: str, request: str) -> QComboBox:
         """Return a list to choose from that makes a request."""
-        made = choice(label)
-        made.activated.connect(lambda _: self.ask(request, made.currentText()))
-        return made
+        return choice(label, textActivated=lambda name: self.ask(request, name))
 
     def _fold(self, is_open: bool) -> None:
         self.title.setArrowType(Qt.ArrowType.DownArrow if is_open else Qt.ArrowType.RightArrow)
         self.body.setVisible(is_open)
 
 
+#: Wide as the panel, and as high as its text.
+_WIDE = QSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+
 def framed(layout: L, spacing: int = 4) -> L:
     """Return the layout of a panel's body, with its margins."""
-    layout.setSpacing(spacing)
-    layout.setContentsMargins(8, 2, 8, 6)
+    return furnished(layout, spacing=spacing, contentsMargins=QMargins(8, 2, 8, 6))
+
+
+def bare(layout: L, spacing: int) -> L:
+    """Return a layout without margins."""
+    return furnished(layout, spacing=spacing, contentsMargins=QMargins(0, 0, 0, 0))
+
+
+def filled(layout: L, *parts: QWidget | QLayout) -> L:
+    """Return a layout in a line with these parts one after the other."""
+    assert isinstance(layout, QBoxLayout)
+    for part in parts:
+        if isinstance(part, QWidget):
+            layout.addWidget(part)
+        else:
+            layout.addLayout(part)
     return layout
 
 
 def in_row(*widgets: QWidget, spacing: int | None = None) -> QHBoxLayout:
     """Return a layout of widgets beside each other."""
     row = QHBoxLayout()
-    if spacing is not None:
-        row.setSpacing(spacing)
-    for widget in widgets:
-        row.addWidget(widget)
-    return row
+    return filled(row if spacing is None else furnished(row, spacing=spacing), *widgets)
 
 
-def choice(label: str) -> QComboBox:
+def choice(label: str, **properties: Any) -> QComboBox:
     """Return a list to choose from; it takes the keyboard only when it is clicked or reached by Tab."""
-    made = QComboBox()
-    made.setAccessibleName(label)
-    made.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-    made.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-    made.setMinimumContentsLength(6)
+    made = furnished(
+        QComboBox(),
+        accessibleName=label,
+        focusPolicy=Qt.FocusPolicy.TabFocus,
+        sizePolicy=_WIDE,
+        minimumContentsLength=6,
+        sizeAdjustPolicy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+    )
     ScrollGuard(made)
-    made.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-    return made
+    return furnished(made, **properties)
 
 
 def show_choice(made: QComboBox, names: Sequence[str] | Mapping[str, str], now: Any) -> None:
@@ -156,12 +190,10 @@ def show_choice(made: QComboBox, names: Sequence[str] | Mapping[str, str], now: 
         made.setCurrentIndex(made.findData(now))
 
 
-def switch(text: str, tip: str = "") -> QCheckBox:
+def switch(text: str, tip: str = "", **properties: Any) -> QCheckBox:
     """Return a box to check."""
-    made = QCheckBox(text)
-    made.setToolTip(tip)
-    made.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-    return made
+    made = furnished(QCheckBox(text), toolTip=tip, focusPolicy=Qt.FocusPolicy.TabFocus)
+    return furnished(made, **properties)
 
 
 def show_switch(made: QCheckBox, is_on: bool) -> None:
@@ -170,21 +202,22 @@ def show_switch(made: QCheckBox, is_on: bool) -> None:
         made.setChecked(is_on)
 
 
-def button(text: str, tip: str = "") -> QPushButton:
+def button(text: str, tip: str = "", **properties: Any) -> QPushButton:
     """Return a button that leaves the keyboard to the window."""
-    made = QPushButton(text)
-    made.setToolTip(tip)
-    made.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-    return made
+    made = furnished(QPushButton(text), toolTip=tip, focusPolicy=Qt.FocusPolicy.NoFocus)
+    return furnished(made, **properties)
+
+
+def made_action(parent: QObject, text: str, key: str, work: Callable[[], Any]) -> QAction:
+    """Return an action of a menu or window, with a key where that is not empty."""
+    return furnished(
+        QAction(text, parent), shortcut=QKeySequence(key), triggered=lambda _=False: work()
+    )
 
 
 def wrapped(name: str) -> QLabel:
     """Return a label of several lines, of a name in the style sheet."""
-    made = QLabel("")
-    made.setObjectName(name)
-    made.setWordWrap(True)
-    made.setMinimumWidth(1)
-    return made
+    return furnished(QLabel(), objectName=name, wordWrap=True, minimumWidth=1)
 
 
 #: Text of the empty word in a list.
@@ -212,44 +245,45 @@ class Amount(QWidget):
         super().__init__()
         low, high = self._low, self._high = shown["low"], shown["high"]
         self._power = shown["power"]
-        words, digits = shown["words"], shown["digits"]
-        self.slider = QSlider(Qt.Orientation.Horizontal)
-        self.slider.setRange(0, TICKS)
-        self.slider.setPageStep(TICKS // 10)
-        self.slider.setMinimumWidth(70)
-        self.box = QDoubleSpinBox()
-        self.box.setDecimals(digits)
-        self.box.setRange(low, min(shown["limit"], MAX_BOX))
-        self.box.setSingleStep((high - low) / 20)
-        self.box.setKeyboardTracking(False)
-        self.box.setFixedWidth(WIDTH + DIGIT * max(digits - 3, 0))
+        self.slider = furnished(
+            QSlider(Qt.Orientation.Horizontal),
+            maximum=TICKS,
+            pageStep=TICKS // 10,
+            minimumWidth=70,
+            valueChanged=self._slid,
+            sliderReleased=self._emit,
+        )
+        self.box = furnished(
+            QDoubleSpinBox(),
+            decimals=shown["digits"],
+            minimum=low,
+            maximum=min(shown["limit"], MAX_BOX),
+            singleStep=(high - low) / 20,
+            keyboardTracking=False,
+            valueChanged=self._typed,
+        )
+        self.box.setFixedWidth(WIDTH + DIGIT * max(shown["digits"] - 3, 0))
         self.word: QComboBox | None = None
-        line = QHBoxLayout(self)
-        line.setContentsMargins(0, 0, 0, 0)
-        line.setSpacing(4)
-        if words:
-            self.word = QComboBox()
-            self.word.addItems([*words, "value"])
+        line = bare(QHBoxLayout(self), 4)
+        if shown["words"]:
+            self.word = furnished(QComboBox(), activated=lambda _: self._on_word())
+            self.word.addItems([*shown["words"], "value"])
             self.word.setFixedWidth(66)
-            self.word.activated.connect(self._on_word)
             line.addWidget(self.word)
         line.addWidget(self.slider, 1)
         line.addWidget(self.box)
-        for part in (self.slider, self.box, self.word):
-            if part is not None:
-                ScrollGuard(part)
-        self._delay = QTimer(self, singleShot=True, interval=DELAY_MS)
-        self._delay.timeout.connect(self._emit)
-        self.slider.valueChanged.connect(self._slid)
-        self.slider.sliderReleased.connect(self._emit)
-        self.box.valueChanged.connect(self._typed)
+        self._parts = [part for part in (self.slider, self.box, self.word) if part is not None]
+        for part in self._parts:
+            ScrollGuard(part)
+        self._delay = furnished(
+            QTimer(self), singleShot=True, interval=DELAY_MS, timeout=self._emit
+        )
 
     @property
     def value(self) -> float | str:
         """Number, or the word that stands for it."""
-        if self.word is not None and self.word.currentText() != "value":
-            return self.word.currentText()
-        return float(self.box.value())
+        words = "value" if self.word is None else self.word.currentText()
+        return float(self.box.value()) if words == "value" else words
 
     @property
     def is_being_moved(self) -> bool:
@@ -258,21 +292,17 @@ class Amount(QWidget):
 
     def show_value(self, value: float | str) -> None:
         """Show the value in force, without emitting it."""
-        blockers = [
-            QSignalBlocker(part) for part in (self.slider, self.box, self.word) if part is not None
-        ]
-        if isinstance(value, str) and self.word is not None:
-            self.word.setCurrentText(value)
-        else:
-            if self.word is not None:
-                self.word.setCurrentText("value")
+        blockers = [QSignalBlocker(part) for part in self._parts]
+        if self.word is not None:
+            self.word.setCurrentText(value if isinstance(value, str) else "value")
+        if not isinstance(value, str):
             self.box.setValue(float(value))
             self.slider.setValue(self._tick(float(value)))
         self._enable()
         del blockers
 
     def _enable(self) -> None:
-        numeric = self.word is None or self.word.currentText() == "value"
+        numeric = not isinstance(self.value, str)
         self.slider.setEnabled(numeric)
         self.box.setEnabled(numeric)
 
@@ -295,7 +325,7 @@ class Amount(QWidget):
 
     def _on_word(self) -> None:
         self._enable()
-        if self.word is not None and self.word.currentText() == "value" and self.box.value() <= 0:
+        if not isinstance(self.value, str) and self.box.value() <= 0:
             self.box.setValue(0.25 * self._high)
         self._emit()
 
@@ -309,13 +339,18 @@ class Message(QLabel):
 
     def __init__(self) -> None:
         super().__init__("")
-        self.setObjectName("message")
-        self.setWordWrap(True)
+        furnished(self, objectName="message", wordWrap=True)
 
     def say(self, text: str, failed: bool) -> None:
         """Show a text; of an error in another colour."""
         text = f"Error: {text}" if failed else text
         # Paths and settings have no blanks: lines may end in them too.
         self.setText(re.sub(r"(?<=[/_.,:=])(?=\S)|(?<=\S{20})(?=\S)", "\N{ZERO WIDTH SPACE}", text))
-        self.setProperty("failed", failed)
-        self.style().polish(self)
+        restyle(self, "failed", failed)
+
+
+def restyle(widget: QWidget, name: str, value: object) -> None:
+    """Change a property that the style sheet asks for, and draw the widget accordingly."""
+    if widget.property(name) != value:
+        widget.setProperty(name, value)
+        widget.style().polish(widget)

@@ -8,6 +8,8 @@ from typing import Any
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
     QGridLayout,
     QLabel,
     QLineEdit,
@@ -20,8 +22,10 @@ from accelsurf.viewer.actions.settings_rows import Row
 from accelsurf.viewer.window.section_panel import (
     Amount,
     Section,
+    bare,
     choice,
     framed,
+    furnished,
     show_choice,
     show_switch,
     switch,
@@ -67,60 +71,49 @@ class SettingRow(QWidget):
             else ""
         )
         self.setToolTip(row["help"] + again)
-        self.label = QLabel(titled(row))
-        self.label.setWordWrap(True)
-        self.label.setMinimumWidth(1)
-        self._value, kind = "", row["kind"]
-        self.amount = Amount(row) if kind == "slider" else None
-        self.box = switch("") if kind == "switch" else None
-        self.choice = choice(row["label"]) if kind in ("list", "energy") else None
-        self.line = QLineEdit() if kind in ("text", "energy") else None
-        self.error = QLabel("") if kind == "energy" else None
-        self._lay_out()
-        self._connect(row["label"])
-
-    def _lay_out(self) -> None:
-        grid = QGridLayout(self)
-        grid.setContentsMargins(0, 0, 0, 0)
-        grid.setSpacing(3)
+        self.label = furnished(QLabel(titled(row)), wordWrap=True, minimumWidth=1)
+        self.amount: Amount | None = None
+        self.box: QCheckBox | None = None
+        self.choice: QComboBox | None = None
+        self.line: QLineEdit | None = None
+        self.error: QLabel | None = None
+        kind, name = row["kind"], row["label"]
+        self._value = ""
+        grid = bare(QGridLayout(self), 3)
         grid.setColumnStretch(0, 4)
         grid.setColumnStretch(1, 5)
-        grid.addWidget(self.label, 0, 0, 1, 1 if self.amount is None else 2)
-        if self.amount is not None:  # below the name
+        grid.addWidget(self.label, 0, 0, 1, 2 if kind == "slider" else 1)
+        if kind == "slider":  # below the name
+            self.amount = furnished(Amount(row), changed=self.changed.emit)
             grid.addWidget(self.amount, 1, 0, 1, 2)
-        if self.box is not None:
+        elif kind == "switch":
+            self.box = switch("", accessibleName=name, toggled=self.changed.emit)
             grid.addWidget(self.box, 0, 1, Qt.AlignmentFlag.AlignRight)
-        if self.choice is not None:
-            grid.addWidget(self.choice, 0, 1)
-        if self.line is not None and self.error is None:
+        elif kind == "text":
+            self.line = furnished(QLineEdit(), accessibleName=name, editingFinished=self._typed)
             grid.addWidget(self.line, 0, 1)
-        elif self.line is not None and self.error is not None:
-            self.error.setObjectName("message")
-            self.error.setProperty("failed", True)
-            self.error.setWordWrap(True)
-            grid.addWidget(self.line, 1, 0, 1, 2)
-            grid.addWidget(self.error, 2, 0, 1, 2)
-
-    def _connect(self, name: str) -> None:
-        if self.amount is not None:
-            self.amount.changed.connect(lambda value: self.changed.emit(value))
-        if self.box is not None:
-            self.box.setAccessibleName(name)
-            self.box.toggled.connect(lambda on: self.changed.emit(on))
-        if self.choice is not None:
-            self.choice.activated.connect(
-                lambda _, made=self.choice: self.changed.emit(made.currentData())
-            )
-        if self.line is not None and self.error is None:
-            self.line.setAccessibleName(name)
-            self.line.editingFinished.connect(functools.partial(self._typed, self.line))
-        elif self.line is not None:
-            self.line.setAccessibleName("energy expression")
-            self.line.setPlaceholderText("local-region:R=8 + 0.3*geodesic")
-            self.line.textEdited.connect(self.typing)
-            self.line.returnPressed.connect(lambda line=self.line: self.changed.emit(line.text()))
+        else:
+            made = self.choice = choice(name)
+            made.activated.connect(lambda _: self.changed.emit(made.currentData()))
+            grid.addWidget(made, 0, 1)
+        if kind == "energy":
+            self._add_energy(grid)
         if self.line is not None:
             self.line.returnPressed.connect(self.line.clearFocus)  # keys are the window's again
+
+    def _add_energy(self, grid: QGridLayout) -> None:
+        """Add the line in which an energy is typed, and its error."""
+        line = self.line = furnished(
+            QLineEdit(),
+            accessibleName="energy expression",
+            placeholderText="local-region:R=8 + 0.3*geodesic",
+            textEdited=self.typing,
+        )
+        line.returnPressed.connect(lambda: self.changed.emit(line.text()))
+        self.error = furnished(QLabel(), objectName="message", wordWrap=True)
+        self.error.setProperty("failed", True)
+        grid.addWidget(line, 1, 0, 1, 2)
+        grid.addWidget(self.error, 2, 0, 1, 2)
 
     def show_row(self, row: Row) -> None:
         """Show the value in force, except where the person is changing it."""
@@ -147,8 +140,9 @@ class SettingRow(QWidget):
             self.error.setText(text)
             self.error.setVisible(bool(text))
 
-    def _typed(self, line: QLineEdit) -> None:
-        if line.text().strip() != self._value:
+    def _typed(self) -> None:
+        line = self.line
+        if line is not None and line.text().strip() != self._value:
             self.changed.emit(line.text().strip())
             line.setText(self._value)  # until the session has taken it
 
@@ -173,12 +167,11 @@ class SettingsPanel(Section):
 
     def __init__(self, actions: Actions) -> None:
         super().__init__("Settings", actions)
-        whole = framed(QVBoxLayout(self.body), 5)
-        self._first = QVBoxLayout()
-        whole.addLayout(self._first)
+        self._whole = framed(QVBoxLayout(self.body), 5)
+        self._layouts = {"": QVBoxLayout()}  # the common ones have no name
+        self._whole.addLayout(self._layouts[""])
         self.rows: dict[str, SettingRow] = {}
         self.groups: dict[str, Section] = {}
-        self._whole = whole
         self._shown: list[Row] = []
 
     def show_state(self, state: Mapping[str, Any]) -> None:
@@ -202,31 +195,20 @@ class SettingsPanel(Section):
             if row["key"] not in self.rows:
                 self.rows[row["key"]] = self._made(row)
         self.rows = {key: self.rows[key] for key in wanted}
-        places: dict[str, int] = {}
-        for row in rows:
-            group, place = row["group"], places.get(row["group"], 0)
-            self._layout_of(group).insertWidget(place, self.rows[row["key"]])
-            places[group] = place + 1
+        for row in reversed(rows):
+            self._layout_of(row["group"]).insertWidget(0, self.rows[row["key"]])
 
     def _layout_of(self, group: str) -> QVBoxLayout:
-        """Return the layout of a group's rows; the group of the common ones has no name."""
-        if not group:
-            return self._first
-        if group not in self.groups:
+        """Return the layout of a group's rows."""
+        if group not in self._layouts:
             self.groups[group] = folded = Section(group, self.user_actions, folded=True)
-            framed(QVBoxLayout(folded.body), 5)
+            self._layouts[group] = framed(QVBoxLayout(folded.body), 5)
             self._whole.addWidget(folded)
-        layout = self.groups[group].body.layout()
-        assert isinstance(layout, QVBoxLayout)
-        return layout
+        return self._layouts[group]
 
     def _made(self, row: Row) -> SettingRow:
         widget = SettingRow(row)
-        if row["term"]:
-            widget.changed.connect(
-                lambda value, term=row["term"]: self.ask("set_term", *term, value)
-            )
-        else:
-            widget.changed.connect(functools.partial(self.ask, "set", row["key"]))
+        request = ("set_term", *row["term"]) if row["term"] else ("set", row["key"])
+        widget.changed.connect(functools.partial(self.ask, *request))
         widget.typing.connect(lambda text: self.ask("type_energy", text))
         return widget

@@ -16,6 +16,7 @@ from accelsurf.viewer.window.section_panel import (
     Section,
     choice,
     framed,
+    furnished,
     show_choice,
     show_switch,
 )
@@ -30,16 +31,12 @@ class SlicesPanel(Section):
     def __init__(self, actions: Actions) -> None:
         super().__init__("Slices", actions)
         grid = framed(QGridLayout(self.body))
-        self.window_word = choice("grey values")
-        self.window_word.setToolTip(
-            "Values that are drawn black and white; in a slice: drag with the right button"
+        self.window_word = choice(
+            "grey values",
+            toolTip="Values that are drawn black and white; in a slice: drag with the right button",
+            activated=lambda _: self._named(),
         )
-        self.window_word.activated.connect(self._named)
-        self.level, self.width_ = _number(-MAX_GREY), _number(0.0)
-        for box in (self.level, self.width_):
-            box.valueChanged.connect(
-                lambda _: self.ask("window", self.level.value(), self.width_.value())
-            )
+        self.level, self.width_ = self._number(-MAX_GREY), self._number(0.0)
         self.layout_ = self.choice("layout", "layout")
         self.chart = self.switch("Chart", "chart", "The energies at each step")
         tip = "Slices smooth between voxels, or each voxel as a rectangle"
@@ -84,14 +81,17 @@ class SlicesPanel(Section):
         if self.window_word.currentText() != BY_HAND:
             self.ask("window_named", self.window_word.currentText())
 
-
-def _number(low: float) -> QDoubleSpinBox:
-    box = QDoubleSpinBox()
-    ScrollGuard(box)
-    box.setRange(low, MAX_GREY)
-    box.setKeyboardTracking(False)
-    box.setMinimumWidth(70)
-    return box
+    def _number(self, low: float) -> QDoubleSpinBox:
+        box = furnished(
+            QDoubleSpinBox(),
+            minimum=low,
+            maximum=MAX_GREY,
+            keyboardTracking=False,
+            minimumWidth=70,
+            valueChanged=lambda _: self.ask("window", self.level.value(), self.width_.value()),
+        )
+        ScrollGuard(box)
+        return box
 
 
 class PicturePanel(Section):

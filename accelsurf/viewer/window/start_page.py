@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import QMargins, QSize, Qt, Signal
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QInputDialog,
@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 )
 
 from accelsurf.viewer.actions.opening import Opening
-from accelsurf.viewer.window.section_panel import Message, in_row
+from accelsurf.viewer.window.section_panel import Message, filled, furnished, in_row
 
 #: Width of a list, pixels.
 _WIDTH = 380
@@ -40,57 +40,37 @@ class StartPage(QWidget):
     def __init__(self, opening: Opening) -> None:
         super().__init__()
         self._opening, self._shown = opening, dict[str, Any]()
-        title = QLabel("accelsurf")
-        title.setObjectName("title")
-        self.open_file, self.open_folder = (
+        self.open_file = furnished(
             QPushButton("Open file ..."),
+            toolTip="An image in a file (Ctrl+O)",
+            clicked=self.file_wanted,
+        )
+        self.open_folder = furnished(
             QPushButton("Open folder ..."),
+            toolTip="A scan in DICOM, slices, OME-Zarr, or a result (Ctrl+Shift+O)",
+            clicked=self.folder_wanted,
         )
-        self.open_file.setToolTip("An image in a file (Ctrl+O)")
-        self.open_folder.setToolTip("A scan in DICOM, slices, or OME-Zarr (Ctrl+Shift+O)")
-        self.open_file.clicked.connect(self.file_wanted)
-        self.open_folder.clicked.connect(self.folder_wanted)
-        self.recent, self.phantoms = _list("Recent images"), _list("Phantoms")
-        self.recent.itemActivated.connect(
-            lambda item: self._ask("open_recent", self.recent.row(item))
+        self.recent = _list(
+            "Recent images", lambda item: self._ask("open_recent", self.recent.row(item))
         )
-        self.recent.itemClicked.connect(
-            lambda item: self._ask("open_recent", self.recent.row(item))
-        )
-        self.phantoms.itemActivated.connect(
-            lambda item: self._ask("open_phantom", item.data(_NAME))
-        )
-        self.phantoms.itemClicked.connect(lambda item: self._ask("open_phantom", item.data(_NAME)))
+        self.phantoms = _list("Phantoms", lambda item: self._ask("open_phantom", item.data(_NAME)))
         self.message = Message()
         self.hint = QLabel("or drop an image, or the folder of a scan, here")
-        self._lay_out(title)
-        self.show_state(opening.state())
-
-    def _lay_out(self, title: QLabel) -> None:
         buttons = in_row(self.open_file, self.open_folder, self.hint)
         buttons.addStretch(1)
-        lists = QHBoxLayout()
-        lists.setSpacing(24)
+        lists = furnished(QHBoxLayout(), spacing=24)
         for name, made in (("Recent", self.recent), ("Phantoms, with known truth", self.phantoms)):
-            column = QVBoxLayout()
             label = QLabel(name)
             label.setBuddy(made)
-            column.addWidget(label)
-            column.addWidget(made, 1)
-            lists.addLayout(column)
-        column = QVBoxLayout()
-        column.setSpacing(12)
-        for part in (title, buttons, lists, self.message):
-            if isinstance(part, QWidget):
-                column.addWidget(part)
-            else:
-                column.addLayout(part)
-        column.setStretch(2, 1)
-        whole = QHBoxLayout(self)
-        whole.setContentsMargins(40, 30, 40, 24)
+            lists.addLayout(filled(QVBoxLayout(), label, made))
+        title = furnished(QLabel("accelsurf"), objectName="title")
+        column = filled(furnished(QVBoxLayout(), spacing=12), title, buttons, lists, self.message)
+        column.setStretchFactor(lists, 1)
+        whole = furnished(QHBoxLayout(self), contentsMargins=QMargins(40, 30, 40, 24))
         whole.addStretch(1)
         whole.addLayout(column)
         whole.addStretch(1)
+        self.show_state(opening.state())
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the lists to choose from, and the work in progress."""
@@ -120,12 +100,15 @@ class StartPage(QWidget):
 _NAME = Qt.ItemDataRole.UserRole
 
 
-def _list(name: str) -> QListWidget:
-    made = QListWidget()
-    made.setAccessibleName(name)
-    made.setMinimumWidth(_WIDTH)
-    made.setSpacing(2)
-    return made
+def _list(name: str, work: Callable[[QListWidgetItem], None]) -> QListWidget:
+    return furnished(
+        QListWidget(),
+        accessibleName=name,
+        minimumWidth=_WIDTH,
+        spacing=2,
+        itemActivated=work,
+        itemClicked=work,
+    )
 
 
 def _fill(made: QListWidget, rows: Sequence[tuple[str, str, bool]]) -> None:
@@ -141,13 +124,11 @@ def _fill(made: QListWidget, rows: Sequence[tuple[str, str, bool]]) -> None:
 
 def choice_dialog(parent: QWidget, texts: Sequence[str]) -> tuple[QInputDialog, QListView]:
     """Return a dialog that asks which of several images of a file or folder is meant, and the list in it."""
-    dialog = QInputDialog(parent)
+    dialog = furnished(QInputDialog(parent), windowTitle="Which image?", size=QSize(560, 300))
     dialog.setOption(QInputDialog.InputDialogOption.UseListViewForComboBoxItems)
     dialog.setComboBoxItems(list(texts))
-    dialog.setWindowTitle("Which image?")
     dialog.setLabelText(f"{len(texts)} images are in it:")
     dialog.setOkButtonText("Open")
-    dialog.resize(560, 300)
     view = dialog.findChild(QListView)
     view.setCurrentIndex(view.model().index(0, 0))
     view.activated.connect(dialog.accept)
