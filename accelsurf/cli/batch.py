@@ -6,7 +6,6 @@ The settings are for images, or with ``--track`` for tracking; never a mixture.
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -175,7 +174,7 @@ def batch(
     ]
     if shard is not None:
         tasks = shard.part_of(tasks)
-    work = Batch.planned(tasks, limits, shard, words, sys.argv)
+    work = Batch.planned(tasks, limits, shard, words)
     if options.plan:
         return _print_plan(work, options.scheduler)
     tables = [*(Path(text) for text in cases), *([config] if config is not None else [])]
@@ -287,11 +286,11 @@ def _run(
             say(_at_once(work, limits.scheduler))
         if limits.scheduler is None and work.tasks:
             _compile_before_workers(display)
-        pool = worker.make_pool(work, limits)
+        pool = worker.make_pool(work.admission, limits)
         tables = work.tables(files)
         with BatchProgress(display, len(work.tasks)) as progress:
             try:
-                work.run(pool, tables, progress, worker.lost_outcome, resume)
+                work.run(pool, tables, progress)
             except BaseException as error:
                 if isinstance(error, KeyboardInterrupt) and work.running:
                     say(

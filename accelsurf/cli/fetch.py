@@ -6,7 +6,7 @@ import hashlib
 import shlex
 import tomllib
 from pathlib import Path
-from typing import IO, Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 from cyclopts import Parameter
 
@@ -117,13 +117,10 @@ def _fetch_file(file: SampleFile, folder: Path) -> None:
     import pooch
     from requests import RequestException
 
-    def download(url: str, output_file: str, mirror: Any) -> None:
-        with Path(output_file).open("wb") as out:
-            pooch.HTTPDownloader(timeout=PATIENCE)(url, _Bounded(out, file.size), mirror)
-
     pooch.get_logger().setLevel("WARNING")
+    load = pooch.HTTPDownloader(timeout=PATIENCE)
     try:
-        pooch.retrieve(file.url, f"sha256:{file.sha256}", file.name, folder, downloader=download)
+        pooch.retrieve(file.url, f"sha256:{file.sha256}", file.name, folder, downloader=load)
     except RequestException as error:
         response = getattr(error, "response", None)
         reason = type(error).__name__ if response is None else f"status {response.status_code}"
@@ -132,30 +129,6 @@ def _fetch_file(file: SampleFile, folder: Path) -> None:
         ) from None
     except ValueError:
         raise InputError(
-            f"{file.url}: not the file that was expected, its checksum or size is another one; nothing of it is left",
+            f"{file.url}: not the file that was expected, its checksum is another one; nothing of it is left",
             "try again; if it stays so, report it",
         ) from None
-
-
-class _Bounded:
-    """A file that takes no more bytes than it shall have, as pooch's downloader calls it."""
-
-    def __init__(self, file: IO[bytes], size: int) -> None:
-        self._file, self._left = file, size
-
-    def write(self, data: bytes) -> None:
-        """Write some more bytes.
-
-        Raises
-        ------
-        ValueError
-            When there are too many.
-        """
-        self._left -= len(data)
-        if self._left < 0:
-            raise ValueError("too many bytes")
-        self._file.write(data)
-
-    def flush(self) -> None:
-        """Write buffered bytes."""
-        self._file.flush()
