@@ -25,7 +25,6 @@ from accelsurf.batch.outcome import COLUMNS, TRACK_COLUMNS, CaseTask, Outcome
 from accelsurf.batch.pool import Ended, Job, Pool, Started
 from accelsurf.batch.records import finished
 from accelsurf.batch.tables import TableNames, Tables
-from accelsurf.batch.worker import lost_outcome
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.io.file_set import FileSet, recover
 from accelsurf.io.memory import available_cores, available_memory
@@ -190,6 +189,8 @@ class Batch:
     def _run(
         self, tasks: Sequence[CaseTask], pool: Pool, tables: Tables, observer: Observer
     ) -> None:
+        from accelsurf.batch.worker import lost_outcome  # it loads a run
+
         by_id = {task.case.id: task for task in tasks}
         for id, task in by_id.items():
             pool.submit(Job(id, task, self.needs[id].bytes))

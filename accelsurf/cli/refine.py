@@ -17,7 +17,6 @@ from accelsurf.settings.corrections import Correction, click_by_click, correctio
 if TYPE_CHECKING:
     from accelsurf.cases.case import Finished, Log
     from accelsurf.cases.watcher import Watcher
-    from accelsurf.correct.refiner import Change
     from accelsurf.correct.state_file import StateFile
     from accelsurf.output.folder import OutputFolder
     from accelsurf.output.given_image import GivenImage
@@ -234,7 +233,8 @@ class _CorrectedRun:
 
     def __init__(self, source: _Source, corrections: tuple[Correction, ...]) -> None:
         self._source, self._corrections = source, corrections
-        self._lines: list[str] = []
+        #: Lines for the summary: the effect of each correction.
+        self.lines: list[str] = []
 
     def __call__(
         self, place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log
@@ -250,25 +250,17 @@ class _CorrectedRun:
             for correction in self._corrections:
                 changes = refiner.apply(correction, on_step=watcher.on_step)
                 what = f"{correction}: " if len(self._corrections) > 1 else ""
-                self._lines += [what + line for line in _lines_of(changes)]
+                for change in changes:
+                    which = f" (object {change.object_id})" if len(changes) > 1 else ""
+                    self.lines.append(f"  {what}{change.text}{which}")
         result = refiner.result()
         log.warnings.extend(result.warnings)
         return result
 
-    def lines(self) -> list[str]:
-        """Return the effect of the correction, for the summary."""
-        return [f"  {line}" for line in self._lines]
-
-
-def _lines_of(changes: Sequence[Change]) -> list[str]:
-    """Return the changes of a correction in words, for each object that was looked at."""
-    many = len(changes) > 1
-    return [f"{change.text}{f' (object {change.object_id})' if many else ''}" for change in changes]
-
 
 def _print_summary(done: Finished, compute: _CorrectedRun) -> None:
     lines = done.summary_lines(done.place.name)
-    print("\n".join([lines[0], *compute.lines(), *lines[1:]]))
+    print("\n".join([lines[0], *compute.lines, *lines[1:]]))
 
 
 def _source_of(path: Path, image: Path | None) -> _Source:

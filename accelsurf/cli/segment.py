@@ -127,15 +127,12 @@ def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
     ------
     UsageError
     """
-    also = bool(run.also)
-    layout = run.layout != "plain"
-    group = run.label_group is not None
     given = {
         "--strict": strict,
         "--profile": profile,
-        "--also": also,
-        "--layout": layout,
-        "--label-group": group,
+        "--also": bool(run.also),
+        "--layout": run.layout != "plain",
+        "--label-group": run.label_group is not None,
     }
     for name in (name for name, is_given in given.items() if is_given):
         raise UsageError(

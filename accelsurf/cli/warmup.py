@@ -83,7 +83,7 @@ def small_runs() -> dict[str, Callable[[], Any]]:
     return {
         **segmentations.small_runs(),
         "windows": _in_windows,
-        **track.small_runs(),
+        "tracking": track.warm_up,
     }
 
 

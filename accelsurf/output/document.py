@@ -186,7 +186,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         "estimates": result.estimates._asdict(),
         "intervals": describe_intervals(result.intervals),
         "quality": describe_quality(result.quality),
-        "objects": describe_objects(result) if result.has_ids else None,
+        "objects": [*map(describe_object, result.objects)] if result.has_ids else None,
     }
 
 
@@ -213,11 +213,6 @@ def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
     lists = {"rests": plateaus, "warnings": list(quality.warnings), "notes": list(quality.notes)}
     answers = [answer._asdict() for answer in quality.answers]
     return {**quality._asdict(), "next_click": place, **lists, "answers": answers}
-
-
-def describe_objects(result: Result) -> list[dict[str, Any]]:
-    """Return an entry for each of several objects, in order of their ids."""
-    return [describe_object(segmented) for segmented in result.objects]
 
 
 def describe_object(segmented: SegmentedObject) -> dict[str, Any]:

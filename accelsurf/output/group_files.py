@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,10 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError, OutputError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box
-from accelsurf.grid.window import Window
 from accelsurf.io import states
 from accelsurf.io.file_set import is_staging, sync, sync_folder
 from accelsurf.output.document import describe_object, describe_window
 from accelsurf.output.folder import name_of
-from accelsurf.run.result import SegmentedObject
 
 _RECORD = "record.npz"
 _DRAFT = ".draft-"
@@ -93,47 +91,8 @@ class GroupRecord(NamedTuple):
 TYPES: dict[str, type] = {kind.__name__: kind for kind in (GroupRecord, Stop)}
 
 
-class FinishedGroup(Protocol):
-    """The part of a group's result that its files hold: see `accelsurf.large.group_run.GroupResult`."""
-
-    @property
-    def objects(self) -> Sequence[SegmentedObject]:
-        """In order of their ids."""
-        ...
-
-    @property
-    def low(self) -> NDArray[np.int64]:
-        """First voxel of the box in which another could have met each object, (n, 3)."""
-        ...
-
-    @property
-    def high(self) -> NDArray[np.int64]:
-        """Voxel after the last, (n, 3)."""
-        ...
-
-    @property
-    def window(self) -> Window:
-        """The last one."""
-        ...
-
-    @property
-    def energy(self) -> str:
-        """Name of the energy."""
-        ...
-
-    @property
-    def resolved_settings(self) -> dict[str, Any]:
-        """Values used for settings that depend on image and grid."""
-        ...
-
-    @property
-    def warnings(self) -> list[str]:
-        """About the run."""
-        ...
-
-
 def write_group(
-    folder: Path, result: FinishedGroup, names: Mapping[str, str], space: Literal["lps", "ras"]
+    folder: Path, result: Any, names: Mapping[str, str], space: Literal["lps", "ras"]
 ) -> None:
     """Write the files of a group.
 
@@ -141,7 +100,7 @@ def write_group(
     ----------
     folder : Path
         Its own, which appears when all is complete. One that is there already is left as it is.
-    result : FinishedGroup
+    result : accelsurf.large.group_run.GroupResult
     names : mapping of str to str
         Name of the file of a single object by kind; of those that each object has.
     space : {"lps", "ras"}

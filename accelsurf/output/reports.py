@@ -257,16 +257,11 @@ def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
         isinstance(refined, list)
         and refined[: len(corrections)] == corrections
         and all(
-            written.get(key, _default(key)) == value
+            written.get(key, _plain(default_of(key))) == value
             for key, value in wanted.items()
             if key not in free
         )
     )
-
-
-def _default(key: str) -> Any:
-    """Return the value of a setting before it existed."""
-    return _plain(default_of(key))
 
 
 def _plain(value: Any) -> Any:

@@ -122,7 +122,9 @@ def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
         return None
     center = features.mean(axis=1, dtype=np.float64)
     learned = Appearance(center, np.maximum(spread, 1e-6 * spread.max()), np.zeros(0), 0.0, 0.0)
-    values = _with_products((features.T - learned.center) / learned.spread)
+    relative = (features.T - learned.center) / learned.spread
+    first, second = np.triu_indices(relative.shape[1])
+    values = np.concatenate([relative, relative[:, first] * relative[:, second]], axis=1)
     sides = values[label], values[~label]
     covariance = 0.5 * (np.cov(sides[0].T) + np.cov(sides[1].T))
     covariance += RIDGE * float(np.trace(covariance)) / len(covariance) * np.eye(len(covariance))
@@ -160,9 +162,3 @@ def _features(image: Volume, box: Box) -> Floats:
         )
         found += [mean + middle, np.sqrt(np.maximum(square - mean**2, 0.0))]
     return np.stack(found)
-
-
-def _with_products(features: Floats) -> Floats:
-    """Features (n, k) with all products of two of them."""
-    first, second = np.triu_indices(features.shape[1])
-    return np.concatenate([features, features[:, first] * features[:, second]], axis=1)

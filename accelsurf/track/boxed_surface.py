@@ -326,12 +326,10 @@ def separate_parts(surface: SurfacePiece) -> list[SurfacePiece]:
     sizes = np.bincount(labels.ravel())[1:]
     order = np.argsort(-sizes, kind="stable")
     large = [int(i) + 1 for i in order if sizes[i] >= OWN_PART * sizes.max()]
-    return [_one_part(surface, labels == number) for number in large]
-
-
-def _one_part(surface: SurfacePiece, inside: NDArray[np.bool_]) -> SurfacePiece:
-    """A surface without the voxels inside that are not of one part."""
-    return surface._replace(psi=np.where(inside, surface.psi, np.abs(surface.psi))).tight()
+    return [
+        surface._replace(psi=np.where(labels == n, surface.psi, np.abs(surface.psi))).tight()
+        for n in large
+    ]
 
 
 def touching(surfaces: Sequence[SurfacePiece], image: Volume, edge: float) -> list[tuple[int, int]]:

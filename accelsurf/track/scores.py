@@ -183,14 +183,10 @@ def score(
     operations = _operations(frames, matches, result, reference)
     vertices = sum(len(frame.reference) for frame in frames)
     edges = len(_edges(reference, frames, "reference"))
-    outlines = (
-        frames
-        if exact is None
-        else [
-            _counted(_frame_or_slice(result.labels(given.frame), given.plane), given.labels)
-            for given in exact
-        ]
-    )
+    outlines = frames if exact is None else []
+    for given in exact or ():
+        planes = slice(None) if given.plane is None else slice(given.plane, given.plane + 1)
+        outlines.append(_counted(result.labels(given.frame)[planes], given.labels))
     identities = _identities(frames)
     dice = [_dice_by_identity(frame, identities) for frame in frames]
     together = [value for values in dice for value in values]
@@ -213,11 +209,6 @@ def score(
             for number, frame in enumerate(frames)
         ),
     )
-
-
-def _frame_or_slice(labels: NDArray[Any], plane: int | None) -> NDArray[Any]:
-    """The labels of a frame, or of one of its slices."""
-    return labels if plane is None else labels[plane : plane + 1]
 
 
 def _counted(result: NDArray[Any], reference: NDArray[Any]) -> _Frame:

@@ -39,7 +39,7 @@ class Watching:
 
 @pytest.fixture
 def batch(tmp_path, monkeypatch):
-    monkeypatch.setattr("accelsurf.batch.run.lost_outcome", lost)
+    monkeypatch.setattr("accelsurf.batch.worker.lost_outcome", lost)
     tasks = [
         CaseTask(Case(name, tmp_path / f"{name}.nii"), tmp_path / "out" / name, RunConfig())
         for name in "abc"
