@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, Overwrite, Switch
 from accelsurf.errors import InputError, UsageError, check_known
+from accelsurf.output.folder import OutputFolder, naming_final
 
 #: The scans that can be fetched.
 TABLE = Path(__file__).with_name("samples.toml")
@@ -100,8 +101,6 @@ def _fetch_all(files: list[SampleFile], folder: Path, name: str, overwrite: bool
     OutputError
         When another file of the same name is there, or none can be written.
     """
-    from accelsurf.output.folder import OutputFolder, naming_final
-
     planned = {file.name: folder / file.name for file in files if not file.is_at(folder)}
     with (
         OutputFolder(folder, name, overwrite=overwrite).stage(planned) as staged,

@@ -10,19 +10,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter, Token
 
 from accelsurf.cases.interrupts import Interrupts, resuming_command
+from accelsurf.cases.watcher import Watcher
 from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.io import sha256
+from accelsurf.io.file_set import refuse_unfinished
+from accelsurf.output.folder import OutputFolder
+from accelsurf.output.given_image import GivenImage
+from accelsurf.output.reports import Report
 from accelsurf.settings.corrections import Correction, click_by_click, corrections_in_order
+from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.cases.case import Finished, Log
-    from accelsurf.cases.watcher import Watcher
     from accelsurf.correct.state_file import StateFile
-    from accelsurf.output.folder import OutputFolder
-    from accelsurf.output.given_image import GivenImage
-    from accelsurf.output.reports import Report
     from accelsurf.run.result import Result
-    from accelsurf.settings.run_config import RunConfig
 
 _STATE = "segment writes a state with clicks, and with --keep-state yes"
 _OTHER = "give that of the run with --image FILE, or run accelsurf segment again"
@@ -178,8 +180,6 @@ def refine(
             display,
         )
     from accelsurf.cases.case import run_case
-    from accelsurf.cases.watcher import Watcher
-    from accelsurf.output.folder import OutputFolder
 
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
     folder = source.report.path.parent if output is None else output
@@ -211,9 +211,6 @@ def _mend(
 ) -> int:
     """Mend a label map; the outputs are the same as of a run that begins with it."""
     from accelsurf.cases.case import run_case
-    from accelsurf.cases.watcher import Watcher
-    from accelsurf.output.folder import OutputFolder
-    from accelsurf.settings.run_config import RunConfig
 
     if other is not None:
         raise UsageError(
@@ -271,11 +268,6 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     InputError
         When there is none, or more than one, or its state is missing or damaged.
     """
-    from accelsurf.io import sha256
-    from accelsurf.io.file_set import refuse_unfinished
-    from accelsurf.output.given_image import GivenImage
-    from accelsurf.output.reports import Report
-
     folder = path if path.is_dir() else path.parent
     if not path.exists():
         raise InputError(

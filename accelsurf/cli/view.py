@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from accelsurf.cases.interrupts import Interrupts
 from accelsurf.cli.options import (
     FILES,
     SHOW,
@@ -31,13 +32,17 @@ from accelsurf.cli.options import (
 )
 from accelsurf.cli.track_options import SequenceSettings, track_config
 from accelsurf.errors import InputError, UsageError
+from accelsurf.image.volume import Volume
+from accelsurf.io import channels, headers, on_grid, read_labels, split_name
+from accelsurf.io.file_set import refuse_unfinished
+from accelsurf.io.files import naming
+from accelsurf.output.given_image import GivenImage, settings_of
+from accelsurf.output.reports import Report
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
-    from accelsurf.image.volume import Volume
-    from accelsurf.output.given_image import GivenImage
     from accelsurf.viewer.actions.opening import Opening, ViewerSettings
     from accelsurf.viewer.core.opening import ImageWithSession, OpenedImage
 
@@ -83,8 +88,6 @@ class FirstImage:
         UsageError
             When a time between frames was given for a single image.
         """
-        from accelsurf.io import channels, headers
-        from accelsurf.io.files import naming
         from accelsurf.io.sequences import reading as sequences
         from accelsurf.viewer.core.command_queue import in_background
 
@@ -112,7 +115,6 @@ class FirstImage:
         return partial(self._image, volumes)
 
     def _image(self, volumes: Future[list[Volume]]) -> OpenedImage:
-        from accelsurf.io import on_grid, split_name
         from accelsurf.viewer.core.opening import OpenedImage
 
         truth = self._truth()
@@ -134,7 +136,6 @@ class FirstImage:
         return replace(found, reference=truth)
 
     def _truth(self) -> Volume | None:
-        from accelsurf.io import read_labels
 
         return None if self.reference is None else read_labels(self.reference)
 
@@ -293,10 +294,6 @@ def finished_run(path: Path) -> tuple[GivenImage, RunConfig | TrackConfig] | Non
     InputError
         When there are several results, or the image is not there.
     """
-    from accelsurf.io.file_set import refuse_unfinished
-    from accelsurf.output.given_image import GivenImage, settings_of
-    from accelsurf.output.reports import Report
-
     known = (
         sorted(path.glob("*_report.json"))
         if path.is_dir()
@@ -448,7 +445,6 @@ def ending(
     """Let window or page end itself when a signal comes, see `Interrupts.calling`; then end its sessions, and say
     the work that is kept.
     """
-    from accelsurf.cases.interrupts import Interrupts
 
     def hear() -> None:
         opening.hurry()

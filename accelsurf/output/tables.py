@@ -75,8 +75,6 @@ def rows_of(result: Result, table: LabelTable) -> list[dict[str, Any]]:
     result : Result
     table : LabelTable
         Their names.
-    with_quality : bool, optional
-        Whether to assess how likely each is good, which takes longest.
     """
     rows = []
     for segmented in result.objects:
