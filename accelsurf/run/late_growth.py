@@ -87,21 +87,11 @@ class LateLeakage:
         # The speed is along the inward normal: below 0 the surface grows. Swings back and forth cancel.
         area = float(np.prod(level.factors)) ** (2 / 3)
         # The cube of each index along an axis, by a table.
-        along = [
-            np.clip(
-                ((np.arange(size) + a) * factor + b + c + d).astype(np.int64) // BLOCK, 0, n - 1
-            )
-            for size, a, factor, b, c, d, n in zip(
-                step.surface.shape,
-                corner,
-                level.factors,
-                level.first,
-                first,
-                self._before,
-                self._cubes,
-                strict=True,
-            )
-        ]
+        along = []
+        for axis, size in enumerate(step.surface.shape):
+            places = (np.arange(size) + corner[axis]) * level.factors[axis] + level.first[axis]
+            cubes = (places + first[axis] + self._before[axis]).astype(np.int64) // BLOCK
+            along.append(np.clip(cubes, 0, self._cubes[axis] - 1))
         _, ny, nx = self._cubes
         planes, rows = along[0] * (ny * nx), along[1] * nx
         # Cells are in raster order, so that the first and the last tell which planes of cubes they lie in.
@@ -169,16 +159,9 @@ class LateLeakage:
         if totals.max() <= 0.0:
             return None
         largest = cubes[int(np.argmax(totals))]
-        z, y, x = (
-            min(int(at) * BLOCK - b + 0.5 * (BLOCK - 1), n - 1.0 - c)
-            for at, b, n, c in zip(
-                np.unravel_index(largest, self._cubes),
-                self._before,
-                self._shape,
-                self._corner,
-                strict=True,
-            )
-        )
+        cube = np.array(np.unravel_index(largest, self._cubes))
+        middle = cube * BLOCK - self._before + 0.5 * (BLOCK - 1)
+        z, y, x = np.minimum(middle, np.subtract(self._shape, self._corner) - 1.0).tolist()
         return z, y, x
 
 
