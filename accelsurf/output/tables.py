@@ -81,7 +81,7 @@ def rows_of(result: Result, table: LabelTable) -> list[dict[str, Any]]:
         if not segmented.labels.any() or not segmented.has_surface:
             continue
         values = result.volume.array[segmented.box] if result.has_ids else result.volume.array
-        quality = {key: getattr(segmented.quality, key) for key in _QUALITY} 
+        quality = {key: getattr(segmented.quality, key) for key in _QUALITY}
         rows.append(
             {
                 "id": segmented.id,

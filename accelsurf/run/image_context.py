@@ -153,8 +153,6 @@ class ImageContext:
         Of that grid, mm.
     foreground, background : ndarray (nz, ny, nx) of bool, optional
         Where likelihood learns; without ``background`` all that is not foreground.
-    others : sequence of ndarray, optional
-        The other channels, after the first, on the grid at hand; by default that of ``images``.
     is_start : bool, optional
         Whether the foreground is the start and nothing else: of several objects, each then learns from its own.
     whole : sequence of WholeChannel, optional
@@ -172,7 +170,6 @@ class ImageContext:
         spacing: tuple[float, float, float],
         foreground: Mask | None = None,
         background: Mask | None = None,
-        others: Sequence[Image] | None = None,
         is_start: bool = False,
         whole: Sequence[WholeChannel] = (),
     ) -> None:
@@ -184,7 +181,7 @@ class ImageContext:
             if foreground is None
             else TrainingVoxels(_EVERYWHERE, foreground, foreground, background)
         )
-        self.others = tuple(self.images[1:] if others is None else others)
+        self.others = tuple(self.images[1:])
         self._background: dict[tuple[int, str], NDArray[np.float64]] = {}
         self._found: dict[tuple[Any, ...], Any] = {}
         self._totals: RegionTotals | None = None

@@ -32,7 +32,7 @@ from accelsurf.measure import contours
 from accelsurf.measure.contours import Contours
 from accelsurf.measure.intervals import Estimates, Intervals, edge_measures, estimates
 from accelsurf.measure.likely import Plateau, Quality
-from accelsurf.measure.quality import ValueRange, assess
+from accelsurf.measure.quality import Judged, ValueRange, assess
 from accelsurf.measure.surface_mesh import Surface, extract
 from accelsurf.run.ensemble import overall_stop
 from accelsurf.run.image_context import ImageContext
@@ -268,10 +268,20 @@ class SegmentedObject:
     @cached_property
     def quality(self) -> Quality:
         """Measures of quality that need no reference."""
-        seen = self.labels, self.image, self.geometry, self.history, self.stop
         learned = None if self.learned is None else ValueRange(*self.learned)
         before = None if self.before is None else self.before.value
-        return assess(*seen, learned, self.plateaus, self.clicked, self.confidence, before)
+        seen = Judged(
+            self.labels,
+            self.image,
+            self.geometry,
+            self.history,
+            self.stop,
+            learned,
+            self.plateaus,
+            self.clicked,
+            self.confidence,
+        )
+        return assess(seen, before)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
