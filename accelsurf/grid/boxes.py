@@ -79,6 +79,18 @@ def box_at(corner: Corner, shape: Sequence[int]) -> Box:
     return z, y, x
 
 
+def as_corner(places: Iterable[Any]) -> Corner:
+    """Return three whole numbers, of whatever type, as the first voxel of a box or as a shape.
+
+    Examples
+    --------
+    >>> as_corner(np.array([1, 2, 3]))
+    (1, 2, 3)
+    """
+    z, y, x = (int(place) for place in places)
+    return z, y, x
+
+
 def corner_of(box: Box) -> Corner:
     """Return the first voxel of a box."""
     return box[0].start, box[1].start, box[2].start

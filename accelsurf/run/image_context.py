@@ -20,7 +20,7 @@ from accelsurf.energies.region_sums import (
     sums_by_plane,
 )
 from accelsurf.errors import UsageError
-from accelsurf.grid.boxes import Box, box_at, whole_box
+from accelsurf.grid.boxes import Box, as_corner, box_at, whole_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry, axis_steps
 from accelsurf.grid.pyramid import Level, levels
@@ -311,8 +311,7 @@ class ImageContext:
 
     @property
     def _shape(self) -> tuple[int, int, int]:
-        nz, ny, nx = self.images[0].shape
-        return nz, ny, nx
+        return as_corner(self.images[0].shape)
 
     def confidence(self, model: ClickModel | None = None) -> Confidence | None:
         """Measure how sure a model of the clicks is, by default the present one; None of a mask that was given."""

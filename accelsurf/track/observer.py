@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.boxes import as_corner
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.kernels import point_sampling
 from accelsurf.track.boxed_surface import BoxedSurface, Floats, boxed_piece, boxed_surface
@@ -136,8 +137,7 @@ def between(
     shape = tuple(int(n) for n in np.maximum(high - low, 1))
     psi = (1.0 - gain) * _resampled(first, -gain * found.shift, low, shape)
     psi += gain * _resampled(second, (1.0 - gain) * found.shift, low, shape)
-    corner = int(low[0]), int(low[1]), int(low[2])
-    like = predicted
+    like, corner = predicted, as_corner(low)
     return boxed_surface(
         psi.astype(np.float32), corner, like.geometry, width, like.surface.workers, like.halving
     )
