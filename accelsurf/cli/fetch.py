@@ -72,10 +72,10 @@ def fetch(
         raise UsageError("fetch: no NAME was given", "accelsurf fetch --list shows them")
     check_known("NAME", name, table)
     sample = table[name]
-    files = [
-        SampleFile(key, f"{sample['base']}/{file['path']}", file["sha256"], file["bytes"])
-        for key, file in sample["files"].items()
-    ]
+    files = []
+    for key, file in sample["files"].items():
+        url = f"{sample['base']}/{file['path']}"
+        files.append(SampleFile(key, url, file["sha256"], file["bytes"]))
     print(f"{name}: {sample['about']}\nlicence {sample['licence']}, source {sample['source']}")
     for file in files:
         print(

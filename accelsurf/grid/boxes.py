@@ -111,6 +111,20 @@ def widened(box: Box, shape: Sequence[int], margin: Sequence[int]) -> Box:
     return z, y, x
 
 
+def nearest_places(box: Box, shape: Sequence[int]) -> list[NDArray[np.int64]]:
+    """Return the places of a box along each axis (z, y, x), those beyond a grid of ``shape`` as the nearest on it.
+
+    Examples
+    --------
+    >>> [places.tolist() for places in nearest_places((slice(-1, 2), slice(0, 1), slice(2, 5)), (3, 3, 4))]
+    [[0, 0, 1], [0], [2, 3, 3]]
+    """
+    return [
+        np.clip(np.arange(side.start, side.stop), 0, count - 1)
+        for side, count in zip(box, shape, strict=True)
+    ]
+
+
 def enclosing(first: Box, second: Box) -> Box:
     """Return the smallest box that holds two.
 

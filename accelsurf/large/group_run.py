@@ -96,6 +96,10 @@ class Boxes(NamedTuple):
     high: NDArray[np.int64]
 
 
+#: Settings that depend on all objects at once, or on the whole image.
+_OF_ALL = "edit refine checkpoint roi box mask inside outside foreground background"
+
+
 def check_settings(config: RunConfig) -> None:
     """Refuse settings that depend on all objects at once, or on the whole image.
 
@@ -104,22 +108,7 @@ def check_settings(config: RunConfig) -> None:
     UsageError
         Naming the setting.
     """
-    given = [
-        name
-        for name in (
-            "edit",
-            "refine",
-            "checkpoint",
-            "roi",
-            "box",
-            "mask",
-            "inside",
-            "outside",
-            "foreground",
-            "background",
-        )
-        if getattr(config, name)
-    ]
+    given = [name for name in _OF_ALL.split() if getattr(config, name)]
     if config.levels not in ("auto", 1):
         given.append("levels")  # the first one on which all starts are resolved
     if config.noise > 0:

@@ -97,18 +97,16 @@ class LargeImage:
         ``numbers`` are the known ones of each channel.
         """
         filters = filters_of(config, self.geometry)
-        levels, known = (
-            self.statistics or (None,) * len(self.channels),
-            numbers or [{}] * len(self.channels),
-        )
-        return tuple(
-            WholeImage(
-                channel, filters, coarse, numbers=of_it, channel=place, channels=len(self.channels)
+        count = len(self.channels)
+        levels, known = self.statistics or (None,) * count, numbers or [{}] * count
+        whole = []
+        for place, parts in enumerate(zip(self.channels, levels, known, strict=True)):
+            channel, coarse, of_it = parts
+            image = WholeImage(
+                channel, filters, coarse, numbers=of_it, channel=place, channels=count
             )
-            for place, (channel, coarse, of_it) in enumerate(
-                zip(self.channels, levels, known, strict=True)
-            )
-        )
+            whole.append(image)
+        return tuple(whole)
 
 
 class LargeRun(NamedTuple):

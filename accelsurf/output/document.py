@@ -240,19 +240,19 @@ def _centroid(result: SegmentedObject) -> list[float] | None:
 
 def describe_levels(result: Result) -> list[dict[str, Any]]:
     """Return the part of the report about the grids that the run went over, coarsest first; 0 is the image's own."""
-    return [
-        {
+    entries = []
+    for grid, steps, reason in result.levels:
+        visited = (row.cells_visited for row in result.history if row.level == grid.number)
+        entry = {
             "level": grid.number,
             "size": list(reversed(grid.shape)),
             "spacing": list(reversed(grid.spacing)),
             "steps": steps,
             "reason": reason,
-            "cells_visited": sum(
-                row.cells_visited for row in result.history if row.level == grid.number
-            ),
+            "cells_visited": sum(visited),
         }
-        for grid, steps, reason in result.levels
-    ]
+        entries.append(entry)
+    return entries
 
 
 def describe_mass(result: Result) -> dict[str, Any] | None:

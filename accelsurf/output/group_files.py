@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import shutil
@@ -80,11 +79,11 @@ class GroupRecord(NamedTuple):
     def masks(self) -> list[NDArray[np.bool_]]:
         """Return the mask of each object, on its box."""
         packed = _read(self.folder).packed
-        shapes = (self.sides[:, :, 1] - self.sides[:, :, 0]).tolist()
-        return [
-            np.unpackbits(bits, count=math.prod(shape)).reshape(shape).view(np.bool_)
-            for bits, shape in zip(packed, shapes, strict=True)
-        ]
+        masks = []
+        for bits, shape in zip(packed, self.sides[:, :, 1] - self.sides[:, :, 0], strict=True):
+            flat = np.unpackbits(bits, count=int(shape.prod())).view(np.bool_)
+            masks.append(flat.reshape(shape))
+        return masks
 
 
 #: The types in a record, by the names under which they are written.
@@ -159,11 +158,12 @@ def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str,
     """Test if a record names meshes of its objects that lie in the folder itself; the record may be somebody's."""
     if folder.is_symlink() or any(path.is_symlink() for path in folder.iterdir()):
         return False
-    return all(
-        re.fullmatch(_MESH.format(id=int(row["id"])), name) and (folder / name).is_file()
-        for row, names in zip(rows, meshes, strict=True)
-        for name in names.values()
-    )
+    for row, names in zip(rows, meshes, strict=True):
+        for name in names.values():
+            is_named = re.fullmatch(_MESH.format(id=int(row["id"])), name)
+            if not (is_named and (folder / name).is_file()):
+                return False
+    return True
 
 
 def not_of_groups(work: Path) -> list[Path]:

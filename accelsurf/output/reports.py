@@ -106,17 +106,14 @@ class Report:
     def listed(self) -> list[ListedFile]:
         """The files that it lists, by their names; paths that are none are left out."""
         entries = self.document["outputs"] if self.document is not None else ()
-        found = [
-            ListedFile(
-                entry["kind"],
-                entry["path"].replace("\\", "/").rpartition("/")[2],
-                entry["sha256"],
-                entry.get("seal"),
-            )
-            for entry in entries
-            if isinstance(entry.get("sha256"), str)
-        ]
-        return [file for file in found if file.name not in ("", ".", "..") and _is_path(file.name)]
+        listed = []
+        for entry in entries:
+            if not isinstance(entry.get("sha256"), str):
+                continue
+            name = entry["path"].replace("\\", "/").rpartition("/")[2]
+            if name not in ("", ".", "..") and _is_path(name):
+                listed.append(ListedFile(entry["kind"], name, entry["sha256"], entry.get("seal")))
+        return listed
 
     @property
     def names(self) -> dict[str, str]:

@@ -5,7 +5,6 @@ An observer of the run: it reads the speeds of each step, and changes nothing.
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.evolution.records import Step
-from accelsurf.grid.boxes import Box, Corner
+from accelsurf.grid.boxes import Box, Corner, as_corner, box_at, enclosing, widened
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
 from accelsurf.kernels.statistics import sums_by_cube
@@ -196,11 +195,8 @@ def nearest_inside(
     """
     if place is None:
         return None
-    around = tuple(
-        slice(max(math.floor(at) - BLOCK, 0), min(math.ceil(at) + BLOCK + 1, n))
-        for at, n in zip(place, shape, strict=True)
-    )
-    box: Box = (around[0], around[1], around[2])
+    low, high = as_corner(np.floor(place)), as_corner(np.ceil(place))
+    box = widened(enclosing(box_at(low, (1, 1, 1)), box_at(high, (1, 1, 1))), shape, [BLOCK] * 3)
     found = np.argwhere(inside(box)) + [part.start for part in box]
     if not found.size:
         return None

@@ -618,13 +618,14 @@ def _common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
             name = term.get("term")
             same.setdefault((name, counts[name]), []).append(term)
             counts[name] += 1
-    return [
-        {
-            key: value if all(other.get(key) == value for other in alike) else "by object"
-            for key, value in alike[0].items()
-        }
-        for alike in same.values()
-    ]
+    common = []
+    for alike in same.values():
+        term = dict(alike[0])
+        for key, value in alike[0].items():
+            if any(other.get(key) != value for other in alike):
+                term[key] = "by object"
+        common.append(term)
+    return common
 
 
 def plateaus_of(found: Sequence[FoundRest], prepared: PreprocessedInput) -> tuple[Plateau, ...]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.grid.boxes import Box, Corner, corner_of, shared, widened
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, nearest_places, shared, widened
 from accelsurf.image.volume import Volume
 from accelsurf.track.boxed_surface import Floats
 from accelsurf.track.records import SurfacePiece
@@ -64,10 +64,7 @@ class Appearance(NamedTuple):
         corner : (z, y, x)
             First voxel of the box; ``shape``: its size.
         """
-        index = [
-            np.clip(np.arange(first, first + n), 0, count - 1)
-            for first, n, count in zip(corner, shape, image.geometry.shape, strict=True)
-        ]
+        index = nearest_places(box_at(corner, shape), image.geometry.shape)
         box = tuple(slice(int(places[0]), int(places[-1]) + 1) for places in index)
         found = self._odds(_features(image, (box[0], box[1], box[2])))
         return found[np.ix_(*(places - places[0] for places in index))]
@@ -140,13 +137,8 @@ def _features(image: Volume, box: Box) -> Floats:
     """Means and standard deviations (k, nz, ny, nx) around the voxels of a box of a frame."""
     geometry = image.geometry
     step = min(geometry.steps)
-    sigmas = [
-        [
-            scale * step / h if n > 1 else 0.0
-            for h, n in zip(geometry.spacing, geometry.shape, strict=True)
-        ]
-        for scale in SCALES
-    ]
+    sides = list(zip(geometry.spacing, geometry.shape, strict=True))
+    sigmas = [[scale * step / h if n > 1 else 0.0 for h, n in sides] for scale in SCALES]
     room = widened(box, geometry.shape, [int(np.ceil(END * sigma)) for sigma in sigmas[-1]])
     inner = tuple(
         slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, room, strict=True)

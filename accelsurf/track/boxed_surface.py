@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from accelsurf.grid.boxes import Corner, as_corner
+from accelsurf.grid.boxes import Corner, as_corner, box_at, nearest_places
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import part_of
 from accelsurf.grid.pyramid import Level, prolong
@@ -240,10 +240,7 @@ def on_larger_box(
     last: NDArray[np.int64],
 ) -> NDArray[np.float32]:
     """Psi of a box from ``corner`` on the box from ``first`` to ``last``: beyond its edge it is that of the edge."""
-    index = [
-        np.clip(np.arange(a, b) - c, 0, n - 1)
-        for a, b, c, n in zip(first, last, corner, psi.shape, strict=True)
-    ]
+    index = nearest_places(box_at(as_corner(first - corner), last - first), psi.shape)
     return np.ascontiguousarray(psi[np.ix_(*index)], np.float32)
 
 

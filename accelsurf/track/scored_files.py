@@ -127,16 +127,10 @@ def table_beside(path: Path) -> Path | None:
 
 
 def _of_challenge(path: Path, found: ChallengeFolder) -> TrackedFile:
-    tracks = [
-        Stretch(
-            track.label,
-            track.label,
-            track.first,
-            track.last,
-            (track.parent,) if track.parent else (),
-        )
-        for track in found.tracks
-    ]
+    tracks = []
+    for track in found.tracks:
+        parents = (track.parent,) if track.parent else ()
+        tracks.append(Stretch(track.label, track.label, track.first, track.last, parents))
     return TrackedFile(
         path, TrackedLabels(len(found.frames), found.labels, tracks), found.outlines, found.folder
     )

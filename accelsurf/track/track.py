@@ -11,7 +11,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
@@ -107,15 +107,13 @@ def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
     InputError, UsageError
         As `accelsurf.read_sequence`; InputError and GeometryError where channels do not fit together.
     """
-    first, *others = (
-        read_sequence(
-            path,
-            frame_time=config.frame_time,
-            frames_from_slices=config.frames_from_slices,
-            options=config.run.reading,
-        )
-        for path in (source, *(Path(file) for file in config.run.channel))
+    read = partial(
+        read_sequence,
+        frame_time=config.frame_time,
+        frames_from_slices=config.frames_from_slices,
+        options=config.run.reading,
     )
+    first, *others = map(read, (source, *map(Path, config.run.channel)))
     return JoinedSequence(first, others) if others else first
 
 
