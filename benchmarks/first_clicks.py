@@ -29,7 +29,7 @@ from accelsurf.clicks.model.even import BEYOND
 from accelsurf.evolution.records import Stop
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
-from accelsurf.measure.quality import assess
+from accelsurf.measure.quality import Judged, assess
 from accelsurf.run.preprocessing import apply, scale_of
 from benchmarks.clicks.folds import PHANTOMS
 from benchmarks.clicks.games import SAID, Hints
@@ -82,13 +82,15 @@ def answered(scene: Scene, click: PersonClick) -> Row:
     clicked[voxels.box] = voxels.mask
     assert player.model is not None
     said = assess(
-        found.astype(np.uint8),
-        player.scene.images[0],
-        image.geometry,
-        [],
-        DONE,
-        clicked=clicked,
-        confidence=confidence_of(player.model),
+        Judged(
+            found.astype(np.uint8),
+            player.scene.images[0],
+            image.geometry,
+            [],
+            DONE,
+            clicked=clicked,
+            confidence=confidence_of(player.model),
+        )
     )
     compared = within(found, scene.region)
     return {

@@ -192,13 +192,15 @@ def row_of_result(
     assert player.model is not None
     seen, geometry = player.scene.images[0], scene.image.geometry
     measured = quality.measured(
-        found.astype(np.uint8),
-        seen,
-        geometry,
-        [],
-        DONE,
-        clicked=clicked,
-        confidence=confidence_of(player.model),
+        quality.Judged(
+            found.astype(np.uint8),
+            seen,
+            geometry,
+            [],
+            DONE,
+            clicked=clicked,
+            confidence=confidence_of(player.model),
+        )
     )
     features = likely.click_features(measured)
     assert features is not None
@@ -306,7 +308,9 @@ def _usual() -> dict[str, float]:
     """Measures of the corrections of a result that nobody has corrected."""
     shown = np.zeros((3, 3, 3), np.uint8)
     geometry = Volume.from_array(np.zeros((3, 3, 3), np.float32), 1.0).geometry
-    nothing = quality.measured(shown, np.zeros((3, 3, 3), np.float32), geometry, [], DONE)
+    nothing = quality.measured(
+        quality.Judged(shown, np.zeros((3, 3, 3), np.float32), geometry, [], DONE)
+    )
     return likely.history_features(nothing)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +18,7 @@ from accelsurf.batch.outcome import CaseTask, Outcome
 from accelsurf.batch.pool import Pool
 from accelsurf.batch.run import Batch, refuse_results, task_of
 from accelsurf.batch.tables import Tables
-from accelsurf.batch.worker import lost_outcome, make_pool
+from accelsurf.batch.worker import make_pool
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, UsageError
 from accelsurf.io.file_set import FileSet
 from accelsurf.output.folder import OutputFolder
@@ -39,11 +38,10 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
     with its reason. It raises only where the batch as a whole cannot go on.
     """
 
-    def __init__(self, work: Batch, pool: Pool, folder: Path, resume: bool) -> None:
+    def __init__(self, work: Batch, pool: Pool, folder: Path) -> None:
         self._work = work
         self._pool = pool
         self._folder = folder
-        self._resume = resume
         self._futures: dict[str, Future[Outcome]] = {task.case.id: Future() for task in work.tasks}
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="accelsurf-many", daemon=True)
@@ -103,9 +101,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
     def _run_in(self, files: FileSet) -> None:
         tables = self._work.tables(files)
         try:
-            self._work.run(
-                self._pool, tables, _Watch(self._futures, tables), lost_outcome, self._resume
-            )
+            self._work.run(self._pool, tables, _Watch(self._futures, tables))
         except BaseException:
             self._work.end_early(self._pool, tables, 1)
             raise
@@ -199,10 +195,10 @@ def segment_many(  # noqa: PLR0913
     common, folder = (config or RunConfig()).replace(**options), Path(output)
     base = CaseTask(found[0], folder.absolute(), common, overwrite or resume, strict, resume=resume)
     tasks = [task_of(replace(base, case=case, config=_config(case, common))) for case in found]
-    work = Batch.planned(tasks, limits, None, words, sys.argv)
+    work = Batch.planned(tasks, limits, None, words)
     if not (overwrite or resume):
         refuse_results(folder, work)
-    return SegmentedMany(work, make_pool(work, limits), folder, resume)
+    return SegmentedMany(work, make_pool(work.admission, limits), folder)
 
 
 def _cases(given: str | Path | Sequence[CaseLike]) -> tuple[list[Case], str]:

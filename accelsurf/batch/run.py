@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, Self
 
@@ -21,7 +22,7 @@ from accelsurf.batch.admission import (
 )
 from accelsurf.batch.cases import Shard
 from accelsurf.batch.outcome import COLUMNS, TRACK_COLUMNS, CaseTask, Outcome
-from accelsurf.batch.pool import Ended, Failure, Job, Pool, Started
+from accelsurf.batch.pool import Ended, Job, Pool, Started
 from accelsurf.batch.records import finished
 from accelsurf.batch.tables import TableNames, Tables
 from accelsurf.errors import OutputError, UsageError
@@ -31,8 +32,6 @@ from accelsurf.output import layouts
 from accelsurf.output.reports import Report, report_name
 from accelsurf.settings.track_config import TrackConfig
 
-#: Makes the line of a case whose worker could not.
-Lost = Callable[[CaseTask, Failure], Outcome]
 #: Exit code of a batch of which some cases failed.
 SOME_FAILED = 9
 
@@ -85,19 +84,7 @@ class TimeLeft:
         return seconds / self._done * sum(self._waiting.values()) if self._done else None
 
 
-def finished_cases(tasks: Sequence[CaseTask], threads: int) -> dict[str, Outcome]:
-    """Return the lines of the cases that need not be run again; the images are read for their checksums.
-
-    Parameters
-    ----------
-    tasks : sequence of CaseTask
-    threads : int
-        That read at the same time.
-    """
-    with ThreadPoolExecutor(threads) as pool:
-        return {outcome.id: outcome for outcome in pool.map(finished, tasks) if outcome is not None}
-
-
+@dataclass(frozen=True, eq=False)
 class Batch:
     """The cases of a batch, and how they are run.
 
@@ -110,48 +97,23 @@ class Batch:
     shard : Shard or None
     layout : str
         Layout of the cases' source, in words.
-    argv : sequence of str
-        The command line, for the report.
 
     Attributes
     ----------
-    names : TableNames
     running : set of str
         Ids of the cases that run now.
     """
 
-    def __init__(
-        self,
-        tasks: Sequence[CaseTask],
-        needs: Mapping[str, Need],
-        admission: Admission,
-        shard: Shard | None,
-        layout: str,
-        argv: Sequence[str],
-    ) -> None:
-        self.tasks = tasks
-        self.needs = needs
-        self.admission = admission
-        self.layout = layout
-        self.names = TableNames(shard)
-        self._facts = {
-            "argv": list(argv),
-            "layout": layout,
-            "shard": None if shard is None else str(shard),
-            "jobs": admission.jobs,
-            "threads": admission.threads,
-            "memory_bytes": admission.bytes,
-        }
-        self.running: set[str] = set()
+    tasks: Sequence[CaseTask]
+    needs: Mapping[str, Need]
+    admission: Admission
+    shard: Shard | None
+    layout: str
+    running: set[str] = field(default_factory=set)
 
     @classmethod
     def planned(
-        cls,
-        tasks: Sequence[CaseTask],
-        limits: Limits,
-        shard: Shard | None,
-        layout: str,
-        argv: Sequence[str],
+        cls, tasks: Sequence[CaseTask], limits: Limits, shard: Shard | None, layout: str
     ) -> Self:
         """Return a batch whose cases have their number of threads, and how many of them run at once."""
         needs = {task.case.id: _need(task) for task in tasks}
@@ -172,21 +134,30 @@ class Batch:
             task.with_threads(admission.threads) if task.run.threads == "auto" else task
             for task in tasks
         ]
-        return cls(tasks, needs, admission, shard, layout, argv)
+        return cls(tasks, needs, admission, shard, layout)
+
+    @property
+    def names(self) -> TableNames:
+        """Names of the tables."""
+        return TableNames(self.shard)
 
     def tables(self, files: FileSet) -> Tables:
         """The tables of this batch, with every case waiting."""
         waiting = [Outcome(task.case.id, folder=task.shown_folder) for task in self.tasks]
         images = {task.case.id: task.case.image for task in self.tasks}
-        columns = TRACK_COLUMNS if self.is_tracking else COLUMNS
-        return Tables(files, self.names, self._facts, waiting, images, columns)
+        is_tracking = any(isinstance(task.config, TrackConfig) for task in self.tasks)
+        about = {
+            "argv": sys.argv,
+            "layout": self.layout,
+            "shard": None if self.shard is None else str(self.shard),
+            "jobs": self.admission.jobs,
+            "threads": self.admission.threads,
+            "memory_bytes": self.admission.bytes,
+        }
+        columns = TRACK_COLUMNS if is_tracking else COLUMNS
+        return Tables(files, self.names, about, waiting, images, columns)
 
-    @property
-    def is_tracking(self) -> bool:
-        """True if its cases are sequences."""
-        return any(isinstance(task.config, TrackConfig) for task in self.tasks)
-
-    def run(self, pool: Pool, tables: Tables, observer: Observer, lost: Lost, resume: bool) -> None:
+    def run(self, pool: Pool, tables: Tables, observer: Observer) -> None:
         """Run the cases in a pool, record the outcome of each, and close the pool.
 
         Parameters
@@ -195,10 +166,6 @@ class Batch:
             Its function makes an `Outcome` of a `CaseTask`.
         tables : Tables
         observer : Observer
-        lost : callable
-            Makes the line of a case whose worker could not.
-        resume : bool
-            Whether finished cases are left alone.
 
         Raises
         ------
@@ -206,20 +173,24 @@ class Batch:
             When the tables cannot be written at the end.
         """
         left = self.tasks
-        if resume:
-            done = finished_cases(self.tasks, available_cores())
-            tables.put(done.values())
+        if any(task.resume for task in self.tasks):
+            with ThreadPoolExecutor(available_cores()) as readers:  # of images, for their checksums
+                done = [outcome for outcome in readers.map(finished, self.tasks) if outcome]
+            tables.put(done)
             observer.found(len(done))
-            left = [task for task in self.tasks if task.case.id not in done]
+            ids = {outcome.id for outcome in done}
+            left = [task for task in self.tasks if task.case.id not in ids]
         tables.write("running", 0)
-        self._run(left, pool, tables, observer, lost)
+        self._run(left, pool, tables, observer)
         pool.close()
         failed = tables.count("failed") > 0
         tables.write("failed" if failed else "ok", SOME_FAILED if failed else 0)
 
     def _run(
-        self, tasks: Sequence[CaseTask], pool: Pool, tables: Tables, observer: Observer, lost: Lost
+        self, tasks: Sequence[CaseTask], pool: Pool, tables: Tables, observer: Observer
     ) -> None:
+        from accelsurf.batch.worker import lost_outcome  # it loads a run
+
         by_id = {task.case.id: task for task in tasks}
         for id, task in by_id.items():
             pool.submit(Job(id, task, self.needs[id].bytes))
@@ -231,7 +202,9 @@ class Batch:
                     self.running.add(id)
                     observer.started(id)
                 case Ended(id, value, failure):
-                    outcome: Outcome = value if failure is None else lost(by_id[id], failure)
+                    outcome: Outcome = (
+                        value if failure is None else lost_outcome(by_id[id], failure)
+                    )
                     self.running.discard(id)
                     try:
                         tables.add(outcome)

@@ -30,9 +30,8 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
-    from accelsurf.batch.admission import Limits
+    from accelsurf.batch.admission import Admission, Limits
     from accelsurf.batch.pool import Pool
-    from accelsurf.batch.run import Batch
     from accelsurf.image.volume import Volume
 
 #: Modules that a case loads, so that a worker has them before its first case.
@@ -162,7 +161,7 @@ def _outputs(place: OutputFolder, config: RunConfig | TrackConfig) -> Iterable[P
     return place.plan(config).values()
 
 
-def make_pool(work: Batch, limits: Limits) -> Pool:
+def make_pool(admission: Admission, limits: Limits) -> Pool:
     """Return the workers of this machine, or of a cluster."""
     from accelsurf.batch.pool import LocalPool
 
@@ -170,7 +169,6 @@ def make_pool(work: Batch, limits: Limits) -> Pool:
         from accelsurf.batch.dask_pool import DaskPool
 
         return DaskPool(run_on_cluster, limits.scheduler)
-    admission = work.admission
     return LocalPool(
         run_one,
         admission.jobs,

@@ -17,9 +17,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from accelsurf.cases.interrupts import INTERRUPTED, Interrupts, resuming_command, say
 from accelsurf.cases.outcome import shortcoming, summary_lines
+from accelsurf.cases.watcher import Watcher
 from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
+from accelsurf.image.volume import Volume, voxels_sha256
 from accelsurf.io import sha256
+from accelsurf.io.channels import read_channels
+from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes, written_at
+from accelsurf.io.formats.nifti import import_nibabel_for
+from accelsurf.io.headers import WARNING_KEY, size_question
+from accelsurf.io.writing import stored_grid
 from accelsurf.output import document, label_files, layouts
 from accelsurf.output.document import describe_input, describe_staged
 from accelsurf.output.folder import OutputFolder, check_outputs, naming_final, refuse_folder
@@ -31,10 +38,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
-    from accelsurf.cases.watcher import Watcher
     from accelsurf.grid.geometry import Geometry
-    from accelsurf.image.volume import Volume
-    from accelsurf.io.file_set import FileSet
     from accelsurf.run.checkpoint_file import CheckpointFile
     from accelsurf.run.result import Result
 
@@ -93,8 +97,6 @@ class Log:
 
     def note_voxels(self, channels: Sequence[Volume]) -> None:
         """Keep the checksum of the image's voxels, whatever file they come from."""
-        from accelsurf.image.volume import voxels_sha256
-
         self.voxels = self.timed("load", lambda: voxels_sha256(channels))
 
     def note_written(self, image: Path) -> None:
@@ -316,11 +318,8 @@ def read_image(place: OutputFolder, config: RunConfig, log: Log) -> list[Volume]
     InputError
         When it cannot be read; UsageError when a format cannot hold the result.
     """
-    from accelsurf.io import channels
-    from accelsurf.io.formats.nifti import import_nibabel_for
-
     log.timed("load", lambda: import_nibabel_for(place.image))
-    volume, *more = log.timed("load", lambda: channels.read_channels(place.image, config.reading))
+    volume, *more = log.timed("load", lambda: read_channels(place.image, config.reading))
     log.timed("load", lambda: log.take_checksum(place.image))
     log.note_voxels([volume, *more])
     check_formats(place, config, volume, log)
@@ -335,12 +334,8 @@ def check_formats(place: OutputFolder, config: RunConfig, volume: Volume, log: L
     UsageError
         When one cannot.
     """
-    from accelsurf import io
-    from accelsurf.io.headers import size_question
-    from accelsurf.io.writing import stored_grid
-
     log.note_grid(volume.geometry)
-    if note := volume.metadata.get(io.WARNING_KEY):
+    if note := volume.metadata.get(WARNING_KEY):
         log.warnings.append(note)
     if volume.source is not None and (question := size_question(volume, volume.source)):
         log.warnings.append(question)

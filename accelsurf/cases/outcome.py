@@ -219,11 +219,11 @@ def _other_answers(quality: Quality, geometry: Geometry) -> list[str]:
     """
     if quality.is_ambiguous or len(quality.answers) < (2 if quality.warnings else 3):
         return []
-    others = [
-        f"{extent_text(answer.volume_mm3, geometry) if answer.volume_mm3 else 'all that is alike and connected'} "
-        f"(--answer {answer.number})"
-        for answer in quality.answers[1:]
-    ]
+    others = []
+    for answer in quality.answers[1:]:
+        volume = answer.volume_mm3
+        said = extent_text(volume, geometry) if volume else "all that is alike and connected"
+        others.append(f"{said} (--answer {answer.number})")
     return [f"the first click may also mean {' or '.join(others)}"]
 
 

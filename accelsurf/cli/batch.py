@@ -6,7 +6,6 @@ The settings are for images, or with ``--track`` for tracking; never a mixture.
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -15,8 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
+from accelsurf.batch.admission import Limits, plan_rows
 from accelsurf.batch.case import Case
-from accelsurf.cases.interrupts import Interrupts, resuming_command, say
+from accelsurf.batch.cases import read_cases, shard_of
+from accelsurf.batch.outcome import CaseTask
+from accelsurf.cases.interrupts import MAX_ERROR, Interrupts, printable, resuming_command, say
+from accelsurf.cases.watcher import COMPILING_ANEW
 from accelsurf.cli.options import (
     FILES,
     Display,
@@ -30,17 +33,20 @@ from accelsurf.cli.options import (
     run_config,
     settings_class,
 )
+from accelsurf.cli.progress import BatchProgress, table
 from accelsurf.cli.track_options import TrackSettings, track_config
 from accelsurf.errors import UsageError
+from accelsurf.io.file_set import uninterrupted
+from accelsurf.output.folder import OutputFolder
+from accelsurf.run.memory import bytes_text
+from accelsurf.settings import toml
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import FRAME_SETTINGS, TABLE, TrackConfig
 from accelsurf.settings.track_fields import TrackFields
 
 if TYPE_CHECKING:
-    from accelsurf.batch.admission import Limits
     from accelsurf.batch.run import Batch
     from accelsurf.batch.tables import Tables
-    from accelsurf.settings.track_config import TrackConfig
 
 BATCH = Group("Batch", sort_key=0)
 _SWITCH = Parameter(negative=(), show_default=False, group=BATCH)
@@ -108,8 +114,6 @@ class BatchOptions:
         ------
         UsageError
         """
-        from accelsurf.batch.admission import Limits
-
         layouts = {
             "--layout": self.layout not in ("auto", "folder"),
             "--output-layout": self.output_layout is not None,
@@ -153,8 +157,6 @@ def batch(
     strict
         A case that ends before it has converged, or whose result is doubtful, counts as failed; of images.
     """
-    from accelsurf.batch.cases import read_cases, shard_of
-    from accelsurf.batch.outcome import CaseTask
     from accelsurf.batch.run import Batch, task_of
 
     options, display = options or BatchOptions(), display or Display()
@@ -175,7 +177,7 @@ def batch(
     ]
     if shard is not None:
         tasks = shard.part_of(tasks)
-    work = Batch.planned(tasks, limits, shard, words, sys.argv)
+    work = Batch.planned(tasks, limits, shard, words)
     if options.plan:
         return _print_plan(work, options.scheduler)
     tables = [*(Path(text) for text in cases), *([config] if config is not None else [])]
@@ -194,8 +196,6 @@ def _configs(
     UsageError
         With the case where its setting is not valid; when settings of tracking and of images are mixed.
     """
-    from accelsurf.settings import toml
-
     below, given = toml.read_toml(file) if file is not None else {}, given_options(settings)
     for key in given:
         name = "--" + key.replace("_", "-")
@@ -236,11 +236,7 @@ def _configs(
 
 def _print_plan(work: Batch, scheduler: str | None) -> int:
     """Print the needs of each case and the number that would run at once; some failed where one cannot be run."""
-    from accelsurf.batch.admission import plan_rows
     from accelsurf.batch.run import SOME_FAILED
-    from accelsurf.cases.interrupts import MAX_ERROR, printable
-    from accelsurf.cli.progress import table
-    from accelsurf.run.memory import bytes_text
 
     rows = plan_rows(work.needs, work.admission)
     cells = [tuple(printable(cell, MAX_ERROR) for cell in line) for line in rows]
@@ -274,9 +270,6 @@ def _run(
     """Run the cases; files of an earlier batch are refused before anything is computed, ``given`` files always."""
     from accelsurf.batch import worker
     from accelsurf.batch.run import refuse_results
-    from accelsurf.cli.progress import BatchProgress
-    from accelsurf.io.file_set import uninterrupted
-    from accelsurf.output.folder import OutputFolder
 
     interrupts = Interrupts.current()
     with OutputFolder(folder, work.names.set, overwrite=True).stage() as files:
@@ -287,11 +280,11 @@ def _run(
             say(_at_once(work, limits.scheduler))
         if limits.scheduler is None and work.tasks:
             _compile_before_workers(display)
-        pool = worker.make_pool(work, limits)
+        pool = worker.make_pool(work.admission, limits)
         tables = work.tables(files)
         with BatchProgress(display, len(work.tasks)) as progress:
             try:
-                work.run(pool, tables, progress, worker.lost_outcome, resume)
+                work.run(pool, tables, progress)
             except BaseException as error:
                 if isinstance(error, KeyboardInterrupt) and work.running:
                     say(
@@ -312,7 +305,6 @@ def _run(
 
 def _compile_before_workers(display: Display) -> None:
     """Compile all kernels where they are not stored, once, and not in each worker; say where they cannot be stored."""
-    from accelsurf.cases.watcher import COMPILING_ANEW
     from accelsurf.cli.warmup import compile_all, is_complete
     from accelsurf.kernels import storage
 

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from accelsurf.errors import OutputError, UsageError
+from accelsurf.io.files import write_bytes
 
 Shell = Literal["bash", "zsh", "fish", "powershell"]
 
@@ -32,7 +33,6 @@ def install_completion(
     from cyclopts.completion.detect import ShellDetectionError
 
     from accelsurf.cli import made_app
-    from accelsurf.io.files import write_bytes
 
     try:
         path = made_app().install_completion(

@@ -10,13 +10,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from accelsurf.batch.pairs import (
+    LabelFile,
+    Pair,
+    in_folders,
+    in_table,
+    is_folder_of_maps,
+    label_file,
+)
+from accelsurf.cases.interrupts import say
 from accelsurf.cli.options import FILES, Overwrite
-from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.cli.progress import table
+from accelsurf.errors import AccelsurfError, InputError, OutputError, UsageError
+from accelsurf.image.volume import Volume
+from accelsurf.io import label_tables
+from accelsurf.io.cells import table_text
+from accelsurf.io.file_set import InputFiles, refuse_unfinished
+from accelsurf.io.files import write_bytes
+from accelsurf.output.document import to_json
 from accelsurf.settings.labels import IdRanges, LabelTable, parse_ids
 
 if TYPE_CHECKING:
-    from accelsurf.batch.pairs import LabelFile, Pair
-    from accelsurf.image.volume import Volume
     from accelsurf.measure.label_metrics import LabelMap
     from accelsurf.output.evaluation import CaseResult
     from accelsurf.track.scored_files import TrackedFile
@@ -128,8 +142,6 @@ def _check_table(table: str | None, as_json: bool, overwrite: bool) -> None:
 
 def _refuse_input_as_table(table: str | None, inputs: Iterable[Path | None]) -> None:
     """Refuse a table in the place of a file that is read."""
-    from accelsurf.io.file_set import InputFiles
-
     if table is not None and table != "-":
         read = InputFiles([path for path in inputs if path is not None])
         read.refuse([Path(table)], "name of the table with --csv")
@@ -149,7 +161,6 @@ def _labels(text: str | None) -> IdRanges | None:
 
 
 def _names(path: Path | None) -> LabelTable:
-    from accelsurf.io import label_tables
 
     return LabelTable() if path is None else label_tables.read_table(path)
 
@@ -172,8 +183,6 @@ def _tolerances(text: str | None) -> tuple[float, ...]:
 
 def _pairs(pred: str | None, ref: str | None, table: Path | None) -> tuple[list[Pair], bool]:
     """Return one pair, or the pairs of a table or of two folders, and whether they may be many."""
-    from accelsurf.batch.pairs import Pair, in_folders, in_table, is_folder_of_maps, label_file
-
     if table is not None:
         if pred is not None:
             raise UsageError(
@@ -192,8 +201,6 @@ def _pairs(pred: str | None, ref: str | None, table: Path | None) -> tuple[list[
 
 def _try(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair; an error is noted and does not stop the others."""
-    from accelsurf.cases.interrupts import say
-    from accelsurf.errors import AccelsurfError
     from accelsurf.output.evaluation import CaseResult
 
     try:
@@ -207,7 +214,6 @@ def _try(pair: Pair, requested: Request) -> CaseResult:
 def _result(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair."""
     from accelsurf import io
-    from accelsurf.io.file_set import refuse_unfinished
     from accelsurf.measure.label_metrics import LabelMap, evaluate_labels, evaluate_object
     from accelsurf.output.evaluation import CaseResult
 
@@ -239,8 +245,6 @@ def _check_asked(pred_file: LabelFile, pred: LabelMap, ref_file: LabelFile, ref:
     InputError
         With the labels that are there.
     """
-    from accelsurf.cases.interrupts import say
-
     if ref.absent:
         raise InputError(
             f"{ref_file.path}: has no label {', '.join(ref.absent)}",
@@ -267,7 +271,6 @@ def _labels_in(side: LabelFile) -> str:
 def _read(side: LabelFile) -> Volume:
     """A label map; notes about its file are printed."""
     from accelsurf import io
-    from accelsurf.cases.interrupts import say
 
     labels = io.read_labels(side.path, ids=side.ids)
     if note := labels.metadata.get(io.WARNING_KEY):
@@ -291,9 +294,6 @@ def _put(
     show: Callable[[], None],
 ) -> None:
     """Write the table, and print it, or the numbers as JSON or for a person."""
-    from accelsurf.io.files import write_bytes
-    from accelsurf.output.document import to_json
-
     if table == "-":
         print(csv(), end="")
         return
@@ -340,7 +340,6 @@ def _print_values(values: Mapping[str, float | int | None], notes: Iterable[str]
 
 
 def _print_table(results: list[CaseResult], names: LabelTable, many: bool) -> None:
-    from accelsurf.cli.progress import table
     from accelsurf.output.evaluation import notes, printed_rows, table_rows
 
     print(table(*printed_rows(table_rows(results, names), many)))
@@ -354,8 +353,6 @@ def _print_table(results: list[CaseResult], names: LabelTable, many: bool) -> No
 
 def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: str | None) -> int:
     """Compare tracks with a reference; the table has a row for each frame."""
-    from accelsurf.io.cells import table_text
-    from accelsurf.io.file_set import refuse_unfinished
     from accelsurf.track.scored_files import compare, open_tracks
 
     sides = [Path(name) for name in _both(pred, ref)]

@@ -6,12 +6,13 @@ import hashlib
 import shlex
 import tomllib
 from pathlib import Path
-from typing import IO, Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, Overwrite, Switch
 from accelsurf.errors import InputError, UsageError, check_known
+from accelsurf.output.folder import OutputFolder, naming_final
 
 #: The scans that can be fetched.
 TABLE = Path(__file__).with_name("samples.toml")
@@ -71,10 +72,10 @@ def fetch(
         raise UsageError("fetch: no NAME was given", "accelsurf fetch --list shows them")
     check_known("NAME", name, table)
     sample = table[name]
-    files = [
-        SampleFile(key, f"{sample['base']}/{file['path']}", file["sha256"], file["bytes"])
-        for key, file in sample["files"].items()
-    ]
+    files = []
+    for key, file in sample["files"].items():
+        url = f"{sample['base']}/{file['path']}"
+        files.append(SampleFile(key, url, file["sha256"], file["bytes"]))
     print(f"{name}: {sample['about']}\nlicence {sample['licence']}, source {sample['source']}")
     for file in files:
         print(
@@ -100,8 +101,6 @@ def _fetch_all(files: list[SampleFile], folder: Path, name: str, overwrite: bool
     OutputError
         When another file of the same name is there, or none can be written.
     """
-    from accelsurf.output.folder import OutputFolder, naming_final
-
     planned = {file.name: folder / file.name for file in files if not file.is_at(folder)}
     with (
         OutputFolder(folder, name, overwrite=overwrite).stage(planned) as staged,
@@ -117,13 +116,10 @@ def _fetch_file(file: SampleFile, folder: Path) -> None:
     import pooch
     from requests import RequestException
 
-    def download(url: str, output_file: str, mirror: Any) -> None:
-        with Path(output_file).open("wb") as out:
-            pooch.HTTPDownloader(timeout=PATIENCE)(url, _Bounded(out, file.size), mirror)
-
     pooch.get_logger().setLevel("WARNING")
+    load = pooch.HTTPDownloader(timeout=PATIENCE)
     try:
-        pooch.retrieve(file.url, f"sha256:{file.sha256}", file.name, folder, downloader=download)
+        pooch.retrieve(file.url, f"sha256:{file.sha256}", file.name, folder, downloader=load)
     except RequestException as error:
         response = getattr(error, "response", None)
         reason = type(error).__name__ if response is None else f"status {response.status_code}"
@@ -132,30 +128,6 @@ def _fetch_file(file: SampleFile, folder: Path) -> None:
         ) from None
     except ValueError:
         raise InputError(
-            f"{file.url}: not the file that was expected, its checksum or size is another one; nothing of it is left",
+            f"{file.url}: not the file that was expected, its checksum is another one; nothing of it is left",
             "try again; if it stays so, report it",
         ) from None
-
-
-class _Bounded:
-    """A file that takes no more bytes than it shall have, as pooch's downloader calls it."""
-
-    def __init__(self, file: IO[bytes], size: int) -> None:
-        self._file, self._left = file, size
-
-    def write(self, data: bytes) -> None:
-        """Write some more bytes.
-
-        Raises
-        ------
-        ValueError
-            When there are too many.
-        """
-        self._left -= len(data)
-        if self._left < 0:
-            raise ValueError("too many bytes")
-        self._file.write(data)
-
-    def flush(self) -> None:
-        """Write buffered bytes."""
-        self._file.flush()

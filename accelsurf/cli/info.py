@@ -10,12 +10,30 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from cyclopts import Parameter
 
+from accelsurf.cases.interrupts import MAX_HINT, printable
 from accelsurf.cli.options import FILES, run_config, settings_class
+from accelsurf.errors import InputError
+from accelsurf.evolution.records import StopReason
+from accelsurf.io import headers
+from accelsurf.io.files import naming, read_json
+from accelsurf.io.headers import FRAME_KEY, UNIT_KEY, format_of
+from accelsurf.output.document import to_json, versions
+from accelsurf.phantoms import recipe_files
+from accelsurf.settings.catalogue import as_typed, help_of
+from accelsurf.settings.energy_terms import TERMS, image_terms
 from accelsurf.settings.entry import SettingGroup
+from accelsurf.settings.fields import SettingFields
+from accelsurf.settings.file_formats import image_suffixes
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.mesh_formats import MESH_FORMATS
+from accelsurf.settings.presets import PRESETS
+from accelsurf.settings.reading import ReadOptions
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.trace_columns import TRACE_COLUMNS
+from accelsurf.settings.wording import in_unit, size_text
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
-    from accelsurf.settings.reading import ReadOptions
 
 #: Topics of `accelsurf info TOPIC`, and the content of each.
 _TOPICS = {
@@ -62,9 +80,6 @@ def info(
             return 0
         _show_image(image, as_json, run_config(reading).reading)
         return 0
-    from accelsurf.output.document import to_json
-    from accelsurf.settings.presets import PRESETS
-    from accelsurf.settings.run_config import RunConfig
 
     known = _known()
     if as_json:
@@ -104,8 +119,6 @@ def _show_topic(topic: str, known: Mapping[str, Any]) -> None:
 
 def _show_image(path: Path, as_json: bool, requested: ReadOptions) -> None:
     """Print the description of an image."""
-    from accelsurf.output.document import to_json
-
     volumes = _listing(path)
     if volumes is not None and requested.series is None:
         _show_volumes(volumes, as_json)
@@ -133,17 +146,11 @@ def _show_image(path: Path, as_json: bool, requested: ReadOptions) -> None:
 
 def _lengths(mm: Sequence[float], unit: str) -> str:
     """Return lengths in the unit of the file, with the digits that headers have."""
-    from accelsurf.settings.wording import in_unit
-
     return f"[{', '.join(f'{in_unit(value, unit):.6g}' for value in mm)}] {unit}"
 
 
 def _show_results(reports: Sequence[Path], as_json: bool) -> None:
     """Print the results of a folder, by their reports."""
-    from accelsurf.cases.interrupts import MAX_HINT, printable
-    from accelsurf.io.files import read_json
-    from accelsurf.output.document import to_json
-
     documents = [read_json(path) for path in reports]
     if as_json:
         print(to_json({"results": documents}))
@@ -156,8 +163,6 @@ def _show_results(reports: Sequence[Path], as_json: bool) -> None:
 
 def _summary(report: object) -> dict[str, str]:
     """Return image, end, volume and quality as a report has them."""
-    from accelsurf.settings.wording import size_text
-
     document = report if isinstance(report, dict) else {}
     source, stop, error, quality, best = (
         _fields_of(document, name) for name in ("input", "stop", "error", "quality", "estimates")
@@ -182,9 +187,7 @@ def _fields_of(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 def _listing(path: Path) -> list[dict[str, Any]] | None:
     """The volumes of a folder, archive or file of a format that may have several; None of other formats."""
-    from accelsurf.io.files import naming
     from accelsurf.io.format_functions import functions_of
-    from accelsurf.io.headers import format_of
 
     with naming(path):
         listing = functions_of(format_of(path)).listing
@@ -193,8 +196,6 @@ def _listing(path: Path) -> list[dict[str, Any]] | None:
 
 def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
     """Print the volumes of a folder, a block of lines each."""
-    from accelsurf.output.document import to_json
-
     if as_json:
         print(to_json({"volumes": volumes}))
         return
@@ -239,9 +240,6 @@ def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
 def _described(path: Path, requested: ReadOptions) -> dict[str, Any]:
     """Describe an image; lengths in mm, all in the order (x, y, z)."""
     from accelsurf import io
-    from accelsurf.errors import InputError
-    from accelsurf.io import headers
-    from accelsurf.io.headers import FRAME_KEY, UNIT_KEY
 
     first = replace(
         requested,
@@ -297,14 +295,6 @@ def _grid(geometry: Geometry) -> dict[str, Any]:
 def _known() -> dict[str, Any]:
     """Names by kind: lists of them, or dictionaries with the meaning of each."""
     from accelsurf.cli import EXIT_CODES
-    from accelsurf.evolution.records import StopReason
-    from accelsurf.output.document import versions
-    from accelsurf.phantoms import recipe_files
-    from accelsurf.settings.energy_terms import TERMS, image_terms
-    from accelsurf.settings.file_formats import image_suffixes
-    from accelsurf.settings.flow_specs import FLOWS
-    from accelsurf.settings.mesh_formats import MESH_FORMATS
-    from accelsurf.settings.trace_columns import TRACE_COLUMNS
     from accelsurf.text.starts import KINDS
 
     return {
@@ -341,8 +331,6 @@ def _print_table(entries: Mapping[str, Any]) -> None:
 
 
 def _print_presets() -> None:
-    from accelsurf.settings.catalogue import as_typed
-    from accelsurf.settings.presets import PRESETS
 
     print("Presets (--preset NAME; other options override its values):")
     for name, preset in PRESETS.items():
@@ -354,8 +342,6 @@ def _print_presets() -> None:
 
 
 def _print_settings() -> None:
-    from accelsurf.settings.catalogue import help_of
-    from accelsurf.settings.fields import SettingFields
 
     print("Settings (accelsurf segment --help has their defaults):")
     _print_table({key: help_of(key) for key in SettingFields.model_fields})

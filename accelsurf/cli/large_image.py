@@ -9,17 +9,24 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
+from accelsurf.batch.admission import Limits
+from accelsurf.cases.watcher import Watcher
 from accelsurf.cli.options import FILES
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.boxes import whole_box
+from accelsurf.image.volume import Volume
+from accelsurf.io.channels import count_values
+from accelsurf.io.headers import is_store, split_name
+from accelsurf.io.lazy_volume import LazyVolume, open_channels
+from accelsurf.large.fitting_level import fitting_level
+from accelsurf.output.folder import OutputFolder
+from accelsurf.run.memory import allowed_bytes, run_bytes
+from accelsurf.settings.file_formats import image_format
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.cases.case import Compute, Log
-    from accelsurf.cases.watcher import Watcher
-    from accelsurf.image.volume import Volume
-    from accelsurf.io.lazy_volume import LazyVolume
     from accelsurf.large.windowed import LargeImage
-    from accelsurf.output.folder import OutputFolder
     from accelsurf.run.result import Result
 
 #: Formats of label maps that are written box by box.
@@ -42,7 +49,6 @@ class ImageParts:
     def allowed_bytes(self) -> int:
         """Memory that the run may take."""
         from accelsurf import io
-        from accelsurf.run.memory import allowed_bytes
 
         return allowed_bytes(self.max_memory, io.available_memory())
 
@@ -66,8 +72,6 @@ def choose_computation(
 
 def fits(image: LargeImage, config: RunConfig) -> bool:
     """Return True if a run on the whole image is within the memory that it may take."""
-    from accelsurf.run.memory import run_bytes
-
     values = math.prod(image.geometry.shape) * len(image.channels)
     return run_bytes(values, config.energy.uses_model, config.flow.name) <= image.max_bytes
 
@@ -84,12 +88,8 @@ def large_image(
     InputError
         When it cannot be read in parts.
     """
-    from accelsurf.errors import InputError
-    from accelsurf.io.channels import count_values
     from accelsurf.io.format_functions import functions_of
-    from accelsurf.io.headers import is_store, split_name
     from accelsurf.run.memory import run_bytes
-    from accelsurf.settings.file_formats import image_format
 
     form = image_format(split_name(source)[1])
     is_level = form is not None and form.folder_marks and config.reading.given
@@ -103,7 +103,6 @@ def large_image(
             return None  # said again where it is read, with the name of the file
         if needed <= parts.allowed_bytes:
             return None
-    from accelsurf.io.lazy_volume import open_channels
     from accelsurf.large.windowed import LargeImage
 
     paths = (source, *map(Path, config.channel))
@@ -113,9 +112,6 @@ def large_image(
 
 def whole_volume(channel: LazyVolume) -> Volume:
     """Read all of a channel that was opened to be read in parts."""
-    from accelsurf.grid.boxes import whole_box
-    from accelsurf.image.volume import Volume
-
     return Volume(
         channel.read(whole_box(channel.shape)),
         channel.geometry,
@@ -132,8 +128,6 @@ def with_level(source: Path, config: RunConfig, parts: ImageParts, quiet: bool) 
     InputError
         When the image cannot be opened.
     """
-    from accelsurf.large.fitting_level import fitting_level
-
     if config.level != "auto":
         return config
     found = fitting_level(source, config, parts.allowed_bytes)
@@ -239,7 +233,6 @@ class ObjectOptions:
         """
         if not self.given:
             return
-        from accelsurf.batch.admission import Limits
 
         if config.objects is None:
             raise UsageError(

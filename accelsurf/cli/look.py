@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from accelsurf.cases.interrupts import say
 from accelsurf.cli.options import (
     FILES,
     IMAGE,
@@ -19,14 +20,25 @@ from accelsurf.cli.options import (
     settings_class,
 )
 from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.image.grey_window import parse_window
+from accelsurf.image.volume import Volume
+from accelsurf.io import channels, split_name
+from accelsurf.io.file_set import InputFiles
+from accelsurf.io.files import write_bytes
+from accelsurf.io.formats.nifti import import_nibabel_for
+from accelsurf.io.headers import WARNING_KEY, is_store, size_question
+from accelsurf.io.lazy_volume import open_channels
+from accelsurf.output.folder import inputs_of, make_writable
 from accelsurf.settings.entry import SettingGroup
+from accelsurf.settings.reading import ReadOptions
+from accelsurf.settings.wording import voxel_text
+from accelsurf.text.coordinates import coordinates_of, place_text
+from accelsurf.text.starts import extent_hint
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from accelsurf.grid.geometry import Geometry
-    from accelsurf.image.volume import Volume
-    from accelsurf.settings.reading import ReadOptions
 
 #: Most voxels of a level of a store: the finest level within this limit is shown, unless told.
 MAX_VOXELS = 1 << 27
@@ -74,10 +86,6 @@ def look(
     overwrite
         Replace a picture that exists.
     """
-    from accelsurf.image.grey_window import parse_window
-    from accelsurf.io.file_set import InputFiles
-    from accelsurf.io.files import write_bytes
-    from accelsurf.output.folder import inputs_of, make_writable
     from accelsurf.output.pictures.marks import is_own_picture
 
     source = required(input, "IMAGE")
@@ -109,9 +117,6 @@ def look(
 
 def _say_notes(volumes: list[Volume], source: Path) -> None:
     """Print the warnings about the files of an image."""
-    from accelsurf.cases.interrupts import say
-    from accelsurf.io.headers import WARNING_KEY, size_question
-
     notes = [volume.metadata.get(WARNING_KEY, "") for volume in volumes]
     for note in dict.fromkeys([*notes, size_question(volumes[0], source)]):
         if note:
@@ -121,7 +126,6 @@ def _say_notes(volumes: list[Volume], source: Path) -> None:
 def _met(volume: Volume, at: Sequence[float] | None, labels: NDArray[Any] | None) -> str:
     """The place where the slices meet, as options take it."""
     from accelsurf.output.pictures.look import voxel_shown
-    from accelsurf.text.coordinates import place_text
 
     voxel = voxel_shown(volume.geometry, at, labels)
     return place_text(volume.geometry.index_to_world(voxel).tolist(), volume.geometry)
@@ -149,8 +153,6 @@ def _values(array: NDArray[Any]) -> str:
 
 def _said_of(volumes: list[Volume]) -> str:
     """Size of an image, and of its voxels in the unit of the file."""
-    from accelsurf.settings.wording import voxel_text
-
     grid = volumes[0].geometry
     size = " x ".join(str(n) for n in grid.size)
     return f"{size} voxels of {voxel_text(grid.spacing_xyz, grid.unit)}"
@@ -164,10 +166,6 @@ def _read(source: Path, level: int | None, requested: ReadOptions) -> tuple[list
     import math
 
     from accelsurf.cli.large_image import whole_volume
-    from accelsurf.io import channels
-    from accelsurf.io.formats.nifti import import_nibabel_for
-    from accelsurf.io.headers import is_store
-    from accelsurf.io.lazy_volume import open_channels
 
     import_nibabel_for(source)
     if level is None and not is_store(source):
@@ -214,8 +212,6 @@ def _picture(source: Path, output: Path | None) -> Path:
     UsageError
         When it would not be a PNG.
     """
-    from accelsurf.io import split_name
-
     name = f"{split_name(source)[0]}_look.png"
     if output is None:
         return Path(name)
@@ -236,8 +232,7 @@ def _place(text: str, geometry: Geometry) -> tuple[float, float, float]:
     """
     import numpy as np
 
-    from accelsurf.text.coordinates import SUFFIXES, coordinates_of
-    from accelsurf.text.starts import extent_hint
+    from accelsurf.text.coordinates import SUFFIXES
 
     found = coordinates_of(text)
     if found is None or len(found.numbers) != 3 or not np.isfinite(found.numbers).all():

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
+from accelsurf.cases.watcher import Watcher
 from accelsurf.cli.options import (
     FILES,
     WITHOUT_FILES,
@@ -20,15 +21,18 @@ from accelsurf.cli.options import (
     run_config,
     settings_class,
 )
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError, UsageError
+from accelsurf.evolution.records import Stop
+from accelsurf.io.file_set import refuse_unfinished
+from accelsurf.io.headers import format_of, name_of
+from accelsurf.output.folder import inputs_of, refuse_existing
+from accelsurf.output.given_image import GivenImage
+from accelsurf.output.reports import report_name
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.wording import shown
 
 if TYPE_CHECKING:
-    from accelsurf.cases.watcher import Watcher
-    from accelsurf.evolution.records import Stop
-    from accelsurf.output.given_image import GivenImage
     from accelsurf.run.result import Result
     from accelsurf.run.run import Run
     from accelsurf.viewer.movie_file import MovieSettings
@@ -112,9 +116,6 @@ def movie(
     preview
         Write one PNG of the last step, or of the result in a folder, instead of a movie.
     """
-    from accelsurf.cases.watcher import Watcher
-    from accelsurf.io.headers import name_of
-    from accelsurf.output.folder import inputs_of, refuse_existing
     from accelsurf.output.pictures import movies
     from accelsurf.run.run import Run
     from accelsurf.viewer import movie_file
@@ -199,7 +200,6 @@ def _refuse_with_tracks(look: Look, preview: bool, reference: Path | None) -> No
 
 def _movie_of_tracks(folder: Path, given: GivenImage, config: TrackConfig, target: Path) -> int:
     """Write the movie of the tracks in a folder; return how many frames it has."""
-    from accelsurf.output.reports import report_name
     from accelsurf.track.output import slices
     from accelsurf.track.output.surfaces import SavedTracks
     from accelsurf.track.track import open_sequence
@@ -215,9 +215,6 @@ def _movie_of_tracks(folder: Path, given: GivenImage, config: TrackConfig, targe
 
 def _has_results(source: Path) -> bool:
     """Test if a path is meant as a folder with results: a folder that is no image, or one with a report."""
-    from accelsurf.errors import InputError
-    from accelsurf.io.headers import format_of
-
     if not source.is_dir():
         return False
     try:
@@ -230,8 +227,6 @@ def _source(
     source: Path, settings: Any, config: Path | None
 ) -> tuple[GivenImage, RunConfig | TrackConfig]:
     """Image and settings of the run; those in the report if the source is a folder of results, else as given."""
-    from accelsurf.io.file_set import refuse_unfinished
-    from accelsurf.output.given_image import GivenImage
     from accelsurf.viewer import movie_file
 
     if source.is_dir() and not any(source.glob("*_report.json")):

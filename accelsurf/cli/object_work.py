@@ -21,6 +21,7 @@ from accelsurf.cli.options import Display
 from accelsurf.cli.progress import BatchProgress
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io.file_set import is_unfinished, refuse_links
+from accelsurf.io.memory import available_cores
 from accelsurf.output import group_files
 from accelsurf.output.folder import EACH, OutputFolder
 from accelsurf.output.reports import had_settings, load_report
@@ -321,8 +322,6 @@ class _Work:
 
 def _with_threads(config: RunConfig, options: ObjectOptions) -> RunConfig:
     """The settings with the threads of each group."""
-    from accelsurf.io.memory import available_cores
-
     if config.threads != "auto":
         return config
     threads = (

@@ -10,20 +10,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter, Token
 
 from accelsurf.cases.interrupts import Interrupts, resuming_command
+from accelsurf.cases.watcher import Watcher
 from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.io import sha256
+from accelsurf.io.file_set import refuse_unfinished
+from accelsurf.output.folder import OutputFolder
+from accelsurf.output.given_image import GivenImage
+from accelsurf.output.reports import Report
 from accelsurf.settings.corrections import Correction, click_by_click, corrections_in_order
+from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.cases.case import Finished, Log
     from accelsurf.cases.watcher import Watcher
-    from accelsurf.interact.refiner import Change
     from accelsurf.interact.state_file import StateFile
     from accelsurf.output.folder import OutputFolder
     from accelsurf.output.given_image import GivenImage
     from accelsurf.output.reports import Report
     from accelsurf.run.result import Result
-    from accelsurf.settings.run_config import RunConfig
 
 _STATE = "segment writes a state with clicks, and with --keep-state yes"
 _OTHER = "give that of the run with --image FILE, or run accelsurf segment again"
@@ -179,8 +184,6 @@ def refine(
             display,
         )
     from accelsurf.cases.case import run_case
-    from accelsurf.cases.watcher import Watcher
-    from accelsurf.output.folder import OutputFolder
 
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
     folder = source.report.path.parent if output is None else output
@@ -212,9 +215,6 @@ def _mend(
 ) -> int:
     """Mend a label map; the outputs are the same as of a run that begins with it."""
     from accelsurf.cases.case import run_case
-    from accelsurf.cases.watcher import Watcher
-    from accelsurf.output.folder import OutputFolder
-    from accelsurf.settings.run_config import RunConfig
 
     if other is not None:
         raise UsageError(
@@ -234,7 +234,8 @@ class _CorrectedRun:
 
     def __init__(self, source: _Source, corrections: tuple[Correction, ...]) -> None:
         self._source, self._corrections = source, corrections
-        self._lines: list[str] = []
+        #: Lines for the summary: the effect of each correction.
+        self.lines: list[str] = []
 
     def __call__(
         self, place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log
@@ -250,25 +251,17 @@ class _CorrectedRun:
             for correction in self._corrections:
                 changes = refiner.apply(correction, on_step=watcher.on_step)
                 what = f"{correction}: " if len(self._corrections) > 1 else ""
-                self._lines += [what + line for line in _lines_of(changes)]
+                for change in changes:
+                    which = f" (object {change.object_id})" if len(changes) > 1 else ""
+                    self.lines.append(f"  {what}{change.text}{which}")
         result = refiner.result()
         log.warnings.extend(result.warnings)
         return result
 
-    def lines(self) -> list[str]:
-        """Return the effect of the correction, for the summary."""
-        return [f"  {line}" for line in self._lines]
-
-
-def _lines_of(changes: Sequence[Change]) -> list[str]:
-    """Return the changes of a correction in words, for each object that was looked at."""
-    many = len(changes) > 1
-    return [f"{change.text}{f' (object {change.object_id})' if many else ''}" for change in changes]
-
 
 def _print_summary(done: Finished, compute: _CorrectedRun) -> None:
     lines = done.summary_lines(done.place.name)
-    print("\n".join([lines[0], *compute.lines(), *lines[1:]]))
+    print("\n".join([lines[0], *compute.lines, *lines[1:]]))
 
 
 def _source_of(path: Path, image: Path | None) -> _Source:
@@ -279,11 +272,6 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     InputError
         When there is none, or more than one, or its state is missing or damaged.
     """
-    from accelsurf.io import sha256
-    from accelsurf.io.file_set import refuse_unfinished
-    from accelsurf.output.given_image import GivenImage
-    from accelsurf.output.reports import Report
-
     folder = path if path.is_dir() else path.parent
     if not path.exists():
         raise InputError(

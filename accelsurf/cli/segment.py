@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from accelsurf.cases.watcher import Watcher
 from accelsurf.cli.large_image import ImageParts, ObjectOptions
 from accelsurf.cli.options import (
     FILES,
@@ -21,11 +22,11 @@ from accelsurf.cli.options import (
     settings_class,
 )
 from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.output.folder import OutputFolder
+from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.cases.case import Compute, Finished
-    from accelsurf.output.folder import OutputFolder
-    from accelsurf.settings.run_config import RunConfig
 
 Settings = settings_class("Settings")
 
@@ -74,7 +75,6 @@ def segment(
         return 0
     from accelsurf.cases.case import report_failure
     from accelsurf.cli.large_image import choose_computation, fits, large_image, with_level
-    from accelsurf.output.folder import OutputFolder
 
     display, work = display or Display(), work or ObjectOptions()
     place = OutputFolder.for_image(
@@ -108,7 +108,6 @@ def _run(
 ) -> int:
     """Run a case, or go on with it."""
     from accelsurf.cases.case import run_case
-    from accelsurf.cases.watcher import Watcher
 
     if resume:
         from accelsurf.cases.case import exit_code_of_finished
@@ -127,15 +126,12 @@ def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
     ------
     UsageError
     """
-    also = bool(run.also)
-    layout = run.layout != "plain"
-    group = run.label_group is not None
     given = {
         "--strict": strict,
         "--profile": profile,
-        "--also": also,
-        "--layout": layout,
-        "--label-group": group,
+        "--also": bool(run.also),
+        "--layout": run.layout != "plain",
+        "--label-group": run.label_group is not None,
     }
     for name in (name for name, is_given in given.items() if is_given):
         raise UsageError(

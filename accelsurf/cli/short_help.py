@@ -38,11 +38,10 @@ class ShortHelp(DefaultFormatter):
 
     def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
         """Draw a panel, or nothing where none of its entries is shown."""
-        entries = [
-            entry.copy(description=_first_sentence(entry.description))
-            for entry in panel.entries
-            if entry.positional_label is not None or SHOWN.intersection(entry.positive_names)
-        ]
+        entries = []
+        for entry in panel.entries:
+            if entry.positional_label is not None or SHOWN.intersection(entry.positive_names):
+                entries.append(entry.copy(description=_first_sentence(entry.description)))
         if entries:
             super().__call__(console, options, panel.copy(entries=entries))
 

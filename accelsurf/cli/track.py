@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from accelsurf.cases.watcher import Watcher
 from accelsurf.cli.options import FILES, Display, File, Output, Overwrite, Switch, required
 from accelsurf.cli.track_options import FrameSettings, TrackSettings, track_config
+from accelsurf.output.folder import OutputFolder
 from accelsurf.settings.file_formats import input_help
 
 if TYPE_CHECKING:
@@ -66,8 +68,6 @@ def track(
         print(wanted.to_toml(), end="")
         return 0
     from accelsurf.cases.track_case import TrackCase, run_track_case
-    from accelsurf.cases.watcher import Watcher
-    from accelsurf.output.folder import OutputFolder
 
     display = display or Display()
     source = required(input, "SEQUENCE")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from accelsurf.cases.interrupts import Interrupts
 from accelsurf.cli.options import (
     FILES,
     SHOW,
@@ -306,7 +307,6 @@ def ending(
     """Let window or page end itself when a signal comes, see `Interrupts.calling`; then end its sessions, and say
     the work that is kept.
     """
-    from accelsurf.cases.interrupts import Interrupts
 
     def hear() -> None:
         opening.hurry()

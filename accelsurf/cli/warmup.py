@@ -8,7 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 from accelsurf.cli.options import Display
+from accelsurf.cli.progress import COMPILING_ALL, counted
 from accelsurf.errors import OutputError
+from accelsurf.io import LazyVolume
+from accelsurf.settings.run_config import RunConfig
 
 #: A file beside the stored kernels: all are there, for the processor and the compiler that it names.
 _COMPLETE = "complete.txt"
@@ -42,7 +45,6 @@ def warmup(*, display: Display | None = None) -> int:
 
 def compile_all(display: Display) -> None:
     """Compile and store all kernels with a bar, where they are not stored yet: before several processes want them."""
-    from accelsurf.cli.progress import COMPILING_ALL, counted
     from accelsurf.kernels import storage
 
     runs = small_runs()
@@ -83,7 +85,7 @@ def small_runs() -> dict[str, Callable[[], Any]]:
     return {
         **segmentations.small_runs(),
         "windows": _in_windows,
-        **track.small_runs(),
+        "tracking": track.warm_up,
     }
 
 
@@ -92,9 +94,7 @@ def _in_windows() -> None:
     import numpy as np
 
     from accelsurf.api.warmup import MIDDLE, START, ball
-    from accelsurf.io import LazyVolume
     from accelsurf.large.windowed import LargeImage, segment_in_windows
-    from accelsurf.settings.run_config import RunConfig
 
     image = ball()
     config = RunConfig(start=f"ball:{MIDDLE},{START}vox", max_steps=2, levels=1)

@@ -79,6 +79,18 @@ def box_at(corner: Corner, shape: Sequence[int]) -> Box:
     return z, y, x
 
 
+def as_corner(places: Iterable[Any]) -> Corner:
+    """Return three whole numbers, of whatever type, as the first voxel of a box or as a shape.
+
+    Examples
+    --------
+    >>> as_corner(np.array([1, 2, 3]))
+    (1, 2, 3)
+    """
+    z, y, x = (int(place) for place in places)
+    return z, y, x
+
+
 def corner_of(box: Box) -> Corner:
     """Return the first voxel of a box."""
     return box[0].start, box[1].start, box[2].start
@@ -97,6 +109,20 @@ def widened(box: Box, shape: Sequence[int], margin: Sequence[int]) -> Box:
         for s, n, m in zip(box, shape, margin, strict=True)
     )
     return z, y, x
+
+
+def nearest_places(box: Box, shape: Sequence[int]) -> list[NDArray[np.int64]]:
+    """Return the places of a box along each axis (z, y, x), those beyond a grid of ``shape`` as the nearest on it.
+
+    Examples
+    --------
+    >>> [places.tolist() for places in nearest_places((slice(-1, 2), slice(0, 1), slice(2, 5)), (3, 3, 4))]
+    [[0, 0, 1], [0], [2, 3, 3]]
+    """
+    return [
+        np.clip(np.arange(side.start, side.stop), 0, count - 1)
+        for side, count in zip(box, shape, strict=True)
+    ]
 
 
 def enclosing(first: Box, second: Box) -> Box:

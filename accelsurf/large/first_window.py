@@ -146,15 +146,11 @@ def _around(index: NDArray[np.float64], text: str, geometry: Geometry) -> Box:
         slice(max(int(a), 0), min(int(b), n))
         for a, b, n in zip(low, high, geometry.shape, strict=True)
     )
-    return _at_faces((z, y, x), text, geometry)
-
-
-def _at_faces(box: Box, text: str, geometry: Geometry) -> Box:
-    if any(s.start >= s.stop for s in box):
+    if any(s.start >= s.stop for s in (z, y, x)):
         raise InputError(
             f"start {shown(text)!r}: no voxel centre is inside it", extent_hint(geometry)
         )
-    return box
+    return z, y, x
 
 
 def _of_label(start: Start, geometry: Geometry) -> Box:

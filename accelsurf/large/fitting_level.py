@@ -59,11 +59,7 @@ def fitting_level(source: Path, config: RunConfig, allowed_bytes: int) -> Fittin
     finest = open_channels(source, replace(config.reading, level=0))
     grids, channels = finest[0].layout.levels, len(finest) + len(config.channel)
     uses_model = config.energy.uses_model
-    within = (
-        n
-        for n, grid in enumerate(grids)
-        if run_bytes(channels * math.prod(grid.shape), uses_model, config.flow.name)
-        <= allowed_bytes
-    )
-    level = next(within, len(grids) - 1)
+    voxels = [channels * math.prod(grid.shape) for grid in grids]
+    needed = [run_bytes(count, uses_model, config.flow.name) for count in voxels]
+    level = next((n for n, size in enumerate(needed) if size <= allowed_bytes), len(grids) - 1)
     return FittingLevel(level, len(grids), grids[level])

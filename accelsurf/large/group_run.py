@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import (
@@ -94,6 +96,10 @@ class Boxes(NamedTuple):
     high: NDArray[np.int64]
 
 
+#: Settings that depend on all objects at once, or on the whole image.
+_OF_ALL = "edit refine checkpoint roi box mask inside outside foreground background"
+
+
 def check_settings(config: RunConfig) -> None:
     """Refuse settings that depend on all objects at once, or on the whole image.
 
@@ -102,22 +108,7 @@ def check_settings(config: RunConfig) -> None:
     UsageError
         Naming the setting.
     """
-    given = [
-        name
-        for name in (
-            "edit",
-            "refine",
-            "checkpoint",
-            "roi",
-            "box",
-            "mask",
-            "inside",
-            "outside",
-            "foreground",
-            "background",
-        )
-        if getattr(config, name)
-    ]
+    given = [name for name in _OF_ALL.split() if getattr(config, name)]
     if config.levels not in ("auto", 1):
         given.append("levels")  # the first one on which all starts are resolved
     if config.noise > 0:
@@ -345,14 +336,6 @@ def united(
     """
     members = np.array(sorted(place for group in groups for place in group), np.int64)
     group_of = {place: number for number, group in enumerate(groups) for place in group}
-    parent = list(range(len(groups)))
-
-    def root(number: int) -> int:
-        while parent[number] != number:
-            parent[number] = parent[parent[number]]
-            number = parent[number]
-        return number
-
     there = members[(low[members] < high[members]).all(axis=1)]
     near = meeting(low[there], high[there])
     overlaps = [
@@ -360,10 +343,11 @@ def united(
         for first_place, found in zip(there.tolist(), near, strict=True)
         for j in found
     ]
-    for first_place, other in (*pairs, *overlaps):
-        first, second = sorted((root(group_of[first_place]), root(group_of[other])))
-        parent[second] = first
+    ends = np.array([[group_of[a], group_of[b]] for a, b in (*pairs, *overlaps)], int).reshape(
+        -1, 2
+    )
+    links = coo_matrix((np.ones(len(ends)), ends.T), (len(groups), len(groups)))
     joined: dict[int, list[int]] = {}
-    for number, group in enumerate(groups):
-        joined.setdefault(root(number), []).extend(group)
+    for number, group in zip(connected_components(links, False)[1], groups, strict=True):
+        joined.setdefault(number, []).extend(group)
     return sorted(tuple(sorted(group)) for group in joined.values())

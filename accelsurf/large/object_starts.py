@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from accelsurf import io
 from accelsurf.errors import GeometryError, UsageError
-from accelsurf.grid.boxes import Box, corner_of, slabs, widened
+from accelsurf.grid.boxes import Box, as_corner, box_at, corner_of, slabs, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io import LazyVolume
 from accelsurf.starts.objects import ObjectStart, separated
@@ -214,5 +214,4 @@ def _ends(boxes: Sequence[Box]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _box(low: NDArray[np.int64], high: NDArray[np.int64]) -> Box:
-    z, y, x = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
-    return z, y, x
+    return box_at(as_corner(low), (high - low).tolist())

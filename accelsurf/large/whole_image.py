@@ -13,7 +13,7 @@ from skimage.filters import threshold_otsu
 
 from accelsurf.energies import Parzen
 from accelsurf.energies.likelihood import END_PERCENTILES, least_variance
-from accelsurf.energies.region_sums import RegionMoments, Summing, moments_of
+from accelsurf.energies.region_sums import Summing
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, corner_of, sum_in_order, whole_box
 from accelsurf.grid.pyramid import Level, planes_of_blocks, restrict
@@ -273,14 +273,10 @@ class WholeImage:
             self._found[key] = find(*args)
         return self._found[key]
 
-    def moments(self, grids: Sequence[Level], level: int) -> RegionMoments:
-        """Sums over the scaled image on a level of its pyramid, of which ``grids`` are the whole levels."""
-        return RegionMoments(*(float(v) for v in self.sums(grids, level, "moments", moments_of)))
-
     def sums(
         self, grids: Sequence[Level], level: int, kind: str, summing: Summing
     ) -> NDArray[np.float64]:
-        """The same of any sums; ``kind`` is their name.
+        """Sums over the scaled image on a level of its pyramid: ``grids`` are the levels, ``kind`` names the sums.
 
         With numbers from a coarser image, its sums, for the number of voxels that the level has.
         """

@@ -97,18 +97,16 @@ class LargeImage:
         ``numbers`` are the known ones of each channel.
         """
         filters = filters_of(config, self.geometry)
-        levels, known = (
-            self.statistics or (None,) * len(self.channels),
-            numbers or [{}] * len(self.channels),
-        )
-        return tuple(
-            WholeImage(
-                channel, filters, coarse, numbers=of_it, channel=place, channels=len(self.channels)
+        count = len(self.channels)
+        levels, known = self.statistics or (None,) * count, numbers or [{}] * count
+        whole = []
+        for place, parts in enumerate(zip(self.channels, levels, known, strict=True)):
+            channel, coarse, of_it = parts
+            image = WholeImage(
+                channel, filters, coarse, numbers=of_it, channel=place, channels=count
             )
-            for place, (channel, coarse, of_it) in enumerate(
-                zip(self.channels, levels, known, strict=True)
-            )
-        )
+            whole.append(image)
+        return tuple(whole)
 
 
 class LargeRun(NamedTuple):
@@ -333,29 +331,28 @@ def _check_settings(config: RunConfig) -> None:
         Naming the setting.
     """
     hint = "give --roi around the object, or let the image be read into memory (more --max-memory)"
-    for name in ("edit", "refine"):
-        if getattr(config, name):
-            raise UsageError(f"{name}: it was given, and the image is read in parts", hint)
-    if has_region(config):
-        return
-    if config.noise > 0:
-        raise UsageError(
-            f"noise: {config.noise:g} was given, which is laid over the whole image", hint
-        )
-    if config.flow.name == "flowable-mass":
-        raise UsageError(
-            "flow: flowable-mass compares masses on a lattice over the whole image", hint
-        )
-    if config.flow.name == "region-mass":
-        raise UsageError(
-            "flow: region-mass has mass in the whole image, which is read in parts", hint
-        )
-    for term in config.terms:
-        if TERMS[term.name].needs_whole:
-            raise UsageError(
-                f"energy: {term.name} looks at the whole image, which is read in parts", hint
-            )
-    if config.mask is not None and config.energy.uses_model:
-        raise UsageError(
-            "mask: it was given with clicks, whose model looks at all of it", "give --box, or --roi"
-        )
+    wrong = {
+        f"{name}: it was given, and the image is read in parts": bool(getattr(config, name))
+        for name in ("edit", "refine")
+    }
+    if not has_region(config):
+        flow = config.flow.name
+        has_noise = config.noise > 0
+        has_mask = config.mask is not None and config.energy.uses_model
+        wholes = [term.name for term in config.terms if TERMS[term.name].needs_whole]
+        wrong |= {
+            f"noise: {config.noise:g} was given, which is laid over the whole image": has_noise,
+            "flow: flowable-mass compares masses on a lattice over the whole image": (
+                flow == "flowable-mass"
+            ),
+            "flow: region-mass has mass in the whole image, which is read in parts": (
+                flow == "region-mass"
+            ),
+            f"energy: {''.join(wholes[:1])} looks at the whole image, which is read in parts": bool(
+                wholes
+            ),
+            "mask: it was given with clicks, whose model looks at all of it": has_mask,
+        }
+    for text, is_wrong in wrong.items():
+        if is_wrong:
+            raise UsageError(text, hint)

@@ -18,6 +18,7 @@ from accelsurf.grid.arrays import Floats, Image, Mask
 from accelsurf.grid.boxes import (
     Box,
     Corner,
+    as_corner,
     bounding_box,
     box_at,
     corner_of,
@@ -163,8 +164,8 @@ def uncertain_places(
     while len(out) < count and far.any():
         best = _first_largest(totals, far)
         members = np.flatnonzero(member == best)
-        z, y, x = evidence.index[members[int(np.argmax(uncertainty[members]))]]
-        out.append(((int(z), int(y), int(x)), float(shares[best])))
+        voxel = evidence.index[members[int(np.argmax(uncertainty[members]))]]
+        out.append((as_corner(voxel), float(shares[best])))
         far &= ((middles - middles[best]) ** 2).sum(axis=1) > (APART * radius) ** 2
     return out
 
@@ -269,9 +270,7 @@ def _deepest(inside: Mask, spacing: Sequence[float]) -> Corner:
         blocks[:, :, ::2] & blocks[:, :, 1::2], [2.0 * h for h in spacing]
     )
     reach, at = float(depths.max()) + diagonal, np.unravel_index(depths.argmax(), depths.shape)
-    least, _ = _deepest_within(
-        inside, box_at((int(at[0]), int(at[1]), int(at[2])), (1, 1, 1)), reach, spacing
-    )
+    least, _ = _deepest_within(inside, box_at(as_corner(at), (1, 1, 1)), reach, spacing)
     may_be = bounding_box(depths >= least - 1.000001 * diagonal) or whole_box(depths.shape)
     return _deepest_within(inside, may_be, reach, spacing)[1]
 

@@ -15,7 +15,6 @@ import numpy as np
 from scipy import sparse
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.arrays import Floats
 from accelsurf.measure.mesh_distance import largest_distance, mean_side, sides
 from accelsurf.measure.surface_mesh import Surface
 
@@ -246,16 +245,6 @@ def coarsest(exact: Surface, surface: Surface, error: float) -> Surface:
         else:
             low = middle
     return best
-
-
-def smallest_angles(corners: Floats) -> Floats:
-    """The smallest angle of each triangle (n, 3, 3), degrees."""
-    along = np.roll(corners, -1, axis=1) - corners
-    back = -np.roll(along, 1, axis=1)
-    lengths = np.linalg.norm(along, axis=2) * np.linalg.norm(back, axis=2)
-    cosines = np.einsum("ijk,ijk->ij", along, back) / np.maximum(lengths, 1e-300)
-    angles: Floats = np.degrees(np.arccos(np.clip(cosines.max(axis=1), -1.0, 1.0)))
-    return angles
 
 
 def library(name: str) -> Any:

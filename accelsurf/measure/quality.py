@@ -77,21 +77,10 @@ class ValueRange(NamedTuple):
     high: float
 
 
-def assess(  # noqa: PLR0913
-    labels: NDArray[np.uint8],
-    image: Image,
-    geometry: Geometry,
-    history: Sequence[StepRecord],
-    stop: Stop,
-    learned: ValueRange | None = None,
-    plateaus: Sequence[Plateau] = (),
-    clicked: Mask | None = None,
-    confidence: Confidence | None = None,
-    before: float | None = None,
-) -> Quality:
-    """Measure the quality of a result.
+class Judged(NamedTuple):
+    """A result whose quality is measured.
 
-    Parameters
+    Attributes
     ----------
     labels : ndarray (nz, ny, nx)
         Above 0 inside.
@@ -108,41 +97,61 @@ def assess(  # noqa: PLR0913
         Voxels that a person clicked, on either side.
     confidence : Confidence, optional
         Of the model of the clicks.
+    """
+
+    labels: NDArray[np.uint8]
+    image: Image
+    geometry: Geometry
+    history: Sequence[StepRecord]
+    stop: Stop
+    learned: ValueRange | None = None
+    plateaus: Sequence[Plateau] = ()
+    clicked: Mask | None = None
+    confidence: Confidence | None = None
+
+
+def assess(seen: Judged, before: float | None = None) -> Quality:
+    """Measure the quality of a result.
+
+    Parameters
+    ----------
+    seen : Judged
     before : float, optional
         The probability before the last correction by a click, which is the most that it is now.
     """
-    found = measured(labels, image, geometry, history, stop, learned, plateaus, clicked, confidence)
-    last = history[-1].volume_mm3 if history else 0.0
+    inside, geometry = seen.labels > 0, seen.geometry
+    found = measured(seen)
+    last = seen.history[-1].volume_mm3 if seen.history else 0.0
     found = found._replace(probability=probability_good(model_kind(found), features(found)))
     if found.answers and last > 0:  # the surface has moved since
         taken = found.answers[0]._replace(volume_mm3=last)
         found = found._replace(answers=(taken, *found.answers[1:]))
-    unclear = "" if confidence is None else _ambiguity(found, labels > 0, image, geometry)
+    unclear = "" if seen.confidence is None else _ambiguity(found, inside, seen.image, geometry)
     if unclear:
         found = found._replace(is_ambiguous=True, probability=min(found.probability, UNSURE))
     if before is not None:
         found = found._replace(probability=min(found.probability, before), is_corrected=True)
-    warnings = _warnings(found, stop, last, labels > 0, geometry, unclear)
+    warnings = _warnings(found, seen.stop, last, inside, geometry, unclear)
     notes = _notes(found, last, geometry)
-    parts = 1 if clicked is None else clicked_parts(labels > 0, clicked)
+    parts = 1 if seen.clicked is None else clicked_parts(inside, seen.clicked)
     if parts > 1:
         notes.append(
             f"parts: {parts} separate parts were clicked; if they are objects of their own, try --objects"
         )
-    notes += _alike_note(found, labels)
+    notes += _alike_note(found, inside)
     return found._replace(warnings=tuple(warnings), notes=tuple(notes))
 
 
-def _alike_note(found: Quality, labels: NDArray[np.uint8]) -> list[str]:
+def _alike_note(found: Quality, inside: Mask) -> list[str]:
     """Say how many parts an answer has that was connected before the surface smoothed it."""
     if not found.answers:
         return []
     from accelsurf.clicks.model.answers import OF_ALIKE
 
-    box = bounding_box(labels > 0)
+    box = bounding_box(inside)
     if found.answers[0].number != OF_ALIKE or box is None:
         return []
-    pieces = int(ndimage.label(labels[box])[1])
+    pieces = int(ndimage.label(inside[box])[1])
     if pieces == 1:
         return []
     return [
@@ -150,22 +159,11 @@ def _alike_note(found: Quality, labels: NDArray[np.uint8]) -> list[str]:
     ]
 
 
-def measured(  # noqa: PLR0913
-    labels: NDArray[np.uint8],
-    image: Image,
-    geometry: Geometry,
-    history: Sequence[StepRecord],
-    stop: Stop,
-    learned: ValueRange | None = None,
-    plateaus: Sequence[Plateau] = (),
-    clicked: Mask | None = None,
-    confidence: Confidence | None = None,
-) -> Quality:
-    """Measure the quality of a result, without its probability, warnings and notes.
-
-    For the parameters see `assess`.
-    """
-    inside, spacing = labels > 0, geometry.spacing
+def measured(seen: Judged) -> Quality:
+    """Measure the quality of a result, without its probability, warnings and notes."""
+    inside, image = seen.labels > 0, seen.image
+    geometry, spacing = seen.geometry, seen.geometry.spacing
+    history, clicked = seen.history, seen.clicked
     finest = [row for row in history if row.level == 0]
     first, last = (history[0].volume_mm3, history[-1].volume_mm3) if history else (0.0, 0.0)
     before = finest[max(-LAST_STEPS - 1, -len(finest))].volume_mm3 if finest else 0.0
@@ -176,6 +174,7 @@ def measured(  # noqa: PLR0913
     place, uncertainty = (
         (None, 0.0) if found is None else places.uncertain_places(found, spacing, volume)[0]
     )
+    unlike = None if seen.learned is None else _unlike_fraction(inside, image, seen.learned)
     return Quality(
         probability=0.0,
         next_click=None if place is None else _world(geometry, place),
@@ -189,10 +188,10 @@ def measured(  # noqa: PLR0913
         parts_beyond_necks=parts_beyond_necks(inside),
         growth=last / first if first > 0 else 0.0,
         late_growth=(last - before) / last if last > 0 else 0.0,
-        **_by_clicks(confidence),
-        unlike_learned=None if learned is None else _unlike_fraction(inside, image, learned),
-        leaked=stop.reason == "leaked",
-        rests=tuple(plateaus),
+        **_by_clicks(seen.confidence),
+        unlike_learned=unlike,
+        leaked=seen.stop.reason == "leaked",
+        rests=tuple(seen.plateaus),
         warnings=(),
         notes=(),
     )

@@ -7,13 +7,13 @@ are taken between the outer corners of voxels, so that a box of voxels has the l
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.arrays import Floats
-from accelsurf.grid.boxes import Box, bounding_box
+from accelsurf.grid.boxes import bounding_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.diameters import Diameters, diameters
 
@@ -23,44 +23,12 @@ if TYPE_CHECKING:
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
 
-class MeasuredObject(Protocol):
-    """An object of a result, as `statistics` reads it: see `accelsurf.run.result.SegmentedObject`."""
-
-    @property
-    def box(self) -> Box:
-        """Its part of the image's grid."""
-
-    @property
-    def geometry(self) -> Geometry:
-        """Geometry of that part."""
-
-    @property
-    def labels(self) -> NDArray[np.uint8]:
-        """1 where a voxel's centre is inside, (nz, ny, nx)."""
-
-    @property
-    def volume_mm3(self) -> float:
-        """Volume, mm3, sub-voxel."""
-
-    @property
-    def area_mm2(self) -> float:
-        """Area of its surface, mm2."""
-
-    @property
-    def estimates(self) -> Estimates:
-        """Best estimates of its true measures."""
-
-    @property
-    def intervals(self) -> Intervals | None:
-        """Intervals around them."""
-
-
-def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any]:
+def statistics(segmented: Any, values: NDArray[Any]) -> dict[str, Any]:
     """Figures of an object.
 
     Parameters
     ----------
-    segmented : MeasuredObject
+    segmented : accelsurf.run.result.SegmentedObject
         With a voxel.
     values : ndarray (nz, ny, nx)
         The image on the object's grid, as it was read.

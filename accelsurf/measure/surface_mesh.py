@@ -98,13 +98,6 @@ class Surface:
         start, end, n = *self._sides(), len(self.vertices)
         return bool(np.array_equal(np.sort(start * n + end), np.sort(end * n + start)))
 
-    @property
-    def euler_characteristic(self) -> int:
-        """Vertices - edges + faces: 2 for each ball-like closed part, 0 for a torus."""
-        start, end = self._sides()
-        edges = np.unique(np.minimum(start, end) * len(self.vertices) + np.maximum(start, end))
-        return len(np.unique(self.faces)) - len(edges) + len(self.faces)
-
     def _sides(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """First and last vertex of every triangle side, in the triangle's sense."""
         return self.faces.astype(np.int64).ravel(), np.roll(self.faces, -1, axis=1).astype(

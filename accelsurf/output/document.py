@@ -186,7 +186,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         "estimates": result.estimates._asdict(),
         "intervals": describe_intervals(result.intervals),
         "quality": describe_quality(result.quality),
-        "objects": describe_objects(result) if result.has_ids else None,
+        "objects": [*map(describe_object, result.objects)] if result.has_ids else None,
     }
 
 
@@ -215,11 +215,6 @@ def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
     return {**quality._asdict(), "next_click": place, **lists, "answers": answers}
 
 
-def describe_objects(result: Result) -> list[dict[str, Any]]:
-    """Return an entry for each of several objects, in order of their ids."""
-    return [describe_object(segmented) for segmented in result.objects]
-
-
 def describe_object(segmented: SegmentedObject) -> dict[str, Any]:
     """Return the entry of one of several objects; ``centroid`` is (x, y, z) mm, LPS."""
     return {
@@ -245,19 +240,19 @@ def _centroid(result: SegmentedObject) -> list[float] | None:
 
 def describe_levels(result: Result) -> list[dict[str, Any]]:
     """Return the part of the report about the grids that the run went over, coarsest first; 0 is the image's own."""
-    return [
-        {
+    entries = []
+    for grid, steps, reason in result.levels:
+        visited = (row.cells_visited for row in result.history if row.level == grid.number)
+        entry = {
             "level": grid.number,
             "size": list(reversed(grid.shape)),
             "spacing": list(reversed(grid.spacing)),
             "steps": steps,
             "reason": reason,
-            "cells_visited": sum(
-                row.cells_visited for row in result.history if row.level == grid.number
-            ),
+            "cells_visited": sum(visited),
         }
-        for grid, steps, reason in result.levels
-    ]
+        entries.append(entry)
+    return entries
 
 
 def describe_mass(result: Result) -> dict[str, Any] | None:

@@ -62,14 +62,11 @@ def summaries(results: Sequence[CaseResult], names: LabelTable) -> list[dict[str
     by_label: dict[int | None, list[LabelAgreement]] = {}
     for agreement in (agreement for result in results for agreement in result.agreements):
         by_label.setdefault(agreement.label, []).append(agreement)
-    return [
-        {
-            "label": label,
-            "name": label_name(some[0], names),
-            **over_cases([agreement.values() for agreement in some]),
-        }
-        for label, some in sorted(by_label.items(), key=lambda item: item[0] or 0)
-    ]
+    entries = []
+    for label, some in sorted(by_label.items(), key=lambda item: item[0] or 0):
+        numbers = over_cases([agreement.values() for agreement in some])
+        entries.append({"label": label, "name": label_name(some[0], names), **numbers})
+    return entries
 
 
 def notes(agreement: LabelAgreement) -> list[str]:

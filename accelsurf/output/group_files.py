@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import shutil
@@ -11,7 +10,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +18,10 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError, OutputError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box
-from accelsurf.grid.window import Window
 from accelsurf.io import states
 from accelsurf.io.file_set import is_staging, sync, sync_folder
 from accelsurf.output.document import describe_object, describe_window
 from accelsurf.output.folder import name_of
-from accelsurf.run.result import SegmentedObject
 
 _RECORD = "record.npz"
 _DRAFT = ".draft-"
@@ -82,58 +79,19 @@ class GroupRecord(NamedTuple):
     def masks(self) -> list[NDArray[np.bool_]]:
         """Return the mask of each object, on its box."""
         packed = _read(self.folder).packed
-        shapes = (self.sides[:, :, 1] - self.sides[:, :, 0]).tolist()
-        return [
-            np.unpackbits(bits, count=math.prod(shape)).reshape(shape).view(np.bool_)
-            for bits, shape in zip(packed, shapes, strict=True)
-        ]
+        masks = []
+        for bits, shape in zip(packed, self.sides[:, :, 1] - self.sides[:, :, 0], strict=True):
+            flat = np.unpackbits(bits, count=int(shape.prod())).view(np.bool_)
+            masks.append(flat.reshape(shape))
+        return masks
 
 
 #: The types in a record, by the names under which they are written.
 TYPES: dict[str, type] = {kind.__name__: kind for kind in (GroupRecord, Stop)}
 
 
-class FinishedGroup(Protocol):
-    """The part of a group's result that its files hold: see `accelsurf.large.group_run.GroupResult`."""
-
-    @property
-    def objects(self) -> Sequence[SegmentedObject]:
-        """In order of their ids."""
-        ...
-
-    @property
-    def low(self) -> NDArray[np.int64]:
-        """First voxel of the box in which another could have met each object, (n, 3)."""
-        ...
-
-    @property
-    def high(self) -> NDArray[np.int64]:
-        """Voxel after the last, (n, 3)."""
-        ...
-
-    @property
-    def window(self) -> Window:
-        """The last one."""
-        ...
-
-    @property
-    def energy(self) -> str:
-        """Name of the energy."""
-        ...
-
-    @property
-    def resolved_settings(self) -> dict[str, Any]:
-        """Values used for settings that depend on image and grid."""
-        ...
-
-    @property
-    def warnings(self) -> list[str]:
-        """About the run."""
-        ...
-
-
 def write_group(
-    folder: Path, result: FinishedGroup, names: Mapping[str, str], space: Literal["lps", "ras"]
+    folder: Path, result: Any, names: Mapping[str, str], space: Literal["lps", "ras"]
 ) -> None:
     """Write the files of a group.
 
@@ -141,7 +99,7 @@ def write_group(
     ----------
     folder : Path
         Its own, which appears when all is complete. One that is there already is left as it is.
-    result : FinishedGroup
+    result : accelsurf.large.group_run.GroupResult
     names : mapping of str to str
         Name of the file of a single object by kind; of those that each object has.
     space : {"lps", "ras"}
@@ -200,11 +158,12 @@ def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str,
     """Test if a record names meshes of its objects that lie in the folder itself; the record may be somebody's."""
     if folder.is_symlink() or any(path.is_symlink() for path in folder.iterdir()):
         return False
-    return all(
-        re.fullmatch(_MESH.format(id=int(row["id"])), name) and (folder / name).is_file()
-        for row, names in zip(rows, meshes, strict=True)
-        for name in names.values()
-    )
+    for row, names in zip(rows, meshes, strict=True):
+        for name in names.values():
+            is_named = re.fullmatch(_MESH.format(id=int(row["id"])), name)
+            if not (is_named and (folder / name).is_file()):
+                return False
+    return True
 
 
 def not_of_groups(work: Path) -> list[Path]:

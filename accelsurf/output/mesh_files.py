@@ -5,6 +5,7 @@ Commands check the settings of meshes here before they load the modules that mak
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -73,7 +74,9 @@ def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any]
     InputError
         When a package lacks.
     """
-    from accelsurf.measure.mesh_shaping import ShapedMesh, is_sound, shape, smallest_angles
+    from trimesh.triangles import angles
+
+    from accelsurf.measure.mesh_shaping import ShapedMesh, is_sound, shape
 
     try:
         mesh = shape(surface, options_of(config))
@@ -86,6 +89,6 @@ def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any]
         "faces": len(made.faces),
         "largest_distance_mm": mesh.distance_mm,
         "closed": is_sound(made),
-        "smallest_angle_deg": float(smallest_angles(made.vertices[made.faces]).min()),
+        "smallest_angle_deg": math.degrees(angles(made.vertices[made.faces]).min()),
     }
     return made, statistics, mesh.warnings

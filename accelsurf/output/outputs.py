@@ -21,7 +21,7 @@ from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import LABELS_KEY, shows_patient
 from accelsurf.measure.contours import Contours
 from accelsurf.output import layouts, tables
-from accelsurf.output.document import describe_objects
+from accelsurf.output.document import describe_object
 from accelsurf.output.folder import EACH, name_of
 from accelsurf.output.label_files import LABEL_WRITERS, given_labels, is_named, table_of
 from accelsurf.output.mesh_files import MeshNotes, is_shaped, shaped
@@ -198,7 +198,7 @@ def _table_writers(
 ) -> Iterator[Writer]:
     """The writers of the tables and of the picture."""
     if "objects" in names and result.has_ids:
-        rows = describe_objects(result)
+        rows = [describe_object(segmented) for segmented in result.objects]
         yield "objects", names["objects"], _writer(lambda: tables.objects_csv(rows).encode())
     if "trace" in names:
         if result.has_ids:
@@ -252,6 +252,7 @@ def preview_content(result: Result, title: str) -> PreviewContent:
     title : str
         Its heading.
     """
+    shapes = [ObjectShape(found.id, found.box, found.psi) for found in result.objects]
     return PreviewContent(
         image=result.volume.array,
         psi=result.psi,
@@ -261,7 +262,7 @@ def preview_content(result: Result, title: str) -> PreviewContent:
         start=result.start,
         title=title,
         anatomical=shows_patient(result.volume),
-        objects=_object_shapes(result) if result.has_ids else (),
+        objects=shapes if result.has_ids else (),
         late_growth=result.late_leakage,
         next_clicks=_next_clicks(result),
         window=parse_window(result.config.window),
@@ -282,8 +283,3 @@ def _next_clicks(result: Result) -> list[tuple[float, float, float]]:
             z, y, x = (float(at) for at in result.geometry.world_to_index(quality.next_click))
             places.append((z, y, x))
     return places
-
-
-def _object_shapes(result: Result) -> tuple[ObjectShape, ...]:
-    """Return the parts of each of several objects that are drawn."""
-    return tuple(ObjectShape(found.id, found.box, found.psi) for found in result.objects)

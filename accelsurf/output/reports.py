@@ -106,17 +106,14 @@ class Report:
     def listed(self) -> list[ListedFile]:
         """The files that it lists, by their names; paths that are none are left out."""
         entries = self.document["outputs"] if self.document is not None else ()
-        found = [
-            ListedFile(
-                entry["kind"],
-                entry["path"].replace("\\", "/").rpartition("/")[2],
-                entry["sha256"],
-                entry.get("seal"),
-            )
-            for entry in entries
-            if isinstance(entry.get("sha256"), str)
-        ]
-        return [file for file in found if file.name not in ("", ".", "..") and _is_path(file.name)]
+        listed = []
+        for entry in entries:
+            if not isinstance(entry.get("sha256"), str):
+                continue
+            name = entry["path"].replace("\\", "/").rpartition("/")[2]
+            if name not in ("", ".", "..") and _is_path(name):
+                listed.append(ListedFile(entry["kind"], name, entry["sha256"], entry.get("seal")))
+        return listed
 
     @property
     def names(self) -> dict[str, str]:
@@ -257,16 +254,11 @@ def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
         isinstance(refined, list)
         and refined[: len(corrections)] == corrections
         and all(
-            written.get(key, _default(key)) == value
+            written.get(key, _plain(default_of(key))) == value
             for key, value in wanted.items()
             if key not in free
         )
     )
-
-
-def _default(key: str) -> Any:
-    """Return the value of a setting before it existed."""
-    return _plain(default_of(key))
 
 
 def _plain(value: Any) -> Any:

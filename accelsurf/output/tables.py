@@ -44,7 +44,7 @@ def objects_trace_csv(histories: Mapping[int, Iterable[StepRecord]]) -> str:
 
 
 def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
-    """Return a table of several objects, one row each, from `describe_objects`; missing values are empty."""
+    """Return a table of several objects, one row each, each from `describe_object`; missing values are empty."""
     # The cost of a run is not the same after it was taken up again.
     plain = [
         key for key in objects[0] if key not in ("centroid", "quality", "message", "cells_visited")
@@ -67,7 +67,7 @@ def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
     return table_text((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
 
 
-def rows_of(result: Result, table: LabelTable, with_quality: bool = True) -> list[dict[str, Any]]:
+def rows_of(result: Result, table: LabelTable) -> list[dict[str, Any]]:
     """Return a dictionary for each object that has a voxel, in order of their ids.
 
     Parameters
@@ -75,15 +75,13 @@ def rows_of(result: Result, table: LabelTable, with_quality: bool = True) -> lis
     result : Result
     table : LabelTable
         Their names.
-    with_quality : bool, optional
-        Whether to assess how likely each is good, which takes longest.
     """
     rows = []
     for segmented in result.objects:
         if not segmented.labels.any() or not segmented.has_surface:
             continue
         values = result.volume.array[segmented.box] if result.has_ids else result.volume.array
-        quality = {key: getattr(segmented.quality, key) for key in _QUALITY} if with_quality else {}
+        quality = {key: getattr(segmented.quality, key) for key in _QUALITY}
         rows.append(
             {
                 "id": segmented.id,

@@ -239,8 +239,13 @@ def load_checkpoint(path: str | Path, run: Source) -> RunCheckpoint:
     return state
 
 
-def refuse_another_run(path: str | Path, header: CheckpointHeader, here: CheckpointHeader) -> None:
-    """Refuse a checkpoint that is not of the run with header ``here``; its settings that differ are named.
+def refuse_another_run(
+    path: str | Path,
+    header: CheckpointHeader,
+    here: CheckpointHeader,
+    what: str = "another image or start",
+) -> None:
+    """Refuse a state that is not of the run with header ``here``: its settings that differ are named, else ``what``.
 
     Raises
     ------
@@ -252,7 +257,6 @@ def refuse_another_run(path: str | Path, header: CheckpointHeader, here: Checkpo
     other = [
         key for key in here.settings if key not in FREE and there.get(key) != here.settings[key]
     ]
-    what = "another image or start"
     if other:
         key = other[0]
         more = f" and {len(other) - 1} more" if len(other) > 1 else ""

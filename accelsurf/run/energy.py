@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from accelsurf.energies import Area, Energy, WeightedSum
 from accelsurf.errors import UsageError
 from accelsurf.grid.arrays import Image, Spacing
+from accelsurf.run.evolving_object import MadeEnergy
 from accelsurf.run.image_context import ImageContext, Scale, TermInputs
 from accelsurf.run.makers import TERM_MAKERS
 from accelsurf.settings.energy_expression import Term
@@ -16,24 +17,9 @@ from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
 
 
-class ResolvedEnergy(NamedTuple):
-    """An energy with its resolved settings.
-
-    Attributes
-    ----------
-    energy : Energy
-    terms : list of dict
-        Of each term: name, weight, and every setting with the value that it has in the run, also where it was taken
-        from the image; image values in the file's unit.
-    """
-
-    energy: Energy
-    terms: list[dict[str, Any]]
-
-
 def make_energy(
     config: RunConfig, image: Image, spacing: Spacing, context: ImageContext | None = None
-) -> ResolvedEnergy:
+) -> MadeEnergy:
     """The energy of a configuration, of an image on a grid of ``spacing`` (hz, hy, hx) mm.
 
     Parameters
@@ -48,7 +34,9 @@ def make_energy(
 
     Returns
     -------
-    ResolvedEnergy
+    MadeEnergy
+        Its terms have every setting with the value that it has in the run, also where it was taken from the image;
+        image values are in the file's unit.
 
     Raises
     ------
@@ -77,10 +65,10 @@ def make_energy(
         made += parts
         resolved.append(settings)
     if alone:
-        return ResolvedEnergy(made[0][1], resolved)
+        return MadeEnergy(made[0][1], config.energy, resolved)
     if config.smoothness > 0:
         made.append((config.smoothness, Area()))
-    return ResolvedEnergy(WeightedSum(made), resolved)
+    return MadeEnergy(WeightedSum(made), config.energy, resolved)
 
 
 def _channels_seen(term: Term, channels: Sequence[Image]) -> list[int]:

@@ -21,7 +21,7 @@ from accelsurf.energies.region_sums import (
 )
 from accelsurf.errors import UsageError
 from accelsurf.grid.arrays import Image, Mask, Psi, Singles, Spacing
-from accelsurf.grid.boxes import Box, box_at, whole_box
+from accelsurf.grid.boxes import Box, as_corner, box_at, whole_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry, axis_steps
 from accelsurf.grid.pyramid import Level, levels
@@ -151,8 +151,6 @@ class ImageContext:
         Of that grid, mm.
     foreground, background : ndarray (nz, ny, nx) of bool, optional
         Where likelihood learns; without ``background`` all that is not foreground.
-    others : sequence of ndarray, optional
-        The other channels, after the first, on the grid at hand; by default that of ``images``.
     is_start : bool, optional
         Whether the foreground is the start and nothing else: of several objects, each then learns from its own.
     whole : sequence of WholeChannel, optional
@@ -170,7 +168,6 @@ class ImageContext:
         spacing: tuple[float, float, float],
         foreground: Mask | None = None,
         background: Mask | None = None,
-        others: Sequence[Image] | None = None,
         is_start: bool = False,
         whole: Sequence[WholeChannel] = (),
     ) -> None:
@@ -182,7 +179,7 @@ class ImageContext:
             if foreground is None
             else TrainingVoxels(_EVERYWHERE, foreground, foreground, background)
         )
-        self.others = tuple(self.images[1:] if others is None else others)
+        self.others = tuple(self.images[1:])
         self._background: dict[tuple[int, str], NDArray[np.float64]] = {}
         self._found: dict[tuple[Any, ...], Any] = {}
         self._totals: RegionTotals | None = None
@@ -300,8 +297,7 @@ class ImageContext:
 
     @property
     def _shape(self) -> tuple[int, int, int]:
-        nz, ny, nx = self.images[0].shape
-        return nz, ny, nx
+        return as_corner(self.images[0].shape)
 
     def confidence(self, model: ClickModel | None = None) -> Confidence | None:
         """Measure how sure a model of the clicks is, by default the present one; None of a mask that was given."""

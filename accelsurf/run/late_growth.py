@@ -5,7 +5,6 @@ An observer of the run: it reads the speeds of each step, and changes nothing.
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.evolution.records import Step
-from accelsurf.grid.boxes import Box, Corner
+from accelsurf.grid.boxes import Box, Corner, as_corner, box_at, enclosing, widened
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
 from accelsurf.kernels.statistics import sums_by_cube
@@ -87,21 +86,11 @@ class LateLeakage:
         # The speed is along the inward normal: below 0 the surface grows. Swings back and forth cancel.
         area = float(np.prod(level.factors)) ** (2 / 3)
         # The cube of each index along an axis, by a table.
-        along = [
-            np.clip(
-                ((np.arange(size) + a) * factor + b + c + d).astype(np.int64) // BLOCK, 0, n - 1
-            )
-            for size, a, factor, b, c, d, n in zip(
-                step.surface.shape,
-                corner,
-                level.factors,
-                level.first,
-                first,
-                self._before,
-                self._cubes,
-                strict=True,
-            )
-        ]
+        along = []
+        for axis, size in enumerate(step.surface.shape):
+            places = (np.arange(size) + corner[axis]) * level.factors[axis] + level.first[axis]
+            cubes = (places + first[axis] + self._before[axis]).astype(np.int64) // BLOCK
+            along.append(np.clip(cubes, 0, self._cubes[axis] - 1))
         _, ny, nx = self._cubes
         planes, rows = along[0] * (ny * nx), along[1] * nx
         # Cells are in raster order, so that the first and the last tell which planes of cubes they lie in.
@@ -169,16 +158,9 @@ class LateLeakage:
         if totals.max() <= 0.0:
             return None
         largest = cubes[int(np.argmax(totals))]
-        z, y, x = (
-            min(int(at) * BLOCK - b + 0.5 * (BLOCK - 1), n - 1.0 - c)
-            for at, b, n, c in zip(
-                np.unravel_index(largest, self._cubes),
-                self._before,
-                self._shape,
-                self._corner,
-                strict=True,
-            )
-        )
+        cube = np.array(np.unravel_index(largest, self._cubes))
+        middle = cube * BLOCK - self._before + 0.5 * (BLOCK - 1)
+        z, y, x = np.minimum(middle, np.subtract(self._shape, self._corner) - 1.0).tolist()
         return z, y, x
 
 
@@ -213,11 +195,8 @@ def nearest_inside(
     """
     if place is None:
         return None
-    around = tuple(
-        slice(max(math.floor(at) - BLOCK, 0), min(math.ceil(at) + BLOCK + 1, n))
-        for at, n in zip(place, shape, strict=True)
-    )
-    box: Box = (around[0], around[1], around[2])
+    low, high = as_corner(np.floor(place)), as_corner(np.ceil(place))
+    box = widened(enclosing(box_at(low, (1, 1, 1)), box_at(high, (1, 1, 1))), shape, [BLOCK] * 3)
     found = np.argwhere(inside(box)) + [part.start for part in box]
     if not found.size:
         return None

@@ -225,7 +225,8 @@ def _first_channel(
     """The first channel, filtered; of whole images after all channels were checked."""
     if part is not None:
         return part.filtered[0]
-    _check_channels(volumes)
+    check_images(volumes)
+    check_grids(volumes)
     return filtered_volume(volumes[0], filters)
 
 
@@ -304,18 +305,6 @@ def _scaled_channels(
         scales.append(whole[place].scale if whole else scale_of(values))
         images.append(apply(values, scales[-1]))
     return images, scales
-
-
-def _check_channels(volumes: Sequence[Volume]) -> None:
-    """Refuse images that cannot be used, or that lie on different grids.
-
-    Raises
-    ------
-    InputError
-        When one has voxels that are not finite, or is no image; GeometryError when its grid differs from the first's.
-    """
-    check_images(volumes)
-    check_grids(volumes)
 
 
 def check_grids(channels: Sequence[Volume | LazyVolume]) -> None:

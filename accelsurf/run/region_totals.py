@@ -54,15 +54,13 @@ class RegionTotals:
         name = f"{kind} {channel}"
         self._summing[name] = summing
         if name not in self.totals:
-            self.totals[name] = self._over_everything(self._images[channel], summing)
+            image, inside = self._images[channel], self._psi < 0
+            self.totals[name] = np.stack(
+                [sums_by_plane(image, summing, inside), sums_by_plane(image, summing)]
+            )
         image, inside = self._images[channel][box], self._psi[box] < 0
         total = self.totals[name]
         return total[0] - summing(image[inside]), total[1] - summing(image.ravel())
-
-    def _over_everything(self, image: NDArray[np.float32], summing: Summing) -> NDArray[np.float64]:
-        return np.stack(
-            [sums_by_plane(image, summing, self._psi < 0), sums_by_plane(image, summing)]
-        )
 
     def change(self, box: Box, before: NDArray[np.bool_], after: NDArray[np.bool_]) -> None:
         """Follow a change of the object's voxels in a box.

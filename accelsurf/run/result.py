@@ -32,7 +32,7 @@ from accelsurf.measure import contours
 from accelsurf.measure.contours import Contours
 from accelsurf.measure.intervals import Estimates, Intervals, edge_measures, estimates
 from accelsurf.measure.likely import Plateau, Quality
-from accelsurf.measure.quality import ValueRange, assess
+from accelsurf.measure.quality import Judged, ValueRange, assess
 from accelsurf.measure.surface_mesh import Surface, extract
 from accelsurf.run.ensemble import overall_stop
 from accelsurf.run.image_context import ImageContext
@@ -268,10 +268,20 @@ class SegmentedObject:
     @cached_property
     def quality(self) -> Quality:
         """Measures of quality that need no reference."""
-        seen = self.labels, self.image, self.geometry, self.history, self.stop
         learned = None if self.learned is None else ValueRange(*self.learned)
         before = None if self.before is None else self.before.value
-        return assess(*seen, learned, self.plateaus, self.clicked, self.confidence, before)
+        seen = Judged(
+            self.labels,
+            self.image,
+            self.geometry,
+            self.history,
+            self.stop,
+            learned,
+            self.plateaus,
+            self.clicked,
+            self.confidence,
+        )
+        return assess(seen, before)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -608,13 +618,14 @@ def _common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
             name = term.get("term")
             same.setdefault((name, counts[name]), []).append(term)
             counts[name] += 1
-    return [
-        {
-            key: value if all(other.get(key) == value for other in alike) else "by object"
-            for key, value in alike[0].items()
-        }
-        for alike in same.values()
-    ]
+    common = []
+    for alike in same.values():
+        term = dict(alike[0])
+        for key, value in alike[0].items():
+            if any(other.get(key) != value for other in alike):
+                term[key] = "by object"
+        common.append(term)
+    return common
 
 
 def plateaus_of(found: Sequence[FoundRest], prepared: PreprocessedInput) -> tuple[Plateau, ...]:

@@ -138,7 +138,7 @@ def energy_maker(
         When an energy object was given for several levels or objects.
     """
     if energy is None or isinstance(energy, str):
-        return functools.partial(_named_energy, settings)
+        return functools.partial(make_energy, settings)
     if (levels > 1 or has_ids) and not is_maker(energy):
         what = (
             f"levels: {levels} was given, expected 1"
@@ -149,7 +149,7 @@ def energy_maker(
             f"{what}: the energy has one image, and each {'level' if levels > 1 else 'object'} needs its own",
             "give a class or function that makes the energy of (image, spacing), or levels=1 and one object",
         )
-    return functools.partial(_own_energy, energy, settings)
+    return functools.partial(own_energy, energy, settings)
 
 
 def needs_seed(config: RunConfig) -> bool:
@@ -196,27 +196,6 @@ def thin_start_warnings(
 def thread_count(config: RunConfig) -> int:
     """Return the number of threads of a run."""
     return available_cores() if config.threads == "auto" else config.threads
-
-
-def _named_energy(
-    settings: RunConfig,
-    image: NDArray[np.float32],
-    spacing: tuple[float, float, float],
-    context: ImageContext,
-) -> MadeEnergy:
-    made = make_energy(settings, image, spacing, context)
-    return MadeEnergy(made.energy, settings.energy, made.terms)
-
-
-def _own_energy(
-    energy: Any,
-    settings: RunConfig,
-    image: NDArray[np.float32],
-    spacing: tuple[float, float, float],
-    context: ImageContext,
-) -> MadeEnergy:
-    checked = own_energy(energy, settings, image, spacing)
-    return MadeEnergy(checked, checked.name, [])
 
 
 def energy_key(config: RunConfig) -> tuple[Any, ...]:
@@ -298,8 +277,12 @@ def half_width(config: RunConfig) -> float:
 
 
 def own_energy(
-    energy: Any, config: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float]
-) -> CheckedEnergy:
+    energy: Any,
+    config: RunConfig,
+    image: NDArray[np.float32],
+    spacing: tuple[float, float, float],
+    context: ImageContext,
+) -> MadeEnergy:
     """An energy of the user's own, made of image and spacing if a class or function is given, with checks.
 
     Raises
@@ -313,7 +296,8 @@ def own_energy(
                 f"{key}: {getattr(config, key)} was given, but the energy is one of your own and would ignore it",
                 "give it to the energy itself",
             )
-    return CheckedEnergy(energy(image, spacing) if is_maker(energy) else energy)
+    checked = CheckedEnergy(energy(image, spacing) if is_maker(energy) else energy)
+    return MadeEnergy(checked, checked.name, [])
 
 
 def is_maker(energy: Any) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, corner_of
+from accelsurf.grid.boxes import Box, Corner, as_corner, corner_of
 from accelsurf.grid.click_bounds import KnownDistances
 from accelsurf.grid.geometry import farthest
 from accelsurf.grid.pyramid import Level, prolong, restrict
@@ -72,8 +72,7 @@ def _widened(
 
 def _ratio_of(coarse: Level, fine: Level) -> tuple[int, int, int]:
     """Voxels of the finer level per voxel of the coarser one, along each axis."""
-    z, y, x = (c // f for c, f in zip(coarse.factors, fine.factors, strict=True))
-    return z, y, x
+    return as_corner(np.floor_divide(coarse.factors, fine.factors))
 
 
 def coarser_box(
@@ -85,7 +84,7 @@ def coarser_box(
         # A block of an axis of odd size takes half of the voxel after its last as well.
         at.append(c // ratio)
         counts.append((c + n - (1 if ratio == 1 or whole % 2 == 0 else 0)) // ratio + 1 - at[-1])
-    return (at[0], at[1], at[2]), (counts[0], counts[1], counts[2])
+    return as_corner(at), as_corner(counts)
 
 
 def touched_box(corner: Corner, shape: tuple[int, ...], coarse: Level, fine: Level) -> Box:
@@ -105,12 +104,11 @@ def finer_box(
     Along an axis of odd size it goes from the centre of the first voxel to that of the last.
     """
     ratio = _ratio_of(coarse, fine)
-    z, y, x = (c * r for c, r in zip(corner, ratio, strict=True))
-    nz, ny, nx = (
+    counts = (
         n * r - (1 if r > 1 and whole % 2 else 0)
         for n, r, whole in zip(shape, ratio, fine.shape, strict=True)
     )
-    return (z, y, x), (nz, ny, nx)
+    return as_corner(np.multiply(corner, ratio)), as_corner(counts)
 
 
 def to_finest(

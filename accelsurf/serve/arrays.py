@@ -23,13 +23,8 @@ VERSION = 1
 #: Number of a codec -> the codec.
 CODECS = {1: blosc2.Codec.ZSTD, 2: blosc2.Codec.LZ4}
 #: Types that are read, by name.
-TYPES = {
-    name: np.dtype(name)
-    for name in (
-        *("bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
-        *("float16", "float32", "float64"),
-    )
-}
+_NAMES = "bool int8 uint8 int16 uint16 int32 uint32 int64 uint64 float16 float32 float64"
+TYPES = {name: np.dtype(name) for name in _NAMES.split()}
 MAX_AXES = 4
 #: Bytes of a chunk that is written, and the most of one that is read: blosc2 counts with 31 bits.
 CHUNK = 1 << 30

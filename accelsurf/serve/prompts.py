@@ -53,15 +53,11 @@ class Grid(NamedTuple):
 
     def box_around(self, voxel: Sequence[int], reach: float) -> Box:
         """Return the box around a voxel with all voxels within a reach, in the smallest spacings."""
-        ends = [
-            (
-                max(at - math.ceil(reach * self.step / h), 0),
-                min(at + math.ceil(reach * self.step / h) + 1, n),
-            )
-            for at, h, n in zip(voxel, self.spacing, self.shape, strict=True)
-        ]
-        first, second, third = (slice(low, high) for low, high in ends)
-        return first, second, third
+        box = []
+        for at, h, n in zip(voxel, self.spacing, self.shape, strict=True):
+            voxels = math.ceil(reach * self.step / h)
+            box.append(slice(max(at - voxels, 0), min(at + voxels + 1, n)))
+        return box[0], box[1], box[2]
 
     def ball(self, voxel: Sequence[int], radius: float, side: Side) -> accelsurf.Click:
         """Return a click of the voxels within a radius of one, in the smallest spacings."""

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from accelsurf.grid.arrays import Floats
-from accelsurf.grid.boxes import Box, Corner, corner_of, shared, widened
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, nearest_places, shared, widened
 from accelsurf.image.volume import Volume
 from accelsurf.track.records import SurfacePiece
 
@@ -64,10 +64,7 @@ class Appearance(NamedTuple):
         corner : (z, y, x)
             First voxel of the box; ``shape``: its size.
         """
-        index = [
-            np.clip(np.arange(first, first + n), 0, count - 1)
-            for first, n, count in zip(corner, shape, image.geometry.shape, strict=True)
-        ]
+        index = nearest_places(box_at(corner, shape), image.geometry.shape)
         box = tuple(slice(int(places[0]), int(places[-1]) + 1) for places in index)
         found = self._odds(_features(image, (box[0], box[1], box[2])))
         return found[np.ix_(*(places - places[0] for places in index))]
@@ -122,7 +119,9 @@ def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:
         return None
     center = features.mean(axis=1, dtype=np.float64)
     learned = Appearance(center, np.maximum(spread, 1e-6 * spread.max()), np.zeros(0), 0.0, 0.0)
-    values = _with_products((features.T - learned.center) / learned.spread)
+    relative = (features.T - learned.center) / learned.spread
+    first, second = np.triu_indices(relative.shape[1])
+    values = np.concatenate([relative, relative[:, first] * relative[:, second]], axis=1)
     sides = values[label], values[~label]
     covariance = 0.5 * (np.cov(sides[0].T) + np.cov(sides[1].T))
     covariance += RIDGE * float(np.trace(covariance)) / len(covariance) * np.eye(len(covariance))
@@ -138,13 +137,8 @@ def _features(image: Volume, box: Box) -> Floats:
     """Means and standard deviations (k, nz, ny, nx) around the voxels of a box of a frame."""
     geometry = image.geometry
     step = min(geometry.steps)
-    sigmas = [
-        [
-            scale * step / h if n > 1 else 0.0
-            for h, n in zip(geometry.spacing, geometry.shape, strict=True)
-        ]
-        for scale in SCALES
-    ]
+    sides = list(zip(geometry.spacing, geometry.shape, strict=True))
+    sigmas = [[scale * step / h if n > 1 else 0.0 for h, n in sides] for scale in SCALES]
     room = widened(box, geometry.shape, [int(np.ceil(END * sigma)) for sigma in sigmas[-1]])
     inner = tuple(
         slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, room, strict=True)
@@ -160,9 +154,3 @@ def _features(image: Volume, box: Box) -> Floats:
         )
         found += [mean + middle, np.sqrt(np.maximum(square - mean**2, 0.0))]
     return np.stack(found)
-
-
-def _with_products(features: Floats) -> Floats:
-    """Features (n, k) with all products of two of them."""
-    first, second = np.triu_indices(features.shape[1])
-    return np.concatenate([features, features[:, first] * features[:, second]], axis=1)

@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from accelsurf.grid.arrays import Floats
-from accelsurf.grid.boxes import Corner
+from accelsurf.grid.boxes import Corner, as_corner, box_at, nearest_places
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import part_of
 from accelsurf.grid.pyramid import Level, prolong
@@ -51,13 +51,10 @@ class Halving(NamedTuple):
         """The means on the coarse grid of values on the frames'."""
 
         def means(corner: Corner, shape: Corner) -> NDArray[Any]:
-            (z, y, x), (nz, ny, nx) = (
-                np.multiply(part, self.factors).tolist() for part in (corner, shape)
-            )
+            fine = as_corner(np.multiply(shape, self.factors))
             blocks = np.stack([shape, self.factors], axis=1).ravel().tolist()
-            return np.asarray(
-                values((z, y, x), (nz, ny, nx)).reshape(blocks).mean(axis=(1, 3, 5)), np.float32
-            )
+            found = values(as_corner(np.multiply(corner, self.factors)), fine)
+            return np.asarray(found.reshape(blocks).mean(axis=(1, 3, 5)), np.float32)
 
         return means
 
@@ -69,23 +66,20 @@ class Halving(NamedTuple):
                 piece.psi, np.array(piece.corner), np.array(first), np.add(first, shape)
             )
 
-        z, y, x = (np.array(piece.corner) // self.factors).tolist()
-        nz, ny, nx = (
-            -(-np.add(piece.corner, piece.psi.shape) // self.factors) - (z, y, x)
-        ).tolist()
-        return SurfacePiece((z, y, x), self.on_coarse(psi_on)((z, y, x), (nz, ny, nx)))
+        corner = as_corner(np.array(piece.corner) // self.factors)
+        end = -(-np.add(piece.corner, piece.psi.shape) // self.factors)
+        return SurfacePiece(corner, self.on_coarse(psi_on)(corner, as_corner(end - corner)))
 
     def finer(self, piece: SurfacePiece) -> SurfacePiece:
         """A surface of the coarse grid, within it, on the frames' one."""
-        z, y, x = np.multiply(piece.corner, self.factors).tolist()
-        nz, ny, nx = np.minimum(
-            np.multiply(piece.psi.shape, self.factors), np.subtract(self.frame.shape, (z, y, x))
-        )
-        fine = Level(0, (1, 1, 1), (int(nz), int(ny), int(nx)), self.frame.spacing)
-        fz, fy, fx = self.factors.tolist()
-        first = 0.5 * (fz - 1), 0.5 * (fy - 1), 0.5 * (fx - 1)
-        here = Level(1, (fz, fy, fx), self.geometry.shape, self.geometry.spacing, first)
-        return SurfacePiece((z, y, x), prolong(piece.psi, here, fine))
+        corner = as_corner(np.multiply(piece.corner, self.factors))
+        whole = np.multiply(piece.psi.shape, self.factors)
+        shape = as_corner(np.minimum(whole, np.subtract(self.frame.shape, corner)))
+        fine = Level(0, (1, 1, 1), shape, self.frame.spacing)
+        factors = as_corner(self.factors)
+        first = 0.5 * (factors[0] - 1), 0.5 * (factors[1] - 1), 0.5 * (factors[2] - 1)
+        here = Level(1, factors, self.geometry.shape, self.geometry.spacing, first)
+        return SurfacePiece(corner, prolong(piece.psi, here, fine))
 
 
 def halving_of(frame: Geometry) -> Halving | None:
@@ -93,10 +87,10 @@ def halving_of(frame: Geometry) -> Halving | None:
     if min(frame.shape) == 1:
         return None
     factors = np.where(np.array(frame.spacing) < 2.0 * min(frame.spacing), 2, 1)
-    nz, ny, nx = (-(-np.array(frame.shape) // factors)).tolist()
+    shape = as_corner(-(-np.array(frame.shape) // factors))
     hz, hy, hx = np.multiply(frame.spacing, factors).tolist()
     x, y, z = frame.index_to_world(0.5 * (factors - 1)).tolist()
-    return Halving(frame, part_of(frame, (nz, ny, nx), (x, y, z), (hz, hy, hx)), factors)
+    return Halving(frame, part_of(frame, shape, (x, y, z), (hz, hy, hx)), factors)
 
 
 class BoxedSurface(NamedTuple):
@@ -151,8 +145,7 @@ class BoxedSurface(NamedTuple):
 
     def shifted(self, voxels: Sequence[int]) -> BoxedSurface:
         """The same surface, whole voxels further along z, y, x."""
-        z, y, x = (c + int(n) for c, n in zip(self.corner, voxels, strict=True))
-        return self._replace(corner=(z, y, x))
+        return self._replace(corner=as_corner(np.add(self.corner, voxels)))
 
     def is_tight(self) -> bool:
         """Test if the band comes near an edge of the box beyond which it could go on."""
@@ -187,8 +180,8 @@ class BoxedSurface(NamedTuple):
         if (first >= corner).all() and (last <= corner + shape).all():
             return self
         psi = on_larger_box(self.surface.psi, corner, first, last)
-        at = int(first[0]), int(first[1]), int(first[2])
-        return self._replace(surface=self._made(psi, self.surface.requested_half_width), corner=at)
+        surface = self._made(psi, self.surface.requested_half_width)
+        return self._replace(surface=surface, corner=as_corner(first))
 
     def widened(self, half_width: float) -> BoxedSurface:
         """The surface with a band of another half width (voxels), on a box with room for it."""
@@ -210,7 +203,7 @@ class BoxedSurface(NamedTuple):
         if (first >= last).any() or not self.surface.size:
             return SurfacePiece((0, 0, 0), np.ones((0, 0, 0), np.float32))
         psi = on_larger_box(self.surface.psi, corner, first, last)
-        piece = SurfacePiece((int(first[0]), int(first[1]), int(first[2])), psi)
+        piece = SurfacePiece(as_corner(first), psi)
         return piece if self.halving is None else self.halving.finer(piece)
 
 
@@ -247,10 +240,7 @@ def on_larger_box(
     last: NDArray[np.int64],
 ) -> NDArray[np.float32]:
     """Psi of a box from ``corner`` on the box from ``first`` to ``last``: beyond its edge it is that of the edge."""
-    index = [
-        np.clip(np.arange(a, b) - c, 0, n - 1)
-        for a, b, c, n in zip(first, last, corner, psi.shape, strict=True)
-    ]
+    index = nearest_places(box_at(as_corner(first - corner), as_corner(last - first)), psi.shape)
     return np.ascontiguousarray(psi[np.ix_(*index)], np.float32)
 
 
@@ -326,12 +316,10 @@ def separate_parts(surface: SurfacePiece) -> list[SurfacePiece]:
     sizes = np.bincount(labels.ravel())[1:]
     order = np.argsort(-sizes, kind="stable")
     large = [int(i) + 1 for i in order if sizes[i] >= OWN_PART * sizes.max()]
-    return [_one_part(surface, labels == number) for number in large]
-
-
-def _one_part(surface: SurfacePiece, inside: NDArray[np.bool_]) -> SurfacePiece:
-    """A surface without the voxels inside that are not of one part."""
-    return surface._replace(psi=np.where(inside, surface.psi, np.abs(surface.psi))).tight()
+    return [
+        surface._replace(psi=np.where(labels == n, surface.psi, np.abs(surface.psi))).tight()
+        for n in large
+    ]
 
 
 def touching(surfaces: Sequence[SurfacePiece], image: Volume, edge: float) -> list[tuple[int, int]]:

@@ -276,19 +276,17 @@ class Follower:
 
     def _measure(self, predicted: dict[int, SurfacePiece], arrival: Arrival) -> dict[int, Measured]:
         """Segment the frame: the objects that were seen last, then the others in the voxels that these leave free."""
-        predictable = [followed for followed in self.objects if predicted[followed.id].has_inside]
-        unrun = (
-            []
-            if arrival.refinements
-            else [followed.id for followed in predictable if not followed.is_run]
-        )
-        starts = [
-            (followed.missing, ObjectStart(followed.id, *predicted[followed.id]))
-            for followed in predictable
-            if followed.id not in unrun
-        ]
-        first = [start for missing, start in starts if missing == 0]
-        then = [start for missing, start in starts if missing > 0]
+        first: list[ObjectStart] = []
+        then: list[ObjectStart] = []
+        unrun: list[int] = []
+        for followed in self.objects:
+            if not predicted[followed.id].has_inside:
+                continue
+            if not followed.is_run and not arrival.refinements:
+                unrun.append(followed.id)
+                continue
+            start = ObjectStart(followed.id, *predicted[followed.id])
+            (first if followed.missing == 0 else then).append(start)
         if arrival.refinements:
             first, then = [*first, *then], []
         run, energy = self._run, self._energy
@@ -298,7 +296,7 @@ class Follower:
             if first or not unrun
             else {}
         )
-        for followed in [followed for followed in predictable if followed.id in unrun]:
+        for followed in [followed for followed in self.objects if followed.id in unrun]:
             if followed.appearance is None:
                 found[followed.id] = measured_piece(predicted[followed.id], self._geometry)
                 continue
@@ -469,10 +467,8 @@ class Follower:
         cut = lies_on_border(found.surface, self._geometry)
         nearest, old = np.inf, None
         for followed in absent:
-            away = min(
-                float(np.linalg.norm(place - np.array(there)))
-                for there in (followed.centroid, followed.predicted_place(arrival.time))
-            )
+            places = followed.centroid, followed.predicted_place(arrival.time)
+            away = min(float(np.linalg.norm(place - np.array(there))) for there in places)
             fits = size <= FACTOR * followed.whole_mm3 and (
                 cut or followed.whole_mm3 <= FACTOR * size
             )

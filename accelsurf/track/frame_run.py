@@ -17,6 +17,7 @@ from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import ConstantDensity
 from accelsurf.grid.boxes import (
     Box,
+    as_corner,
     bounding_box,
     box_at,
     corner_of,
@@ -335,8 +336,8 @@ def measured_piece(piece: SurfacePiece, geometry: Geometry) -> Measured:
 
 def measured(found: SegmentedObject, box: Box) -> Measured:
     """Measure an object after a run on a box of the frame, on the frame's grid."""
-    z, y, x = (a + b for a, b in zip(corner_of(found.box), corner_of(box), strict=True))
-    whole = SurfacePiece((z, y, x), found.psi)
+    corner = as_corner(np.add(corner_of(found.box), corner_of(box)))
+    whole = SurfacePiece(corner, found.psi)
     if not whole.has_inside:
         return NOTHING
     last = found.history[-1]

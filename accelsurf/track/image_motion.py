@@ -15,7 +15,16 @@ from scipy import ndimage
 from skimage.registration import optical_flow_ilk
 
 from accelsurf.grid.arrays import Floats
-from accelsurf.grid.boxes import Box, bounding_box, corner_of, placed_at, shared, widened
+from accelsurf.grid.boxes import (
+    Box,
+    as_corner,
+    bounding_box,
+    corner_of,
+    nearest_places,
+    placed_at,
+    shared,
+    widened,
+)
 from accelsurf.image.volume import Volume
 from accelsurf.track.records import SurfacePiece
 
@@ -136,10 +145,7 @@ def image_motion(
 
 def _blurred(volume: Volume, box: Box, offset: Floats) -> Floats:
     """The blurred image on a box that is moved by whole voxels; beyond the frame it is that of its edge."""
-    index = [
-        np.clip(np.arange(side.start, side.stop) + int(n), 0, last - 1)
-        for side, n, last in zip(box, offset, volume.geometry.shape, strict=True)
-    ]
+    index = nearest_places(placed_at(box, as_corner(offset)), volume.geometry.shape)
     values = volume.array[np.ix_(*index)].astype(np.float64)
     finest = min(volume.geometry.steps)
     sigma = [

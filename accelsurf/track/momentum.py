@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from accelsurf.grid.arrays import Floats
-from accelsurf.grid.boxes import Corner
+from accelsurf.grid.boxes import Corner, as_corner
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet, SurfaceState, Workers, checkpoint_surface, restore_surface
 from accelsurf.track.boxed_surface import (
@@ -313,13 +313,11 @@ class SurfaceMomentum(ABC):
         saved = SurfaceState(**{name: state[f"surface_{name}"] for name in names})
         halving = halving_of(geometry) if state["halved"] else None
         geometry = geometry if halving is None else halving.geometry
-        shape = tuple(int(n) for n in state["shape"])
         surface = LevelSet(
-            np.ones(shape, np.float32), geometry.spacing, self.half_width, self.workers
+            np.ones(state["shape"], np.float32), geometry.spacing, self.half_width, self.workers
         )
         restore_surface(surface, saved._replace(inside_beyond=int(saved.inside_beyond)))
-        z, y, x = (int(c) for c in state["corner"])
-        self._boxed = BoxedSurface(surface, (z, y, x), geometry, halving)
+        self._boxed = BoxedSurface(surface, as_corner(state["corner"]), geometry, halving)
         self._fields = [np.array(field, np.float32) for field in state["fields"]]
         self._points = np.array(state["points"], np.float64).reshape(-1, 3)
 
@@ -337,12 +335,11 @@ def _union(surfaces: Sequence[BoxedSurface]) -> BoxedSurface:
     last = np.max(
         [np.array(surface.corner) + surface.surface.shape for surface in surfaces], axis=0
     )
-    psi = np.full(tuple(int(n) for n in last - first), np.inf, np.float32)
+    psi = np.full(last - first, np.inf, np.float32)
     for surface in surfaces:
         psi = np.minimum(
             psi, on_larger_box(surface.surface.psi, np.array(surface.corner), first, last)
         )
     like = surfaces[0]
-    corner = int(first[0]), int(first[1]), int(first[2])
     width, workers = like.surface.requested_half_width, like.surface.workers
-    return boxed_surface(psi, corner, like.geometry, width, workers, like.halving)
+    return boxed_surface(psi, as_corner(first), like.geometry, width, workers, like.halving)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.arrays import Floats
+from accelsurf.grid.boxes import as_corner
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.kernels import point_sampling
 from accelsurf.track.boxed_surface import BoxedSurface, boxed_piece, boxed_surface
@@ -137,8 +138,7 @@ def between(
     shape = tuple(int(n) for n in np.maximum(high - low, 1))
     psi = (1.0 - gain) * _resampled(first, -gain * found.shift, low, shape)
     psi += gain * _resampled(second, (1.0 - gain) * found.shift, low, shape)
-    corner = int(low[0]), int(low[1]), int(low[2])
-    like = predicted
+    like, corner = predicted, as_corner(low)
     return boxed_surface(
         psi.astype(np.float32), corner, like.geometry, width, like.surface.workers, like.halving
     )

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, widened
+from accelsurf.grid.boxes import Box, Corner, as_corner, bounding_box, box_at, corner_of, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.images import label_type
@@ -43,8 +43,8 @@ class SurfacePiece(NamedTuple):
         inner = bounding_box(self.psi < 0)
         assert inner is not None  # something is inside
         part = widened(inner, self.psi.shape, (BAND, BAND, BAND))
-        z, y, x = (a + b for a, b in zip(corner_of(part), self.corner, strict=True))
-        return SurfacePiece((z, y, x), np.ascontiguousarray(self.psi[part]))
+        corner = as_corner(np.add(corner_of(part), self.corner))
+        return SurfacePiece(corner, np.ascontiguousarray(self.psi[part]))
 
     @property
     def box(self) -> Box:

@@ -71,7 +71,9 @@ def open_tracks(path: Path) -> TrackedFile:
 
     sequence = read_sequence(path)
     table = table_beside(path)
-    frames, parents = _read_table(table) if table is not None else (_frames_shown(sequence), {})
+    frames, parents = (
+        read_tracks_table(table, _tracks_in) if table is not None else (_frames_shown(sequence), {})
+    )
     tracks = stretches(frames, parents)
     return TrackedFile(
         path, TrackedLabels(len(sequence), lambda n: _as_labels(sequence, n), tracks), (), table
@@ -125,16 +127,10 @@ def table_beside(path: Path) -> Path | None:
 
 
 def _of_challenge(path: Path, found: ChallengeFolder) -> TrackedFile:
-    tracks = [
-        Stretch(
-            track.label,
-            track.label,
-            track.first,
-            track.last,
-            (track.parent,) if track.parent else (),
-        )
-        for track in found.tracks
-    ]
+    tracks = []
+    for track in found.tracks:
+        parents = (track.parent,) if track.parent else ()
+        tracks.append(Stretch(track.label, track.label, track.first, track.last, parents))
     return TrackedFile(
         path, TrackedLabels(len(found.frames), found.labels, tracks), found.outlines, found.folder
     )
@@ -186,14 +182,10 @@ def _frames_shown(sequence: ImageSequence) -> dict[int, list[int]]:
     return frames
 
 
-def _read_table(path: Path) -> tuple[dict[int, list[int]], dict[int, tuple[int, ...]]]:
-    """Read the frames in which each id is seen, and its parents, from the columns frame, id, parent and seen."""
-    return read_tracks_table(path, _tracks_in)
-
-
 def _tracks_in(
     columns: Sequence[str], lines: Iterator[Mapping[str, str]]
 ) -> tuple[dict[int, list[int]], dict[int, tuple[int, ...]]]:
+    """Read the frames in which each id is seen, and its parents, from the columns frame, id, parent and seen."""
     for name in ("frame", "id"):
         if name not in columns:
             raise InputError(

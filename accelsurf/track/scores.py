@@ -183,17 +183,17 @@ def score(
     operations = _operations(frames, matches, result, reference)
     vertices = sum(len(frame.reference) for frame in frames)
     edges = len(_edges(reference, frames, "reference"))
-    outlines = (
-        frames
-        if exact is None
-        else [
-            _counted(_frame_or_slice(result.labels(given.frame), given.plane), given.labels)
-            for given in exact
-        ]
-    )
+    outlines = frames if exact is None else []
+    for given in exact or ():
+        planes = slice(None) if given.plane is None else slice(given.plane, given.plane + 1)
+        outlines.append(_counted(result.labels(given.frame)[planes], given.labels))
     identities = _identities(frames)
     dice = [_dice_by_identity(frame, identities) for frame in frames]
     together = [value for values in dice for value in values]
+    by_frame = []
+    for number, (frame, matched, values) in enumerate(zip(frames, matches, dice, strict=True)):
+        counts = len(frame.reference), len(frame.result), len(matched)
+        by_frame.append(FrameScore(number, *counts, float(np.mean(values)) if values else None))
     return TrackingScores(
         _seg(outlines),
         _share(operations.of_objects, ADD * vertices),
@@ -202,22 +202,8 @@ def score(
         float(np.mean(together)) if together else None,
         _switches(matches),
         identities,
-        tuple(
-            FrameScore(
-                number,
-                len(frame.reference),
-                len(frame.result),
-                len(matches[number]),
-                float(np.mean(dice[number])) if dice[number] else None,
-            )
-            for number, frame in enumerate(frames)
-        ),
+        tuple(by_frame),
     )
-
-
-def _frame_or_slice(labels: NDArray[Any], plane: int | None) -> NDArray[Any]:
-    """The labels of a frame, or of one of its slices."""
-    return labels if plane is None else labels[plane : plane + 1]
 
 
 def _counted(result: NDArray[Any], reference: NDArray[Any]) -> _Frame:
@@ -279,14 +265,10 @@ def _edges(
 ) -> dict[tuple[Vertex, Vertex], bool]:
     """Edges of a graph, with whether each leads from a parent to a child."""
     shown = [getattr(frame, side) for frame in frames]
-    vertices = {
-        track.label: [
-            (n, track.id)
-            for n in range(track.first, min(track.last + 1, labels.frames))
-            if track.id in shown[n]
-        ]
-        for track in labels.tracks
-    }
+    vertices: dict[int, list[Vertex]] = {}
+    for track in labels.tracks:
+        frames_of = range(track.first, min(track.last + 1, labels.frames))
+        vertices[track.label] = [(n, track.id) for n in frames_of if track.id in shown[n]]
     edges: dict[tuple[Vertex, Vertex], bool] = {}
     for track in labels.tracks:
         line = vertices[track.label]
@@ -392,10 +374,8 @@ def stretches(
     runs_of: dict[int, list[Stretch]] = {}
     fresh = max(seen, default=0)
     for object_id in sorted(seen, key=lambda n: (seen[n][0], n)):
-        before = (
-            _before(runs_of.get(parent, ()), seen[object_id][0])
-            for parent in sorted(parents.get(object_id, ()))
-        )
+        born, named = seen[object_id][0], sorted(parents.get(object_id, ()))
+        before = [_before(runs_of.get(parent, ()), born) for parent in named]
         came_from = tuple(stretch.label for stretch in before if stretch is not None)
         for number, (first, last) in enumerate(runs(seen[object_id])):
             label = object_id

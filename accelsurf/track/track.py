@@ -7,10 +7,11 @@ goes on to the same bytes.
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
@@ -23,10 +24,15 @@ from accelsurf.image.volume import Volume
 from accelsurf.io import read_sequence, states
 from accelsurf.io.library_images import ImageLike, VolumeSequence, from_library
 from accelsurf.levelset import Workers
-from accelsurf.run.checkpoint import FREE, digest_of, versions
+from accelsurf.run.checkpoint import (
+    FREE,
+    CheckpointHeader,
+    digest_of,
+    refuse_another_run,
+    versions,
+)
 from accelsurf.run.setup import EnergyLike, ObjectsLike, seeded, thread_count
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.settings.wording import shown
 from accelsurf.track.appearance import Appearance
 from accelsurf.track.evidence import Profile
 from accelsurf.track.first_frame import OnStep, first_objects, given_objects
@@ -101,15 +107,13 @@ def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
     InputError, UsageError
         As `accelsurf.read_sequence`; InputError and GeometryError where channels do not fit together.
     """
-    first, *others = (
-        read_sequence(
-            path,
-            frame_time=config.frame_time,
-            frames_from_slices=config.frames_from_slices,
-            options=config.run.reading,
-        )
-        for path in (source, *(Path(file) for file in config.run.channel))
+    read = partial(
+        read_sequence,
+        frame_time=config.frame_time,
+        frames_from_slices=config.frames_from_slices,
+        options=config.run.reading,
     )
+    first, *others = map(read, (source, *map(Path, config.run.channel)))
     return JoinedSequence(first, others) if others else first
 
 
@@ -337,7 +341,7 @@ class Tracking:
         states.write_state(self._path, SavedTracking(self._header, self._state()), TYPES)
 
     @cached_property
-    def _header(self) -> Header:
+    def _header(self) -> CheckpointHeader:
         # Once: it reads the first frame.
         return header_of(self.sequence, self.config, self._meshes)
 
@@ -358,7 +362,7 @@ class Tracking:
         header, state = read_state(path)
         if state.seed is not None and self.config.run.seed != state.seed:
             self.config = self.config.replace(run=self.config.run.replace(seed=state.seed))
-        refuse_another(path, header, self._header)
+        refuse_another_run(path, header, self._header, "another sequence")
         self._identities.restore(state.identities)
         self._follower = self._new_follower()
         self._follower.restore(state.objects)
@@ -440,13 +444,11 @@ def track(
     return Tracking(frames, settings, energy, starts, meshes, on_step, checkpoint_to)
 
 
-def small_runs() -> dict[str, Callable[[], Any]]:
-    """Return runs by name of the kernels that only a tracking calls, for ``accelsurf warmup``."""
-    return {"tracking": _warm_up}
+def warm_up() -> None:
+    """Call the kernels that only a tracking calls, for ``accelsurf warmup``.
 
-
-def _warm_up() -> None:
-    """A ball through three frames, with a mesh that is moved along, the way of the observer gone in part."""
+    A ball through three frames, with a mesh that is moved along, the way of the observer gone in part.
+    """
     frames = [_warmup_frame(x) for x in (-1.0, 0.0, 1.0)]
     start = frames[0].with_array((frames[0].array > 0.5).astype(np.uint8))
     config = TrackConfig(observer="0.7,0.5", levels=1, max_steps=12)
@@ -459,14 +461,6 @@ def _warmup_frame(shift: float) -> Volume:
     return Volume.from_array(
         (z**2 + y**2 + (x - shift) ** 2 < WARMUP_RADIUS**2).astype(np.float32), 1.0
     )
-
-
-class Header(NamedTuple):
-    """Header of a state: ``versions`` that the numbers depend on, ``digest`` of the sequence, and ``settings``."""
-
-    versions: dict[str, str]
-    digest: str
-    settings: dict[str, Any]
 
 
 class TrackState(NamedTuple):
@@ -504,7 +498,7 @@ class TrackState(NamedTuple):
 class SavedTracking(NamedTuple):
     """A tracking as it is written: its ``state`` after a frame, with the ``header`` that says of which one."""
 
-    header: Header
+    header: CheckpointHeader
     state: TrackState
 
 
@@ -512,7 +506,7 @@ TYPES: dict[str, type] = {
     kind.__name__: kind
     for kind in (
         Appearance,
-        Header,
+        CheckpointHeader,
         Measured,
         Profile,
         SavedTracking,
@@ -523,7 +517,7 @@ TYPES: dict[str, type] = {
 }
 
 
-def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Header:
+def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> CheckpointHeader:
     """The header of a tracking's states, the same at every frame.
 
     Of the sequence it has grid, times and the voxels of the first frame that is done.
@@ -538,8 +532,9 @@ def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Hea
         ).encode()
     )
     run = config.run.model_dump(mode="json", exclude=set(FREE))
-    tracking = config.model_dump(mode="json", exclude={"run"})
-    return Header(versions(), sha.hexdigest(), {**run, **tracking, "meshes": meshes})
+    settings = {**run, **config.model_dump(mode="json", exclude={"run"}), "meshes": meshes}
+    sha.update(json.dumps(settings, sort_keys=True).encode())
+    return CheckpointHeader(versions(), sha.hexdigest(), settings)
 
 
 def read_state(path: Path) -> SavedTracking:
@@ -551,22 +546,3 @@ def read_state(path: Path) -> SavedTracking:
         When the file cannot be read, is damaged or of another version.
     """
     return states.read_state(path, SavedTracking, TYPES, lambda saved: saved, _BEGIN)
-
-
-def refuse_another(path: Path, header: Header, expected: Header) -> None:
-    """Refuse the state of another tracking, and name the difference.
-
-    Raises
-    ------
-    InputError
-    """
-    if (header.digest, header.settings) == (expected.digest, expected.settings):
-        return
-    other = [key for key in expected.settings if header.settings.get(key) != expected.settings[key]]
-    what = "another sequence"
-    if other:
-        key = other[0]
-        what = f"other settings: {key} was {shown(header.settings.get(key))}, is {shown(expected.settings[key])}"
-    raise InputError(
-        f"{path}: a state of {what}", "give those of the run that wrote it, or begin anew"
-    )

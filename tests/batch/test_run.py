@@ -38,13 +38,14 @@ class Watching:
 
 
 @pytest.fixture
-def batch(tmp_path):
+def batch(tmp_path, monkeypatch):
+    monkeypatch.setattr("accelsurf.batch.worker.lost_outcome", lost)
     tasks = [
         CaseTask(Case(name, tmp_path / f"{name}.nii"), tmp_path / "out" / name, RunConfig())
         for name in "abc"
     ]
     needs = {"a": Need(8, 1), "b": Need(8, 1), "c": Need(8, 1000)}
-    return Batch(tasks, needs, Admission(2, 1, 100), None, "a folder", ["accelsurf", "batch"])
+    return Batch(tasks, needs, Admission(2, 1, 100), None, "a folder")
 
 
 def statuses(folder):
@@ -60,7 +61,7 @@ def run(batch, folder, function):
     watching = Watching()
     with OutputFolder(folder, "batch").stage() as files:
         made = batch.tables(files)
-        batch.run(InlinePool(function, 1, bytes=batch.admission.bytes), made, watching, lost, False)
+        batch.run(InlinePool(function, 1, bytes=batch.admission.bytes), made, watching)
     return made, watching
 
 

@@ -98,7 +98,7 @@ def test_licence_source_and_checksums_are_shown_before_anything_is_asked_for(
     [
         ("/scan.bin", b"other" * 1000, "checksum"),
         ("/labels.bin", LABELS[::-1], "checksum"),
-        ("/labels.bin", LABELS * 10_000, "size"),
+        ("/labels.bin", LABELS * 10_000, "checksum"),
         ("/labels.bin", b"", "checksum"),
         ("/labels.bin", None, "status 404"),
     ],

@@ -202,7 +202,7 @@ def test_report_and_table_have_them():
     assert report["intervals"] == {key: list(interval) for key, interval in found._asdict().items()}
     assert report["estimates"] == best._asdict()
     assert found.volume_mm3.low < VOLUME < found.volume_mm3.high
-    (row,) = tables.rows_of(result, LabelTable({}), with_quality=False)
+    (row,) = tables.rows_of(result, LabelTable({}))
     for key in best._fields:
         stem, unit = key.rsplit("_", 1)
         names = [f"{stem}_{part}_{unit}" for part in ("low", "estimate", "high")]

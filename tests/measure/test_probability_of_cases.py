@@ -12,7 +12,7 @@ from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure import likely
 from accelsurf.measure.metrics import dice
-from accelsurf.measure.quality import assess
+from accelsurf.measure.quality import Judged, assess
 
 SIDE, SPACING = 64, (1.0, 1.0, 1.0)
 #: From this probability on a result is said to be good; it is from this Dice on, and failed below the other.
@@ -73,7 +73,7 @@ def first_answer(name, noise):
         [],
         DONE,
     )
-    return dice(labels, truth), assess(*seen, clicked=mask, confidence=confidence_of(model))
+    return dice(labels, truth), assess(Judged(*seen, clicked=mask, confidence=confidence_of(model)))
 
 
 @pytest.mark.parametrize("noise", [0.0, 5.0])

@@ -16,7 +16,7 @@ from accelsurf.interact.refine import refine
 from accelsurf.measure import likely
 from accelsurf.measure.likely import Plateau, click_features, features
 from accelsurf.measure.metrics import dice
-from accelsurf.measure.quality import ValueRange, assess
+from accelsurf.measure.quality import Judged, ValueRange, assess
 from accelsurf.output.document import describe_quality, to_json
 from accelsurf.text.starts import psi_of_starts, read_starts
 from tests.support.records import step_record
@@ -32,7 +32,9 @@ def coordinates(shape=SHAPE):
 
 def look(mask, image, history=(), stop=DONE):
     return assess(
-        mask.astype(np.uint8), image.astype(np.float32), Geometry(SHAPE, SPACING), history, stop
+        Judged(
+            mask.astype(np.uint8), image.astype(np.float32), Geometry(SHAPE, SPACING), history, stop
+        )
     )
 
 
@@ -102,7 +104,7 @@ def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
     # What has broken through after a rest only goes on.
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), history
     rest = Plateau(4, 110.0, 9, (1.0, 2.0, 3.0))
-    found = assess(*seen, Stop("max-steps", 60, 6.0, "not converged"), plateaus=[rest])
+    found = assess(Judged(*seen, Stop("max-steps", 60, 6.0, "not converged"), plateaus=[rest]))
     assert any(
         words.startswith("growth: ") and words.endswith("try --stop-at-rest")
         for words in found.warnings
@@ -119,7 +121,7 @@ def test_a_leak_after_a_rest_names_the_rest():
         ((), "leak: it is too large"),
         ((rest,), "leak: it is too large; try --stop-at-rest"),
     ):
-        found = assess(*seen, leaked, plateaus=rests)
+        found = assess(Judged(*seen, leaked, plateaus=rests))
         assert [words for words in found.warnings if words.startswith("leak: ")] == [wanted]
 
 
@@ -180,7 +182,9 @@ def test_the_report_has_probability_place_and_rests_as_values():
     geometry = Geometry(SHAPE, SPACING, origin=(100.0, 0.0, 0.0))
     history = [step_record(0, volume_mm3=900.0), step_record(9, volume_mm3=7200.0, area_mm2=1800.0)]
     found = assess(
-        mask.astype(np.uint8), mask.astype(np.float32), geometry, history, DONE, plateaus=[rest]
+        Judged(
+            mask.astype(np.uint8), mask.astype(np.float32), geometry, history, DONE, plateaus=[rest]
+        )
     )
     described = json.loads(to_json(describe_quality(found)))
     assert described["rests"] == [
@@ -200,7 +204,14 @@ def test_a_rest_is_noted_where_the_object_has_grown_since():
     for size, noted in ((4e-6, True), (4.8e-6, False), (6e-6, False)):
         rest = Plateau(4, size, 9, (1.0, 2.0, 3.0))
         found = assess(
-            mask, mask.astype(np.float32), Geometry(SHAPE, SPACING), history, DONE, plateaus=[rest]
+            Judged(
+                mask,
+                mask.astype(np.float32),
+                Geometry(SHAPE, SPACING),
+                history,
+                DONE,
+                plateaus=[rest],
+            )
         )
         assert any(note.startswith("rest: ") for note in found.notes) == noted
         assert not noted or "with 4000 um3, then" in found.notes[0]
@@ -243,7 +254,7 @@ def told_of(confidence, mask=None):
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2 if mask is None else mask
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), [], DONE
-    return assess(*seen, confidence=confidence)
+    return assess(Judged(*seen, confidence=confidence))
 
 
 def test_what_the_model_of_the_clicks_says_counts_for_all():
@@ -431,7 +442,11 @@ def test_it_takes_less_memory_than_the_solver():
     inside = (ax[:, None, None] ** 2 + ax[:, None] ** 2 + ax**2 < 70**2).astype(np.uint8)
     image = inside.astype(np.float32)
     tracemalloc.start()
-    assess(inside, image, Geometry(inside.shape, (1.0, 1.0, 1.0)), [], DONE, ValueRange(0.5, 1.5))
+    assess(
+        Judged(
+            inside, image, Geometry(inside.shape, (1.0, 1.0, 1.0)), [], DONE, ValueRange(0.5, 1.5)
+        )
+    )
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 16 * inside.size

@@ -7,6 +7,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.contours import extract as extract_contours
 from accelsurf.measure.surface_mesh import extract
 from accelsurf.measure.vertex_placement import cubic_at
+from tests.support.meshes import euler_characteristic
 
 
 def drawn_capsule(draw, radius, spacing, length):
@@ -59,7 +60,7 @@ def test_small_balls_and_thin_cylinders_have_their_volume(radius, most, spacing)
             draw, radius * max(spacing), spacing, length * max(spacing)
         )
         mesh = extract(psi, geometry)
-        assert mesh.is_closed and mesh.euler_characteristic == 2
+        assert mesh.is_closed and euler_characteristic(mesh) == 2
         if np.count_nonzero(psi < 0) > 14:
             assert mesh.volume == pytest.approx(volume, rel=most)
 
@@ -74,7 +75,7 @@ def test_small_ellipsoids_have_their_volume(spacing):
             half_axes, spacing, (np.array(shape) - 1) / 2 + draw.uniform(-0.5, 0.5, 3), shape
         )
         mesh = extract(psi, Geometry(shape, spacing))
-        assert mesh.is_closed and mesh.euler_characteristic == 2
+        assert mesh.is_closed and euler_characteristic(mesh) == 2
         assert mesh.volume == pytest.approx(4 / 3 * np.pi * half_axes.prod(), rel=most)
 
 

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from accelsurf.errors import InputError
-from accelsurf.grid.arrays import Floats
 from accelsurf.io.dicom import sources
 from accelsurf.io.dicom.sources import (
     HEADER_HINT,
@@ -175,9 +174,9 @@ class Frame:
     padding: tuple[float, float] | None = None
     number: int = 0
     frames: int = 1
-    position: Floats | None = None
-    orientation: Floats | None = None
-    spacing: Floats | None = None
+    position: tuple[float, ...] | None = None
+    orientation: tuple[float, ...] | None = None
+    spacing: tuple[float, ...] | None = None
     thickness: float | None = None
     slope: float = 1.0
     intercept: float = 0.0

@@ -8,7 +8,6 @@ any colour vision can tell apart. matplotlib is imported by the first picture: t
 from __future__ import annotations
 
 import functools
-import io
 import logging
 import math
 from collections.abc import Sequence
@@ -16,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
+from accelsurf.output.pictures.movies import png_bytes
 from accelsurf.settings.wording import in_unit
 
 if TYPE_CHECKING:
@@ -76,7 +75,6 @@ _FURTHER_FONTS = (
 #: A white square: stands for a character that no font has.
 _MISSING = "\u25a1"
 _POINTS_PER_INCH = 72
-_COMPRESSION = 3
 _HORIZONTAL = {"l": "left", "m": "center", "r": "right"}
 _VERTICAL = {"a": "top", "m": "center", "d": "bottom"}
 
@@ -147,7 +145,7 @@ class Canvas:
                 anchor="mm",
             )
 
-    def axes(self, box: Box, x: Sequence[float], y: Sequence[float], frame: bool = True) -> Axes:
+    def axes(self, box: Box, x: Sequence[float], y: Sequence[float]) -> Axes:
         """Return new axes in a box, with the values ``x`` at its left and right, ``y`` at its lower and upper side."""
         place = (
             box.left / self.width,
@@ -155,7 +153,7 @@ class Canvas:
             box.width / self.width,
             box.height / self.height,
         )
-        axes = self.figure.add_axes(place, xlim=x, ylim=y, facecolor="none", frame_on=frame)
+        axes = self.figure.add_axes(place, xlim=x, ylim=y, facecolor="none")
         # A user's own settings of matplotlib may have both.
         axes.grid(False)
         axes.minorticks_off()
@@ -203,11 +201,7 @@ class Canvas:
 
     def png(self) -> bytes:
         """Draw the picture as a PNG file."""
-        stream = io.BytesIO()
-        Image.fromarray(np.ascontiguousarray(self.pixels())).save(
-            stream, "png", compress_level=_COMPRESSION
-        )
-        return stream.getvalue()
+        return png_bytes(self.pixels())
 
 
 def object_color(position: int) -> str:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from PIL.PngImagePlugin import PngImageFile, PngInfo
+
+from accelsurf.output.pictures.movies import png_bytes
 
 #: The text in a PNG with the digest of its pixels.
 _KEY = "accelsurf look"
 #: Bytes of a file at most that is looked into: a picture has less.
 _MAX_BYTES = 1 << 26
-_COMPRESSION = 3
 
 
 def marked_png(pixels: NDArray[np.uint8]) -> bytes:
@@ -26,12 +25,9 @@ def marked_png(pixels: NDArray[np.uint8]) -> bytes:
     >>> marked_png(np.zeros((2, 3, 3), np.uint8))[1:4]
     b'PNG'
     """
-    stream, text = io.BytesIO(), PngInfo()
+    text = PngInfo()
     text.add_text(_KEY, _digest(pixels))
-    Image.fromarray(np.ascontiguousarray(pixels)).save(
-        stream, "png", compress_level=_COMPRESSION, pnginfo=text
-    )
-    return stream.getvalue()
+    return png_bytes(pixels, text)
 
 
 def is_own_picture(path: Path) -> bool:

@@ -8,8 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow, window_of
@@ -97,10 +95,10 @@ def preview_png(content: PreviewContent) -> bytes:
     )
     first = [main[native], second] if is_flat else main
     width = (WIDTH - LEFT - RIGHT - (len(first) - 1) * GAP) / len(first)
-    panels = {
-        view: Box(left, TOP, left + width, TOP + PANEL + further)
-        for view, left in zip(first, np.arange(len(first)) * (width + GAP) + LEFT, strict=True)
-    }
+    panels = {}
+    for column, view in enumerate(first):
+        left = column * (width + GAP) + LEFT
+        panels[view] = Box(left, TOP, left + width, TOP + PANEL + further)
     below = [panel_at(1, column, further) for column in range(3)]
     if is_flat:
         middle = below[0].middle[1]

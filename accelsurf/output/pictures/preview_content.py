@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box
+from accelsurf.grid.boxes import Box, as_corner, corner_of
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.grey_window import GreyWindow
@@ -68,11 +68,8 @@ def marks_of(clicks: Iterable[Click], spacing: Sequence[float]) -> tuple[ClickMa
     for click in clicks:
         voxels = np.argwhere(click.mask)
         distances = (((voxels - voxels.mean(axis=0)) * np.asarray(spacing)) ** 2).sum(axis=1)
-        z, y, x = (
-            int(v) + part.start
-            for v, part in zip(voxels[np.argmin(distances)], click.box, strict=True)
-        )
-        marks.append(ClickMark(click.side, click.id, (z, y, x), click.box, click.mask))
+        place = as_corner(voxels[np.argmin(distances)] + corner_of(click.box))
+        marks.append(ClickMark(click.side, click.id, place, click.box, click.mask))
     return tuple(marks)
 
 

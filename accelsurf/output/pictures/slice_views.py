@@ -155,25 +155,14 @@ def _largest_section(inside: NDArray[np.bool_], plane: int) -> int:
     return int(most[(len(most) - 1) // 2])
 
 
-def late_view(content: PreviewContent) -> SliceView | None:
-    """The slice through the fastest late growth."""
-    if content.late_growth is None:
-        return None
-    plane = native_plane(content.geometry)
-    return SliceView(
-        plane, round(displayed(content.late_growth, content.geometry)[plane]), "latest growth"
-    )
-
-
 def uncertain_views(content: PreviewContent) -> list[SliceView]:
     """The slices of the fastest late growth and of where to click next, of the latter where none else shows it."""
-    late = late_view(content)
-    views = [] if late is None else [late]
+    views, plane = [], native_plane(content.geometry)
+    if content.late_growth is not None:
+        place = displayed(content.late_growth, content.geometry)
+        views.append(SliceView(plane, round(place[plane]), "latest growth"))
     if content.next_clicks:
-        plane, place = (
-            native_plane(content.geometry),
-            displayed(content.next_clicks[0], content.geometry),
-        )
+        place = displayed(content.next_clicks[0], content.geometry)
         others = (*main_views(content), *click_views(content), *views)
         if all(round(place[view.plane]) != view.index for view in others):
             views.append(SliceView(plane, round(place[plane]), "most doubtful place"))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from accelsurf.grid.boxes import as_corner, corner_of
 from accelsurf.grid.clicks import NO_OBJECT
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, DisplayOrientation
@@ -339,13 +340,9 @@ def click_color(mark: ClickMark, colors: Mapping[int, str]) -> str:
 
 def _reaches(shown: Slice, mark: ClickMark) -> bool:
     """Test if the box of a click's voxels reaches a slice."""
-    ends = [
-        displayed((corner[0], corner[1], corner[2]), shown.geometry)[shown.view.plane]
-        for corner in (
-            tuple(part.start for part in mark.box),
-            tuple(part.stop - 1 for part in mark.box),
-        )
-    ]
+    first = corner_of(mark.box)
+    last = as_corner(part.stop - 1 for part in mark.box)
+    ends = [displayed(corner, shown.geometry)[shown.view.plane] for corner in (first, last)]
     return min(ends) <= shown.view.index <= max(ends)
 
 

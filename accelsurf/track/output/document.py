@@ -158,8 +158,9 @@ def describe_tracks(tracks: TrackSet) -> list[dict[str, Any]]:
 
 def describe_frames(tracks: TrackSet) -> list[dict[str, Any]]:
     """Return an entry for each frame: which objects it shows, how good each is, and how long it took."""
-    return [
-        {
+    entries = []
+    for row in tracks.rows:
+        entry = {
             "frame": row.frame,
             "time": row.time,
             "seen": [tracked.id for tracked in row.objects if tracked.seen],
@@ -167,8 +168,8 @@ def describe_frames(tracks: TrackSet) -> list[dict[str, Any]]:
             "quality": {str(tracked.id): tracked.quality for tracked in row.objects},
             "seconds": row.seconds,
         }
-        for row in tracks.rows
-    ]
+        entries.append(entry)
+    return entries
 
 
 def tracks_csv(tracks: TrackSet) -> str:
@@ -182,26 +183,14 @@ def tracks_csv(tracks: TrackSet) -> str:
         row.id: ";".join(map(str, tracks.lineage.parents(row.id))) for row in tracks.lineage.tracks
     }
     unit = tracks.sequence.time_unit
-    return table_text(
-        TRACK_COLUMNS,
-        (
-            (
-                row.frame,
-                row.time,
-                unit,
-                tracked.id,
-                parents.get(tracked.id, ""),
-                *tracked.centroid,
-                *tracked.velocity,
-                tracked.volume_mm3 * ML,
-                tracked.area_mm2,
-                tracked.quality,
-                tracked.seen,
-            )
-            for row in tracks.rows
-            for tracked in row.objects
-        ),
-    )
+    lines = []
+    for row in tracks.rows:
+        for tracked in row.objects:
+            which = row.frame, row.time, unit, tracked.id, parents.get(tracked.id, "")
+            place = *tracked.centroid, *tracked.velocity
+            size = tracked.volume_mm3 * ML, tracked.area_mm2
+            lines.append((*which, *place, *size, tracked.quality, tracked.seen))
+    return table_text(TRACK_COLUMNS, lines)
 
 
 def curves_csv(tracks: TrackSet) -> str:

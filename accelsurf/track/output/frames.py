@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import OutputError
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, enclosing, placed_at
+from accelsurf.grid.boxes import Box, as_corner, bounding_box, box_at, enclosing, placed_at
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.image.sequence import ImageSequence
@@ -31,7 +31,6 @@ from accelsurf.track.records import FrameResult, Lineage, SurfacePiece, TrackedO
 
 #: psi is written up to this distance from the surface, in largest voxel sizes: contours need it.
 _BAND = 3.0
-_PREFIX = "frame_"
 #: Names in the folder of the frames.
 _FRAME = re.compile(r"frame_(\d{6}|[1-9]\d{6,11})\.npz")
 _MESHES = "meshes"
@@ -245,18 +244,18 @@ class FrameStore:
         found = []
         with self._opened(number) as arrays:
             for row in _row_of(arrays).objects:
-                surface = SurfacePiece(
-                    _corner(arrays[f"corner_{row.id}"]), _single(arrays[f"psi_{row.id}"])
-                )
+                psi = arrays[f"psi_{row.id}"].astype(np.float32)
+                surface = SurfacePiece(as_corner(arrays[f"corner_{row.id}"]), psi)
                 predicted = None
                 if f"predicted_{row.id}" in arrays:
-                    corner = _corner(arrays[f"predicted_corner_{row.id}"])
-                    predicted = SurfacePiece(corner, _single(arrays[f"predicted_{row.id}"]))
+                    corner = as_corner(arrays[f"predicted_corner_{row.id}"])
+                    psi = arrays[f"predicted_{row.id}"].astype(np.float32)
+                    predicted = SurfacePiece(corner, psi)
                 found.append(DrawnObject(row.id, row.seen, surface, predicted))
         return found
 
     def _path(self, number: int) -> Path:
-        return self.folder / f"{_PREFIX}{number:06d}.npz"
+        return self.folder / f"frame_{number:06d}.npz"
 
     def _opened(self, number: int) -> Any:
         return np.load(self._path(number), allow_pickle=False)
@@ -372,15 +371,6 @@ def _rounded(psi: NDArray[np.float32], band: float) -> NDArray[np.float16]:
     return np.clip(psi, -band, band).astype(np.float16)
 
 
-def _single(psi: NDArray[np.float16]) -> NDArray[np.float32]:
-    return psi.astype(np.float32)
-
-
-def _corner(values: NDArray[np.int64]) -> Corner:
-    z, y, x = (int(v) for v in values)
-    return z, y, x
-
-
 def _row_of(arrays: Mapping[str, NDArray[Any]]) -> FrameRow:
     found = json.loads(arrays["row"].tobytes())
     objects = tuple(ObjectRow.read(values) for values in found["objects"])
@@ -388,13 +378,12 @@ def _row_of(arrays: Mapping[str, NDArray[Any]]) -> FrameRow:
 
 
 def _box(arrays: Mapping[str, NDArray[Any]], object_id: int) -> Box:
-    return box_at(
-        _corner(arrays[f"corner_{object_id}"]), tuple(int(n) for n in arrays[f"shape_{object_id}"])
-    )
+    corner, shape = (as_corner(arrays[f"{name}_{object_id}"]) for name in ("corner", "shape"))
+    return box_at(corner, shape)
 
 
 def _mask(arrays: Mapping[str, NDArray[Any]], object_id: int) -> NDArray[np.bool_]:
-    shape = tuple(int(n) for n in arrays[f"shape_{object_id}"])
+    shape = as_corner(arrays[f"shape_{object_id}"])
     return (
         np.unpackbits(arrays[f"mask_{object_id}"], count=int(np.prod(shape)))
         .reshape(shape)

@@ -7,6 +7,7 @@ writes by default, and uncompressed: the arrays are small, and any reader opens 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -115,18 +116,15 @@ def links_of(tracks: TrackSet, spots: list[Spot]) -> list[SpotLink]:
     of_object: dict[int, list[int]] = {}
     for number, spot in enumerate(spots):
         of_object.setdefault(spot.tracked.id, []).append(number)
-    links = [
-        SpotLink(source, target, "motion")
-        for line in of_object.values()
-        for source, target in zip(line[:-1], line[1:], strict=True)
-    ]
+    links: list[SpotLink] = []
+    for line in of_object.values():
+        links += [SpotLink(source, target, "motion") for source, target in pairwise(line)]
     for link in tracks.lineage.links:
-        line = of_object.get(link.child, [])
-        before = [
-            n
-            for n in of_object.get(link.parent, [])
-            if line and spots[n].row.frame < spots[line[0]].row.frame
-        ]
+        if link.child not in of_object:
+            continue
+        line = of_object[link.child]
+        born = spots[line[0]].row.frame
+        before = [n for n in of_object.get(link.parent, []) if spots[n].row.frame < born]
         if before:
             links.append(SpotLink(before[-1], line[0], link.kind))
     return sorted(links)

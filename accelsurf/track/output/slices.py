@@ -356,12 +356,10 @@ def curves_png(tracks: TrackSet) -> bytes:
     unit, scale = f"{tracks.unit}\u00b3", in_unit(1.0, tracks.unit, 3)
     if tracks.unit == "mm" and largest >= 1e3 * SMALL:
         unit, scale = "ml", 1e-3
-    curves = {
-        number: [
-            (row.time, scale * shape.volume_mm3 if shape.seen else np.nan) for row, shape in life
-        ]
-        for number, life in list(tracks.by_object.items())[:MAX_CURVES]
-    }
+    curves = {}
+    for number, life in list(tracks.by_object.items())[:MAX_CURVES]:
+        volumes = [scale * shape.volume_mm3 if shape.seen else np.nan for _, shape in life]
+        curves[number] = list(zip([row.time for row, _ in life], volumes, strict=True))
     width, height = CURVES_SIZE
     canvas = Canvas(width, height, f"{tracks.name}: volume")
     times = [row.time for row in tracks.rows] or [0.0]

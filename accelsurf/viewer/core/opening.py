@@ -319,9 +319,7 @@ class ImageToOpen:
         with naming(self.source):
             form = headers.format_of(self.source)
         # Loaded here: two threads that load the same library may see it half loaded.
-        for work in (form.parse, form.read, form.read_channels):
-            if work is not None:
-                load(work)
+        functions_of(form)
         return in_background(self._image, "accelsurf reading").result
 
     def _image(self) -> OpenedImage:

@@ -74,7 +74,7 @@ class Status(NamedTuple):
     uncertain : tuple of UncertainLocation
         Where to click next, the most uncertain location first; found some time after the run's end.
     terms : sequence of dict
-        Of the energy of the first object, with every setting resolved, see `ResolvedEnergy`.
+        Of the energy of the first object, with every setting resolved, see `MadeEnergy`.
     answers : tuple of FirstAnswer
         To the first click, to choose from; found some time after it, none once something was corrected.
     flow_why : str

@@ -16,7 +16,7 @@ from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.measure.likely import UNSURE
-from accelsurf.measure.quality import assess
+from accelsurf.measure.quality import Judged, assess
 from tests.support import clicked_balls
 from tests.support.part_and_whole import CLICK, part_and_whole
 
@@ -54,13 +54,15 @@ def judged(found):
     labels = found.inside_on(whole_box(SHAPE)).astype(np.uint8)
     clicked = found.clicks.mask("inside")
     return assess(
-        labels,
-        scene().images[0],
-        Geometry(SHAPE, SPACING),
-        [],
-        DONE,
-        clicked=clicked,
-        confidence=confidence_of(found),
+        Judged(
+            labels,
+            scene().images[0],
+            Geometry(SHAPE, SPACING),
+            [],
+            DONE,
+            clicked=clicked,
+            confidence=confidence_of(found),
+        )
     )
 
 
@@ -126,10 +128,10 @@ def test_the_surroundings_of_objects_are_ambiguous(shape):
     clicked = np.zeros(shape, bool)
     clicked[:, 3, 3] = True
     given = (inside.astype(np.uint8), inside.astype(np.float32), geometry, [], DONE)
-    quality = assess(*given, clicked=clicked, confidence=sure)
+    quality = assess(Judged(*given, clicked=clicked, confidence=sure))
     assert quality.is_ambiguous and quality.probability <= UNSURE
     assert [line for line in quality.warnings if "corners of the image" in line]
-    other = assess((~inside).astype(np.uint8), *given[1:], clicked=~inside, confidence=sure)
+    other = assess(Judged((~inside).astype(np.uint8), *given[1:], clicked=~inside, confidence=sure))
     assert not other.is_ambiguous
 
 
@@ -148,7 +150,7 @@ def test_a_part_of_the_air_beside_a_body_is_ambiguous(shape, at, is_like):
     sure = confidence_of(model(3.5))._replace(overlap=1.0, spread=0.0)
     clicked = inside & (np.indices(shape)[2] % 7 == 3)
     given = (inside.astype(np.uint8), image.astype(np.float32), Geometry(shape, (1.0, 1.0, 1.0)))
-    quality = assess(*given, [], DONE, clicked=clicked, confidence=sure)
+    quality = assess(Judged(*given, [], DONE, clicked=clicked, confidence=sure))
     assert quality.is_ambiguous == is_like
     assert bool([line for line in quality.warnings if "have its grey values" in line]) == is_like
     assert quality.probability <= UNSURE if is_like else quality.probability > UNSURE
@@ -171,13 +173,15 @@ def test_many_parts_far_larger_than_the_click_on_the_border_are_ambiguous(parts,
     clicked.reshape(-1)[np.flatnonzero(inside)[100 : 100 + inside.sum() // times]] = True
     sure = confidence_of(model(3.5))._replace(overlap=1.0, spread=0.0)
     quality = assess(
-        inside.astype(np.uint8),
-        image,
-        Geometry(shape, (1.0, 1.0, 1.0)),
-        [],
-        DONE,
-        clicked=clicked,
-        confidence=sure,
+        Judged(
+            inside.astype(np.uint8),
+            image,
+            Geometry(shape, (1.0, 1.0, 1.0)),
+            [],
+            DONE,
+            clicked=clicked,
+            confidence=sure,
+        )
     )
     wanted = parts >= 4 and times >= 150 and on_border
     assert (quality.border_fraction > 0.2) == on_border
@@ -217,7 +221,7 @@ def test_all_that_is_alike_says_how_many_parts_it_has(number, parts):
         inside[2:-2, 5:-5, 20 * part + 5 : 20 * part + 15] = True
     seen = inside.astype(np.uint8), inside.astype(np.float32), Geometry(inside.shape, (1, 1, 1))
     sure = confidence_of(model(3.5))._replace(answers=(Answer(None, 100.0, number),))
-    notes = assess(*seen, [], DONE, clicked=inside, confidence=sure).notes
+    notes = assess(Judged(*seen, [], DONE, clicked=inside, confidence=sure)).notes
     said = [note for note in notes if note.startswith("alike: ")]
     assert bool(said) == (number == OF_ALIKE and parts > 1)
     assert all(note.endswith(f"it has {parts} parts") for note in said)
