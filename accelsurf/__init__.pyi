@@ -3,8 +3,8 @@ from .api.segment import segment as segment
 from .api.segment import segment_clicks as segment_clicks
 from .api.segment import segment_objects as segment_objects
 from .batch.many import segment_many as segment_many
-from .correct.refine import refine as refine
-from .correct.refiner import Refiner as Refiner
+from .interact.refine import refine as refine
+from .interact.refiner import Refiner as Refiner
 from .energies import Energy as Energy
 from .energies import ImageEnergy as ImageEnergy
 from .energies import normals_at_front as normals_at_front

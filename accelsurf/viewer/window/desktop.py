@@ -334,7 +334,7 @@ class ToolsPanel(Section):
         self.radius = Amount(shown)
         self.radius.changed.connect(lambda value: self.ask("set_radius", value))
         grid.addWidget(
-            QLabel(f"Radius of click, ball and brush ({shown['unit']})"), row, 0, 1, IN_ROW
+            QLabel(f"Radius of click and ball ({shown['unit']})"), row, 0, 1, IN_ROW
         )
         grid.addWidget(self.radius, row + 1, 0, 1, IN_ROW)
         self.answers = AnswersRow(actions)
