@@ -3,8 +3,6 @@ from .api.segment import segment as segment
 from .api.segment import segment_clicks as segment_clicks
 from .api.segment import segment_objects as segment_objects
 from .batch.many import segment_many as segment_many
-from .correct.refine import refine as refine
-from .correct.refiner import Refiner as Refiner
 from .energies import Energy as Energy
 from .energies import ImageEnergy as ImageEnergy
 from .energies import normals_at_front as normals_at_front
@@ -21,6 +19,8 @@ from .grid.clicks import Click as Click
 from .grid.geometry import Geometry as Geometry
 from .image.volume import Volume as Volume
 from .interact.interaction import Interaction as Interaction
+from .interact.refine import refine as refine
+from .interact.refiner import Refiner as Refiner
 from .io import LazyVolume as LazyVolume
 from .io import open_volume as open_volume
 from .io import read as read

@@ -224,3 +224,19 @@ def test_a_damaged_text_of_voxels_is_a_line(change):
     with pytest.raises((UsageError, InputError)) as caught:
         accelsurf.segment(balls()[0], inside=text)
     assert isinstance(caught.value, AccelsurfError) and len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize(
+    ("correction", "words"),
+    [
+        ({"nearr": 3}, "nearr: there is no such setting"),
+        ({"near": -1.0}, "near -1.0 was given"),
+        ({"merge": (1, 2)}, "was given with merge"),
+    ],
+)
+def test_a_correction_that_is_none_is_refused_and_changes_nothing(correction, words):
+    found = played(GESTURES[0])
+    before = found.labels.copy()
+    with pytest.raises(accelsurf.UsageError, match=words):
+        found.add(outside=OUTSIDE, **correction)
+    assert found.count == 1 and np.array_equal(found.labels, before)

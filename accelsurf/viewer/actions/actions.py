@@ -76,7 +76,7 @@ class Actions:
     object_id : int or None
         Id of the object that corrections are for; None is the nearest.
     radius : float
-        Of click, ball and brush, mm.
+        Of click and ball, mm.
     features : tuple of Feature
     tools : dict of str to Tool
         All, by name, in the order of their buttons.

@@ -154,8 +154,8 @@ class MouseFeature(Feature):
             "Escape": Key(
                 "no_tool", (), "look; what is being drawn is dropped, outlines of other answers too"
             ),
-            "[": Key("scale_radius", (1 / 1.25,), "smaller ball and brush"),
-            "]": Key("scale_radius", (1.25,), "larger ball and brush"),
+            "[": Key("scale_radius", (1 / 1.25,), "smaller click and ball"),
+            "]": Key("scale_radius", (1.25,), "larger click and ball"),
         }
 
     def state(self, status: Status) -> dict[str, Any]:

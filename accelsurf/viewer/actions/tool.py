@@ -221,7 +221,7 @@ class Tool:
 
     @property
     def radius(self) -> float:
-        """Radius of click, ball and brush, mm."""
+        """Radius of click and ball, mm."""
         return self.actions.radius
 
 
@@ -249,7 +249,7 @@ def finest(geometry: Geometry) -> float:
 
 
 def first_radius(geometry: Geometry) -> float:
-    """Return the radius of click, ball and brush at first, mm."""
+    """Return the radius of click and ball at first, mm."""
     sides = (h * n for h, n in zip(geometry.spacing, geometry.shape, strict=True) if n > 1)
     return max(0.012 * min(sides, default=1.0), 2.0 * finest(geometry))
 

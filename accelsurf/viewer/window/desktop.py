@@ -318,7 +318,7 @@ class ToolsPanel(Section):
         shown = actions.state()["radius_row"]
         self.tip, self.answers = wrapped("tip"), AnswersRow(actions)
         self.radius = furnished(Amount(shown), changed=lambda value: self.ask("set_radius", value))
-        title = QLabel(f"Radius of click, ball and brush ({shown['unit']})")
+        title = QLabel(f"Radius of click and ball ({shown['unit']})")
         for part in (self.tip, title, self.radius, self.answers):
             grid.addWidget(part, grid.rowCount(), 0, 1, IN_ROW)
 
