@@ -1,1 +1,1 @@
-"""What people write, read once and turned into values: places, clicks, starts, tables, files of points."""
+"""Readers of what people write, once, into values: places, clicks, starts, tables, files of points."""

@@ -36,6 +36,7 @@ from accelsurf.text.coordinates import (
     suffix_of,
 )
 from accelsurf.text.point_files import has_own_columns, read_points
+from accelsurf.text.starts import KINDS as START_KINDS
 from accelsurf.text.starts import (
     MAX_LENGTH,
     IndexBall,
@@ -146,25 +147,37 @@ def read_clicks(
     window = window or Window(volume.geometry, whole_box(volume.geometry.shape))
     for text in texts:
         kind, colon, rest = text.strip().partition(":")
-        if is_point_file(text) and has_own_columns(text.strip()):
-            out += _stroke(text, text.strip(), side, window, id)
-        elif is_point_file(text):
-            name = Path(text.strip()).name
-            for point in read_points(text.strip()):
-                voxels = point_voxels([point.numbers], name, side, window.geometry, point.vox)
-                out += _within(window, [click_of_voxels(side, voxels, id)])
-        elif kind == "point" or (not colon and "," in kind):
-            point = read_point(text).on(window.geometry)
-            voxels = point_voxels([point.numbers], text, side, window.geometry, point.vox)
-            out += _within(window, [click_of_voxels(side, voxels, id)])
-        elif kind == "path":
+        if kind == "path":
             out += _within(window, [_click_of_path(text, side, window.geometry, id)])
         elif kind == "voxels":
             out += _within(window, [click_of_voxels_text(text, side, window.geometry, id)])
         elif kind == "stroke":
             out += _stroke(text, rest, side, window, id)
+        elif kind not in START_KINDS and is_point_file(text):
+            out += _of_file(text.strip(), side, window, id)
+        elif kind == "point" or (not colon and "," in kind):
+            out += _of_points([read_point(text)], text, side, window, id)
         else:
             out += _of_start(text, side, volume, image, id, window)
+    return out
+
+
+def _of_file(file: str, side: Side, window: Window, id: int) -> list[Click]:
+    """Return the clicks of a file of points: a table of this program, or a file of another one."""
+    if has_own_columns(file):
+        return _stroke(file, file, side, window, id)
+    return _of_points(read_points(file), Path(file).name, side, window, id)
+
+
+def _of_points(
+    points: Iterable[Coordinates], name: str, side: Side, window: Window, id: int
+) -> list[Click]:
+    """Return a click of one voxel for each point within the window; ``name`` is for messages."""
+    out: list[Click] = []
+    for point in points:
+        found = point.on(window.geometry)
+        voxels = point_voxels([found.numbers], name, side, window.geometry, found.vox)
+        out += _within(window, [click_of_voxels(side, voxels, id)])
     return out
 
 

@@ -92,7 +92,8 @@ def test_label_map(tmp_path):
     labels[3:6, 4:9, 5:11] = 7
     io.write(Volume(labels, geometry), tmp_path / "start.nii.gz")
     psi = psi_of_starts(
-        [f"label:{tmp_path / 'start.nii.gz'}"], Volume(np.zeros(geometry.shape), geometry)
+        read_starts([f"label:{tmp_path / 'start.nii.gz'}"]),
+        Volume(np.zeros(geometry.shape), geometry),
     )
     np.testing.assert_array_equal(psi < 0, labels > 0)
 
