@@ -103,7 +103,8 @@ class EnergyChart:
             for axis in (chart.x_axis, chart.y_axis):
                 axis.tick_label_size = pixels.text - 1
                 axis.label_size = pixels.text
-                axis.pen.width = axis.grid_pen.width = pixels.ratio
+                axis.pen.width = pixels.ratio
+                axis.GetGridPen().SetWidth(pixels.ratio)
 
     def _set_ticks(self, chart: pv.Chart2D) -> None:
         """Put as many ticks on the axes as have room beside each other."""
@@ -124,7 +125,8 @@ class EnergyChart:
             for axis in (chart.x_axis, chart.y_axis):
                 texts += [axis.GetLabelProperties(), axis.GetTitleProperties()]
                 axis.pen.color = theme.lines
-                axis.grid_pen.color = (*pv.Color(theme.lines).int_rgb, 90)
+                axis.GetGridPen().SetColor(*pv.Color(theme.lines).int_rgb)
+                axis.GetGridPen().SetOpacity(90)
             for text in texts:
                 text.SetColor(ink)
                 text.SetBold(False)

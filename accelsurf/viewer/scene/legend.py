@@ -85,17 +85,18 @@ class Legend:
 
 def color_scale(renderer: pv.Renderer) -> vtkScalarBarActor:
     """Return a horizontal scale of the colours at the lower edge, hidden until something is coloured."""
-    scale = vtkScalarBarActor()
+    scale = vtkScalarBarActor(
+        position=(0.2, 0.1),
+        width=0.6,
+        height=0.025,
+        bar_ratio=1.0,
+        number_of_labels=0,
+        draw_tick_labels=False,
+        maximum_number_of_colors=256,
+        visibility=False,
+    )
     scale.SetOrientationToHorizontal()
     scale.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
-    scale.SetPosition(0.2, 0.1)
-    scale.SetWidth(0.6)
-    scale.SetHeight(0.025)
-    scale.SetBarRatio(1.0)
-    scale.SetNumberOfLabels(0)
-    scale.DrawTickLabelsOff()
-    scale.SetMaximumNumberOfColors(256)
-    scale.VisibilityOff()
     renderer.AddViewProp(scale)
     return scale
 

@@ -128,13 +128,10 @@ class FlatLine:
 
     def __init__(self, renderer: pv.Renderer, color: str) -> None:
         self._mesh = pv.PolyData(np.zeros((2, 3), np.float32), lines=[2, 0, 1])
-        mapper = vtkPolyDataMapper2D()
-        mapper.SetInputData(self._mesh)
         coordinate = vtkCoordinate()
         coordinate.SetCoordinateSystemToNormalizedViewport()
-        mapper.SetTransformCoordinate(coordinate)
-        self._actor = vtkActor2D()
-        self._actor.SetMapper(mapper)
+        mapper = vtkPolyDataMapper2D(input_data=self._mesh, transform_coordinate=coordinate)
+        self._actor = vtkActor2D(mapper=mapper)
         renderer.AddViewProp(self._actor)
         self.paint(color)
 

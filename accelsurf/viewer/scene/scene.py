@@ -413,10 +413,7 @@ class Scene:
 
 def grab(window: vtkRenderWindow) -> NDArray[np.uint8]:
     """Return the picture of a rendered window, (height, width, 3)."""
-    filter_ = vtkWindowToImageFilter()
-    filter_.SetInput(window)
-    filter_.ReadFrontBufferOff()
-    filter_.ShouldRerenderOff()
+    filter_ = vtkWindowToImageFilter(input=window, read_front_buffer=False, should_rerender=False)
     filter_.Update()
     image = pv.wrap(filter_.GetOutput())
     width, height, _ = image.dimensions

@@ -97,8 +97,7 @@ def contour(plane: NDArray[np.float32]) -> NDArray[np.float64]:
         return np.zeros((0, 2, 2))
     grid = pv.ImageData(dimensions=(plane.shape[1], plane.shape[0], 1))
     grid.point_data["psi"] = np.ascontiguousarray(plane).ravel()
-    filter_ = vtkFlyingEdges2D()
-    filter_.SetInputData(grid)
+    filter_ = vtkFlyingEdges2D(input_data=grid)
     filter_.SetValue(0, 0.0)
     filter_.Update()
     lines = pv.wrap(filter_.GetOutput())
@@ -176,9 +175,7 @@ def add_actor(
     renderer: pv.Renderer, mesh: pv.PolyData, color: str, opacity: float = 1.0, is_lit: bool = False
 ) -> pv.Actor:
     """Draw a mesh in a renderer; the camera stays as it is."""
-    mapper = vtkPolyDataMapper()
-    mapper.SetInputData(mesh)
-    mapper.ScalarVisibilityOff()
+    mapper = vtkPolyDataMapper(input_data=mesh, scalar_visibility=False)
     style = pv.Property(color=color, opacity=opacity, lighting=is_lit)
     actor = pv.Actor(mapper=mapper, prop=style)
     renderer.add_actor(actor, reset_camera=False, render=False)

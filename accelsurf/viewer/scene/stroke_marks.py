@@ -197,24 +197,19 @@ class _Beads:
 
     def __init__(self, space: SpaceTile, redraw: Redraw) -> None:
         self._redraw, self._space = redraw, space
-        self.renderer = vtkRenderer()
-        self.renderer.SetActiveCamera(space.renderer.camera)
-        self.renderer.EraseOff()
-        self.renderer.InteractiveOff()
+        self.renderer = vtkRenderer(
+            active_camera=space.renderer.camera, erase=False, interactive=False
+        )
         redraw.overlay(space.renderer, self.renderer)
         self._ball = pv.Sphere(radius=1.0, theta_resolution=10, phi_resolution=8)
         self._actors: list[vtkActor] = []
 
     def add(self, side: Side, place: NDArray[np.float64], radius: float) -> None:
         """Draw a further ball."""
-        mapper = vtkPolyDataMapper()
-        mapper.SetInputData(self._ball)
-        actor = vtkActor()
-        actor.SetMapper(mapper)
-        actor.GetProperty().SetColor(*pv.Color(COLORS[side]).float_rgb)
-        actor.SetPosition(*(float(v) for v in place))
         size = max(radius, self._space.smallest)
-        actor.SetScale(size, size, size)
+        mapper = vtkPolyDataMapper(input_data=self._ball)
+        actor = vtkActor(mapper=mapper, position=place.tolist(), scale=(size, size, size))
+        actor.GetProperty().SetColor(*pv.Color(COLORS[side]).float_rgb)
         self.renderer.AddActor(actor)
         self._actors.append(actor)
         self._redraw.mark(self.renderer)
