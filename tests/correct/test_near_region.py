@@ -130,6 +130,7 @@ def test_a_piece_won_far_from_the_surface_comes_to_rest_without_gaining_energy()
     assert (refiner.surfaces[0].psi < 0)[other].mean() > 0.97
 
 
+@pytest.mark.threads
 def test_a_correction_has_the_same_bytes_with_any_number_of_threads():
     image, _, _ = two_balls()
     result, found = first_run(image, "seeded"), []

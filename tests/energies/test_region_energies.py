@@ -291,6 +291,7 @@ def test_nothing_to_learn_from_is_told():
         gaussian_of(np.zeros(0), 0.1)
 
 
+@pytest.mark.threads
 def test_any_number_of_threads_gives_the_same_bytes():
     scan = image("3D").astype(np.float32)
     text = "local-region:R=5 + 0.4*likelihood:histogram + 0.2*likelihood + 0.3*threshold:0.2, + 0.1*area"

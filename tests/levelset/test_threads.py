@@ -14,6 +14,7 @@ from tests.support import reference
 from tests.support.level_set_checks import check_level_set
 
 GRAIN = sharing.GRAIN
+pytestmark = pytest.mark.threads
 SIZES = [0, 1, GRAIN - 1, GRAIN, GRAIN + 1, BLOCK - 1, BLOCK, BLOCK + 1, 7 * BLOCK + 3, 40 * BLOCK]
 
 

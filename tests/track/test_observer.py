@@ -103,6 +103,7 @@ def test_points_move_with_the_surface(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
+@pytest.mark.threads
 def test_a_restored_state_gives_the_same_bytes_on_any_threads(model: str) -> None:
     momentum = make_momentum(model, 0.1)
     psi = ellipsoid(ROOM, (9.5, 10.5, 9.0), (4.0, 5.0, 6.0))

@@ -200,6 +200,7 @@ def test_views_have_a_surface_and_a_history_of_each(session):
         assert np.abs(surface.sample("speed", near)).max() > 0
 
 
+@pytest.mark.threads
 def test_it_goes_back_to_any_step_with_little_memory_and_two_threads(config, tmp_path):
     before = threading.active_count()
     with Session(volume(), config.replace(threads=2), checkpoint_mb=1) as small:
