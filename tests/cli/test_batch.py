@@ -613,6 +613,7 @@ def work_of(pid):
     return sum(map(int, times)) / os.sysconf("SC_CLK_TCK")
 
 
+@pytest.mark.program
 def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
     """The second case hangs; no process and no draft is left behind."""
     out = tmp_path / "out"
@@ -648,6 +649,7 @@ def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
     ("number", "send"), [(signal.SIGINT, os.kill), (signal.SIGTERM, os.killpg)]
 )
 @pytest.mark.usefixtures("inline")
+@pytest.mark.program
 def test_a_case_that_was_interrupted_goes_on_to_the_same_bytes(tmp_path, number, send, monkeypatch):
     """The signal comes to the program alone, or as from a cluster to all its processes.
 
@@ -696,6 +698,7 @@ def _alive(pid):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("done")  # all is compiled by then: that would take its time
+@pytest.mark.program
 def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_path):
     out = tmp_path / "out"
     table_with_endless_cases(

@@ -10,6 +10,8 @@ import pytest
 
 from accelsurf.cli import execute, fetch
 
+pytestmark = pytest.mark.program
+
 IMAGE, LABELS = b"image" * 1000, b"labels" * 100
 #: Licences that let anybody use and share a scan.
 OPEN = {"Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "CC-BY-4.0", "CC0-1.0", "MIT"}

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 #: Names of the branch that changes go into, the first that is there.
 MAIN = ("main", "origin/main")
 #: What a module of the tests imports from others: ``from tests.a import b``, ``from tests.a.b import c``.
-IMPORTED = re.compile(r"^\s*from tests\.([\w.]+) import \(?([\w, ]*)", re.MULTILINE)
+IMPORTED = re.compile(r"^\s*from tests\.([\w.]+) import (?:\(([^)]*)\)|([\w, ]*))", re.MULTILINE)
 #: Tests of pages that run no command of theirs.
 PAGES = "tests/docs/test_links.py"
 
@@ -39,7 +39,9 @@ def changed_files(root: Path, commit: str | None = None) -> list[str]:
     SystemExit
         If git does not know the commit, with its message.
     """
-    base = commit or next((name for name in MAIN if _git(root, "rev-parse", "-q", "--verify", name)), "")
+    base = commit or next(
+        (name for name in MAIN if _git(root, "rev-parse", "-q", "--verify", name)), ""
+    )
     if not base:
         raise SystemExit(
             f"error: expected a branch called {' or '.join(MAIN)}, found none\n"
@@ -59,7 +61,9 @@ def _git(root: Path, *words: str) -> list[str]:
     found = subprocess.run(
         ["git", "-C", str(root), *words], capture_output=True, text=True, check=False
     )
-    return [line for line in re.split("[\0\n]", found.stdout) if line] if not found.returncode else []
+    return (
+        [line for line in re.split("[\0\n]", found.stdout) if line] if not found.returncode else []
+    )
 
 
 def touched_tests(changed: Iterable[str], root: Path) -> list[str]:
@@ -88,7 +92,9 @@ def touched_tests(changed: Iterable[str], root: Path) -> list[str]:
         elif path.name == "conftest.py" and len(path.parts) > 2:
             found.add(path.parent.as_posix())
         elif path.parts[0] == "tests" and path.suffix == ".py":
-            found |= {test for test in _users(name, importers) if Path(test).name.startswith("test_")}
+            found |= {
+                test for test in _users(name, importers) if Path(test).name.startswith("test_")
+            }
         elif path.suffix == ".md":
             found.add(PAGES)
     return sorted(
@@ -106,10 +112,13 @@ def _importers(root: Path) -> dict[str, set[str]]:
     """Return the files of tests that import each file of tests."""
     importers: dict[str, set[str]] = defaultdict(set)
     for path in (root / "tests").rglob("*.py"):
-        for module, names in IMPORTED.findall(path.read_text(encoding="utf-8")):
+        for module, *names in IMPORTED.findall(path.read_text(encoding="utf-8")):
             place = "tests/" + module.replace(".", "/")
             # A name may be a module of the folder.
-            for imported in (place, *(f"{place}/{name.strip()}" for name in names.split(","))):
+            for imported in (
+                place,
+                *(f"{place}/{name}" for name in re.findall(r"\w+", " ".join(names))),
+            ):
                 importers[f"{imported}.py"].add(path.relative_to(root).as_posix())
     return importers
 

@@ -255,6 +255,7 @@ def test_a_page_changes_the_object_that_was_asked_for(session, tmp_path):
         scene.close()
 
 
+@pytest.mark.program
 def test_the_panel_offers_the_objects():
     pytest.importorskip("PySide6")
     code = """

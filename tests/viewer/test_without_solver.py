@@ -13,6 +13,8 @@ from accelsurf.image.volume import Volume
 from tests.support.viewing import needs_graphics
 from tests.viewer.test_desktop import ROOT, needs_screen, screen  # noqa: F401
 
+pytestmark = pytest.mark.program
+
 #: What a run needs and a picture of an image does not.
 SOLVER = (
     "numba",
