@@ -281,7 +281,7 @@ def view(
         if page.browser:
             _serve(opening, opened, settings, page)
         else:
-            _open_window(opening, opened, settings)
+            open_window(opening, opened, settings)
     return 0
 
 
@@ -417,9 +417,7 @@ def front_end(page: PageOptions, begin: Callable[[], None]) -> PageOptions:
     return replace(page, browser=True)
 
 
-def _open_window(
-    opening: Opening, first: ImageWithSession | None, settings: ViewerSettings
-) -> None:
+def open_window(opening: Opening, first: ImageWithSession | None, settings: ViewerSettings) -> None:
     """Open a window until the user closes it, or the run of the first image cannot be prepared.
 
     Raises

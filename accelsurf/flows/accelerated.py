@@ -97,11 +97,11 @@ class Accelerated(Flow):
 
     #: Also the factor by which oscillations have raised the stiffness estimate, and whether the speeds reversed in the
     #: last step.
-    state_names = (*Flow.state_names, "_stiffness_factor", "_reversed")
+    state_names = (*Flow.state_names, "_stiffness_factor", "turned_around")
 
     def _forget_forces(self) -> None:
         super()._forget_forces()
-        self._stiffness_factor, self._reversed = 1.0, False
+        self._stiffness_factor, self.turned_around = 1.0, False
 
     def _reset_clock(self) -> None:
         self.clock.zero_momentum()
@@ -127,7 +127,7 @@ class Accelerated(Flow):
             # Where a stage changed nothing, it is the same array as the one before.
             return 0.0 if later is earlier else 2.0 * self._kinetic(area, later - earlier, mean) / w
 
-        self._detect_oscillation(self._kinetic(area, before, after))
+        self.detect_oscillation(self._kinetic(area, before, after))
         # T at the time of the record, which is half a step from both velocities: that of their mean. Their product is
         # below 0 where the velocity reverses. At rest ``before`` is the velocity at that time itself.
         between = before if self.clock.at_rest else mean
@@ -147,22 +147,22 @@ class Accelerated(Flow):
             noise=work(kicked, noisy),
         )
 
-    def _force_stiffness(self, peak: float, surface: LevelSet) -> float:
+    def force_stiffness(self, peak: float, surface: LevelSet) -> float:
         """Estimate of the force stiffness: the peak force so far (voxels), times the factor raised by oscillations."""
-        return self._peak_force_so_far(peak, surface) * self._stiffness_factor
+        return self.peak_force_so_far(peak, surface) * self._stiffness_factor
 
-    def _detect_oscillation(self, kinetic: float) -> None:
+    def detect_oscillation(self, kinetic: float) -> None:
         """Raise the stiffness when the speeds before and after a kick are opposed on average in two steps in a row.
 
         Leap-frog is stable up to omega dt = 2. An oscillation of more than four steps reverses the speeds in one of
         them at most; two in a row mean an oscillation with omega dt > pi/2, which soon grows.
         """
         reverses = kinetic < 0.0
-        if reverses and self._reversed:
+        if reverses and self.turned_around:
             self._stiffness_factor = min(
                 self._stiffness_factor * STIFFNESS_GROWTH, MAX_STIFFNESS_FACTOR
             )
-        self._reversed = reverses
+        self.turned_around = reverses
 
     def _bounded(self, dt: float, surface: LevelSet, limits: StepLimits) -> float:
         """The step ``dt`` within the bounds of diffusion and noise, and the user's."""

@@ -87,7 +87,7 @@ def test_a_scan_and_its_labels_come_once(server, folder, capsys):
 def test_licence_source_and_checksums_are_shown_before_anything_is_asked_for(
     server, folder, capsys, monkeypatch
 ):
-    monkeypatch.setattr(fetch, "_fetch_all", lambda *_: shown.append(capsys.readouterr().out))
+    monkeypatch.setattr(fetch, "fetch_all", lambda *_: shown.append(capsys.readouterr().out))
     shown = []
     assert fetched(folder) == 0
     assert "licence MIT, source https://example.org" in shown[0]

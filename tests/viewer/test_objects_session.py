@@ -224,7 +224,7 @@ def test_the_command_opens_a_session_of_the_objects(config, tmp_path, monkeypatc
 
     monkeypatch.setattr(view, "front_end", lambda page, begin: begin() or page)
     monkeypatch.setattr(
-        view, "_open_window", lambda opening, first, *_: seen.append(objects_of(first[1]))
+        view, "open_window", lambda opening, first, *_: seen.append(objects_of(first[1]))
     )
     assert cli.execute(["view", str(tmp_path / "scan.nii.gz"), "--objects", config.objects]) == 0
     assert seen == [(3, 8)]
