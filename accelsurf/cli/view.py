@@ -358,7 +358,7 @@ def _is_local(page: PageOptions) -> bool:
     return page.host in (None, "127.0.0.1", "localhost")
 
 
-def _load() -> None:
+def load_viewer() -> None:
     """Load the libraries with which window and page draw; it takes seconds."""
     import accelsurf.viewer.actions.opening  # noqa: F401
 
@@ -392,7 +392,7 @@ def front_end(page: PageOptions, begin: Callable[[], None]) -> PageOptions:
 
     def meanwhile() -> None:
         begin()
-        _load()
+        load_viewer()
 
     if not page.browser:
         asked = {"--host": page.host, "--port": page.port, "--no-open": not page.open_page or None}

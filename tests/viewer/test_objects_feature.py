@@ -198,7 +198,7 @@ def test_the_list_and_how_objects_are_drawn(actions):
     assert {own: "#{:02x}{:02x}{:02x}".format(*told[own].color) for own in (1, 2)} == shown
     assert state["object_rows"][1]["name"] == "cyst" and "cyst" in actions.scene.legend
     color_before = state["object_rows"][1]["color"]
-    first, second = actions.scene.space._surfaces[:2]
+    first, second = actions.scene.space.surfaces[:2]
     assert tuple(round(255 * v) for v in second.prop.color.float_rgb) == tuple(
         int(color_before[i : i + 2], 16) for i in (1, 3, 5)
     )
@@ -213,13 +213,12 @@ def test_the_list_and_how_objects_are_drawn(actions):
     actions.scene.cursor = (38.0, 15.0, 17.0)
     tile = actions.scene.slice_tiles["axial"]
     assert (
-        tile._lines["object 1"][0].GetVisibility()
-        and tile._lines["object 1"][0].prop.opacity == 0.25
+        tile.lines["object 1"][0].GetVisibility() and tile.lines["object 1"][0].prop.opacity == 0.25
     )
     ask(actions, "object_visible", 2, False)
     assert (
         not second.GetVisibility()
-        and not tile._lines["object 1"][0].GetVisibility()
+        and not tile.lines["object 1"][0].GetVisibility()
         and first.GetVisibility()
     )
     assert "cyst" not in actions.scene.legend

@@ -43,12 +43,12 @@ DRAWN = (
     + """
 from pathlib import Path
 from accelsurf.cli.view import FirstImage
-from accelsurf.cli.view import _load
+from accelsurf.cli.view import load_viewer
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 wait = FirstImage(Path(sys.argv[1]), RunConfig(threads=1), None, None, TrackConfig()).start_reading()
-_load()
+load_viewer()
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.actions.actions import Actions
 

@@ -60,16 +60,14 @@ class EnergyChart:
     """
 
     def __init__(self, plotter: pv.Plotter, theme: Theme) -> None:
-        self._charts = [pv.Chart2D(size=(0.94, 0.49), loc=(0.03, low)) for low in (0.5, 0.01)]
-        for chart, title in zip(
-            self._charts, ("Energy (potential)", "Kinetic energy"), strict=True
-        ):
+        self.charts = [pv.Chart2D(size=(0.94, 0.49), loc=(0.03, low)) for low in (0.5, 0.01)]
+        for chart, title in zip(self.charts, ("Energy (potential)", "Kinetic energy"), strict=True):
             chart.title = title
             chart.border_style = ""
             chart.x_label, chart.y_label = "", ""
             chart.grid = True
             plotter.add_chart(chart)
-        self._charts[1].x_label = "step"
+        self.charts[1].x_label = "step"
         self._potential: list[pv.LinePlot2D] = []
         self._kinetic: list[pv.LinePlot2D] = []
         self._curves: tuple[list[_Curve], list[_Curve]] = ([], [])
@@ -101,7 +99,7 @@ class EnergyChart:
         kinetic = [_Curve.of(position, history, "kinetic") for position, history in numbered]
         self._draw(potential, kinetic)
         last = max((1.0, *(history[-1].step for _, history in numbered)))
-        for chart, curves in zip(self._charts, (potential, kinetic), strict=True):
+        for chart, curves in zip(self.charts, (potential, kinetic), strict=True):
             if curves:
                 chart.x_range = (0.0, float(last))
                 chart.y_range = _range(
@@ -115,7 +113,7 @@ class EnergyChart:
         """Draw the curves, in place of those before; a chart needs at least one line of kinetic energy."""
         self._curves = (potential, kinetic or [_Curve(0, [0.0, 1.0], [0.0, 0.0])])
         for chart, lines, curves in zip(
-            self._charts, (self._potential, self._kinetic), self._curves, strict=True
+            self.charts, (self._potential, self._kinetic), self._curves, strict=True
         ):
             while len(lines) < len(curves):
                 lines.append(chart.line([0.0, 1.0], [0.0, 0.0], width=LINE))
@@ -140,7 +138,7 @@ class EnergyChart:
         self._set_ticks(size)
         for line in (*self._potential, *self._kinetic):
             line.width = LINE * pixels.ratio
-        for chart in self._charts:
+        for chart in self.charts:
             chart.GetTitleProperties().SetFontSize(size)
             for axis in (chart.x_axis, chart.y_axis):
                 axis.GetLabelProperties().SetFontSize(size - 1)
@@ -156,7 +154,7 @@ class EnergyChart:
         self._room = (width, height, text)
         # Half of the tile for each chart; three lines of it are title and steps.
         rows, columns = 0.5 * height / text - 3.5, width / text - 6.0
-        for chart in self._charts:
+        for chart in self.charts:
             if chart.visible:
                 _set_ticks(chart.x_axis, chart.x_range, _most(columns / 3.0), whole=True)
                 _set_ticks(chart.y_axis, chart.y_range, _most(rows / 1.6), whole=False)
@@ -166,7 +164,7 @@ class EnergyChart:
         self._theme = theme
         self._wait.paint(theme.ink)
         ink = pv.Color(theme.ink).float_rgb
-        for chart in self._charts:
+        for chart in self.charts:
             chart.background_color = theme.background
             chart.GetTitleProperties().SetColor(ink)
             chart.GetTitleProperties().SetBold(False)
