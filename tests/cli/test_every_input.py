@@ -370,6 +370,7 @@ def test_a_report_that_names_no_file_is_refused_in_a_line(finished, name, where,
             FirstImage(image.path, config, None, None, TrackConfig(), image).start_reading()()
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", [n for n in NO_FILE if "\0" not in n], ids=repr)
 def test_a_name_that_no_file_can_have_is_refused_by_every_command(finished, name, tmp_path, capsys):
     folder, _ = finished
