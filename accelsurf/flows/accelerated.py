@@ -97,11 +97,11 @@ class Accelerated(Flow):
 
     #: Also the factor by which oscillations have raised the stiffness estimate, and whether the speeds reversed in the
     #: last step.
-    state_names = (*Flow.state_names, "_stiffness_factor", "turned_around")
+    state_names = (*Flow.state_names, "_stiffness_factor", "_reversed")
 
     def _forget_forces(self) -> None:
         super()._forget_forces()
-        self._stiffness_factor, self.turned_around = 1.0, False
+        self._stiffness_factor, self._reversed = 1.0, False
 
     def _reset_clock(self) -> None:
         self.clock.zero_momentum()
@@ -158,11 +158,11 @@ class Accelerated(Flow):
         them at most; two in a row mean an oscillation with omega dt > pi/2, which soon grows.
         """
         reverses = kinetic < 0.0
-        if reverses and self.turned_around:
+        if reverses and self._reversed:
             self._stiffness_factor = min(
                 self._stiffness_factor * STIFFNESS_GROWTH, MAX_STIFFNESS_FACTOR
             )
-        self.turned_around = reverses
+        self._reversed = reverses
 
     def _bounded(self, dt: float, surface: LevelSet, limits: StepLimits) -> float:
         """The step ``dt`` within the bounds of diffusion and noise, and the user's."""
