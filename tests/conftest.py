@@ -3,12 +3,14 @@
 import base64
 import os
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from accelsurf.levelset import threads
 from accelsurf.output.pictures import preview
+from tests.support.quick_commands import signatures_read_once
 from tests.support.sampling import sampled
 
 #: A picture of one pixel.
@@ -46,11 +48,26 @@ def real_volumes() -> Path:
     return Path(folder)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def commands_are_quick() -> Iterator[None]:
+    """Run commands in this process without what a program does once, and without waiting for the disk.
+
+    A power cut is no part of a test: what was written is read back all the same. A run has 25 such waits.
+    """
+    with signatures_read_once(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda file: None)
+        yield
+
+
 @pytest.fixture(autouse=True)
-def calls_shared_out(monkeypatch) -> None:
-    """What is longer than a grain is shared out, whatever it takes: else tests would seldom use two threads."""
-    monkeypatch.setattr(threads, "SHARED_FROM", 0.0)
-    monkeypatch.setattr(threads, "SHORTEST", 1e-9)
+def calls_shared_out(request, monkeypatch) -> None:
+    """Share out every call longer than a grain in tests with the mark ``threads``.
+
+    Small images would seldom use two threads else. To share out all calls of all tests takes a third of their time.
+    """
+    if request.node.get_closest_marker("threads") is not None:
+        monkeypatch.setattr(threads, "SHARED_FROM", 0.0)
+        monkeypatch.setattr(threads, "SHORTEST", 1e-9)
 
 
 @pytest.fixture(autouse=True)

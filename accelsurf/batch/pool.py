@@ -185,7 +185,7 @@ class LocalPool:
         self._limit = limit
         self._bytes: float = math.inf if bytes is None else bytes
         self._waiting: deque[Job] = deque()
-        self._workers: list[_Worker] = []
+        self.workers: list[_Worker] = []
         self._stillborn = 0
         self._heard_bell, self._bell = multiprocessing.get_context("spawn").Pipe(duplex=False)
 
@@ -203,7 +203,7 @@ class LocalPool:
         Interrupted
             After `interrupt`.
         """
-        while self._waiting or any(worker.job for worker in self._workers):
+        while self._waiting or any(worker.job for worker in self.workers):
             for job in [job for job in self._waiting if job.bytes > self._bytes]:
                 self._waiting.remove(job)
                 text = f"needs about {job.bytes / 1e9:.2f} GB of memory, {self._bytes / 1e9:.2f} GB may be used"
@@ -218,9 +218,9 @@ class LocalPool:
 
     def stop(self) -> Iterator[Ended]:
         """Send SIGTERM to all workers and wait for them, however long; yield the jobs that end with a result."""
-        for worker in self._workers:
+        for worker in self.workers:
             worker.process.terminate()
-        for worker in self._workers:
+        for worker in self.workers:
             with suppress(EOFError, OSError):  # it has ended
                 while worker.job is not None:
                     message = worker.connection.recv()
@@ -231,29 +231,29 @@ class LocalPool:
         """End all workers at once, those at work too."""
         self._bell.close()
         self._heard_bell.close()
-        for worker in self._workers:
+        for worker in self.workers:
             worker.process.kill()
-        for worker in self._workers:
+        for worker in self.workers:
             worker.kill()
-        self._workers = []
+        self.workers = []
         self._waiting.clear()
 
     def _started(self) -> Iterator[Started]:
         """Give jobs to workers while there are both, and room for the job."""
         while (job := self._next()) is not None:
             for worker in [
-                worker for worker in self._workers if not (worker.job or worker.process.is_alive())
+                worker for worker in self.workers if not (worker.job or worker.process.is_alive())
             ]:
-                self._workers.remove(worker)  # it was ended while it had nothing to do
-            idle = next((worker for worker in self._workers if worker.job is None), None)
+                self.workers.remove(worker)  # it was ended while it had nothing to do
+            idle = next((worker for worker in self.workers if worker.job is None), None)
             if idle is None:
-                if len(self._workers) >= self._jobs:
+                if len(self.workers) >= self._jobs:
                     return
                 try:
                     idle = _Worker(self._function, self._prepare)
                 except OSError as error:
                     raise _not_started(error.strerror or str(error)) from error
-                self._workers.append(idle)
+                self.workers.append(idle)
             self._waiting.remove(job)
             idle.give(job)
             yield Started(job.key)
@@ -261,13 +261,13 @@ class LocalPool:
     def _next(self) -> Job | None:
         """The first waiting job that fits beside those that run."""
         room = self._bytes - sum(
-            worker.job.bytes for worker in self._workers if worker.job is not None
+            worker.job.bytes for worker in self.workers if worker.job is not None
         )
         return next((job for job in self._waiting if job.bytes <= room), None)
 
     def _ended(self) -> Iterator[Ended]:
         """Wait for a worker to say something, to die, or to have had its time."""
-        busy = [worker for worker in self._workers if worker.job is not None]
+        busy = [worker for worker in self.workers if worker.job is not None]
         if not busy:
             return
         places = [
@@ -318,13 +318,13 @@ class LocalPool:
             failure is not None and failure.kind == "memory"
         ):
             worker.kill()
-            self._workers.remove(worker)
+            self.workers.remove(worker)
         return ended
 
     def _lost(self, worker: _Worker, failure: Failure) -> Ended:
         """End a worker, if it lives, and with it its job."""
         worker.kill()
-        self._workers.remove(worker)
+        self.workers.remove(worker)
         if not worker.is_ready:
             self._stillborn += 1
             if self._stillborn >= _MAX_STILLBORN:

@@ -21,8 +21,8 @@ from accelsurf.output.folder import naming_final
 #: Raised when a key of the report or a column of the table changes its name or its meaning.
 SCHEMA_VERSION = 1
 #: Least time between two writings of the tables while cases run: seconds, and multiples of the time of a writing.
-_APART_SECONDS = 2.0
-_APART_TIMES = 20.0
+APART_SECONDS = 2.0
+APART_TIMES = 20.0
 
 BatchStatus = Literal["running", "ok", "failed", "interrupted"]
 
@@ -117,7 +117,7 @@ class Tables:
             When they cannot be written.
         """
         self.put([outcome])
-        if time.monotonic() - self._written >= max(_APART_SECONDS, _APART_TIMES * self._cost):
+        if time.monotonic() - self._written >= max(APART_SECONDS, APART_TIMES * self._cost):
             self.write("running", 0)
 
     def write(self, status: BatchStatus, exit_code: int) -> None:

@@ -169,7 +169,7 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
     """Run a command; print its error."""
     try:
         app = _app_for(arguments)
-        arguments = _as_parsed(arguments)
+        arguments = as_parsed(arguments)
         code = int(
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
             or 0
@@ -235,7 +235,7 @@ def _app_for(arguments: Sequence[str]) -> App:
     return made_app(ShortHelp() if arguments[0] in COMMANDS else None)
 
 
-def _as_parsed(arguments: Sequence[str]) -> list[str]:
+def as_parsed(arguments: Sequence[str]) -> list[str]:
     """Write arguments as the parser takes them.
 
     A value with a minus sign is joined to its option, as the parser would take it for an option; a scan alone is
@@ -243,7 +243,7 @@ def _as_parsed(arguments: Sequence[str]) -> list[str]:
 
     Examples
     --------
-    >>> _as_parsed(["look", "ct.nii", "--at", "-10,20,5"])
+    >>> as_parsed(["look", "ct.nii", "--at", "-10,20,5"])
     ['look', 'ct.nii', '--at=-10,20,5']
     """
     out: list[str] = []

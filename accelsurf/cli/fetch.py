@@ -84,14 +84,14 @@ def fetch(
     if all(file.is_at(to) for file in files):
         print(f"there already: {to.absolute()}")
     else:
-        _fetch_all(files, to, name, overwrite)
+        fetch_all(files, to, name, overwrite)
         print(f"fetched: {to.absolute()}")
     image, out = shlex.quote(str(to / files[0].name)), shlex.quote(str(to / "out"))
     print(f"try: accelsurf segment {image} -o {out} --inside {sample['inside']}")
     return 0
 
 
-def _fetch_all(files: list[SampleFile], folder: Path, name: str, overwrite: bool) -> None:
+def fetch_all(files: list[SampleFile], folder: Path, name: str, overwrite: bool) -> None:
     """Fetch files into a folder, all or none.
 
     Raises

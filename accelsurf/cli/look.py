@@ -99,7 +99,7 @@ def look(
     from accelsurf.output.pictures.look import look_png  # loads modules that draw
 
     geometry = volumes[0].geometry
-    place = None if at is None else _place(at, grid)
+    place = None if at is None else typed_place(at, grid)
     drawn = None if labels is None else _labels(labels, geometry)
     make_writable(path.parent)
     head = f"{source.name}: {_said_of(volumes)}"
@@ -222,7 +222,7 @@ def _picture(source: Path, output: Path | None) -> Path:
     return output
 
 
-def _place(text: str, geometry: Geometry) -> tuple[float, float, float]:
+def typed_place(text: str, geometry: Geometry) -> tuple[float, float, float]:
     """The world place, mm, that was typed.
 
     Raises

@@ -176,7 +176,7 @@ def view(
         if page.browser:
             _serve(opening, opened, settings, page)
         else:
-            _open_window(opening, opened, settings)
+            open_window(opening, opened, settings)
     return 0
 
 
@@ -217,7 +217,7 @@ def _is_local(page: PageOptions) -> bool:
     return page.host in (None, "127.0.0.1", "localhost")
 
 
-def _load() -> None:
+def load_viewer() -> None:
     """Load the libraries with which window and page draw; it takes seconds."""
     import accelsurf.viewer.actions.opening  # noqa: F401
 
@@ -251,7 +251,7 @@ def front_end(page: PageOptions, begin: Callable[[], None]) -> PageOptions:
 
     def meanwhile() -> None:
         begin()
-        _load()
+        load_viewer()
 
     if not page.browser:
         asked = {"--host": page.host, "--port": page.port, "--no-open": not page.open_page or None}
@@ -276,9 +276,7 @@ def front_end(page: PageOptions, begin: Callable[[], None]) -> PageOptions:
     return replace(page, browser=True)
 
 
-def _open_window(
-    opening: Opening, first: ImageWithSession | None, settings: ViewerSettings
-) -> None:
+def open_window(opening: Opening, first: ImageWithSession | None, settings: ViewerSettings) -> None:
     """Open a window until the user closes it, or the run of the first image cannot be prepared.
 
     Raises

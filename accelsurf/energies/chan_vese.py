@@ -157,7 +157,7 @@ class LocalRegion(Energy):
             return
         check_shape(self._shape, surface)
         grid = surface.grid
-        axes = [_layout(n, self.radius / h) for n, h in zip(grid[:3], grid[3:], strict=True)]
+        axes = [node_layout(n, self.radius / h) for n, h in zip(grid[:3], grid[3:], strict=True)]
         sizes, distances, before, half_widths = zip(*axes, strict=True)
         self._nodes, self._half_widths = windows.Nodes(*sizes, *distances, *before), half_widths
         count = math.prod(sizes)
@@ -277,7 +277,7 @@ class LocalRegion(Energy):
         return tuple(box)
 
 
-def _layout(n: int, radius: float) -> tuple[int, float, float, int]:
+def node_layout(n: int, radius: float) -> tuple[int, float, float, int]:
     """Nodes along an axis of ``n`` voxels for a radius in voxels.
 
     Returns (number, distance in voxels, how many before voxel 0, half width of the tent in nodes).
@@ -287,7 +287,7 @@ def _layout(n: int, radius: float) -> tuple[int, float, float, int]:
 
     Examples
     --------
-    >>> _layout(10, 5.0)
+    >>> node_layout(10, 5.0)
     (7, 2.73861278752583, 1.3568323274845013, 2)
     """
     if n == 1:

@@ -127,7 +127,7 @@ class Accelerated(Flow):
             # Where a stage changed nothing, it is the same array as the one before.
             return 0.0 if later is earlier else 2.0 * self._kinetic(area, later - earlier, mean) / w
 
-        self._detect_oscillation(self._kinetic(area, before, after))
+        self.detect_oscillation(self._kinetic(area, before, after))
         # T at the time of the record, which is half a step from both velocities: that of their mean. Their product is
         # below 0 where the velocity reverses. At rest ``before`` is the velocity at that time itself.
         between = before if self.clock.at_rest else mean
@@ -147,11 +147,11 @@ class Accelerated(Flow):
             noise=work(kicked, noisy),
         )
 
-    def _force_stiffness(self, peak: float, surface: LevelSet) -> float:
+    def force_stiffness(self, peak: float, surface: LevelSet) -> float:
         """Estimate of the force stiffness: the peak force so far (voxels), times the factor raised by oscillations."""
-        return self._peak_force_so_far(peak, surface) * self._stiffness_factor
+        return self.peak_force_so_far(peak, surface) * self._stiffness_factor
 
-    def _detect_oscillation(self, kinetic: float) -> None:
+    def detect_oscillation(self, kinetic: float) -> None:
         """Raise the stiffness when the speeds before and after a kick are opposed on average in two steps in a row.
 
         Leap-frog is stable up to omega dt = 2. An oscillation of more than four steps reverses the speeds in one of

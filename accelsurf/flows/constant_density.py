@@ -156,7 +156,7 @@ class ConstantDensity(Accelerated):
         c_T = sqrt(beta^2/2 + w alpha/rho); diffusion and noise.
         """
         surface = now.surface
-        peak = self._force_stiffness(force[1], surface) / self.rho
+        peak = self.force_stiffness(force[1], surface) / self.rho
         stiffness = now.alpha / self.rho
         if self.clock.at_rest:
             dt = cfl_dt = self.clock.first_dt(peak, stiffness, surface.smallest_spacing, limits.cfl)

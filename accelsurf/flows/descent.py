@@ -71,7 +71,7 @@ class Descent(Flow):
 
     def cfl_dt(self, rates: np.ndarray, surface: LevelSet, limits: StepLimits) -> float:
         """Step in which the percentile of the speeds ``rates`` (voxels per unit time) moves the surface by cfl."""
-        fastest = self._peak_force_so_far(percentile(rates, limits.percentile), surface)
+        fastest = self.peak_force_so_far(percentile(rates, limits.percentile), surface)
         return limits.cfl / fastest if fastest > 0 else math.inf
 
     def resting_dt(self, now: StepInput, speed: np.ndarray, dt: float) -> float:

@@ -370,7 +370,7 @@ class FlowableMass(Accelerated):
         surface, front = now.surface, now.front
         smallest = surface.smallest_spacing
         peak_force = percentile(self._rates(surface, acceleration), limits.percentile, front)
-        peak = self._force_stiffness(peak_force, surface)
+        peak = self.force_stiffness(peak_force, surface)
         stiffness, sound = now.alpha, 0.0
         if gravity is not None:
             stiffness += max(float(gravity.tension[front].max(initial=0.0)), 0.0)

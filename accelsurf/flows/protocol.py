@@ -177,7 +177,7 @@ class Flow(ABC):
         """Reset the peak force."""
         self._peak_force = 0.0
 
-    def _peak_force_so_far(self, peak: float, surface: LevelSet) -> float:
+    def peak_force_so_far(self, peak: float, surface: LevelSet) -> float:
         """Largest ``peak`` (voxels) so far: near the minimum forces fade, but the stiffness there stays."""
         # On another level the voxels have another size.
         voxel = surface.smallest_spacing

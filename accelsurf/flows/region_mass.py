@@ -168,7 +168,7 @@ class RegionMass(Accelerated):
         last = self._means(surface, moved.fluid, front, layer.normal, first * dt)[:, 1:]
         self.fluid, self.mass = moved.fluid, sums.mass
         met = sums.after - self._sums(moved.fluid, moved.fluid).after
-        self._detect_oscillation(sums.between)
+        self.detect_oscillation(sums.between)
         # A velocity that is that of now needs no mean.
         of_now = clock.last_dt <= NOW
         kinetic = sums.before if of_now else 0.25 * (sums.before + 2.0 * sums.between + sums.after)
@@ -239,7 +239,7 @@ class RegionMass(Accelerated):
         mm = 1.0 / np.maximum(self._voxel_rates(surface, layer.normal), 1e-30)
         per_area = layer.density * (self.width / DELTA_SQUARE) * mm
         rates = np.abs(now.force) / (per_area * mm)
-        peak = self._force_stiffness(percentile(rates, limits.percentile, front), surface)
+        peak = self.force_stiffness(percentile(rates, limits.percentile, front), surface)
         return peak, now.alpha / float(per_area[front].min(initial=math.inf))
 
     def _kicked(self, now: StepInput, layer: Layer, dt: float, limit: float) -> np.ndarray:

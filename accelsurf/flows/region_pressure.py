@@ -194,7 +194,7 @@ class RegionPressure(RegionMass):
         """T between the last half step and the next: that of the mean of both fluids."""
         # A velocity that is that of now needs no mean.
         between = before if self.clock.last_dt <= NOW else 0.5 * (before + self.fluid)
-        self._detect_oscillation(self._sums(before * share, self.fluid * share).between)
+        self.detect_oscillation(self._sums(before * share, self.fluid * share).between)
         return self._sums(between * share, between * share).after
 
     # -- surface and fluid ---------------------------------------------------------------------------------

@@ -92,7 +92,7 @@ def evolve_near(problem: LocalProblem, id: int, stepping: Stepping) -> LocalOutc
     before = signed_distance(problem.psi, float(surface.gamma), spacing)
     bounds = united(near_bounds(before, problem.region, spacing, problem.sides), problem.clicks)
     for side, basin in problem.relabelled:
-        _relabel(before, basin & problem.region.mask, side, spacing)
+        relabel(before, basin & problem.region.mask, side, spacing)
     return evolve_bounded(problem, id, stepping, before, bounds, surface)
 
 
@@ -148,7 +148,7 @@ def _surface_before(problem: LocalProblem, stepping: Stepping) -> LevelSet:
         overwrite=True,
         extension=setup.extension,
     )
-    _restore(surface, problem.psi)
+    restore_psi(surface, problem.psi)
     return surface
 
 
@@ -175,7 +175,7 @@ def evolve_to_end(
     return leaked_stop(evolution.stop, setup) if leaked else evolution.stop
 
 
-def _restore(surface: LevelSet, psi: NDArray[np.float32]) -> None:
+def restore_psi(surface: LevelSet, psi: NDArray[np.float32]) -> None:
     """Make a surface that of ``psi``, a signed distance in the band: nothing is solved again."""
     flat, grid = psi.reshape(-1), surface.grid
     cells = np.flatnonzero(np.abs(flat) < surface.gamma * np.float32(1.0 - 1e-6))
@@ -190,7 +190,7 @@ def _restore(surface: LevelSet, psi: NDArray[np.float32]) -> None:
     surface.restore(band, inside.reshape(-1), beyond, surface.requested_half_width)
 
 
-def _relabel(
+def relabel(
     psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spacing: Spacing
 ) -> None:
     """Bring voxels of a basin to their side, in place, with distances around them as far as a band may go."""
@@ -224,8 +224,8 @@ def relabelled_psi(
     workers : Workers
     """
     out, changed = psi.copy(), (psi < 0) != inside
-    _relabel(out, changed & inside, "inside", spacing)
-    _relabel(out, changed & ~inside, "outside", spacing)
+    relabel(out, changed & inside, "inside", spacing)
+    relabel(out, changed & ~inside, "outside", spacing)
     surface = LevelSet(out, spacing, half_width, workers)
     reach = float(surface.gamma) + max(axis_steps(psi.shape, spacing))
     near = np.isfinite(distances_within(changed, spacing, reach))

@@ -334,7 +334,7 @@ def _claimed(folder: Path, short: str, unique: bool) -> _Claim:
         staging = folder / _staging_name(folder, short, salt)
         with suppress(FileExistsError):
             os.mkdir(staging)
-        if not _is_sealed(folder, staging):
+        if not is_sealed(folder, staging):
             reason = f"{staging.name} is no folder of this program"
             break
         try:
@@ -387,7 +387,7 @@ def recover(folder: Path) -> list[Path]:
         return []
     foreign, unfinished = [], []
     for path in _staging_folders(folder):
-        if not _is_sealed(folder, path):
+        if not is_sealed(folder, path):
             foreign.append(path.name)
             continue
         try:
@@ -468,7 +468,7 @@ def _staging_name(folder: Path, short: str, salt: str) -> str:
     return f"{PREFIX}{short}.{salt}{sealed[:16]}{SUFFIX}"
 
 
-def _is_sealed(folder: Path, path: Path) -> bool:
+def is_sealed(folder: Path, path: Path) -> bool:
     """Test if a run of this user has made a staging folder here; that nothing else lies in its place."""
     found = _STAGING.fullmatch(path.name)
     return (
@@ -518,7 +518,7 @@ def _locked(staging: Path) -> int | None:
     path = staging / _LOCK
     lock = os.open(path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o600)
     try:
-        if _try_lock(lock) and os.path.samestat(os.fstat(lock), path.lstat()):
+        if try_lock(lock) and os.path.samestat(os.fstat(lock), path.lstat()):
             return lock
     except BaseException:
         os.close(lock)
@@ -527,7 +527,7 @@ def _locked(staging: Path) -> int | None:
     return None
 
 
-def _try_lock(lock: int) -> bool:
+def try_lock(lock: int) -> bool:
     """Lock an open file without waiting; an OSError where the file system has no locks."""
     try:
         if sys.platform == "win32":

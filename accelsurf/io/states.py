@@ -115,8 +115,8 @@ def to_bytes(value: Any, types: Mapping[str, type]) -> bytes:
     state = _encode(value, arrays, names)
     about = {
         "format": FORMAT,
-        "records": _layout(types),
-        "digest": _digest(state, arrays),
+        "records": layout_of(types),
+        "digest": digest_of(state, arrays),
         "state": state,
     }
     tree = json.dumps(about)
@@ -134,7 +134,7 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
         When the content is damaged, or of another format.
     """
     try:
-        arrays = _arrays(content)
+        arrays = stored_arrays(content)
         tree = arrays.pop(_TREE)
         if (tree.ndim, tree.dtype) != (1, np.uint8):
             raise ValueError("its description is missing")
@@ -147,9 +147,9 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
             f"a state of another version of accelsurf was given (format {found}, expected {FORMAT})"
         )
         raise InputError(what, _AGAIN)
-    if layout != _layout(types):
+    if layout != layout_of(types):
         raise InputError("a state of another version of accelsurf was given", _AGAIN)
-    if about.get("digest") != _digest(about.get("state"), arrays):
+    if about.get("digest") != digest_of(about.get("state"), arrays):
         what = "the state is damaged (its checksum does not fit its content)"
         raise InputError(what, _AGAIN)
     try:
@@ -158,7 +158,7 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
         raise InputError(f"the state is damaged ({error})", _AGAIN) from None
 
 
-def _arrays(content: bytes) -> dict[str, np.ndarray]:
+def stored_arrays(content: bytes) -> dict[str, np.ndarray]:
     """The members of a file by name; an error of any kind where one is no array, or longer than the file.
 
     `numpy.load` would allocate the announced size before it looks how much there is.
@@ -189,7 +189,7 @@ def _array(raw: bytearray) -> np.ndarray:
     return np.ndarray(shape, dtype, raw, head.tell(), order="F" if is_fortran else "C")
 
 
-def _digest(state: Any, arrays: Mapping[str, np.ndarray]) -> str:
+def digest_of(state: Any, arrays: Mapping[str, np.ndarray]) -> str:
     """SHA-256 of a tree and of the arrays that it names."""
     sha = hashlib.sha256(json.dumps(state).encode())
     for name in sorted(arrays):
@@ -229,7 +229,7 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], names: Mapping[type, str]
     raise TypeError(f"a state has a {type(value).__name__}, which cannot be saved")
 
 
-def _layout(types: Mapping[str, type]) -> dict[str, list[str]]:
+def layout_of(types: Mapping[str, type]) -> dict[str, list[str]]:
     """Names of the fields of each type: values are read back by their place."""
     return {
         name: [field.name for field in dataclasses.fields(kind)]

@@ -55,7 +55,7 @@ class LevelSet:
     spacing : sequence of 3 floats
         (hz, hy, hx), mm.
     half_width : float
-        Half width of the band in voxels along the normal; where the spacings differ the band is wider, see `_slant`.
+        Half width of the band in voxels along the normal; where the spacings differ the band is wider, see `slant`.
     workers : Workers
         The threads to use.
     overwrite : bool
@@ -97,7 +97,7 @@ class LevelSet:
         self._thickness = math.prod(spacing) / math.prod(steps)
         # A stencil across a slanted surface extends further, in voxels along the normal, the less the spacings are
         # alike: at most by |n/h| |h n| <= (ratio + 1/ratio)/2 (Kantorovich).
-        self._slant = 0.5 * (max(spacings) / min(spacings) + min(spacings) / max(spacings))
+        self.slant = 0.5 * (max(spacings) / min(spacings) + min(spacings) / max(spacings))
         self._set_half_width(half_width)
         self.workers = workers or Workers(1)
         self.extension = extension
@@ -113,7 +113,7 @@ class LevelSet:
         """Half width of the band in voxels along the normal, as the constructor was given it."""
         self.requested_half_width, self.half_width = (
             float(half_width),
-            float(half_width) * self._slant,
+            float(half_width) * self.slant,
         )
         self.gamma = np.float32(self.half_width * max(self.spacings, default=1.0))
 
@@ -226,7 +226,7 @@ class LevelSet:
             fraction, area = np.empty(self.size), np.empty(self.size)
             curvature, variation = np.empty(self.size, np.float32), np.empty(self.size, np.float32)
             # A stencil needs psi sqrt(2) voxels further off, and beyond the band psi is no distance.
-            within = min(self.half_width - 1.42 * self._slant, FRONT_WIDTH)
+            within = min(self.half_width - 1.42 * self.slant, FRONT_WIDTH)
             out = fraction, area, curvature, variation
             self.workers.parallel(
                 region.measure_band, self.size, self.dense.psi, self.grid, self.band, within, out

@@ -46,7 +46,7 @@ class Workers:
         #: Wall seconds by name of kernel, for `--profile`; `kernels._jit` has the stage of each.
         self.seconds: dict[str, float] = {}
         #: Seconds that a slot, block or plane took one thread in the last call of more than a grain, by name of kernel.
-        self._pace: dict[str, float] = {}
+        self.pace: dict[str, float] = {}
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
     def parallel(self, kernel: Callable[..., Any], size: int, *args: Any) -> None:
@@ -103,7 +103,7 @@ class Workers:
         In as many ranges as are worth their cost, by the last time of a slot in the kernel: the bytes are the same.
         """
         name = kernel.__name__
-        alone = self._pace.get(name, math.inf) * size
+        alone = self.pace.get(name, math.inf) * size
         if self._pool is None or size <= grain or alone < SHARED_FROM:
             took = _seconds(kernel, 0, size, args)
         else:
@@ -115,7 +115,7 @@ class Workers:
             )
         # A smaller size takes the overhead of a call.
         if size > grain:
-            self._pace[name] = took / size
+            self.pace[name] = took / size
 
     def _drained(
         self,

@@ -255,7 +255,7 @@ def _near_click(
     return np.asarray(np.exp(-0.5 * (away / radius) ** 2))
 
 
-def _deepest(inside: Mask, spacing: Sequence[float]) -> Corner:
+def deepest_voxel(inside: Mask, spacing: Sequence[float]) -> Corner:
     """The voxel farthest from the surface, the first of several; the border is none."""
     if inside.all():
         return _deepest_within(inside, whole_box(inside.shape), 0.0, spacing)[1]
@@ -321,7 +321,7 @@ def _drift(
     floor: float,
 ) -> float:
     """Largest difference of the medians of shells around the deepest point, in units of the object's deviation."""
-    middle = _deepest(inside, spacing)
+    middle = deepest_voxel(inside, spacing)
     core = deeper if np.count_nonzero(deeper) > 20 else inside
     z, y, x = (
         ((np.arange(n) - m) * h) ** 2 for n, m, h in zip(inside.shape, middle, spacing, strict=True)

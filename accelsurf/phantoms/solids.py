@@ -239,13 +239,13 @@ class Vessel(Solid):
     tree_seed: int | None = None
 
     def __post_init__(self) -> None:
-        if any(a - b >= np.linalg.norm(q - p) for p, q, a, b in self._tubes):
+        if any(a - b >= np.linalg.norm(q - p) for p, q, a, b in self.tubes):
             raise ValueError(
                 f"length {self.length:g} given, more expected: a tube tapers to nothing within its start"
             )
 
     @cached_property
-    def _tubes(self) -> list[tuple[Floats, Floats, float, float]]:
+    def tubes(self) -> list[tuple[Floats, Floats, float, float]]:
         """(start, end, start radius, end radius) of each, placed so that the box around all is centred."""
         random = (
             None if self.tree_seed is None else np.random.Generator(np.random.PCG64(self.tree_seed))
@@ -283,7 +283,7 @@ class Vessel(Solid):
     def distance(self, x: Floats, y: Floats, z: Floats) -> Floats:
         """See `Solid.distance`."""
         nearest = np.full(np.broadcast_shapes(x.shape, y.shape, z.shape), np.inf)
-        for start, end, first, last in self._tubes:
+        for start, end, first, last in self.tubes:
             tube = _round_cone(x - start[0], y - start[1], z - start[2], end - start, first, last)
             np.minimum(nearest, tube, out=nearest)
         return nearest
@@ -291,7 +291,7 @@ class Vessel(Solid):
     @property
     def half_extent(self) -> Triple:
         """See `Solid.half_extent`."""
-        high = np.max([np.maximum(p + a, q + b) for p, q, a, b in self._tubes], axis=0)
+        high = np.max([np.maximum(p + a, q + b) for p, q, a, b in self.tubes], axis=0)
         return float(high[0]), float(high[1]), float(high[2])
 
 

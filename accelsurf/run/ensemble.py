@@ -128,7 +128,7 @@ class Ensemble:
             [evolving for evolving in moving if evolving.moves and evolving.surface.size],
         )
         if reactivate and steps_left > 1:
-            self._reactivate(meets)
+            self.reactivate_touched(meets)
         return tuple(step for step in steps if step is not None)
 
     def _each(self, work: Callable[[EvolvingObject], T], batch: list[EvolvingObject]) -> list[T]:
@@ -167,7 +167,7 @@ class Ensemble:
             out[k].append(self._objects[i])
         return out
 
-    def _reactivate(self, meets: list[list[int]]) -> None:
+    def reactivate_touched(self, meets: list[list[int]]) -> None:
         """Continue converged objects that a neighbour has moved into."""
         for i, evolving in enumerate(self._objects):
             stop = evolving.evolution.stop

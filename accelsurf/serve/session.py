@@ -255,7 +255,7 @@ class Leases:
         on_end: Callable[[Lease, str], None] = lambda lease, why: None,
     ) -> None:
         self.most, self.idle = most, idle
-        self._clock, self._leases, self._on_end = clock, dict[str, Lease](), on_end
+        self.clock, self.held, self._on_end = clock, dict[str, Lease](), on_end
         self._count = 0
 
     def claim(self) -> str:
@@ -266,16 +266,16 @@ class Leases:
         FullError
         """
         self.sweep()
-        if len(self._leases) >= self.most:
+        if len(self.held) >= self.most:
             raise FullError
         token = secrets.token_urlsafe(24)
         self._count += 1
-        self._leases[token] = Lease(self._clock(), self._count)
+        self.held[token] = Lease(self.clock(), self._count)
         return token
 
     def peek(self, token: str) -> Lease | None:
         """Return a lease, if there is one; nothing is postponed, and none ends."""
-        return self._leases.get(token)
+        return self.held.get(token)
 
     def find(self, token: str, *, by_person: bool = False) -> Lease:
         """Return a lease, which a request has come with; one ``by_person`` postpones its end.
@@ -285,7 +285,7 @@ class Leases:
         LeaseLostError
         """
         lease = self._alive(token)
-        lease.touch(self._clock(), by_person=by_person)
+        lease.touch(self.clock(), by_person=by_person)
         return lease
 
     def remaining(self, token: str) -> float:
@@ -295,25 +295,25 @@ class Leases:
         ------
         LeaseLostError
         """
-        return max(self.idle - (self._clock() - self._alive(token).active), 0.0)
+        return max(self.idle - (self.clock() - self._alive(token).active), 0.0)
 
     def _alive(self, token: str) -> Lease:
         self.sweep()
-        lease = self._leases.get(token)
+        lease = self.held.get(token)
         if lease is None:
             raise LeaseLostError
         return lease
 
     def release(self, token: str, why: str = "") -> None:
         """End a lease, if there is one."""
-        lease = self._leases.pop(token, None)
+        lease = self.held.pop(token, None)
         if lease is not None:
             self._ended(lease, why)
 
     def sweep(self) -> None:
         """End the leases of clients that are gone or idle."""
-        now = self._clock()
-        for token, lease in list(self._leases.items()):
+        now = self.clock()
+        for token, lease in list(self.held.items()):
             if now - lease.seen > LIVENESS:
                 self.release(token, f"no sign of life for {LIVENESS:g} seconds")
             elif now - lease.active > self.idle:

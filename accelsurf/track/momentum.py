@@ -72,8 +72,8 @@ class SurfaceMomentum(ABC):
 
     def __init__(self, friction: float = 0.0, workers: Workers | None = None) -> None:
         self.friction, self.workers = float(friction), workers or Workers(1)
-        self._boxed: BoxedSurface
-        self._fields: list[np.ndarray] = []
+        self.boxed: BoxedSurface
+        self.fields: list[np.ndarray] = []
         #: Material points (m, 3), mm along the grid's axes from its first voxel.
         self._points: Floats = np.zeros((0, 3))
 
@@ -125,31 +125,31 @@ class SurfaceMomentum(ABC):
         velocity : (x, y, z), optional
             Mean velocity, world mm per unit of time; at rest by default.
         """
-        self._boxed = boxed_surface(psi, corner, geometry, self.half_width, self.workers)
+        self.boxed = boxed_surface(psi, corner, geometry, self.half_width, self.workers)
         moving = np.zeros(3) if velocity is None else self._to_grid(np.array([velocity]))[0]
-        self._fields = self._fields_at_start(np.where(self._boxed.wide, moving, 0.0))
+        self.fields = self._fields_at_start(np.where(self.boxed.wide, moving, 0.0))
         self._points = np.zeros((0, 3))
         return self.piece
 
     def halve(self) -> None:
         """Go on with voxels twice as large, if the frames' grid has a coarser one."""
         self._put_on_grid(
-            halving_of(self._boxed.geometry) if self._boxed.halving is None else self._boxed.halving
+            halving_of(self.boxed.geometry) if self.boxed.halving is None else self.boxed.halving
         )
 
     def _put_on_grid(self, halving: Halving | None) -> None:
         """Go on on the frames' grid, or on a coarser one."""
-        old, piece = self._boxed, self.piece
+        old, piece = self.boxed, self.piece
         if halving is old.halving or not piece.has_inside:
             return
         frame = old.geometry if old.halving is None else old.halving.frame
-        self._boxed = boxed_piece(piece, frame, self.half_width, self.workers, halving)
+        self.boxed = boxed_piece(piece, frame, self.half_width, self.workers, halving)
         shift = sum(
             (sign * at.offset for sign, at in ((1.0, halving), (-1.0, old.halving)) if at),
             np.zeros(3),
         )
-        values, known = sample_fields(old, self._fields, self._boxed.closest_points() + shift)
-        self._fields = self._fields_on(self._boxed, values, known)
+        values, known = sample_fields(old, self.fields, self.boxed.closest_points() + shift)
+        self.fields = self._fields_on(self.boxed, values, known)
         self._points = self._points - shift
 
     def predict(self, duration: float) -> SurfacePiece:
@@ -158,7 +158,7 @@ class SurfaceMomentum(ABC):
         Velocities are always in rising time, also after a step back; friction takes from them in both directions.
         Returns the surface on the frame's grid: see `piece`.
         """
-        if duration != 0.0 and self._boxed.surface.size:
+        if duration != 0.0 and self.boxed.surface.size:
             self._coast(duration)
         return self.piece
 
@@ -176,19 +176,19 @@ class SurfaceMomentum(ABC):
             As given to the last `predict`.
         gains : Gains
         """
-        predicted, measured = self._boxed, measured_surface(piece, self._boxed)
+        predicted, measured = self.boxed, measured_surface(piece, self.boxed)
         if not predicted.surface.size:
-            self._fields = []
-            self._boxed = measured
-            self._fields = self._fields_at_start(np.zeros(3))
+            self.fields = []
+            self.boxed = measured
+            self.fields = self._fields_at_start(np.zeros(3))
             return self.piece
         found = displacement(predicted, measured)
         fields = self._corrected_fields(found, duration, gains.velocity)
         new = between(predicted, measured, found, gains.psi)
         way = gains.psi * found.shift
         values, known = sample_fields(predicted, fields, new.closest_points() - way)
-        self._boxed = new
-        self._fields = self._fields_on(new, values, known)
+        self.boxed = new
+        self.fields = self._fields_on(new, values, known)
         if len(self._points):
             self._points = _onto(new, self._points + way)
         return self.piece
@@ -198,46 +198,46 @@ class SurfaceMomentum(ABC):
     @property
     def piece(self) -> SurfacePiece:
         """The surface now, on the frame's grid; a box of no voxels (shape 0, 0, 0) where it has left."""
-        return self._boxed.on_frame()
+        return self.boxed.on_frame()
 
     def mean_velocity(self) -> Triple:
         """Mean velocity over the surface (x, y, z), world mm per unit of time; 0 without a surface."""
-        if not self._boxed.surface.size:
+        if not self.boxed.surface.size:
             return 0.0, 0.0, 0.0
-        index = self._mean_velocity() / self._boxed.spacing
-        x, y, z = self._boxed.geometry.index_to_world(index) - self._boxed.geometry.index_to_world(
+        index = self._mean_velocity() / self.boxed.spacing
+        x, y, z = self.boxed.geometry.index_to_world(index) - self.boxed.geometry.index_to_world(
             np.zeros(3)
         )
         return float(x), float(y), float(z)
 
     def way(self, duration: float) -> Floats:
         """Way (3,) of the whole in a time as its momentum has it, mm along the grid's axes z, y, x."""
-        return self._mean_velocity() * duration if self._boxed.surface.size else np.zeros(3)
+        return self._mean_velocity() * duration if self.boxed.surface.size else np.zeros(3)
 
     def moved_surface(self, duration: float) -> MovedSurface:
         """Copy the surface, with room to move, and the speed that its momentum has there, per ``duration``."""
-        boxed = self._boxed.widened(self.half_width)
-        velocity, _ = sample_fields(self._boxed, self._fields[:3], boxed.closest_points())
+        boxed = self.boxed.widened(self.half_width)
+        velocity, _ = sample_fields(self.boxed, self.fields[:3], boxed.closest_points())
         speed = (velocity * boxed.surface.normals()).sum(axis=1) * (duration if self.moves else 0.0)
         return MovedSurface(boxed, np.asarray(speed, np.float32))
 
     def volume(self) -> float:
         """Volume inside, mm3, to parts of a voxel."""
-        return self._boxed.surface.volume(self._boxed.surface.fraction_and_area()[0])
+        return self.boxed.surface.volume(self.boxed.surface.fraction_and_area()[0])
 
     def area(self) -> float:
         """Area of the surface, mm2."""
-        return float(self._boxed.surface.fraction_and_area()[1].sum())
+        return float(self.boxed.surface.fraction_and_area()[1].sum())
 
     def centroid(self) -> Triple:
         """Centroid of the volume (x, y, z), world mm; of an empty surface, of no meaning."""
-        x, y, z = self._to_world(self._boxed.centroid()[None])[0]
+        x, y, z = self._to_world(self.boxed.centroid()[None])[0]
         return float(x), float(y), float(z)
 
     def attach_points(self, points: NDArray[np.float64]) -> None:
         """Attach material points (n, 3), world mm, near the surface: `predict` and `correct` move them with it."""
-        geometry = self._boxed.geometry
-        self._points = geometry.world_to_index(np.reshape(points, (-1, 3))) * self._boxed.spacing
+        geometry = self.boxed.geometry
+        self._points = geometry.world_to_index(np.reshape(points, (-1, 3))) * self.boxed.spacing
 
     @property
     def points(self) -> NDArray[np.float64]:
@@ -246,41 +246,41 @@ class SurfaceMomentum(ABC):
 
     def _to_world(self, points: Floats) -> Floats:
         """Points (n, 3), mm along the grid's axes, in the world."""
-        return self._boxed.geometry.index_to_world(points / self._boxed.spacing)
+        return self.boxed.geometry.index_to_world(points / self.boxed.spacing)
 
     def _to_grid(self, vectors: Floats) -> Floats:
         """World vectors (n, 3), x y z, along the grid's axes, z y x."""
-        geometry = self._boxed.geometry
+        geometry = self.boxed.geometry
         return np.asarray(
-            geometry.world_to_index(vectors + np.asarray(geometry.origin)) * self._boxed.spacing
+            geometry.world_to_index(vectors + np.asarray(geometry.origin)) * self.boxed.spacing
         )
 
     # -- several -------------------------------------------------------------------------------------------
 
     def split(self, pieces: Sequence[SurfacePiece]) -> list[SurfaceMomentum]:
         """One momentum for each piece that this surface divided into: velocities by the closest points, no points."""
-        return [self._on_surface(measured_surface(piece, self._boxed), [self]) for piece in pieces]
+        return [self._on_surface(measured_surface(piece, self.boxed), [self]) for piece in pieces]
 
     def merged(self, others: Sequence[SurfaceMomentum]) -> SurfaceMomentum:
         """The momentum of the union with others of the same model, each with its own velocities; without points."""
-        sources = [momentum for momentum in (self, *others) if momentum._boxed.surface.size]
-        if len({momentum._boxed.geometry.shape for momentum in sources}) > 1:
+        sources = [momentum for momentum in (self, *others) if momentum.boxed.surface.size]
+        if len({momentum.boxed.geometry.shape for momentum in sources}) > 1:
             for momentum in sources:
                 momentum._put_on_grid(None)
         if not sources:
-            return self._on_surface(self._boxed, [self])
-        return self._on_surface(_union([momentum._boxed for momentum in sources]), sources)
+            return self._on_surface(self.boxed, [self])
+        return self._on_surface(_union([momentum.boxed for momentum in sources]), sources)
 
     def _on_surface(self, new: BoxedSurface, sources: Sequence[SurfaceMomentum]) -> SurfaceMomentum:
         """A momentum like this on another surface, with the fields of the source that is nearest to each place."""
         points, nearest = new.closest_points(), np.full(new.surface.size, np.inf)
-        values = np.zeros((new.surface.size, len(self._fields)))
+        values = np.zeros((new.surface.size, len(self.fields)))
         for source in sources:
-            if not source._boxed.surface.size:
+            if not source.boxed.surface.size:
                 continue
-            front = source._boxed.surface.front()
-            distance, _ = cKDTree(source._boxed.closest_points()[front]).query(points)
-            found, _ = sample_fields(source._boxed, source._fields, points)
+            front = source.boxed.surface.front()
+            distance, _ = cKDTree(source.boxed.closest_points()[front]).query(points)
+            found, _ = sample_fields(source.boxed, source.fields, points)
             nearer = distance < nearest
             values[nearer], nearest[nearer] = found[nearer], distance[nearer]
         momentum = type(self)(self.friction, self.workers)
@@ -290,26 +290,26 @@ class SurfaceMomentum(ABC):
 
     def _put_on(self, boxed: BoxedSurface, fields: list[np.ndarray]) -> SurfaceMomentum:
         """Put this momentum on a surface with its fields."""
-        self._boxed, self._fields = boxed, fields
+        self.boxed, self.fields = boxed, fields
         return self
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
         """State as a value: arrays and numbers by name, for `restore`."""
-        surface = checkpoint_surface(self._boxed.surface)
+        surface = checkpoint_surface(self.boxed.surface)
         return {
-            "halved": self._boxed.halving is not None,
-            "corner": self._boxed.corner,
-            "shape": self._boxed.surface.shape,
+            "halved": self.boxed.halving is not None,
+            "corner": self.boxed.corner,
+            "shape": self.boxed.surface.shape,
             "points": self._points,
-            "fields": np.array(self._fields, np.float32).reshape(len(self._fields), -1),
+            "fields": np.array(self.fields, np.float32).reshape(len(self.fields), -1),
             **{f"surface_{name}": value for name, value in surface._asdict().items()},
         }
 
     def restore(self, state: dict[str, Any], geometry: Geometry) -> None:
         """Go back to a `state` of a momentum of the same settings on the same grid; the same bytes follow."""
-        names = SurfaceState._fields
+        names = SurfaceState.fields
         saved = SurfaceState(**{name: state[f"surface_{name}"] for name in names})
         halving = halving_of(geometry) if state["halved"] else None
         geometry = geometry if halving is None else halving.geometry
@@ -317,8 +317,8 @@ class SurfaceMomentum(ABC):
             np.ones(state["shape"], np.float32), geometry.spacing, self.half_width, self.workers
         )
         restore_surface(surface, saved._replace(inside_beyond=int(saved.inside_beyond)))
-        self._boxed = BoxedSurface(surface, as_corner(state["corner"]), geometry, halving)
-        self._fields = [np.array(field, np.float32) for field in state["fields"]]
+        self.boxed = BoxedSurface(surface, as_corner(state["corner"]), geometry, halving)
+        self.fields = [np.array(field, np.float32) for field in state["fields"]]
         self._points = np.array(state["points"], np.float64).reshape(-1, 3)
 
 

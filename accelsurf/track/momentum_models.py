@@ -128,13 +128,13 @@ class FlowableMomentum(SurfaceMomentum):
     _steered = False
 
     def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
-        size = self._boxed.surface.size
+        size = self.boxed.surface.size
         return [np.full(size, value, np.float32) for value in (*velocity, RHO)]
 
     def _mean_velocity(self) -> Floats:
-        mass = self._boxed.surface.fraction_and_area()[1] * self._fields[3]
+        mass = self.boxed.surface.fraction_and_area()[1] * self.fields[3]
         total = max(float(mass.sum()), 1e-300)
-        return np.array([float((mass * field).sum()) / total for field in self._fields[:3]])
+        return np.array([float((mass * field).sum()) / total for field in self.fields[:3]])
 
     def steer(self, seen: ImageMotion, duration: float, variance: float) -> Steered:
         """Set the velocities to an interval's: the momentum's, drawn to the image's by their certainties.
@@ -149,10 +149,10 @@ class FlowableMomentum(SurfaceMomentum):
         variance : float
             Of a component of the displacement by the momentum alone, mm2; inf: nothing is known of it.
         """
-        boxed = self._boxed
+        boxed = self.boxed
         points, wide = boxed.closest_points(), boxed.wide
         mean, free = self._mean_velocity(), self._free(duration)
-        field = np.stack(self._fields[:3], axis=1).astype(np.float64)
+        field = np.stack(self.fields[:3], axis=1).astype(np.float64)
         by_momentum = mean * duration + (field - mean) * math.copysign(free, duration)
         found, spread = seen.at(points if boxed.halving is None else points + boxed.halving.offset)
         least = MIN_SPREAD * boxed.surface.smallest_spacing**2
@@ -162,9 +162,9 @@ class FlowableMomentum(SurfaceMomentum):
         known = 0.0 if math.isinf(variance) else 1.0 / max(variance, least)
         total = np.maximum(certainty + known, 1e-30)
         moved = by_momentum + (certainty / total)[:, None] * (found - by_momentum)
-        self._fields = [
+        self.fields = [
             *(np.asarray(moved[:, c] / duration, np.float32) for c in range(3)),
-            self._fields[3],
+            self.fields[3],
         ]
         self._steered = True
         area = boxed.surface.fraction_and_area()[1]
@@ -182,7 +182,7 @@ class FlowableMomentum(SurfaceMomentum):
 
     def _coast(self, duration: float) -> None:
         mean = self._mean_velocity()
-        h = self._boxed.spacing
+        h = self.boxed.spacing
         sign = math.copysign(1.0, duration)
         voxels = np.rint(mean * duration / h)
         free = self._free(duration)
@@ -192,35 +192,35 @@ class FlowableMomentum(SurfaceMomentum):
         self._steered = False
         left = (mean * duration - voxels * h) / free
         relative = [
-            sign * (field - m) + v for field, m, v in zip(self._fields[:3], mean, left, strict=True)
+            sign * (field - m) + v for field, m, v in zip(self.fields[:3], mean, left, strict=True)
         ]
-        voxel = min(self._boxed.surface.spacings)
+        voxel = min(self.boxed.surface.spacings)
         relative = list(_clipped(np.stack(relative, axis=1), MAX_RELATIVE * voxel / free).T)
-        fields = [np.asarray(field, np.float32) for field in (*relative, self._fields[3])]
+        fields = [np.asarray(field, np.float32) for field in (*relative, self.fields[3])]
         boxed = self._with_room(fields[:3], free)
-        fields = transferred(self._boxed, fields, boxed)
+        fields = transferred(self.boxed, fields, boxed)
         boxed, fields, points = coast(boxed, fields, free, self._points, cfl)
         shift = [int(n) for n in voxels]
-        self._boxed, self._points = boxed.shifted(shift), points + voxels * h
+        self.boxed, self._points = boxed.shifted(shift), points + voxels * h
         moving = [
             sign * slowed * (field - v) + m
             for field, m, v in zip(fields[:3], mean, left, strict=True)
         ]
-        self._fields = [np.asarray(field, np.float32) for field in (*moving, fields[3])]
+        self.fields = [np.asarray(field, np.float32) for field in (*moving, fields[3])]
 
     def _with_room(self, velocity: list[np.ndarray], duration: float) -> BoxedSurface:
         """The surface on a box in which it can move for ``duration``, at most by the extent of the frames."""
-        h, frame = self._boxed.spacing, np.array(self._boxed.geometry.shape)
+        h, frame = self.boxed.spacing, np.array(self.boxed.geometry.shape)
         fastest = np.array([float(np.abs(field).max(initial=0.0)) for field in velocity])
         room = np.minimum(np.ceil(fastest * duration / h), frame).astype(np.int64)
-        return self._boxed.with_room(np.where(self._boxed.wide, room, 0).astype(np.int64))
+        return self.boxed.with_room(np.where(self.boxed.wide, room, 0).astype(np.int64))
 
     def _corrected_fields(
         self, found: Displacement, duration: float, gain: float
     ) -> list[np.ndarray]:
-        missing = gain * missing_velocity(self._boxed, found, duration)
-        moving = [field + missing[:, c] for c, field in enumerate(self._fields[:3])]
-        return [*(np.asarray(field, np.float32) for field in moving), self._fields[3]]
+        missing = gain * missing_velocity(self.boxed, found, duration)
+        moving = [field + missing[:, c] for c, field in enumerate(self.fields[:3])]
+        return [*(np.asarray(field, np.float32) for field in moving), self.fields[3]]
 
     def _fields_on(
         self, new: BoxedSurface, values: Floats, known: NDArray[np.bool_]
@@ -240,44 +240,44 @@ class LastDisplacement(SurfaceMomentum):
     """Restart with the last displacement added: the surface moves rigidly as its centroid moved last. A baseline."""
 
     def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
-        size = self._boxed.surface.size
+        size = self.boxed.surface.size
         return [np.full(size, value, np.float32) for value in velocity]
 
     def _mean_velocity(self) -> Floats:
-        return np.array([float(field[0]) for field in self._fields])
+        return np.array([float(field[0]) for field in self.fields])
 
     def _coast(self, duration: float) -> None:
         way = self._mean_velocity() * duration
-        voxels = np.rint(way / self._boxed.spacing)
-        left = np.asarray(way - voxels * self._boxed.spacing, np.float32)
+        voxels = np.rint(way / self.boxed.spacing)
+        left = np.asarray(way - voxels * self.boxed.spacing, np.float32)
         mean = self._mean_velocity()
-        boxed = self._boxed.with_room((0, 0, 0))
+        boxed = self.boxed.with_room((0, 0, 0))
         size = boxed.surface.size
         fields = [np.full(size, value, np.float32) for value in (*left, RHO)]
         boxed, _, points = coast(boxed, fields, 1.0, self._points)
-        self._boxed, self._points = (
+        self.boxed, self._points = (
             boxed.shifted([int(n) for n in voxels]),
-            points + voxels * self._boxed.spacing,
+            points + voxels * self.boxed.spacing,
         )
-        self._fields = self._fields_at_start(mean)
+        self.fields = self._fields_at_start(mean)
 
     def correct(self, piece: SurfacePiece, duration: float, gains: Gains) -> SurfacePiece:
         """Correct the surface; the velocity is the displacement of the centroid since the last correction."""
-        seen_before = self._boxed.surface.size > 0
+        seen_before = self.boxed.surface.size > 0
         before, mean = (
-            self._boxed.centroid(),
+            self.boxed.centroid(),
             self._mean_velocity() if seen_before and self.moves else np.zeros(3),
         )
         super().correct(piece, duration, gains)
         if seen_before:
-            velocity = mean + gains.velocity / duration * (self._boxed.centroid() - before)
-            self._fields = self._fields_at_start(np.where(self._boxed.wide, velocity, 0.0))
+            velocity = mean + gains.velocity / duration * (self.boxed.centroid() - before)
+            self.fields = self._fields_at_start(np.where(self.boxed.wide, velocity, 0.0))
         return self.piece
 
     def _corrected_fields(
         self, found: Displacement, duration: float, gain: float
     ) -> list[np.ndarray]:
-        return self._fields
+        return self.fields
 
 
 class NoMomentum(LastDisplacement):

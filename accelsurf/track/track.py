@@ -235,11 +235,12 @@ class Tracking:
     def __iter__(self) -> Iterator[FrameResult]:
         """The frames that are not done yet, each in the order of `visits`."""
         while self.done < len(self.visits) and not self.interrupted:
-            yield self._step()
+            yield self.step()
             self.save()  # the caller is done with the frame too
         self._workers.close()
 
-    def _step(self) -> FrameResult:
+    def step(self) -> FrameResult:
+        """Follow the objects into the next frame of the way, and return its result."""
         began, (number, before) = time.perf_counter(), self.visits[self.done]
         times = self.sequence.times
         wanted = tuple(

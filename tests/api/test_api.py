@@ -60,6 +60,7 @@ def noisy(seed=0, shape=(30, 34, 38)):
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["constant-density", "gradient"])
+@pytest.mark.threads
 def test_same_bytes_twice_and_for_any_number_of_threads(flow):
     image = noisy(shape=(48, 48, 48))
     options = {"start": "ball:19,17,15,6", "flow": flow, "max_steps": 40}

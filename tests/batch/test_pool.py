@@ -126,7 +126,7 @@ def test_a_worker_that_is_killed_while_it_has_nothing_to_do_costs_no_job(pool):
     one = pool(1)
     found, _ = outcomes(one, [Job("a", ("pid", 0))])
     os.kill(found["a"].value, signal.SIGKILL)
-    one._workers[0].process.join()
+    one.workers[0].process.join()
     found, _ = outcomes(one, [Job("b", ("double", 4))])
     assert found["b"].value == 8
 
@@ -137,7 +137,7 @@ def test_close_ends_what_runs(pool):
         one.submit(Job(str(number), ("hang", 0)))
     events = one.events()
     assert [next(events), next(events)] == [Started("0"), Started("1")]
-    pids = [worker.process.pid for worker in one._workers]
+    pids = [worker.process.pid for worker in one.workers]
     one.close()
     assert len(pids) == 2 and not any(map(is_alive, pids))
 
@@ -153,7 +153,7 @@ if __name__ == "__main__":
         pool.submit(Job(path, ("mark", path)))
     for number, event in enumerate(pool.events(), 1):
         if number == len(sys.argv) - 1:
-            print(*(worker.process.pid for worker in pool._workers), flush=True)
+            print(*(worker.process.pid for worker in pool.workers), flush=True)
 """
 
 

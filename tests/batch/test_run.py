@@ -66,8 +66,8 @@ def run(batch, folder, function):
 
 
 def test_tables_are_current_while_it_runs(batch, tmp_path, monkeypatch):
-    monkeypatch.setattr(tables_module, "_APART_SECONDS", 0.0)
-    monkeypatch.setattr(tables_module, "_APART_TIMES", 0.0)
+    monkeypatch.setattr(tables_module, "APART_SECONDS", 0.0)
+    monkeypatch.setattr(tables_module, "APART_TIMES", 0.0)
     seen = []
 
     def look(task):
@@ -104,8 +104,8 @@ def test_tables_are_current_while_it_runs(batch, tmp_path, monkeypatch):
 
 
 def test_tables_that_cannot_be_written_stop_no_case(batch, tmp_path, monkeypatch):
-    monkeypatch.setattr(tables_module, "_APART_SECONDS", 0.0)
-    monkeypatch.setattr(tables_module, "_APART_TIMES", 0.0)
+    monkeypatch.setattr(tables_module, "APART_SECONDS", 0.0)
+    monkeypatch.setattr(tables_module, "APART_TIMES", 0.0)
     write, calls = Tables.write, []
 
     def failing(self, status, exit_code):

@@ -43,6 +43,7 @@ def test_the_saved_ones_are_of_these_runs(runs):
     assert {"processor", "numba", "numpy"} <= set(saved["where"])
 
 
+@pytest.mark.threads
 def test_a_fingerprint_sees_a_change_and_nothing_else(runs):
     cube = fingerprints.cube(24)
     settings = {"start": "ball:12,12,12,5vox", "max_steps": 5, "levels": 1}

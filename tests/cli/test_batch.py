@@ -607,6 +607,13 @@ def workers_of(pid):
     return found
 
 
+def work_of(pid):
+    """Seconds that a process has computed, which do not depend on what else the machine does."""
+    times = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return sum(map(int, times)) / os.sysconf("SC_CLK_TCK")
+
+
+@pytest.mark.program
 def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
     """The second case hangs; no process and no draft is left behind."""
     out = tmp_path / "out"
@@ -641,13 +648,18 @@ def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("number", "send"), [(signal.SIGINT, os.kill), (signal.SIGTERM, os.killpg)]
 )
+@pytest.mark.usefixtures("inline")
+@pytest.mark.program
 def test_a_case_that_was_interrupted_goes_on_to_the_same_bytes(tmp_path, number, send, monkeypatch):
-    """The signal comes to the program alone, or as from a cluster to all its processes."""
+    """The signal comes to the program alone, or as from a cluster to all its processes.
+
+    Only the interrupted batch is a program: it goes on in this process, and to the bytes of one here.
+    """
     out = tmp_path / "out"
     # Large, and with noise: it goes on for many seconds.
-    monkeypatch.setattr(sys.modules[__name__], "SIZE", 96)
+    monkeypatch.setattr(sys.modules[__name__], "SIZE", 64)
     (tmp_path / "truth").mkdir()
-    image(tmp_path / "scans" / "a.nii.gz", 36.0)
+    image(tmp_path / "scans" / "a.nii.gz", 24.0)
     noise = "--noise", "0.05", "--seed", "7", "--tolerance", "1e-6"
     words = (tmp_path / "scans" / "a.nii.gz", *noise, "--levels", "1", "--max-steps")
     program = started(out, *words, "100000000", start_new_session=True)
@@ -655,7 +667,10 @@ def test_a_case_that_was_interrupted_goes_on_to_the_same_bytes(tmp_path, number,
         read_until(program, "start", "a")
         while program.poll() is None and not list(out.glob("a/.*")):
             time.sleep(0.01)
-        time.sleep(1)
+        (worker,) = (pid for pid, words in workers_of(program.pid).items() if "spawn_main" in words)
+        begun = work_of(worker)
+        while program.poll() is None and work_of(worker) < begun + 1:
+            time.sleep(0.01)
         send(program.pid, number)
         rest = program.stderr.read()
     assert (
@@ -667,10 +682,8 @@ def test_a_case_that_was_interrupted_goes_on_to_the_same_bytes(tmp_path, number,
     assert json.loads((out / "a" / "a_report.json").read_text())["status"] == "interrupted"
     assert table(out)["a"]["status"] == "waiting"
     steps = read_checkpoint(out / "a" / "a_checkpoint.npz")[1].step + 20
-    resumed = started(out, *words, steps, "--resume")
-    assert resumed.communicate()[0] and resumed.returncode == 0
-    whole = started(tmp_path / "whole", *words, steps)
-    assert whole.communicate()[0] and whole.returncode == 0
+    assert run(*words, steps, "-o", out, *START, "--resume") == 0
+    assert run(*words, steps, "-o", tmp_path / "whole", *START) == 0
     assert table(out)["a"]["steps"] == str(steps)
     assert contents(out / "a") == contents(tmp_path / "whole" / "a")
 
@@ -685,6 +698,7 @@ def _alive(pid):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("done")  # all is compiled by then: that would take its time
+@pytest.mark.program
 def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_path):
     out = tmp_path / "out"
     table_with_endless_cases(

@@ -180,7 +180,7 @@ def test_a_folder_of_sequences_resumes_what_is_not_finished(
     inline, films: Path, tmp_path: Path, monkeypatch
 ) -> None:
     out, words = tmp_path / "out", ("--track", "--start", "otsu", "--model", "none")
-    step = Tracking._step
+    step = Tracking.step
 
     def dies(self: Tracking):  # type: ignore[no-untyped-def]
         if self.done == 2 and self.sequence.source.endswith("slow"):
@@ -188,14 +188,14 @@ def test_a_folder_of_sequences_resumes_what_is_not_finished(
         return step(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Tracking, "_step", dies)
+        patch.setattr(Tracking, "step", dies)
         assert run(films, "-o", out, *words) == 9
     assert inline.ran == ["fast", "slow"] and (out / "slow" / "slow_checkpoint.npz").exists()
     assert json.loads((out / "slow" / "slow_report.json").read_text())["status"] == "failed"
     assert run(films, "-o", out, *words) == 7  # there are results
     done: list[int] = []
     with monkeypatch.context() as patch:
-        patch.setattr(Tracking, "_step", lambda self: (done.append(self.done), step(self))[1])
+        patch.setattr(Tracking, "step", lambda self: (done.append(self.done), step(self))[1])
         assert run(films, "-o", out, *words, "--resume") == 0
     assert inline.ran == ["fast", "slow", "slow"] and done == [
         2

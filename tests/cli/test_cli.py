@@ -799,6 +799,7 @@ def test_info_alone_lists_the_topics_and_each_tells_something(capsys, tmp_path, 
 # ------------------------------------------------------------------------------------------- the program itself
 
 
+@pytest.mark.program
 def test_help_loads_nothing_heavy():
     code = (
         "import sys; from accelsurf.cli import execute; assert execute(['--help']) == 0; "
@@ -812,6 +813,7 @@ def test_help_loads_nothing_heavy():
     assert time.perf_counter() - began < 5  # half a second on an idle machine
 
 
+@pytest.mark.program
 def test_program_version_and_exit_codes(scans, tmp_path):
     from accelsurf import __version__
 
@@ -827,6 +829,7 @@ def test_every_command_has_help(capsys):
         assert f"Usage: accelsurf {name}" in capsys.readouterr().out
 
 
+@pytest.mark.program
 def test_ctrl_c_keeps_an_earlier_result(tmp_path):
     recipe = recipes.Recipe(kind="cube", shape=(64, 64, 64), side=36.0, noise=1.0)
     io.write(recipes.make(recipe).image, tmp_path / "ball.nii.gz")
@@ -869,6 +872,7 @@ def test_ctrl_c_keeps_an_earlier_result(tmp_path):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full")
+@pytest.mark.program
 def test_streams_that_cannot_be_written():
     def shell(words):
         line = f"'{sys.executable}' -m accelsurf {words}"
@@ -894,6 +898,7 @@ def test_streams_that_cannot_be_written():
         ), words
 
 
+@pytest.mark.program
 def test_closed_stdout_is_no_error():
     line = f"'{sys.executable}' -m accelsurf info | head -1"
     ended = subprocess.run(line, shell=True, capture_output=True, text=True)

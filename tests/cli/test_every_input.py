@@ -338,7 +338,7 @@ def no_traceback(code, said):
     assert said.count("error:") == (code != 0)
 
 
-@pytest.mark.sampled(24)
+@pytest.mark.sampled
 @pytest.mark.parametrize("where", ["input", "mask", "channel", "label_table", "start", "outputs"])
 @pytest.mark.parametrize("name", NO_FILE, ids=range(len(NO_FILE)))
 def test_a_report_that_names_no_file_is_refused_in_a_line(finished, name, where, tmp_path, capsys):
@@ -370,6 +370,7 @@ def test_a_report_that_names_no_file_is_refused_in_a_line(finished, name, where,
             ImageToOpen(image.path, config, None, None, TrackConfig(), image).start_reading()()
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", [n for n in NO_FILE if "\0" not in n], ids=repr)
 def test_a_name_that_no_file_can_have_is_refused_by_every_command(finished, name, tmp_path, capsys):
     folder, _ = finished
@@ -448,10 +449,11 @@ def test_a_finished_run_of_an_image_read_in_parts_is_resumed(tmp_path, suffix, c
     assert run(*words, "--resume", "--quiet") == 7
 
 
-@pytest.mark.parametrize("kind", ["png", "tif", "pattern", "file"])
+@pytest.mark.sampled
+@pytest.mark.parametrize("kind", ["folder", "pattern", "file"])
 @pytest.mark.parametrize("also", [(), ("--also", "surfaces")])
 def test_tracks_are_resumed_shown_and_made_a_movie(tmp_path, kind, also, capsys):
-    path = frames(tmp_path, "png" if kind in ("png", "pattern") else "tif")
+    path = frames(tmp_path, "png" if kind == "pattern" else "tif")
     path = path / "s*.png" if kind == "pattern" else path
     if kind == "file":
         path = tmp_path / "a.npy"

@@ -10,6 +10,8 @@ import pytest
 
 from accelsurf.cli import execute, fetch
 
+pytestmark = pytest.mark.program
+
 IMAGE, LABELS = b"image" * 1000, b"labels" * 100
 #: Licences that let anybody use and share a scan.
 OPEN = {"Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "CC-BY-4.0", "CC0-1.0", "MIT"}
@@ -85,7 +87,7 @@ def test_a_scan_and_its_labels_come_once(server, folder, capsys):
 def test_licence_source_and_checksums_are_shown_before_anything_is_asked_for(
     server, folder, capsys, monkeypatch
 ):
-    monkeypatch.setattr(fetch, "_fetch_all", lambda *_: shown.append(capsys.readouterr().out))
+    monkeypatch.setattr(fetch, "fetch_all", lambda *_: shown.append(capsys.readouterr().out))
     shown = []
     assert fetched(folder) == 0
     assert "licence MIT, source https://example.org" in shown[0]

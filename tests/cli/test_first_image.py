@@ -67,7 +67,7 @@ def test_the_command_says_it_in_one_line(content, message, tmp_path, monkeypatch
     if content is not None:
         (tmp_path / "scan.nii.gz").write_bytes(content)
     monkeypatch.setattr(view, "front_end", lambda page, begin: begin() or page)
-    monkeypatch.setattr(view, "_open_window", lambda *_: pytest.fail("a window was opened"))
+    monkeypatch.setattr(view, "open_window", lambda *_: pytest.fail("a window was opened"))
     assert cli.execute(["view", str(tmp_path / "scan.nii.gz")]) == 3
     error = capsys.readouterr().err.splitlines()
     assert len(error) == 2 and message in error[0] and "scan.nii.gz" in error[0]
@@ -83,14 +83,14 @@ def on_a_screen(monkeypatch):
 def test_work_goes_on_while_another_process_tries_the_screen(on_a_screen, monkeypatch, tmp_path):
     mark = tmp_path / "mark"
     probe = f"import time, pathlib\nwhile not pathlib.Path({str(mark)!r}).exists(): time.sleep(0.01)\nprint('opened')"
-    monkeypatch.setattr(display, "_PROBE", probe)
-    monkeypatch.setattr(display, "_SECONDS", 30)
+    monkeypatch.setattr(display, "PROBE", probe)
+    monkeypatch.setattr(display, "PROBE_SECONDS", 30)
     display.require_display(mark.touch)  # before it, the trial would wait for ever
     assert mark.exists()
 
 
 def test_a_trial_that_fails_is_told_after_the_work(on_a_screen, monkeypatch):
-    monkeypatch.setattr(display, "_PROBE", "import sys; sys.exit('qt.qpa.xcb: no screen here')")
+    monkeypatch.setattr(display, "PROBE", "import sys; sys.exit('qt.qpa.xcb: no screen here')")
     done = []
     with pytest.raises(GraphicsError, match="no screen here"):
         display.require_display(lambda: done.append(1))
@@ -98,7 +98,7 @@ def test_a_trial_that_fails_is_told_after_the_work(on_a_screen, monkeypatch):
 
 
 def test_an_error_of_the_work_ends_the_trial(on_a_screen, monkeypatch):
-    monkeypatch.setattr(display, "_PROBE", "import time; time.sleep(300)")
+    monkeypatch.setattr(display, "PROBE", "import time; time.sleep(300)")
     started, begin = [], subprocess.Popen
 
     def note(*given, **options):

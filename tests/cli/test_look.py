@@ -66,6 +66,7 @@ def cut(path):
         image.crop((0, 0, 100, 90)).save(path)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "change",
     [

@@ -173,9 +173,8 @@ def test_a_failed_correction_leaves_the_result(folder):
     assert {name: after[name] for name in before} == before
 
 
-@pytest.mark.parametrize(
-    ("number", "mends"), [(signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGINT, True)]
-)
+@pytest.mark.parametrize(("number", "mends"), [(signal.SIGTERM, False), (signal.SIGINT, True)])
+@pytest.mark.program
 def test_an_interrupted_correction_leaves_every_byte_and_names_the_command(
     folder, scan, tmp_path, number, mends
 ):

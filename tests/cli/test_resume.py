@@ -17,7 +17,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.run.checkpoint_file import CheckpointFile
 from tests.support.batch_jobs import InlinePool
 
-pytestmark = pytest.mark.pictures
+pytestmark = pytest.mark.program
 
 PROGRAM = (sys.executable, "-m", "accelsurf")
 WORDS = (
@@ -31,7 +31,8 @@ WORDS = (
     "40",
     "--save-sdf",
 )
-SAME = ("ball_seg.nii.gz", "ball_surface.ply", "ball_sdf.nii.gz", "ball_preview.png")
+#: Not the preview, which is drawn of them: it takes longer than the run.
+SAME = ("ball_seg.nii.gz", "ball_surface.ply", "ball_sdf.nii.gz")
 
 
 def run(*words):
@@ -87,9 +88,7 @@ def test_a_killed_command_goes_on(scan, whole, tmp_path, capsys):
     assert not (tmp_path / "out" / "ball_checkpoint.npz").exists()
 
 
-@pytest.mark.parametrize(
-    ("number", "step"), [(signal.SIGINT, 1), (signal.SIGTERM, 4), (signal.SIGINT, 9)]
-)
+@pytest.mark.parametrize(("number", "step"), [(signal.SIGINT, 1), (signal.SIGTERM, 4)])
 def test_a_signal_leaves_no_result_but_a_state_that_goes_on(scan, whole, tmp_path, number, step):
     out, words = tmp_path / "out", ("segment", str(scan), "-o", str(tmp_path / "out"), *WORDS)
     program = subprocess.Popen(

@@ -54,7 +54,7 @@ def test_no_option_of_help_is_lost(capsys):
     ],
 )
 def test_arguments_as_the_parser_takes_them(typed, parsed):
-    assert cli._as_parsed(typed) == parsed
+    assert cli.as_parsed(typed) == parsed
 
 
 def test_every_option_with_a_number_takes_a_minus_sign(capsys):
@@ -80,7 +80,7 @@ def test_a_negative_place_is_looked_at(tmp_path, capsys):
 def test_a_scan_in_place_of_a_command_is_viewed(tmp_path, monkeypatch):
     scan = tmp_path / "scan.nii"
     scan.write_bytes(b"")
-    assert cli._as_parsed([str(scan), "--theme", "dark"]) == ["view", str(scan), "--theme", "dark"]
+    assert cli.as_parsed([str(scan), "--theme", "dark"]) == ["view", str(scan), "--theme", "dark"]
     monkeypatch.chdir(tmp_path)
     (tmp_path / "look").write_bytes(b"")
-    assert cli._as_parsed(["look"]) == ["look"]  # a command's name stays one
+    assert cli.as_parsed(["look"]) == ["look"]  # a command's name stays one

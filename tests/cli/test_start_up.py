@@ -11,6 +11,8 @@ from accelsurf import io
 from accelsurf.cli import execute
 from accelsurf.phantoms import recipes
 
+pytestmark = pytest.mark.program
+
 #: What only a run needs: compiled code, numerics, readers of images, drawing.
 OF_A_RUN = {"numba", "scipy", "skimage", "SimpleITK", "nibabel", "PIL"}
 #: What only studies, other formats and the viewer need.

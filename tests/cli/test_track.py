@@ -97,7 +97,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_bytes(
 ) -> None:
     whole, out = tmp_path / "whole", tmp_path / "out"
     assert tracked(cells, whole) == 0
-    step = Tracking._step
+    step = Tracking.step
 
     def killed(self: Tracking):  # type: ignore[no-untyped-def]
         if self.done == 3:
@@ -105,14 +105,14 @@ def test_a_run_that_was_killed_goes_on_to_the_same_bytes(
         return step(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Tracking, "_step", killed)
+        patch.setattr(Tracking, "step", killed)
         assert tracked(cells, out) == 130
     assert (out / "cells_checkpoint.npz").exists() and not (out / "cells_tracks.csv").exists()
     assert tracked(cells, out) == 7  # the state would be lost
     assert tracked(cells, out, "--resume", "--model", "none") == 3
     with monkeypatch.context() as patch:
         done: list[int] = []
-        patch.setattr(Tracking, "_step", lambda self: (done.append(self.done), step(self))[1])
+        patch.setattr(Tracking, "step", lambda self: (done.append(self.done), step(self))[1])
         assert tracked(cells, out, "--resume") == 0
     assert done == [3, 4]
     assert files_of(out) == files_of(whole)

@@ -17,6 +17,8 @@ from accelsurf.kernels import storage
 from accelsurf.phantoms import recipes
 from accelsurf.settings.flow_specs import FLOWS
 
+pytestmark = pytest.mark.program
+
 PACKAGE = Path(cli.__file__).parents[1]
 
 #: Makes all small runs, and prints the kernels that were called, by the name of their module and their own.

@@ -94,7 +94,7 @@ def test_no_force_and_no_momentum_acts_into_a_click_and_the_budget_has_the_loss(
 
     def moved(now, limits):
         nonlocal acted
-        slots, _, keeps_out = energy._touched(now.surface)
+        slots, _, keeps_out = energy.touched_slots(now.surface)
         held = slots[keeps_out & now.front[slots]]
         acted += held.size
         assert (now.force[held] >= 0).all() and (
@@ -118,7 +118,7 @@ def test_a_click_away_from_the_surface_has_a_component_that_lives_on():
     mask = voxel(3, 4, 5)
     image = (distance() < 7).astype(np.float32)
     energy = constraint(ChanVese(image, alpha=1.0), inside=mask)
-    surface = ball(5.0, energy._bounds)
+    surface = ball(5.0, energy.bounds)
     evolution = Evolution(surface, energy, SolverSetup(ConstantDensity()), 30)
     removed = sum(step.record.removed_components for step in evolution)
     assert removed == 0 and surface.labels[3, 4, 5] == 1

@@ -119,7 +119,7 @@ def test_local_energy_is_the_sum_over_all_windows(radius):
     fraction, area = surface.fraction_and_area()
     share = (surface.psi < 0).astype(float)
     share.reshape(-1)[surface.band.cells] = fraction
-    layouts = [chan_vese._layout(n, radius / h) for n, h in zip(shape, spacing, strict=True)]
+    layouts = [chan_vese.node_layout(n, radius / h) for n, h in zip(shape, spacing, strict=True)]
     weights = [
         reference.node_weights(n, distance, before, half_width, count)
         for n, (count, distance, before, half_width) in zip(shape, layouts, strict=True)
@@ -133,7 +133,7 @@ def test_local_energy_is_the_sum_over_all_windows(radius):
 @pytest.mark.parametrize("radius", [5.0, 9.0, 20.0])
 def test_the_window_has_the_variance_of_the_ball(radius):
     """Along an axis, R^2/5, however the nodes lie."""
-    count, distance, before, half_width = chan_vese._layout(201, radius)
+    count, distance, before, half_width = chan_vese.node_layout(201, radius)
     window = reference.node_weights(201, distance, before, half_width, count)[
         round(before + 100 / distance)
     ]
@@ -145,7 +145,7 @@ def test_the_window_has_the_variance_of_the_ball(radius):
 @pytest.mark.parametrize("radius", [1.0, 2.6, 9.0, 50.0])
 @pytest.mark.parametrize("n", [2, 9, 200])
 def test_nodes_lie_alike_on_both_sides_of_the_middle(n, radius):
-    count, distance, before, half_width = chan_vese._layout(n, radius)
+    count, distance, before, half_width = chan_vese.node_layout(n, radius)
     weights = reference.node_weights(n, distance, before, half_width, count)
     np.testing.assert_allclose(weights[::-1, ::-1], weights, atol=1e-12)
 
@@ -291,6 +291,7 @@ def test_nothing_to_learn_from_is_told():
         gaussian_of(np.zeros(0), 0.1)
 
 
+@pytest.mark.threads
 def test_any_number_of_threads_gives_the_same_bytes():
     scan = image("3D").astype(np.float32)
     text = "local-region:R=5 + 0.4*likelihood:histogram + 0.2*likelihood + 0.3*threshold:0.2, + 0.1*area"

@@ -63,6 +63,7 @@ def evolved(energy, psi, workers):
 @pytest.mark.sampled
 @pytest.mark.parametrize("window", WINDOWS.values(), ids=WINDOWS)
 @pytest.mark.parametrize("name", makers(scan()[0]))
+@pytest.mark.threads
 def test_a_window_has_the_bytes_of_the_whole(name, window):
     image, psi = scan()
     box, make = box_at(*window), makers(image)[name]

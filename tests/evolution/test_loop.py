@@ -257,8 +257,8 @@ def test_the_strongest_force_is_remembered_in_mm_when_the_grid_changes(flow):
     coarse = LevelSet(np.asarray(2.0 * radius() - 14), (2.0, 2.0, 2.0))
     made = flow()
     made.start(coarse)
-    made._peak_force_so_far(3.0, coarse)
-    assert made._peak_force_so_far(0.5, ball(7)) == pytest.approx(6.0)
+    made.peak_force_so_far(3.0, coarse)
+    assert made.peak_force_so_far(0.5, ball(7)) == pytest.approx(6.0)
 
 
 def test_the_step_becomes_shorter_where_the_surface_turns_around_twice_running():
@@ -273,11 +273,11 @@ def test_the_step_becomes_shorter_where_the_surface_turns_around_twice_running()
         (-1.0, 2.25),
         (2.0, 2.25),
     ):
-        flow._detect_oscillation(kinetic)
-        assert flow._force_stiffness(2.0, ball(7)) == pytest.approx(2.0 * steeper)
+        flow.detect_oscillation(kinetic)
+        assert flow.force_stiffness(2.0, ball(7)) == pytest.approx(2.0 * steeper)
     for _ in range(30):
-        flow._detect_oscillation(-1.0)
-    assert flow._force_stiffness(2.0, ball(7)) == pytest.approx(32.0)
+        flow.detect_oscillation(-1.0)
+    assert flow.force_stiffness(2.0, ball(7)) == pytest.approx(32.0)
 
 
 @pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass])

@@ -152,6 +152,7 @@ def test_a_run_that_is_stopped_on_a_coarse_level_still_has_a_result(cube):
 
 
 @pytest.mark.slow
+@pytest.mark.threads
 def test_the_same_bytes_for_any_number_of_threads(cube):
     runs = [segment(cube.image, levels=2, threads=threads, **START) for threads in (1, 1, 2, 3)]
     for other in runs[1:]:

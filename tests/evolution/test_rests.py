@@ -126,6 +126,7 @@ def leaked():
 
 
 @pytest.mark.sampled(1)
+@pytest.mark.threads
 @pytest.mark.parametrize(
     "options", [{"levels": 1, "threads": 1}, {"levels": 1, "threads": 2}, {"levels": 2}]
 )

@@ -82,9 +82,9 @@ def test_kinetic_energy_is_that_between_the_half_steps(
         return plan.energy_rates.kinetic, float(np.median(plan.speed[area > 0]))
 
     at_rest, first = kicked(1.0)
-    assert at_rest == 0.0 and first > 0.0 and not flow._reversed
+    assert at_rest == 0.0 and first > 0.0 and not flow.state()["_reversed"]
     kinetic, second = kicked(-2.0)
-    assert second < 0.0 and flow._reversed
+    assert second < 0.0 and flow.state()["_reversed"]
     assert kinetic == pytest.approx(0.125 * float(area.sum()) * (first + second) ** 2, rel=1e-3)
 
 

@@ -62,6 +62,7 @@ def test_results_do_not_depend_on_the_step() -> None:
         assert variance == pytest.approx(0.2**2, rel=0.2)
 
 
+@pytest.mark.threads
 def test_same_seed_same_bytes_and_threads_do_not_matter() -> None:
     rng = np.random.default_rng(0)
     z, y, x = np.indices((28, 28, 28)) - 13.5

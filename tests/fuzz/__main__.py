@@ -76,7 +76,7 @@ def main() -> int:
         outcomes[f"{given.kind}: {outcome}"] += 1
         slowest = max(slowest, result.seconds)
         if verdict.is_fault:
-            faults.append(_saved(result, given, options))
+            faults.append(saved_input(result, given, options))
             what = f"{given.kind} {given.case} {given.name or given.suffix}"
             print(f"{result.number} {what} {verdict.outcome}: {verdict.text}", flush=True)
     total, seconds = sum(outcomes.values()), time.monotonic() - began
@@ -102,7 +102,7 @@ def main() -> int:
     return 1 if faults else 0
 
 
-def _saved(result: Judged, given: Input, options: argparse.Namespace) -> dict[str, object]:
+def saved_input(result: Judged, given: Input, options: argparse.Namespace) -> dict[str, object]:
     """Save an input: a file, or a folder with all files of a case."""
     name = f"{given.kind}+{given.case}+{options.seed}-{result.number}" + (
         "" if given.case else given.suffix

@@ -238,7 +238,7 @@ def _of_bytes(content: bytes, rng, others) -> bytes:
     # Headers are at the beginning of most formats.
     at = int(rng.integers(min(n, 600))) if rng.random() < 0.7 else int(rng.integers(n))
     if rng.random() < 0.3 and (found := headers.fields(content)):
-        return _field(out, found[int(rng.integers(len(found)))], rng)
+        return changed_field(out, found[int(rng.integers(len(found)))], rng)
     match int(rng.integers(13)):
         case 0:
             for _ in range(int(rng.integers(1, 9))):
@@ -287,7 +287,7 @@ def _of_bytes(content: bytes, rng, others) -> bytes:
     return bytes(out)
 
 
-def _field(out: bytearray, field: tuple[int, str], rng) -> bytes:
+def changed_field(out: bytearray, field: tuple[int, str], rng) -> bytes:
     """A field of a header gets another number, as large as it holds."""
     at, kind = field
     if kind[-1] in "fd":

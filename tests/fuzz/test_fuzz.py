@@ -136,7 +136,7 @@ def test_numbers_of_binary_headers_are_found(suffix):
     assert len(found) >= 4
     for number, (at, kind) in enumerate(found):
         size = struct.calcsize(kind)
-        changed = mutators._field(
+        changed = mutators.changed_field(
             bytearray(given.content), (at, kind), np.random.default_rng(number)
         )
         assert (
@@ -161,7 +161,7 @@ def test_a_saved_input_is_judged_again_as_it_was(tmp_path, number):
     kinds = ("zarr", "dicom", "frames", "image", "labels")
     given = corpus.input_of(SEED, number, corpus.chosen_seeds(kinds))
     result = workers.Judged(number, verdict.Verdict("wrong", ""), 0.0)
-    saved = main._saved(result, given, argparse.Namespace(output=tmp_path, seed=SEED))
+    saved = main.saved_input(result, given, argparse.Namespace(output=tmp_path, seed=SEED))
     again = main.replayed(tmp_path / saved["input"])
     assert (again.kind, again.case) == (given.kind, given.case)
     assert again.written() == given.written() if given.case else again.content == given.content

@@ -8,7 +8,7 @@ import pytest
 
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.click_bounds import ClickBounds
-from accelsurf.interact.local_evolution import RELABEL_REACH, _relabel, _restore
+from accelsurf.interact.local_evolution import RELABEL_REACH, relabel, restore_psi
 from accelsurf.interact.refiner import Refiner
 from accelsurf.interact.region import NearRegion, near_bounds, united
 from accelsurf.levelset import LevelSet
@@ -98,7 +98,7 @@ def test_a_known_distance_is_measured_without_solving_it_again(shape, spacing):
     )
     first = LevelSet(psi.astype(np.float32), spacing)
     again = LevelSet(np.ones(shape, np.float32), spacing)
-    _restore(again, first.psi.copy())
+    restore_psi(again, first.psi.copy())
     np.testing.assert_array_equal(again.band.cells, first.band.cells)
     assert again.inside_beyond_band == first.inside_beyond_band
     (share, area), (expected, expected_area) = again.fraction_and_area(), first.fraction_and_area()
@@ -109,12 +109,12 @@ def test_a_known_distance_is_measured_without_solving_it_again(shape, spacing):
 def test_what_a_click_wins_is_on_its_side_with_distances_around():
     psi = np.full(SHAPE, 3.0, np.float32)
     basin = distance_from((10, 12, 25)) <= 4
-    _relabel(psi, basin, "inside", SPACING)
+    relabel(psi, basin, "inside", SPACING)
     np.testing.assert_array_equal(psi < 0, basin)
     assert psi[10, 12, 31] == pytest.approx(1.5)
     assert (psi[:, :, : 25 - 5 - int(RELABEL_REACH)] == 3.0).all()
     before = np.full(SHAPE, -3.0, np.float32)
-    _relabel(before, basin, "outside", SPACING)
+    relabel(before, basin, "outside", SPACING)
     np.testing.assert_array_equal(before >= 0, basin)
 
 
@@ -130,6 +130,7 @@ def test_a_piece_won_far_from_the_surface_comes_to_rest_without_gaining_energy()
     assert (refiner.surfaces[0].psi < 0)[other].mean() > 0.97
 
 
+@pytest.mark.threads
 def test_a_correction_has_the_same_bytes_with_any_number_of_threads():
     image, _, _ = two_balls()
     result, found = first_run(image, "seeded"), []

@@ -241,6 +241,7 @@ def test_undo_brings_back_every_byte(image):
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("energy", ["chan-vese", "likelihood:model=histogram", "seeded"])
+@pytest.mark.threads
 def test_one_configuration_repeats_run_and_corrections(image, energy):
     result = first_run(image, energy)
     result = refine(result, inside=f"ball:{world(12, 14, 48)},3")

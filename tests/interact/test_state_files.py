@@ -268,10 +268,10 @@ def both(finished, checkpoint):
 
 def signed(path, target, types, change):
     """A state whose tree was changed by somebody who has made the digest anew."""
-    arrays = states._arrays(path.read_bytes())
+    arrays = states.stored_arrays(path.read_bytes())
     about = json.loads(arrays.pop("tree").tobytes())
     change(about, arrays)
-    about["digest"] = states._digest(about["state"], arrays)
+    about["digest"] = states.digest_of(about["state"], arrays)
     tree = np.frombuffer(json.dumps(about).encode(), np.uint8)
     np.savez(target, tree=tree, **arrays)
     return target
@@ -289,7 +289,7 @@ def test_a_field_of_another_type_is_refused_even_with_a_digest(
     path, read = both(finished, checkpoint)[which]
     types = {"state": state_file.TYPES, "checkpoint": run_checkpoint.TYPES}[which]
     places = [
-        (name, n) for name, fields in states._layout(types).items() for n in range(len(fields))
+        (name, n) for name, fields in states.layout_of(types).items() for n in range(len(fields))
     ]
     count = 0
     for name, number in places:

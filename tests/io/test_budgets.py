@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.program
+
 NAMES = (
     "gzip of 2 GB",
     "nrrd of 2 GB",

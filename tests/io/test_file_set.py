@@ -293,7 +293,7 @@ def test_file_systems_without_locks_take_files(tmp_path, monkeypatch):
 def test_folders_that_are_called_like_the_program_are_folders(name, tmp_path):
     folder = filled(tmp_path / name)
     with open_set(folder, "scan") as files:
-        assert file_set._is_sealed(folder, files.staging.parent)
+        assert file_set.is_sealed(folder, files.staging.parent)
 
 
 def test_the_state_folder_of_another_user_is_not_made_by_root(tmp_path, monkeypatch):
@@ -326,14 +326,14 @@ def test_a_state_folder_that_is_a_link_is_none(tmp_path, monkeypatch):
 @pytest.mark.parametrize("unique", [False, True])
 def test_a_process_that_only_looks_for_dead_ones_is_waited_for(unique, tmp_path, monkeypatch):
     """Between the making of a folder and its lock, another process may take it for that of a dead one."""
-    real = file_set._try_lock
+    real = file_set.try_lock
     looked = []
 
     def try_lock(lock):
         looked.append(lock)
         return len(looked) > 2 and real(lock)
 
-    monkeypatch.setattr(file_set, "_try_lock", try_lock)
+    monkeypatch.setattr(file_set, "try_lock", try_lock)
     with open_set(tmp_path, "scan", unique=unique) as files:
         (files.staging / "a").write_bytes(b"1")
         files.commit()

@@ -79,6 +79,7 @@ def test_an_even_wind_carries_a_bump_downstream() -> None:
     assert np.abs(moved - there)[5:-5].max() < 0.01
 
 
+@pytest.mark.threads
 def test_any_number_of_threads_gives_the_same_bytes() -> None:
     shape = (23, 9, 8)
     one, more = (

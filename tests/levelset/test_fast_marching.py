@@ -270,6 +270,7 @@ def rough(threads: int) -> LevelSet:
     return surface
 
 
+@pytest.mark.threads
 def test_the_same_bytes_for_any_number_of_threads_and_after_a_restore() -> None:
     one, three = rough(1), rough(3)
     for a, b in zip(one.band, three.band, strict=True):

@@ -118,6 +118,7 @@ def test_what_shrinks_to_nothing_is_gone():
     assert surface.size == 0
 
 
+@pytest.mark.threads
 def test_residues_follow_from_the_band_alone():
     """A surface that is restored goes on with the same bytes; so do any numbers of threads."""
     psi = exact_distance("cylinder", 1.5, 8)

@@ -14,6 +14,7 @@ from tests.support import reference
 from tests.support.level_set_checks import check_level_set
 
 GRAIN = sharing.GRAIN
+pytestmark = pytest.mark.threads
 SIZES = [0, 1, GRAIN - 1, GRAIN, GRAIN + 1, BLOCK - 1, BLOCK, BLOCK + 1, 7 * BLOCK + 3, 40 * BLOCK]
 
 
@@ -180,7 +181,7 @@ def test_what_is_shared_out_depends_on_the_time_it_took(monkeypatch, expected, p
     size, seen = 240 * GRAIN, []
     with Workers(2) as workers:
         if expected is not None:
-            workers._pace["<lambda>"] = expected / size
+            workers.pace["<lambda>"] = expected / size
         workers.parallel(lambda start, stop: seen.append((start, stop)), size)
     assert sorted(seen) == [(i * size // pieces, (i + 1) * size // pieces) for i in range(pieces)]
     assert all(start % GRAIN == 0 for start, _ in seen)
@@ -196,9 +197,9 @@ def test_the_pace_of_a_kernel_is_that_of_its_last_call(threads):
 
     with Workers(threads) as workers:
         workers.parallel(kernel, size, 0.4)
-        assert workers._pace["kernel"] * size >= 0.4
+        assert workers.pace["kernel"] * size >= 0.4
         workers.parallel(kernel, size, 0.0)
-        fast = workers._pace["kernel"]
+        fast = workers.pace["kernel"]
         assert fast * size < 0.4
         workers.parallel(kernel, GRAIN, 4.0)
-        assert workers._pace["kernel"] == fast
+        assert workers.pace["kernel"] == fast

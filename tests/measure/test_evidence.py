@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.measure.evidence import _deepest, gather, uncertain_places
+from accelsurf.measure.evidence import deepest_voxel, gather, uncertain_places
 
 SHAPE, SPACING = (36, 44, 48), (1.5, 1.0, 0.8)
 
@@ -111,4 +111,4 @@ def test_the_deepest_voxel_is_the_first_of_those_farthest_from_the_surface():
     ):
         inside = ndimage.gaussian_filter(draw.normal(size=shape), 2.0) > 0.05 * share
         away = ndimage.distance_transform_edt(inside, sampling=spacing)
-        assert _deepest(inside, spacing) == np.unravel_index(away.argmax(), shape)
+        assert deepest_voxel(inside, spacing) == np.unravel_index(away.argmax(), shape)

@@ -19,6 +19,7 @@ MISSING = [name for name in NAMES if importlib.util.find_spec(name) is None]
 MISSING += [name for name in ("Xvfb",) if shutil.which(name) is None]
 ROOT = Path(__file__).parents[2]
 pytestmark = [
+    pytest.mark.program,
     pytest.mark.slow,
     pytest.mark.timeout(600),
     pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}"),

@@ -106,7 +106,7 @@ def test_vessel_distance_is_that_to_balls_along_the_tubes() -> None:
     where = np.random.default_rng(0).uniform(-15, 15, (500, 3))
     t = np.linspace(0, 1, 4001)[:, np.newaxis]
     brute = np.full(len(where), np.inf)
-    for start, end, first, last in vessel._tubes:
+    for start, end, first, last in vessel.tubes:
         centres, radii = start + t * (end - start), first + t[:, 0] * (last - first)
         brute = np.minimum(
             brute, (np.linalg.norm(where[:, None] - centres, axis=2) - radii).min(axis=1)
@@ -117,7 +117,7 @@ def test_vessel_distance_is_that_to_balls_along_the_tubes() -> None:
 
 def test_vessel_is_one_tree_that_forks_and_thins() -> None:
     vessel = Vessel(radius=4.0, length=20.0, levels=4, tree_seed=2)
-    tubes = vessel._tubes
+    tubes = vessel.tubes
     assert len(tubes) == 15
     for number, (start, _, first, last) in enumerate(tubes[1:], start=1):
         _, parent_end, _, parent_last = tubes[(number - 1) // 2]
@@ -127,9 +127,9 @@ def test_vessel_is_one_tree_that_forks_and_thins() -> None:
         label(make(load_recipe("vessel").changed(noise=0.0, antialias=False)).truth.array)[1] == 1
     )
     again, other = Vessel(4.0, 20.0, tree_seed=2), Vessel(4.0, 20.0, tree_seed=3)
-    np.testing.assert_array_equal(again._tubes[-1][1], tubes[-1][1])
-    assert not np.allclose(other._tubes[-1][1], tubes[-1][1])
-    regular = Vessel(4.0, 20.0)._tubes
+    np.testing.assert_array_equal(again.tubes[-1][1], tubes[-1][1])
+    assert not np.allclose(other.tubes[-1][1], tubes[-1][1])
+    regular = Vessel(4.0, 20.0).tubes
     np.testing.assert_allclose(
         regular[1][1] * [-1, 1, 1], regular[2][1], atol=1e-12
     )  # mirror images

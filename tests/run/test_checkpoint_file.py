@@ -168,6 +168,7 @@ def test_a_run_that_is_interrupted_writes_its_state_at_once(tmp_path):
     assert bytes_of(run(RUNS["levels"], kept)) == whole
 
 
+@pytest.mark.threads
 def test_another_image_start_or_setting_is_refused_by_name(tmp_path):
     kept = tmp_path / "state.npz"
     with pytest.raises(Killed):

@@ -243,6 +243,7 @@ def test_several_objects_by_clicks(energy, tmp_path):
     assert 1500 < (labels == 1).sum() and 1000 < (labels == 7).sum() < 2600
 
 
+@pytest.mark.threads
 def test_models_of_several_objects_are_the_same_on_any_number_of_threads(tmp_path):
     """They are made side by side."""
     volume, file = two_balls(tmp_path, ROWS)

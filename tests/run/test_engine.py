@@ -88,6 +88,7 @@ def stepped(run, steps):
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass"])
+@pytest.mark.threads
 def test_several_objects_run_on_levels(pair, flow):
     volume, starts, truth = pair
     result = segment_objects(volume, starts, levels=2, flow=flow, max_steps=200)
@@ -264,6 +265,7 @@ def test_a_run_goes_on_from_a_file_with_the_same_bytes(pair, tmp_path, name, sev
     ] and resumed.warnings == whole.warnings
 
 
+@pytest.mark.threads
 def test_a_checkpoint_of_another_run_is_refused(pair, tmp_path):
     volume, starts, _ = pair
     config, path = RunConfig(max_steps=5), tmp_path / "run.checkpoint"

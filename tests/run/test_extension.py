@@ -94,6 +94,7 @@ def test_a_run_goes_on_from_a_file_with_the_same_bytes(tmp_path, changes) -> Non
         it.restore(load_checkpoint(tmp_path / "run.checkpoint", it))
 
 
+@pytest.mark.threads
 def test_threads_do_not_change_a_run() -> None:
     starts = 3 * (AWAY[0] < -4).astype(np.int32) + 8 * (AWAY[1] < -3).astype(np.int32)
     runs = []

@@ -35,7 +35,7 @@ def test_each_further_time_the_neighbour_must_be_deeper(spacing):
     ensemble = Ensemble([one, moving], SimpleNamespace(threads=1), (spacing,) * 3, True)
     for depth, times in ((0.9, 0), (1.1, 1), (1.9, 1), (2.1, 2), (2.9, 2), (1.1, 2), (3.1, 3)):
         one.depth = depth * step
-        ensemble._reactivate([[1], [0]])
+        ensemble.reactivate_touched([[1], [0]])
         assert one.reactivations == times
 
 

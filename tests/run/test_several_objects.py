@@ -164,6 +164,7 @@ def test_no_voxel_is_in_two(two):
 
 
 @pytest.mark.sampled(1)
+@pytest.mark.threads
 def test_same_bytes_for_any_number_of_threads_and_any_order_of_labels_in_memory(two):
     image, _, starts, spacing, result = two
     again = segment_objects(image, np.asfortranarray(starts), spacing=spacing, threads=3)

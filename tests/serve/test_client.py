@@ -12,6 +12,8 @@ from scipy import ndimage
 import accelsurf
 from tests.serve.conftest import KEY
 
+pytestmark = pytest.mark.program
+
 remote = pytest.importorskip(
     "nnInteractive.inference.remote", reason="nninteractive-client is not installed"
 )

@@ -11,6 +11,8 @@ import pytest
 
 from tests.serve.conftest import KEY
 
+pytestmark = pytest.mark.program
+
 arrays = pytest.importorskip("accelsurf.serve.arrays", reason="the extra serve is not installed")
 httpx = pytest.importorskip("httpx")
 

@@ -19,6 +19,8 @@ import pytest
 
 from tests.serve.conftest import KEY, started
 
+pytestmark = pytest.mark.program
+
 arrays = pytest.importorskip("accelsurf.serve.arrays", reason="the extra serve is not installed")
 httpx = pytest.importorskip("httpx")
 
@@ -147,7 +149,7 @@ def asked(server, work):
 def test_what_a_lease_had_is_freed_when_it_ends(unbound, end, monkeypatch):
     server, lines = unbound
     clock = [1000.0]
-    monkeypatch.setattr(server.leases, "_clock", lambda: clock[0])
+    monkeypatch.setattr(server.leases, "clock", lambda: clock[0])
     image = np.zeros((1, 96, 96, 96), np.float32)
     image[0, 30:60, 30:60, 30:60] = 100.0
 
@@ -199,7 +201,7 @@ def test_an_image_whose_place_ended_while_it_was_read_is_not_kept(unbound, monke
         def __init__(self, *given):
             super().__init__(*given)
             made.append(weakref.ref(self))
-            for token in list(server.leases._leases):
+            for token in list(server.leases.held):
                 server.leases.release(token)
 
     monkeypatch.setattr(app, "ImageSession", Late)

@@ -77,7 +77,7 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
             assert a.dtype == b.dtype and np.array_equal(a, b)
         assert (
             target.inside_beyond_band == beyond
-            and target.half_width == kept.requested_half_width * target._slant
+            and target.half_width == kept.requested_half_width * target.slant
         )
         assert not check_level_set(target) or what in ("filled", "none", "hollow")
     assert kept.nbytes < 40 * surface.size + surface.psi.size / 4 + 64

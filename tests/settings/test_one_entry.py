@@ -318,6 +318,7 @@ def test_a_mesh_that_holds_no_contours_is_refused_for_a_slice(toys):
 # --------------------------------------------------------------------------------------------------- command line
 
 
+@pytest.mark.program
 def test_help_of_the_command():
     shown = program("segment", "--help-all")
     assert (
@@ -401,6 +402,7 @@ def test_several_objects(toys, tmp_path):
 # --------------------------------------------------------------------------------------------- viewer and documents
 
 
+@pytest.mark.program
 def test_lists_of_the_viewer():
     pytest.importorskip("PySide6")
     shown = program("panel", QT_QPA_PLATFORM="offscreen").split()

@@ -34,6 +34,10 @@ EMPTY_WORDS = ("what", "those of", "so many", "such")
 #: Code that is named by a string: ``package.module:function``, also as the end of an f-string.
 CODE_NAME = re.compile(r"[a-z_]\w*(\.[a-z_]\w*)+:[A-Za-z_]\w*")
 CODE_NAME_END = re.compile(r"(\.\w+)*:[A-Za-z_]\w*$")
+#: A name that a module or class keeps to itself; not those of Python's protocols, as ``_repr_html_``.
+PRIVATE_NAME = re.compile(r"_[A-Za-z]\w*(?<!_)")
+#: Names of every named tuple, which Python documents.
+TUPLE_NAMES = {"_asdict", "_fields", "_make", "_replace"}
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 DOCUMENTED = (ast.Module, ast.ClassDef, *FUNCTIONS)
 COMPREHENSIONS = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
@@ -338,6 +342,42 @@ def names_in_many_modules(package: dict[str, Module]) -> list[str]:
     return [f"{name} x{count}" for name, count in sorted(homes.items()) if count > 3]
 
 
+def private_names_in_tests(package: dict[str, Module]) -> list[str]:
+    """List the places where tests use a name that the package keeps to itself."""
+    private = {
+        name
+        for module in package.values()
+        for node in ast.walk(module.tree)
+        if PRIVATE_NAME.fullmatch(name := _defined(node))
+    } - TUPLE_NAMES
+    return [
+        f"{path.relative_to(ROOT)}:{node.lineno} {name}"
+        for path in sorted((ROOT / "tests").rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for name in sorted(private & _used(node))
+    ]
+
+
+def _defined(node: ast.AST) -> str:
+    """Return the name that a node gives to something, or an empty text."""
+    if isinstance(node, (*FUNCTIONS, ast.ClassDef)):
+        return node.name
+    if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+        return node.id
+    return node.attr if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) else ""
+
+
+def _used(node: ast.AST) -> set[str]:
+    """Return the names that a node takes of a module or an object other than `self`, or replaces there."""
+    if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("accelsurf"):
+        return {alias.name for alias in node.names}
+    if isinstance(node, ast.Attribute) and ast.unparse(node.value) != "self":
+        return {node.attr}
+    if isinstance(node, ast.Call) and ast.unparse(node.func).endswith(".setattr"):
+        return {given.value for given in node.args if isinstance(given, ast.Constant)}
+    return set()
+
+
 PER_MODULE = {
     "modules above 600 lines": long_modules,
     "functions above 90 lines": long_functions,
@@ -400,6 +440,7 @@ def figures() -> dict[str, int | float | list[str]]:
             " ".join(c)
             for c in circles({m.name: m.imports | m.type_imports for m in package.values()})
         ],
+        "private names that tests use": private_names_in_tests(package),
         "public names in more than three modules": names_in_many_modules(package),
         **{f"'{word}' in 10,000 words": count for word, count in words(package).items()},
         **{f"statements of {room}": count for room, count in by_room(package).items()},

@@ -37,7 +37,7 @@ def off_ellipsoid(
     momentum: SurfaceMomentum, centre: Sequence[float], axes: Sequence[float]
 ) -> float:
     """The largest distance (mm, first order) of a surface's points from an ellipsoid."""
-    on = momentum._boxed
+    on = momentum.boxed
     points = on.closest_points()[on.surface.front(1.0)] - np.asarray(centre, float)
     points, half = points[:, on.wide], np.asarray(axes, float)[on.wide]
     level = np.sqrt(((points / half) ** 2).sum(axis=1))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.cli.look import _place
+from accelsurf.cli.look import typed_place
 from accelsurf.grid.boxes import corner_of
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import (
@@ -100,7 +100,7 @@ def test_a_place_read_off_a_picture_is_the_voxel_that_was_seen(seed, tmp_path):
     for text in texts:
         (click,) = read_clicks([text], "inside", volume)
         assert corner_of(click.box) == voxel and click.mask.size == 1, text
-    z, y, x = geometry.world_to_index(_place(f"{body}{ending}", geometry))
+    z, y, x = geometry.world_to_index(typed_place(f"{body}{ending}", geometry))
     assert np.rint([z, y, x]).astype(int).tolist() == list(voxel)
     centre, _ = ball_of(parse_start(f"ball:{body},{small:.9g}{ending}"), geometry)
     assert np.rint(centre).astype(int).tolist() == list(voxel)

@@ -74,9 +74,9 @@ def test_friction_takes_what_differs_from_the_mean() -> None:
     geometry, friction = CUBE, 0.5
     momentum = make_momentum("flowable-mass", friction)
     momentum.start(ball(geometry, (11.5, 11.5, 9.0), 5.0), (0, 0, 0), geometry, (1.0, 0.0, 0.0))
-    away = momentum._boxed.closest_points() - np.array([11.5, 11.5, 9.0])
-    *velocity, density = momentum._fields
-    momentum._fields = [np.float32(f + 0.2 * a) for f, a in zip(velocity, away.T, strict=True)] + [
+    away = momentum.boxed.closest_points() - np.array([11.5, 11.5, 9.0])
+    *velocity, density = momentum.fields
+    momentum.fields = [np.float32(f + 0.2 * a) for f, a in zip(velocity, away.T, strict=True)] + [
         density
     ]
     for _ in range(3):
@@ -147,7 +147,7 @@ def test_the_box_follows_the_surface() -> None:
     momentum.start(ball(small, (9.5, 9.5, 9.5), 4.0), (30, 30, 30), large, (9.0, 9.0, 9.0))
     for _ in range(15):
         momentum.predict(1.0)
-    assert isinstance(momentum._boxed, BoxedSurface) and max(momentum._boxed.surface.shape) < 32
+    assert isinstance(momentum.boxed, BoxedSurface) and max(momentum.boxed.surface.shape) < 32
     assert momentum.centroid() == pytest.approx((174.5, 174.5, 174.5), abs=0.01)
 
 
@@ -161,11 +161,11 @@ def test_a_surface_goes_on_with_voxels_twice_as_large_and_back() -> None:
     volumes, before, halved = (
         momentum.volume() + other.volume(),
         momentum.centroid(),
-        momentum._boxed.surface.size,
+        momentum.boxed.surface.size,
     )
     momentum.halve()
     momentum.halve()
-    assert momentum._boxed.surface.size < 0.35 * halved
+    assert momentum.boxed.surface.size < 0.35 * halved
     assert momentum.centroid() == pytest.approx(before, abs=0.02)
     again.restore(momentum.state(), geometry)
     for moved in (momentum, again):
@@ -175,6 +175,6 @@ def test_a_surface_goes_on_with_voxels_twice_as_large_and_back() -> None:
     np.testing.assert_array_equal(momentum.piece.psi, again.piece.psi)
     union = momentum.merged([other])
     assert union.volume() == pytest.approx(volumes, rel=0.02)
-    assert momentum._boxed.geometry is geometry and momentum.mean_velocity()[0] == pytest.approx(
+    assert momentum.boxed.geometry is geometry and momentum.mean_velocity()[0] == pytest.approx(
         3.3, abs=0.02
     )

@@ -42,6 +42,7 @@ def beating(
 SLICE, VOLUME = (1, 64, 64), (34, 34, 34)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("model", ["flowable-mass", "last-displacement"])
 @pytest.mark.parametrize(

@@ -11,6 +11,8 @@ import pytest
 from accelsurf import io
 from accelsurf.phantoms.motions import MovingPhantom, motion_from
 
+pytestmark = pytest.mark.program
+
 _RUN = """
 import resource, sys
 from accelsurf.io import read_sequence

@@ -62,12 +62,12 @@ def test_baselines_report_the_motion_of_the_centroid() -> None:
 def test_new_surface_gets_the_velocity_around_and_the_first_density() -> None:
     momentum = make_momentum("flowable-mass")
     momentum.start(ball(ROOM, (9.5, 10.5, 9.0), 5.0), (0, 0, 0), ROOM, (1.0, 0.0, 0.0))
-    momentum._fields[3] = 2.0 * momentum._fields[3]
+    momentum.fields[3] = 2.0 * momentum.fields[3]
     both = np.minimum(ball(ROOM, (9.5, 10.5, 9.0), 5.0), ball(ROOM, (9.5, 10.5, 27.0), 4.0))
     momentum.correct(whole(both), 1.0, Gains(1.0, 0.0))
-    far = momentum._boxed.closest_points()[:, 2] > 20.0
-    assert far.any() and momentum._fields[2] == pytest.approx(1.0, abs=1e-5)
-    assert momentum._fields[3][far] == pytest.approx(1.0) and momentum._fields[3][
+    far = momentum.boxed.closest_points()[:, 2] > 20.0
+    assert far.any() and momentum.fields[2] == pytest.approx(1.0, abs=1e-5)
+    assert momentum.fields[3][far] == pytest.approx(1.0) and momentum.fields[3][
         ~far
     ] == pytest.approx(2.0, rel=1e-4)
 
@@ -77,7 +77,7 @@ def test_a_division_and_a_merging_share_the_velocities() -> None:
     left, right = ball(ROOM, (9.5, 10.5, 9.0), 4.0), ball(ROOM, (9.5, 10.5, 20.0), 4.0)
     parent = make_momentum("flowable-mass")
     parent.start(np.minimum(left, right), (0, 0, 0), ROOM)
-    parent._fields[2] = np.where(parent._boxed.closest_points()[:, 2] < 14.5, -1.0, 2.0).astype(
+    parent.fields[2] = np.where(parent.boxed.closest_points()[:, 2] < 14.5, -1.0, 2.0).astype(
         np.float32
     )
     first, second = parent.split([whole(left), whole(right)])
@@ -103,6 +103,7 @@ def test_points_move_with_the_surface(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
+@pytest.mark.threads
 def test_a_restored_state_gives_the_same_bytes_on_any_threads(model: str) -> None:
     momentum = make_momentum(model, 0.1)
     psi = ellipsoid(ROOM, (9.5, 10.5, 9.0), (4.0, 5.0, 6.0))

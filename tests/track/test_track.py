@@ -339,6 +339,7 @@ def bytes_of(results: Sequence[FrameResult]) -> list[tuple[int, bytes, tuple[flo
 
 
 @pytest.mark.slow
+@pytest.mark.threads
 def test_the_same_bytes_after_a_resume_and_with_more_threads(tmp_path) -> None:
     frames = sequence(lambda n: [] if n == 3 else dividing(n), 7)
     options = {"start": "ball:32,20,0,5", "frame": 2, "direction": "both"}

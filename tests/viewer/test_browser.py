@@ -24,6 +24,8 @@ from accelsurf.viewer.page import guard
 from accelsurf.viewer.page.guard import LOCAL, MAX_CONNECTIONS, MAX_IDLE, ConnectionLimit, PageGuard
 from tests.support import viewing
 
+pytestmark = pytest.mark.program
+
 aiohttp = pytest.importorskip("aiohttp", reason='trame is missing: pip install "accelsurf[viewer]"')
 msgpack = pytest.importorskip("msgpack", reason='trame is missing: pip install "accelsurf[viewer]"')
 pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[viewer]"')

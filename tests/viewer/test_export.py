@@ -93,6 +93,7 @@ def test_colours_are_in_the_page(tmp_path):
     )
 
 
+@pytest.mark.program
 def test_a_browser_draws_the_page(result, tmp_path):
     chromium = viewing.needs_chromium()
     result.plot(to=tmp_path / "a.html")
@@ -159,6 +160,7 @@ def test_a_window_needs_a_screen(result, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.program
 def test_segmenting_does_not_load_the_viewer():
     code = (
         "import sys, numpy as np, accelsurf; z = np.zeros((16, 16, 16)); z[4:12, 4:12, 4:12] = 1;"

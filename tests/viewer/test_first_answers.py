@@ -190,9 +190,9 @@ def test_other_answers_are_outlines_in_the_slices_until_escape_or_a_click(action
         len(actions.scene.marks.answers) == others and actions.session.status.settings.answer == 2
     )
     one = actions.scene.slice_tiles["axial"]
-    lines = one._lines["answers"][0].mapper.GetInput().n_cells
+    lines = one.lines["answers"][0].mapper.GetInput().n_cells
     actions.scene.cursor = (14.0, 16.0, 2.0)  # beside it
-    assert lines > 10 and not one._lines["answers"][0].GetVisibility()
+    assert lines > 10 and not one.lines["answers"][0].GetVisibility()
     actions.session.add_click("outside", BEYOND).result(60)
     assert actions.state()["first_answers"] == [] and actions.scene.marks.answers == ()
 

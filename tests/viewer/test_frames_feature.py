@@ -105,10 +105,11 @@ def test_what_is_no_tracking_of_this_sequence_is_refused(made, tracks, tmp_path)
 
 def test_three_frames_stay_in_memory(made):
     view = SequenceView(made.sequence)
-    for number in range(len(view)):
-        view.volume(number)
-    assert len(view._volumes) == min(MAX_FRAMES, len(view))
-    assert list(view._volumes)[-1] == len(view) - 1
+    volumes = [view.volume(number) for number in range(len(view))]
+    last = range(len(view))[-MAX_FRAMES:]
+    assert len(volumes) > MAX_FRAMES
+    assert all(view.volume(number) is volumes[number] for number in last)
+    assert view.volume(0) is not volumes[0]
 
 
 def test_every_second_dash_of_a_circle_stays():
@@ -126,7 +127,7 @@ def test_keys_slider_and_play_move_over_the_frames(actions, made):
     assert actions.state()["frame"] == 1
     assert (actions.scene.volume.array == made.sequence.frame(1).array).all()
     shown = actions.scene.slice_tiles["axial"]
-    assert (shown._image == made.sequence.frame(1).array).all()
+    assert (shown.image == made.sequence.frame(1).array).all()
     actions.request("frame", count - 1)
     actions.request("key", ".")
     assert actions.state()["frame"] == count - 1 and not actions.message
@@ -160,7 +161,7 @@ def test_tracked_objects_keep_their_colour_and_predictions_are_drawn(actions, ma
     actions.scene.cursor = tracks.paths(1)[actions.scene.frame.surfaces[0].id][-1]
     with_both = actions.scene.screenshot()
     for tile in actions.scene.slice_tiles.values():
-        tile._lines["predicted"][0].SetVisibility(False)
+        tile.lines["predicted"][0].SetVisibility(False)
     actions.scene.tiles.redraw.mark_all()
     assert (actions.scene.screenshot() != with_both).any()
 

@@ -63,6 +63,7 @@ def surface_pixels(frame):
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("suffix", [pytest.param(".mp4", marks=needs_ffmpeg), ".gif", ".webp"])
+@pytest.mark.program
 def test_frames_differ_and_the_surface_grows(image, tmp_path, suffix, capsys):
     path, options = image
     out = tmp_path / f"evolution{suffix}"
@@ -81,6 +82,7 @@ def test_frames_differ_and_the_surface_grows(image, tmp_path, suffix, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.program
 def test_the_camera_turns(image, tmp_path):
     path, options = image
     pictures = {}
@@ -118,6 +120,7 @@ def test_a_preview_is_the_last_frame(image, tmp_path, capsys):
         assert np.median(np.asarray(picture)) == 255
 
 
+@pytest.mark.program
 def test_a_preview_of_a_folder_draws_what_is_there_without_a_step(
     image, tmp_path, monkeypatch, capsys
 ):
@@ -312,6 +315,7 @@ def share_of_grey(picture, grey):
 
 
 @pytest.mark.slow
+@pytest.mark.program
 def test_window_sets_the_greys_of_movies_and_their_pictures(image, tmp_path):
     """The ball of 100 in 0 is white on black by itself; from -50 to 150 it is light grey on dark grey."""
     path, options = image
@@ -349,6 +353,7 @@ def alone(arguments, **environment):
     return subprocess.run(command, env=env, capture_output=True, text=True, timeout=240)
 
 
+@pytest.mark.program
 def test_pictures_need_no_screen(image, tmp_path):
     path, options = image
     out = tmp_path / "a.png"
@@ -359,6 +364,7 @@ def test_pictures_need_no_screen(image, tmp_path):
     )  # no word of VTK's about the screen that it did not find
 
 
+@pytest.mark.program
 def test_without_any_driver_one_line_says_what_is_missing(image, tmp_path):
     path, options = image
     nowhere = str(tmp_path / "nowhere")

@@ -1,6 +1,7 @@
 """Several objects built in a session: begun beside others, merged, split, removed, named; how they are drawn."""
 
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -17,12 +18,18 @@ from tests.interact.test_object_changes import BALLS, SPACING, dice, press, scan
 from tests.support import viewing
 
 
-@pytest.fixture
-def session():
+@contextmanager
+def opened():
     with Session(
         scan(), RunConfig(start=press(1), energy="seeded", inside=press(1), threads=1)
     ) as made:
         made.ready.result(60)
+        yield made
+
+
+@pytest.fixture
+def session():
+    with opened() as made:
         yield made
 
 
@@ -145,13 +152,34 @@ def test_names_and_colours_go_into_the_files(session, tmp_path):
     assert bytes((16, 32, 48)) in (tmp_path / "surface_surface_2.ply").read_bytes()
 
 
-@pytest.fixture
-def actions(session, tmp_path):
+@contextmanager
+def acting(session, folder):
     viewing.needs_graphics()
     scene = Scene(session.volume, size=(640, 360))
-    made = Actions(session, scene, tmp_path)
-    yield made
+    yield Actions(session, scene, folder)
     scene.close()
+
+
+@pytest.fixture
+def actions(session, tmp_path):
+    with acting(session, tmp_path) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def after_a_step(tmp_path_factory):
+    """A window for requests that change nothing, one after another; its run has made a step."""
+    with opened() as session, acting(session, tmp_path_factory.mktemp("step")) as made:
+        session.play(1).result(60)
+        yield made
+
+
+@pytest.fixture(scope="module")
+def after_the_end(tmp_path_factory):
+    """The same of a run that has ended."""
+    with opened() as session, acting(session, tmp_path_factory.mktemp("end")) as made:
+        session.play().result(60)
+        yield made
 
 
 def settled(actions):
@@ -196,7 +224,7 @@ def test_the_list_and_how_objects_are_drawn(actions):
     assert {own: "#{:02x}{:02x}{:02x}".format(*told[own].color) for own in (1, 2)} == shown
     assert state["object_rows"][1]["name"] == "cyst" and "cyst" in actions.scene.legend
     color_before = state["object_rows"][1]["color"]
-    first, second = actions.scene.space._surfaces[:2]
+    first, second = actions.scene.space.surfaces[:2]
     assert tuple(round(255 * v) for v in second.prop.color.float_rgb) == tuple(
         int(color_before[i : i + 2], 16) for i in (1, 3, 5)
     )
@@ -211,13 +239,12 @@ def test_the_list_and_how_objects_are_drawn(actions):
     actions.scene.cursor = (38.0, 15.0, 17.0)
     tile = actions.scene.slice_tiles["axial"]
     assert (
-        tile._lines["object 1"][0].GetVisibility()
-        and tile._lines["object 1"][0].prop.opacity == 0.25
+        tile.lines["object 1"][0].GetVisibility() and tile.lines["object 1"][0].prop.opacity == 0.25
     )
     ask(actions, "object_visible", 2, False)
     assert (
         not second.GetVisibility()
-        and not tile._lines["object 1"][0].GetVisibility()
+        and not tile.lines["object 1"][0].GetVisibility()
         and first.GetVisibility()
     )
     assert "cyst" not in actions.scene.legend
@@ -289,12 +316,10 @@ BAD = (
 
 
 @pytest.mark.parametrize("request_", BAD, ids=map(str, range(len(BAD))))
-def test_bad_requests_change_nothing_and_say_one_line(actions, request_):
-    actions.session.play(1).result(60)
+def test_bad_requests_change_nothing_and_say_one_line(request_, request):
+    ends = request_[0] in ("object_split", "object_remove")
+    actions = request.getfixturevalue("after_the_end" if ends else "after_a_step")
     before = settled(actions)["object_rows"]
-    if request_[0] in ("object_split", "object_remove"):
-        actions.session.play().result(60)
-        before = settled(actions)["object_rows"]
     config = actions.session.status.refinements
     actions.request(*request_)
     state = settled(actions)

@@ -190,6 +190,7 @@ def test_views_have_a_surface_and_a_history_of_each(session):
         assert np.abs(surface.sample("speed", near)).max() > 0
 
 
+@pytest.mark.threads
 def test_it_goes_back_to_any_step_with_little_memory_and_two_threads(config, tmp_path):
     before = threading.active_count()
     with Session(volume(), config.replace(threads=2), checkpoint_mb=1) as small:
@@ -213,7 +214,7 @@ def test_the_command_opens_a_session_of_the_objects(config, tmp_path, monkeypatc
 
     monkeypatch.setattr(view, "front_end", lambda page, begin: begin() or page)
     monkeypatch.setattr(
-        view, "_open_window", lambda opening, first, *_: seen.append(objects_of(first[1]))
+        view, "open_window", lambda opening, first, *_: seen.append(objects_of(first[1]))
     )
     assert cli.execute(["view", str(tmp_path / "scan.nii.gz"), "--objects", config.objects]) == 0
     assert seen == [(3, 8)]
@@ -243,6 +244,7 @@ def test_a_page_changes_the_object_that_was_asked_for(session, tmp_path):
         scene.close()
 
 
+@pytest.mark.program
 def test_the_panel_offers_the_objects():
     pytest.importorskip("PySide6")
     code = """

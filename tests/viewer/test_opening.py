@@ -101,6 +101,7 @@ def served(tmp_path):
     return ServedFolder(root)
 
 
+@pytest.mark.program
 def test_images_and_folders_are_listed_but_nothing_hidden_or_outside(served):
     entries, more = served.entries(served.root)
     assert [(one.name, one.is_image, one.is_folder) for one in entries] == [
@@ -141,6 +142,7 @@ def test_a_list_has_an_end(tmp_path):
         "out/../../secret",
     ],
 )
+@pytest.mark.program
 def test_what_is_not_in_the_folder_is_refused_alike(served, name):
     with pytest.raises(UsageError, match="is not in the folder root") as error:
         if name.startswith("~"):  # a name like others, in the folder
@@ -150,6 +152,7 @@ def test_what_is_not_in_the_folder_is_refused_alike(served, name):
     assert str(served.root.parent) not in str(error.value).replace(name, "")
 
 
+@pytest.mark.program
 def test_paths_in_the_folder(served):
     for name in (
         "scans/a.nii.gz",

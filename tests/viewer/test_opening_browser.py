@@ -16,6 +16,8 @@ from accelsurf.image.volume import Volume
 from tests.support import viewing
 from tests.viewer.test_browser import Served, ask, call_of, driven, packed, state, talk, until
 
+pytestmark = pytest.mark.program
+
 WIDTHS = (700, 1280, 1920)
 
 

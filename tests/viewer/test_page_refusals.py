@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import pytest
 
 pytest.importorskip("trame", reason="the extra viewer is not installed")
-pytestmark = pytest.mark.timeout(300)
+pytestmark = [pytest.mark.program, pytest.mark.timeout(300)]
 
 
 @contextlib.contextmanager

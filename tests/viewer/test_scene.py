@@ -412,7 +412,7 @@ def written(scene):
 
 def ticks(scene):
     """Texts at the axes of the charts."""
-    axes = [axis for chart in scene._chart._charts for axis in (chart.x_axis, chart.y_axis)]
+    axes = [axis for chart in scene.chart.charts for axis in (chart.x_axis, chart.y_axis)]
     return [
         [labels.GetValue(i) for i in range(labels.GetNumberOfValues())]
         for labels in map(tick_labels, axes)

@@ -77,6 +77,7 @@ def test_the_window_shows_an_oblique_scan_straight_and_paints_in_it(person):
     person.leave()
 
 
+@pytest.mark.program
 def test_the_page_shows_an_oblique_scan_straight(tmp_path):
     viewing.needs_graphics()
     pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[viewer]"')

@@ -288,7 +288,7 @@ def test_a_stroke_marks_the_voxels_under_the_brush(actions, name):
     drag(actions, name, start, 0.5 * (start + end), end)
     strokes = scene.marks
     drawn = {
-        key: layer._sides > 0 for key, layer in zip(scene.slice_tiles, strokes._layers, strict=True)
+        key: layer.sides > 0 for key, layer in zip(scene.slice_tiles, strokes.layers, strict=True)
     }
     actions.request("release")
     settle(actions)

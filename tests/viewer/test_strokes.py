@@ -119,8 +119,8 @@ def test_what_is_painted_is_what_is_clicked(actions):
     drawn = {}
     for z in range(SHAPE[0]):
         actions.scene.cursor = (9.0, 8.0, z * SPACING[0])
-        layer = next(one for one in strokes._layers if one.tile.stack.axis == 0)
-        drawn[z] = layer._sides[::-1] > 0  # the first row lies lowest, at the back
+        layer = next(one for one in strokes.layers if one.tile.stack.axis == 0)
+        drawn[z] = layer.sides[::-1] > 0  # the first row lies lowest, at the back
     actions.request("release")
     assert actions.session.wait(60)
     (refinement,) = actions.session.status.refinements

@@ -142,6 +142,7 @@ print(shown, *emitted)
 """
 
 
+@pytest.mark.program
 def test_the_slider_of_the_window_gives_small_numbers():
     """Voxels of 0.5 um in a file in mm: 0.001 is not shown as 0, and half of the slider is a quarter of its range."""
     pytest.importorskip("PySide6")

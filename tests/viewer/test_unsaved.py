@@ -371,7 +371,7 @@ def test_the_process_of_a_note_is_this_one(sessions, tmp_path):
 def test_the_reason_that_qt_gives_is_cut_between_words(seed):
     drawn = random.Random(seed)
     words = ["w" * drawn.randrange(1, 14) + str(number) for number in range(drawn.randrange(60))]
-    said = display._shortened("qt.qpa.xcb: " + " ".join(words))
+    said = display.shortened("qt.qpa.xcb: " + " ".join(words))
     kept = said.removesuffix(" ...").split()
     assert len(said) <= 160 and (kept == words[: len(kept)] or said == "Qt gives no reason")
     assert said.endswith("...") or len(kept) == len(words) or not words

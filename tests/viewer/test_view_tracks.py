@@ -62,7 +62,7 @@ def seen(monkeypatch) -> list[dict]:
     monkeypatch.setattr(
         view, "front_end", lambda page, begin=lambda: None: begin() or replace(page, browser=False)
     )
-    monkeypatch.setattr(view, "_open_window", drive)
+    monkeypatch.setattr(view, "open_window", drive)
     return found
 
 

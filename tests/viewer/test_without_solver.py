@@ -13,6 +13,8 @@ from accelsurf.image.volume import Volume
 from tests.support.viewing import needs_graphics
 from tests.viewer.test_desktop import ROOT, needs_screen, screen  # noqa: F401
 
+pytestmark = pytest.mark.program
+
 #: What a run needs and a picture of an image does not.
 SOLVER = (
     "numba",
@@ -41,12 +43,12 @@ DRAWN = (
     + """
 from pathlib import Path
 from accelsurf.viewer.core.opening import ImageToOpen
-from accelsurf.cli.view import _load
+from accelsurf.cli.view import load_viewer
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 wait = ImageToOpen(Path(sys.argv[1]), RunConfig(threads=1), None, None, TrackConfig()).start_reading()
-_load()
+load_viewer()
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.actions.actions import Actions
 

@@ -32,7 +32,7 @@ class ClickConstraint(ConstrainedEnergy):
 
     def __init__(self, energy: Energy, bounds: ClickBounds) -> None:
         super().__init__(energy)
-        self._bounds, self._held_cells = bounds, bounds.held
+        self.bounds, self._held_cells = bounds, bounds.held
 
     @property
     def held_cells(self) -> NDArray[np.int64]:
@@ -42,14 +42,14 @@ class ClickConstraint(ConstrainedEnergy):
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front; 0 where the surface touches a click and would move into it."""
         force = np.array(self._energy.force(surface, front, curvature), np.float32)
-        slots, keeps_in, keeps_out = self._touched(surface)
+        slots, keeps_in, keeps_out = self.touched_slots(surface)
         force[slots] = _held(force[slots], keeps_in, keeps_out)
         return force
 
     def reaction(self, surface: LevelSet, flow: Flow) -> np.ndarray | None:
         """The change (n,) of the normal velocity that stops it where the surface touches a click."""
         inner = self._energy.reaction(surface, flow)
-        slots, keeps_in, keeps_out = self._touched(surface)
+        slots, keeps_in, keeps_out = self.touched_slots(surface)
         front = surface.front()
         on = front[slots]
         if not on.any():
@@ -67,9 +67,9 @@ class ClickConstraint(ConstrainedEnergy):
         surface.extend_outwards(added, front)
         return change + added
 
-    def _touched(self, surface: LevelSet) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def touched_slots(self, surface: LevelSet) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Slots where the surface touches a click, and whether it may not shrink there, and not grow."""
-        bounds, near = self._bounds, np.float32(CONTACT_DISTANCE * surface.smallest_spacing)
+        bounds, near = self.bounds, np.float32(CONTACT_DISTANCE * surface.smallest_spacing)
         slots = surface.dense.slot[bounds.cells]
         known = slots >= 0
         psi = surface.dense.psi[bounds.cells]
@@ -80,7 +80,7 @@ class ClickConstraint(ConstrainedEnergy):
     def project(self, surface: LevelSet) -> None:
         """Bring psi within the bounds; between the surface's motion and its redistancing."""
         super().project(surface)
-        bounds, psi = self._bounds, surface.dense.psi
+        bounds, psi = self.bounds, surface.dense.psi
         known = surface.dense.slot[bounds.cells] >= 0
         cells = bounds.cells[known]
         psi[cells] = np.minimum(np.maximum(psi[cells], bounds.low[known]), bounds.high[known])

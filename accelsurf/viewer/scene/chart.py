@@ -36,15 +36,13 @@ class EnergyChart:
     """
 
     def __init__(self, plotter: pv.Plotter, theme: Theme) -> None:
-        self._charts = [pv.Chart2D(size=(0.94, 0.49), loc=(0.03, low)) for low in (0.5, 0.01)]
-        for chart, title in zip(
-            self._charts, ("Energy (potential)", "Kinetic energy"), strict=True
-        ):
+        self.charts = [pv.Chart2D(size=(0.94, 0.49), loc=(0.03, low)) for low in (0.5, 0.01)]
+        for chart, title in zip(self.charts, ("Energy (potential)", "Kinetic energy"), strict=True):
             chart.title = title
             chart.border_style = ""
             chart.x_label, chart.y_label = "", ""
             plotter.add_chart(chart)
-        self._charts[1].x_label = "step"
+        self.charts[1].x_label = "step"
         self._histories: Sequence[Sequence[StepRecord]] = ()
         self.colors: Sequence[str] = OBJECT_COLORS
         self._theme, self._pixels = theme, Pixels(0)
@@ -60,7 +58,7 @@ class EnergyChart:
         """
         self._histories = histories
         self._wait.text = "" if any(histories) else WAIT
-        potential, kinetic = self._charts
+        potential, kinetic = self.charts
         self._draw(potential, "potential")
         self._draw(kinetic, "kinetic")
 
@@ -95,7 +93,7 @@ class EnergyChart:
         """Make text readable, and lines as wide as the screen asks for."""
         self._pixels = pixels
         self._wait.fit(pixels)
-        for chart in self._charts:
+        for chart in self.charts:
             self._set_ticks(chart)
             chart.GetTitleProperties().SetFontSize(pixels.text)
             for plot in chart.plots():
@@ -119,7 +117,7 @@ class EnergyChart:
         self._theme = theme
         self._wait.paint(theme.ink)
         ink = pv.Color(theme.ink).float_rgb
-        for chart in self._charts:
+        for chart in self.charts:
             chart.background_color = theme.background
             texts = [chart.GetTitleProperties()]
             for axis in (chart.x_axis, chart.y_axis):

@@ -130,7 +130,7 @@ class Scene:
         self.tiles = Tiles(self._redraw, self.space, self.slice_tiles, self._chart_renderer)
         self.marks = Marks(self.geometry, self.slice_tiles.values(), self.space, self._redraw)
         self.paint(theme)
-        others = self._legend, self._chart
+        others = self._legend, self.chart
         plotter.render_window.AddObserver("StartEvent", lambda *_: self.tiles.fit(*others))
 
     @staticmethod
@@ -165,7 +165,7 @@ class Scene:
         plotter.subplot(*((1, 3) if flat is None else (0, 2)))
         self._chart_renderer = plotter.renderer
         self._chart_renderer.SetInteractive(False)
-        self._chart = EnergyChart(plotter, self.theme)
+        self.chart = EnergyChart(plotter, self.theme)
         plotter.subplot(0, 0)
         largest = (
             self.space.renderer
@@ -190,8 +190,8 @@ class Scene:
             self._cursor_is_set = True
             self._show_slices()
         self._show_frame(coarse)
-        self._chart.colors = [style.color for style in self.styles.of(frame)]
-        self._chart.update(histories)
+        self.chart.colors = [style.color for style in self.styles.of(frame)]
+        self.chart.update(histories)
         self._redraw.mark_all()
 
     def _show_frame(self, coarse: bool = False) -> None:
@@ -369,7 +369,7 @@ class Scene:
         self._redraw.mark_all()
         for renderer in self.plotter.renderers:
             renderer.background_color = self.theme.background
-        for part in (self.space, *self.slice_tiles.values(), self._chart, self._legend):
+        for part in (self.space, *self.slice_tiles.values(), self.chart, self._legend):
             if part is not None:
                 part.paint(self.theme)
 

@@ -181,13 +181,13 @@ class SliceTile:
         self.plane = plane
         self.stack = stack
         self._context = context
-        self._image = image
+        self.image = image
         self._window = window
         self._is_smooth = True
         self._vertical, self._horizontal = IN_PLANE[plane]
         self.index = -1
         #: Actor of each line, and its width in pixels of a usual screen.
-        self._lines: dict[str, tuple[pv.Actor, float]] = {}
+        self.lines: dict[str, tuple[pv.Actor, float]] = {}
         self._ratio = 1.0
         self._drawn_objects, self._drag = 0, DragLines()
         self._texture, self._grey = Texture(is_smooth=True), np.zeros((2, 2), np.uint8)
@@ -236,7 +236,7 @@ class SliceTile:
         """Index (z, y, x) of a place in the tile, on the slice that is shown; None beside the image."""
         index = self.stack.to_index([right, up, self.across])
         return (
-            np.clip(index, 0.0, np.array(self._image.shape) - 1.0)
+            np.clip(index, 0.0, np.array(self.image.shape) - 1.0)
             if self.stack.contains(index)
             else None
         )
@@ -275,14 +275,14 @@ class SliceTile:
 
     def _show_values(self) -> None:
         """Draw the image in the slice, as far as it reaches."""
-        last = np.array(self._image.shape) - 1
+        last = np.array(self.image.shape) - 1
         corners = (
             self.stack.outline(self.across, (0, 0, 0), last)
             if self.stack.is_straight
             else self._corners
         )
         self._picture.mapper.SetInputData(polygon(corners, self.stack.extent))
-        self._values = self.stack.values(self._image, self.index, self._is_smooth)
+        self._values = self.stack.values(self.image, self.index, self._is_smooth)
         self._show_grey()
 
     def _show_grey(self) -> None:
@@ -306,7 +306,7 @@ class SliceTile:
 
     def use_image(self, image: NDArray[Any]) -> None:
         """Show another image (nz, ny, nx) on the same grid."""
-        self._image = image
+        self.image = image
         self._show_values()
 
     def use_window(self, window: GreyWindow) -> None:
@@ -330,7 +330,7 @@ class SliceTile:
             lines = surface_lines(surface, self.stack, self.index) if style.visible else NONE
             self._draw_lines(f"object {position}", lines, style.color, 2.2, style.opacity)
         for position in range(len(frame.surfaces), self._drawn_objects):
-            self._lines[f"object {position}"][0].SetVisibility(False)
+            self.lines[f"object {position}"][0].SetVisibility(False)
         self._drawn_objects = len(frame.surfaces)
         expected = (
             dashed(surface_lines(surface, self.stack, self.index)) for surface in frame.predicted
@@ -349,7 +349,7 @@ class SliceTile:
         for None or beside it.
         """
         lines = NONE if center is None else ball_lines(center, radius, self.stack, self.index)
-        if len(lines) or ("ball" in self._lines and self._lines["ball"][0].GetVisibility()):
+        if len(lines) or ("ball" in self.lines and self.lines["ball"][0].GetVisibility()):
             self._draw_lines("ball", lines, MARK, 2.2)
 
     def write(self, text: str) -> None:
@@ -370,7 +370,7 @@ class SliceTile:
     def mark_answers(self, answers: Sequence[SurfaceFrame]) -> None:
         """Draw thin dashed outlines of other answers to the first click."""
         lines = [dashed(surface_lines(surface, self.stack, self.index)) for surface in answers]
-        if lines or "answers" in self._lines:
+        if lines or "answers" in self.lines:
             self._draw_lines("answers", np.concatenate([NONE, *lines]), MARK, 1.8)
 
     def mark_places(self, places: NDArray[np.float64]) -> None:
@@ -418,10 +418,10 @@ class SliceTile:
         depth = {"cursor": 1.0, "reference": 2.0}.get(name, 3.0)
         points = np.column_stack([lines.reshape(-1, 2), np.full(2 * len(lines), depth)])
         mesh = pv.line_segments_from_points(points) if len(lines) else pv.PolyData()
-        if name not in self._lines:
-            self._lines[name] = add_actor(self.renderer, mesh, color, opacity), width
-            self._lines[name][0].prop.line_width = width * self._ratio
-        actor = self._lines[name][0]
+        if name not in self.lines:
+            self.lines[name] = add_actor(self.renderer, mesh, color, opacity), width
+            self.lines[name][0].prop.line_width = width * self._ratio
+        actor = self.lines[name][0]
         actor.prop.color, actor.prop.opacity = color, opacity
         actor.mapper.SetInputData(mesh)
         actor.SetVisibility(len(lines) > 0)
@@ -436,7 +436,7 @@ class SliceTile:
         for label in (self.title, *self._letters):
             label.fit(pixels)
         self._ratio = pixels.ratio
-        for actor, line_width in self._lines.values():
+        for actor, line_width in self.lines.values():
             actor.prop.line_width = line_width * pixels.ratio
         width, height = self.renderer.GetSize()
         if not width or not height:

@@ -163,7 +163,7 @@ class SpaceTile:
         self._frame: Frame | None = None
         self.is_coarse = False  # whether fewer triangles are drawn than the frame has
         self._wanted = self._color = "plain"
-        self._surfaces = [self._add_surface()]
+        self.surfaces = [self._add_surface()]
         #: Edges of the volume; the reference's surface, None without one; both world mm.
         self.box = box_edges(geometry)
         self.reference: pv.PolyData | None = None
@@ -203,11 +203,11 @@ class SpaceTile:
             shown is not fine for shown, fine in zip(drawn, frame.surfaces, strict=True)
         )
         self.meshes = [isosurface(surface, self._geometry, color) for surface in drawn]
-        while len(self._surfaces) < len(self.meshes):
-            self._surfaces.append(self._add_surface())
-        for actor in self._surfaces[len(self.meshes) :]:
+        while len(self.surfaces) < len(self.meshes):
+            self.surfaces.append(self._add_surface())
+        for actor in self.surfaces[len(self.meshes) :]:
             actor.SetVisibility(False)
-        for actor, mesh in zip(self._surfaces, self.meshes, strict=False):
+        for actor, mesh in zip(self.surfaces, self.meshes, strict=False):
             actor.mapper.SetInputData(mesh)
             actor.mapper.SetScalarVisibility(color in mesh.point_data)
         self.restyle()
@@ -236,7 +236,7 @@ class SpaceTile:
     def restyle(self) -> None:
         """Draw each surface in its style."""
         for actor, mesh, style in zip(
-            self._surfaces, self.meshes, self._context.styles.of(self._frame), strict=False
+            self.surfaces, self.meshes, self._context.styles.of(self._frame), strict=False
         ):
             actor.prop.color, actor.prop.opacity = style.color, style.opacity
             actor.SetVisibility(mesh.n_points > 0 and style.visible)
@@ -272,7 +272,7 @@ class SpaceTile:
         self._table.scalar_range = low, high
         for label, value in zip(self._ends, (low, 0.5 * (low + high), high), strict=True):
             label.text = f"{value:.3g}"
-        for actor in self._surfaces:
+        for actor in self.surfaces:
             actor.mapper.SetLookupTable(self._table)
             actor.mapper.SetScalarModeToUsePointData()
             actor.mapper.SetUseLookupTableScalarRange(True)

@@ -62,7 +62,7 @@ class Marks:
         redraw: Redraw,
     ) -> None:
         self._geometry, self._space = geometry, space
-        self._layers = [_Layer(tile) for tile in tiles]
+        self.layers = [_Layer(tile) for tile in tiles]
         self._beads = None if space is None else _Beads(space, redraw)
         self._strokes: dict[int, list[Click]] = {}
         self._last = 0
@@ -85,7 +85,7 @@ class Marks:
             return
         piece = Click(side, *found)
         self._strokes[stroke].append(piece)
-        for layer in self._layers:
+        for layer in self.layers:
             layer.add(piece)
         if self._beads is not None:
             self._beads.add(side, places[-1], radius)
@@ -112,7 +112,7 @@ class Marks:
     def show_answers(self, answers: Sequence[SurfaceFrame]) -> None:
         """Draw outlines of other answers to the first click in place of those drawn before."""
         self.answers = tuple(answers)
-        for layer in self._layers:
+        for layer in self.layers:
             layer.tile.mark_answers(self.answers)
 
     def show_slices(self) -> None:
@@ -121,7 +121,7 @@ class Marks:
         index = np.array([self._geometry.world_to_index(place) for place in self.places]).reshape(
             -1, 3
         )
-        for layer in self._layers:
+        for layer in self.layers:
             layer.show(pieces)
             layer.tile.mark_places(index)
             layer.tile.mark_answers(self.answers)
@@ -154,16 +154,16 @@ class _Layer:
     def __init__(self, tile: SliceTile) -> None:
         self.tile, self._texture = tile, Texture(is_smooth=False)
         #: Which side the voxel at each pixel of the slice is on, its first row lowest.
-        self._sides, self._is_empty = np.zeros((0, 0), np.uint8), True
+        self.sides, self._is_empty = np.zeros((0, 0), np.uint8), True
         self._actor = tile.add_picture(self._texture, DEPTH)
         self._actor.SetVisibility(False)
 
     def show(self, pieces: Sequence[Click]) -> None:
         """Draw pieces alone."""
         was_empty, size = self._is_empty, self.tile.stack.size(self.tile.stack.fine)
-        if self._sides.shape != size:
-            self._sides = np.zeros(size, np.uint8)
-        self._sides[:], self._is_empty = 0, True
+        if self.sides.shape != size:
+            self.sides = np.zeros(size, np.uint8)
+        self.sides[:], self._is_empty = 0, True
         for piece in pieces:
             self._put(piece)
         if not (self._is_empty and was_empty):
@@ -179,7 +179,7 @@ class _Layer:
         if named is None:
             return False
         rows, columns, mask = named
-        self._sides[rows, columns][mask] = 1 + SIDES.index(piece.side)
+        self.sides[rows, columns][mask] = 1 + SIDES.index(piece.side)
         self._is_empty = False
         return True
 
@@ -188,7 +188,7 @@ class _Layer:
         self._actor.SetVisibility(not self._is_empty)
         if not self._is_empty:
             self._texture.show(
-                _PACKED.take(self._sides).view(np.uint8).reshape(*self._sides.shape, 4)
+                _PACKED.take(self.sides).view(np.uint8).reshape(*self.sides.shape, 4)
             )
 
 

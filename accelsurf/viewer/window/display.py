@@ -17,8 +17,8 @@ from accelsurf.viewer.scene.headless import GraphicsError
 WINDOW_PACKAGES = ("PySide6", "pyvistaqt")
 PAGE_PACKAGES = ("trame",)
 INSTALL = 'pip install "accelsurf[viewer]"'
-_PROBE = "from PySide6.QtWidgets import QApplication; QApplication([]); print('opened')"
-_SECONDS = 60
+PROBE = "from PySide6.QtWidgets import QApplication; QApplication([]); print('opened')"
+PROBE_SECONDS = 60
 
 
 def lacks_window_packages() -> str:
@@ -58,15 +58,13 @@ def require_display(meanwhile: Callable[[], None] = lambda: None) -> None:
         )
     # Qt ends the process when it cannot open a window, so another process tries it first.
     try:
-        trial = subprocess.Popen(
-            [sys.executable, "-c", _PROBE], stdout=PIPE, stderr=PIPE, text=True
-        )
+        trial = subprocess.Popen([sys.executable, "-c", PROBE], stdout=PIPE, stderr=PIPE, text=True)
     except OSError:
         meanwhile()
         return
     try:
         meanwhile()
-        said, complaints = trial.communicate(timeout=_SECONDS)
+        said, complaints = trial.communicate(timeout=PROBE_SECONDS)
     except subprocess.TimeoutExpired:
         return
     finally:
@@ -77,12 +75,12 @@ def require_display(meanwhile: Callable[[], None] = lambda: None) -> None:
     words = " ".join(complaints.split())
     if "xcb-cursor" in words or "cannot open shared object" in words or "libEGL" in words:
         raise GraphicsError(
-            f"a library of Qt is missing: {_shortened(words)}",
+            f"a library of Qt is missing: {shortened(words)}",
             "on Debian and Ubuntu: apt install libegl1 libxcb-cursor0 libxkbcommon-x11-0 libxcb-icccm4 libxcb-keysyms1 "
             "libxcb-shape0 libdbus-1-3",
         )
     raise GraphicsError(
-        f"no window can be opened: {_shortened(words)}",
+        f"no window can be opened: {shortened(words)}",
         "is DISPLAY the name of a screen that runs? accelsurf segment needs no screen",
     )
 
@@ -91,7 +89,7 @@ def _missing(packages: tuple[str, ...]) -> list[str]:
     return [name for name in packages if importlib.util.find_spec(name) is None]
 
 
-def _shortened(words: str) -> str:
+def shortened(words: str) -> str:
     """The beginning of Qt's message in whole words, without the names of its parts."""
     words = re.sub(r"qt\.[a-z.]+: ", "", words)
     return textwrap.shorten(words, 160, placeholder=" ...") or "Qt gives no reason"

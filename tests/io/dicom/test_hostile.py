@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.program
+
 NAMES = (
     "a billion frames",
     "frames without bytes",

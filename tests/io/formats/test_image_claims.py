@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.program
+
 MAX_SECONDS, MAX_GROWTH = 5.0, 1 << 30  # of processor time: other processes do not count
 HUGE = 10**9
 
