@@ -126,8 +126,8 @@ def unnamed(object_id: int) -> str:
     return f"object {object_id}"
 
 
+class ObjectStyles:
     """Styles of objects by id: the name and colour that were given, or else a colour that stays with the object.
-    """How each object is drawn, by its id: in the name and colour that were given, else in a colour that stays with it.
 
     Attributes
     ----------
