@@ -127,7 +127,7 @@ def unnamed(object_id: int) -> str:
 
 
 class ObjectStyles:
-    """How each object is drawn, by its id: in the name and colour that were given, else in a colour that stays with it.
+    """Styles of objects by id: the name and colour that were given, or else a colour that stays with the object.
 
     Attributes
     ----------
