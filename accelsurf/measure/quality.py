@@ -119,8 +119,8 @@ def assess(seen: Judged, before: float | None = None) -> Quality:
     before : float, optional
         The probability before the last correction by a click, which is the most that it is now.
     """
-    inside, geometry = seen.labels > 0, seen.geometry
     found = measured(seen)
+    inside, geometry = seen.labels > 0, seen.geometry
     last = seen.history[-1].volume_mm3 if seen.history else 0.0
     found = found._replace(probability=probability_good(model_kind(found), features(found)))
     if found.answers and last > 0:  # the surface has moved since
