@@ -309,7 +309,7 @@ class SurfaceMomentum(ABC):
 
     def restore(self, state: dict[str, Any], geometry: Geometry) -> None:
         """Go back to a `state` of a momentum of the same settings on the same grid; the same bytes follow."""
-        names = SurfaceState.fields
+        names = SurfaceState._fields
         saved = SurfaceState(**{name: state[f"surface_{name}"] for name in names})
         halving = halving_of(geometry) if state["halved"] else None
         geometry = geometry if halving is None else halving.geometry
