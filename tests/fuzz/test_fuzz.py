@@ -1,4 +1,4 @@
-"""The fast part of the fuzzer: some hundred mutated inputs, none of which may be a fault; and that it finds faults."""
+"""The fast part of the fuzzer: a hundred mutated inputs, none of which may be a fault; and that it finds faults."""
 
 import argparse
 import io as stream
@@ -20,21 +20,22 @@ from tests.fuzz import __main__ as main
 from tests.fuzz import corpus, folders, headers, judges, mutators, verdict, workers
 from tests.fuzz.inputs import VALUES, VOLUME, Input
 
-SEED, COUNT = 15, 300
+SEED = 15
 
 
-def test_mutated_inputs_are_read_as_they_are_or_refused_in_one_line():
+@pytest.mark.parametrize("count", [100, pytest.param(300, marks=pytest.mark.slow)])
+def test_mutated_inputs_are_read_as_they_are_or_refused_in_one_line(count):
     # Runs compile kernels, which takes longer than an input may: they belong to scripts/fuzz.
     inputs = tuple(given for given in corpus.seeds() if given.kind not in workers.COMPILED)
-    judged = list(workers.judged(iter(range(COUNT)), SEED, 2, lambda: True, inputs))
+    judged = list(workers.judged(iter(range(count)), SEED, 2, lambda: True, inputs))
     faults = [
         (corpus.input_of(SEED, each.number, inputs)[:1], each)
         for each in judged
         if each.verdict.is_fault
     ]
-    assert len(judged) == COUNT and not faults, faults
+    assert len(judged) == count and not faults, faults
     outcomes = [each.verdict.outcome for each in judged]
-    assert outcomes.count("read") > COUNT // 10 and outcomes.count("refused") > COUNT // 4
+    assert outcomes.count("read") > count // 10 and outcomes.count("refused") > count // 4
 
 
 #: Valid texts whose files are not there, and an image of several channels.

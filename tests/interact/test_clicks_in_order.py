@@ -66,6 +66,7 @@ def same(a, b):
     assert a.labels.tobytes() == b.labels.tobytes()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(6))
 def test_a_call_with_several_clicks_is_a_call_for_each(result, seed):
     clicks = sorted(drawn(seed, apart=True))  # those inside come first
@@ -121,6 +122,7 @@ def finished(tmp_path_factory):
     return folder
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", ["one", "two"])
 def test_a_command_with_several_clicks_is_a_command_for_each(

@@ -55,6 +55,7 @@ def distance_to_ball(volume, index, radius):
     return ndimage.distance_transform_edt(squares > radius**2, sampling=volume.geometry.spacing)
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("near", ["auto", 7.0])
 @pytest.mark.parametrize("seed", range(3))

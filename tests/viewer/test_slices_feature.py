@@ -176,6 +176,7 @@ def share_of_slices(scene):
     return area / np.prod(scene.plotter.render_window.GetSize())
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "size", [(704, 656), (960, 600), (1600, 960), (2240, 1320), (3520, 2040), (456, 720)]
 )
