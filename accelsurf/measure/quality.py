@@ -214,10 +214,13 @@ def _along_surface(found: Evidence | None) -> dict[str, Any]:
 
 def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
     """The measures by the model of the clicks; without one they are None."""
-    overlap, spread, correction, unchanged, taken, surprise, answers, is_ambiguous = confidence or (
-        *(None,) * 6,
-        (),
-        False,
+    overlap, spread, correction, unchanged, taken, disagreement, answers, is_ambiguous = (
+        confidence
+        or (
+            *(None,) * 6,
+            (),
+            False,
+        )
     )
     return {
         "level_overlap": overlap,
@@ -225,7 +228,7 @@ def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
         "correction": correction,
         "unchanged": unchanged,
         "taken": taken,
-        "surprise": surprise,
+        "disagreement": disagreement,
         "answers": answers,
         "is_ambiguous": is_ambiguous,
     }

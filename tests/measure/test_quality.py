@@ -234,7 +234,7 @@ def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
 
 
 USUAL = Confidence(
-    overlap=0.85, spread=0.9, correction=0.3, unchanged=0.9, taken=0.0, surprise=0.3, answers=()
+    overlap=0.85, spread=0.9, correction=0.3, unchanged=0.9, taken=0.0, disagreement=0.3, answers=()
 )
 
 
@@ -259,13 +259,18 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
         ({"overlap": 0.95}, {"overlap": 0.7}),
         ({"correction": 0.1}, {"correction": 0.9}),
         ({"unchanged": 0.98}, {"unchanged": 0.6}),
-        ({"surprise": 0.0}, {"surprise": 0.9}),
+        ({"disagreement": 0.0}, {"disagreement": 0.9}),
         ({"spread": 0.2}, {"spread": 1.8}),
     ):
         # A measure that was found to tell nothing has no weight; none counts the wrong way.
         assert probability(**better) >= usual >= probability(**worse)
-    assert probability(overlap=0.0, correction=5.0, unchanged=0.2, surprise=1.0, spread=3.0) < 0.05
-    assert probability(overlap=1.0, correction=0.03, unchanged=1.0, surprise=0.0, spread=0.0) > 0.95
+    assert (
+        probability(overlap=0.0, correction=5.0, unchanged=0.2, disagreement=1.0, spread=3.0) < 0.05
+    )
+    assert (
+        probability(overlap=1.0, correction=0.03, unchanged=1.0, disagreement=0.0, spread=0.0)
+        > 0.95
+    )
 
 
 def test_neither_the_compactness_nor_the_number_of_clicks_is_a_feature():
@@ -285,18 +290,20 @@ def test_neither_the_compactness_nor_the_number_of_clicks_is_a_feature():
     ],
 )
 def test_a_doubt_names_what_speaks_most_against_the_result(feature, changes, words):
-    sure = USUAL._replace(overlap=0.98, spread=0.2, correction=0.1, unchanged=0.98, surprise=0.0)
+    sure = USUAL._replace(
+        overlap=0.98, spread=0.2, correction=0.1, unchanged=0.98, disagreement=0.0
+    )
     weight = likely.calibrated_models()["clicks"]["features"][feature][2]
     assert (words in likely.why(told_of(sure._replace(**changes)))) == (weight != 0)
 
 
 @pytest.mark.parametrize("correction", [None, 0.05, 5.0])
 @pytest.mark.parametrize("unchanged", [None, 0.1, 0.99])
-@pytest.mark.parametrize("surprise", [None, 0.0, 1.0])
+@pytest.mark.parametrize("disagreement", [None, 0.0, 1.0])
 def test_a_click_that_leaves_the_surface_as_it_is_leaves_its_probability(
-    correction, unchanged, surprise
+    correction, unchanged, disagreement
 ):
-    clicked = USUAL._replace(correction=correction, unchanged=unchanged, surprise=surprise)
+    clicked = USUAL._replace(correction=correction, unchanged=unchanged, disagreement=disagreement)
     assert told_of(clicked).probability == told_of(USUAL).probability
     assert likely.why(told_of(clicked)) == likely.why(told_of(USUAL))
 
@@ -329,7 +336,7 @@ def test_nothing_is_doubted_and_a_ball_is_not():
     beside, into = (refine(good, outside=f"ball:18.8,21.5,{at},1") for at in (45.0, 37.5))
     assert good.quality.correction is None and beside.quality.correction is None
     assert into.quality.correction == pytest.approx(1 / 12, abs=0.03)
-    assert into.quality.unchanged < 1.0 and into.quality.surprise > 0.3
+    assert into.quality.unchanged < 1.0 and into.quality.disagreement > 0.3
 
 
 def test_nothing_left_and_one_slice():

@@ -91,7 +91,7 @@ def finished(**changes):
             correction=None,
             unchanged=None,
             taken=None,
-            surprise=None,
+            disagreement=None,
             rests=(),
             warnings=(),
             notes=("border: 25% of it",),

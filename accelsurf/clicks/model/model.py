@@ -117,7 +117,7 @@ class ClickModel:
         Dice of the object before that click with the object after it.
     taken : float
         Share of the object that the last click took away.
-    surprises : tuple of float
+    disagreements : tuple of float
         Of each click that corrected something: how sure the model was of the opposite there, the mean of |F| at most 1.
     is_partition : bool
         It is one of several objects that fill a space.
@@ -138,7 +138,7 @@ class ClickModel:
     correction: float | None = None
     unchanged: float | None = None
     taken: float = 0.0
-    surprises: tuple[float, ...] = ()
+    disagreements: tuple[float, ...] = ()
     is_partition: bool = False
     is_ambiguous: bool = False
     reach: ClickReach | None = None
@@ -571,14 +571,14 @@ def with_click(
     # Of the two objects one lies in the other.
     unchanged = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
     wrong = model.field_on(click.box)[click.mask] * (1.0 if inside else -1.0)
-    surprises = (*model.surprises, float(np.clip(wrong, -1.0, 1.0).mean()))
+    disagreements = (*model.disagreements, float(np.clip(wrong, -1.0, 1.0).mean()))
     taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
     return replace(
         after,
         correction=seed.radius / width,
         unchanged=unchanged,
         taken=taken,
-        surprises=surprises,
+        disagreements=disagreements,
         is_ambiguous=False,
         least_overlap=least_overlap_with(model),
     )
