@@ -41,8 +41,8 @@ class Medium(NamedTuple):
     open: np.ndarray
 
 
-class Tissue(NamedTuple):
-    """Tissue that is passed easily: per channel (channels,) float64 median and spread of the values, and the gradient
+class Appearance(NamedTuple):
+    """Values that fronts pass easily: per channel (channels,) float64 median and spread of the values, and the gradient
     (per mm) that counts as 1; and the weights of the cost, see `cost_at`.
     """
 
@@ -72,7 +72,7 @@ class Queue(NamedTuple):
 
 
 @kernel
-def march(times, medium, tissue, grid, seeds, cap, sources):
+def march(times, medium, appearance, grid, seeds, cap, sources):
     """Accept voxels in the order of their arrival times, from the seeds outwards.
 
     Parameters
@@ -81,7 +81,7 @@ def march(times, medium, tissue, grid, seeds, cap, sources):
         At the seeds their times, at least 0, which are final; inf at all others. On return the times of the accepted
         voxels, inf at all others. While it runs, a time that is not final is stored as its negative.
     medium : Medium
-    tissue : Tissue
+    appearance : Appearance
     grid : Grid
     seeds : ndarray (k,) int64
         Each once. A seed starts also where nothing passes.
@@ -96,10 +96,10 @@ def march(times, medium, tissue, grid, seeds, cap, sources):
         The accepted voxels, seeds included, in the order of their times up to `bucket_width`; within it in an order
         that depends on the input alone.
     """
-    width = bucket_width(tissue.weights, grid)
+    width = bucket_width(appearance.weights, grid)
     if len(sources.origin) > 0:
         width /= FINER
-    queue = new_queue(tissue.weights, grid, width)
+    queue = new_queue(appearance.weights, grid, width)
     costs = np.empty(
         len(times)
     )  # of the voxels that a front has come to; memory that nobody writes to costs nothing
@@ -115,7 +115,7 @@ def march(times, medium, tissue, grid, seeds, cap, sources):
             if waiting + SIDES > len(queue.entries):
                 queue = larger(queue)
             waiting += offer(
-                times, costs, order[done], medium, tissue, grid, (cap, width, sources), queue
+                times, costs, order[done], medium, appearance, grid, (cap, width, sources), queue
             )
             done += 1
         if waiting == 0:
@@ -133,7 +133,7 @@ def march(times, medium, tissue, grid, seeds, cap, sources):
 
 
 @kernel(inlined=True)
-def offer(times, costs, cell, medium, tissue, grid, limits, queue):
+def offer(times, costs, cell, medium, appearance, grid, limits, queue):
     """Enter the neighbours that a voxel with a final time brings an earlier one; returns how many.
 
     ``limits`` are (cap, width of a bucket, sources) of `march`; the queue has space for all.
@@ -164,13 +164,13 @@ def offer(times, costs, cell, medium, tissue, grid, limits, queue):
             ix + (step if axis == 2 else 0),
         )
         if before == np.inf:
-            costs[other] = cost_at(other, at, medium, tissue, grid)
+            costs[other] = cost_at(other, at, medium, appearance, grid)
         if len(sources.origin) == 0:
             found = np.float32(upwind_time(times, other, at, costs[other], grid))
             come_from = cell
         else:
             found, come_from = first_of_all(
-                times, sources, other, at, (costs[other], tissue.weights[0]), grid
+                times, sources, other, at, (costs[other], appearance.weights[0]), grid
             )
         if found < abs(before) and (len(cap) == 0 or found < cap[other]):
             times[other] = -found
@@ -406,16 +406,19 @@ def time_of_front(front, stride):
 
 
 @kernel(inlined=True)
-def cost_at(cell, at, medium, tissue, grid):
+def cost_at(cell, at, medium, appearance, grid):
     """Cost per mm: w0 + w1 min(|grad I|/g, w2) + w3 min(max(|I - median|/spread - w4, 0), w5), of the worst channel."""
-    w, values = tissue.weights, medium.values
+    w, values = appearance.weights, medium.values
     edge, far = 0.0, 0.0
     for channel in range(len(values)):
         dz = difference(values, channel, cell, at[0], grid.nz, grid.ny * grid.nx) / grid.hz
         dy = difference(values, channel, cell, at[1], grid.ny, grid.nx) / grid.hy
         dx = difference(values, channel, cell, at[2], grid.nx, 1) / grid.hx
-        edge = max(edge, np.sqrt(dz * dz + dy * dy + dx * dx) / tissue.gradient[channel])
-        far = max(far, abs(values[channel, cell] - tissue.median[channel]) / tissue.spread[channel])
+        edge = max(edge, np.sqrt(dz * dz + dy * dy + dx * dx) / appearance.gradient[channel])
+        far = max(
+            far,
+            abs(values[channel, cell] - appearance.median[channel]) / appearance.spread[channel],
+        )
     return w[0] + w[1] * min(edge, w[2]) + w[3] * min(max(far - w[4], 0.0), w[5])
 
 
