@@ -79,7 +79,7 @@ def main() -> None:
             for size in sizes:
                 for sign in (1, -1):
                     found = [
-                        rested(kind, size, k, spacing, sign, options.count)
+                        after_redistances(kind, size, k, spacing, sign, options.count)
                         for k in range(len(DIRECTIONS))
                     ]
                     rows.append(row("at rest", kind, size, spacing, found, sign=sign))
@@ -174,7 +174,7 @@ def displacement(
     return np.concatenate(out), int(np.count_nonzero(flipped))
 
 
-def rested(
+def after_redistances(
     kind: str,
     size: float,
     number: int,

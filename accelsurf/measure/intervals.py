@@ -42,7 +42,7 @@ SIGMA = 1.5
 MIN_CONTRAST = 0.05
 #: The shell is moved to the edge that it finds, so often at most, or until it moves by less, in voxels.
 PASSES = 3
-AT_REST = 0.05
+STILL = 0.05
 #: Beyond so much noise or variation, in parts of the contrast, there is no edge to measure by.
 MAX_DOUBT = 2.0
 #: Shares are smoothed for the surface f = 1/2 by a Gaussian of this sigma, pixels: in an image without noise, and so
@@ -299,7 +299,7 @@ def edge_measures(
         before, found = found, float(geometry.voxel_volume * (sums.core + sums.shares))
         layer = geometry.voxel_volume * sums.voxels / (2.0 * SHELL)
         shift = (found - before) / layer
-        if abs(shift) < AT_REST:
+        if abs(shift) < STILL:
             break
         moved += shift * sums.extents / sums.voxels
     mean = sums.contrast / sums.voxels

@@ -88,7 +88,7 @@ class Quality(NamedTuple):
         deviations from the mean of those that it was learned from; None where no model was learned once.
     leaked : bool
         Whether it grew beyond ``max_volume``.
-    rests : tuple of Plateau
+    plateaus : tuple of Plateau
         Plateaus of the front before it broke through.
     warnings : tuple of str
         Reasons for uncertainty, each with a command to try next.
@@ -127,7 +127,7 @@ class Quality(NamedTuple):
     disagreement: float | None
     unlike_learned: float | None
     leaked: bool
-    rests: tuple[Plateau, ...]
+    plateaus: tuple[Plateau, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     answers: tuple[Answer, ...] = ()

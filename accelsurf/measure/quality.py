@@ -193,7 +193,7 @@ def measured(  # noqa: PLR0913
         **_by_clicks(confidence),
         unlike_learned=None if learned is None else _unlike_fraction(inside, image, learned),
         leaked=stop.reason == "leaked",
-        rests=tuple(plateaus),
+        plateaus=tuple(plateaus),
         warnings=(),
         notes=(),
     )
@@ -342,7 +342,7 @@ def _warnings(
     found: Quality, stop: Stop, last: float, inside: Mask, geometry: Geometry, unclear: str
 ) -> list[str]:
     """Return the warnings, each with one command to try where one is known to help."""
-    warnings, at_rest = [], "; try --stop-at-rest" if found.rests else ""
+    warnings, at_rest = [], "; try --stop-at-rest" if found.plateaus else ""
     if unclear:
         warnings.append(f"ambiguous: {unclear}")
     if found.leaked:
@@ -377,7 +377,7 @@ def _larger_ball(inside: Mask, geometry: Geometry) -> str:
 
 def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
     notes = []
-    for plateau in found.rests:
+    for plateau in found.plateaus:
         if last > MIN_BURST * plateau.volume_mm3:
             then, now = (volume_text(mm3, geometry.unit) for mm3 in (plateau.volume_mm3, last))
             notes.append(

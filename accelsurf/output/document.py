@@ -212,7 +212,7 @@ def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
     """Return the part of the report about the quality of an object; None for several, which have their own."""
     if quality is None:
         return None
-    plateaus = [{**note._asdict(), "place": list(note.place)} for note in quality.rests]
+    plateaus = [{**note._asdict(), "place": list(note.place)} for note in quality.plateaus]
     place = None if quality.next_click is None else list(quality.next_click)
     lists = {"rests": plateaus, "warnings": list(quality.warnings), "notes": list(quality.notes)}
     answers = [answer._asdict() for answer in quality.answers]

@@ -138,7 +138,7 @@ def test_stalled():
 
 
 @pytest.mark.parametrize("flow", [Gradient, ConstantDensity, FlowableMass])
-def test_short_steps_are_no_rest(flow):
+def test_short_steps_are_no_plateau(flow):
     """A diffusion that makes the steps a thousand and more times too short: the surface has not moved, nor arrived."""
     stop = run(
         Evolution(
@@ -159,7 +159,7 @@ def test_short_steps_are_no_rest(flow):
     assert all(20 < row.cfl_dt / row.dt < 200 for row in evolution.history[:-1])
 
 
-def test_a_small_part_on_its_way_is_no_rest():
+def test_a_small_part_on_its_way_is_no_plateau():
     """A ball at rest, and a rod of a fiftieth of its area that grows out of it to voxel 45."""
     z, y, x = np.indices((40, 40, 50)) - np.array([19.5, 19.5, 18.5])[:, None, None, None]
     r = np.sqrt(z**2 + y**2 + x**2)
@@ -329,7 +329,7 @@ class Level(Gradient):
         return plan._replace(energy_rates=plan.energy_rates._replace(kinetic=self.kinetic))
 
 
-def test_a_level_kinetic_energy_is_no_rest():
+def test_a_level_kinetic_energy_is_no_plateau():
     reasons = []
     for kinetic in (0.0, 50.0):
         flow = Level()

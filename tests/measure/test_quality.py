@@ -109,17 +109,17 @@ def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
     )
 
 
-def test_a_leak_after_a_rest_names_the_rest():
+def test_a_leak_after_a_plateau_names_the_plateau():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), []
     leaked = Stop("leaked", 60, 6.0, "it is too large")
     rest = Plateau(4, 110.0, 9, (1.0, 2.25, 3.0))
-    for rests, wanted in (
+    for plateaus, wanted in (
         ((), "leak: it is too large"),
         ((rest,), "leak: it is too large; try --stop-at-rest"),
     ):
-        found = assess(*seen, leaked, plateaus=rests)
+        found = assess(*seen, leaked, plateaus=plateaus)
         assert [words for words in found.warnings if words.startswith("leak: ")] == [wanted]
 
 
@@ -145,7 +145,7 @@ def made_for(case):
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("case", ["good", "border", "necks", "edge"])
-def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
+def test_the_command_warns_of_doubt_and_notes_the_plateau(case, tmp_path, capsys):
     scan, start, allowed = made_for(case)
     io.write(Volume(scan, Geometry(SHAPE, SPACING)), tmp_path / "scan.nii.gz")
     io.write(Volume(allowed.astype(np.uint8), Geometry(SHAPE, SPACING)), tmp_path / "mask.nii.gz")
@@ -173,7 +173,7 @@ def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
     assert (tmp_path / "two" / "scan_seg.nii.gz").exists()
 
 
-def test_the_report_has_probability_place_and_rests_as_values():
+def test_the_report_has_probability_place_and_plateaus_as_values():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
     rest = Plateau(4, 3000.0, 9, (1.0, 2.0, 3.0))
@@ -193,7 +193,7 @@ def test_the_report_has_probability_place_and_rests_as_values():
     )
 
 
-def test_a_rest_is_noted_where_the_object_has_grown_since():
+def test_a_plateau_is_noted_where_the_object_has_grown_since():
     z, y, x = coordinates()
     mask = (z**2 + y**2 + x**2 < 12**2).astype(np.uint8)
     history = [step_record(0, volume_mm3=1e-6), step_record(9, volume_mm3=5e-6, area_mm2=1800.0)]

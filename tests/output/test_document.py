@@ -92,7 +92,7 @@ def finished(**changes):
             unchanged=None,
             taken=None,
             disagreement=None,
-            rests=(),
+            plateaus=(),
             warnings=(),
             notes=("border: 25% of it",),
         ),

@@ -345,8 +345,8 @@ def test_whatever_page_and_picture_ask_for_can_be_asked(actions):
     assert "no clipboard" in actions.state()["message"] and actions.state()["failed"]
 
 
-def test_steps_of_rest_reach_the_page_and_can_be_gone_to(actions):
-    status = actions.session.status._replace(rests=(3, 7))
+def test_steps_of_plateaus_reach_the_page_and_can_be_gone_to(actions):
+    status = actions.session.status._replace(plateaus=(3, 7))
     assert actions.feature(HistoryFeature).state(status)["rests"] == [3, 7]
     for step in (7, 3):
         actions.request("go_to", step)

@@ -139,7 +139,7 @@ def test_a_text_that_is_selected_is_copied_by_the_browser():
     assert rendered(script, secure=True, works=True) == [[[], [], 0]]
 
 
-def test_steps_of_rest_are_ticks_and_buttons():
+def test_steps_of_plateaus_are_ticks_and_buttons():
     script = """
     const ticks = find((props, one) => one.type === 'datalist')[0];
     say(find((props) => props.id === 'back').map((one) => [one.props.list === ticks.props.id, one.props.max]));

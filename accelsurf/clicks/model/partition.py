@@ -2,7 +2,7 @@
 
 One model for all of them. One march from all clicks says which voxels are whose; a path is about as long as its worst
 place is unlike the clicks, as in a watershed, and where nothing differs the nearer click has the voxel. The
-background competes, with an appearance that is learned there. The shares of the objects around each voxel say where, between voxels,
+background competes with its appearance. The shares of the objects around each voxel say where, between voxels,
 two of them meet. The cost is that of the volume and of the sum of the objects' boxes.
 """
 

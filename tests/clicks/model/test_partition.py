@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 from skimage.segmentation import watershed
-from tests.support.appearances import membrane_cells
 
 from accelsurf import segment_objects
 from accelsurf.clicks.model.partition import BasinsOnce, partition_model
 from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.clicks import Click, Clicks
+from tests.support.tissues import membrane_cells
 
 SHAPE, SPACING = (16, 30, 30), (1.0, 1.0, 1.0)
 
