@@ -184,15 +184,15 @@ def text_of_sizes(rows: list[Row]) -> str:
                 continue
             times = np.array([row["times"] for row in here])
             named = np.array([row["ambiguous"] for row in here])
-            sure = np.array([row["probability"] for row in here])
+            probabilities = np.array([row["probability"] for row in here])
             off = (times >= FACTOR) | (times <= 1.0 / FACTOR)
             counts = (
                 int(named.sum()),
-                int((sure[named] >= SAID).sum()),
+                int((probabilities[named] >= SAID).sum()),
                 f"{int((times >= FACTOR).sum())}, {int((times <= 1.0 / FACTOR).sum())}",
                 int(named[off].sum()),
-                int((sure[off] <= 0.5).sum()),
-                int((sure[off] >= SAID).sum()),
+                int((probabilities[off] <= 0.5).sum()),
+                int((probabilities[off] >= SAID).sum()),
             )
             mean = np.mean([row["dice"] for row in here])
             cells = (f"{part}: {name}", str(len(here)), f"{mean:.3f}", *map(str, counts))

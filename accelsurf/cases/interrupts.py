@@ -1,6 +1,6 @@
 """Signals and standard streams: SIGINT (Ctrl-C) and SIGTERM give a line, an exit code, and complete files.
 
-Lines about errors and doubts are short, on one line, in characters that a terminal prints. The results and
+Lines about errors and warnings are short, on one line, in characters that a terminal prints. The results and
 files of a command do not depend on whether somebody can read its messages.
 """
 

@@ -44,7 +44,7 @@ MIN_CONTRAST = 0.05
 PASSES = 3
 STILL = 0.05
 #: Beyond so much noise or variation, in parts of the contrast, there is no edge to measure by.
-MAX_DOUBT = 2.0
+MAX_UNCERTAINTY = 2.0
 #: Shares are smoothed for the surface f = 1/2 by a Gaussian of this sigma, pixels: in an image without noise, and so
 #: much more where the noise is as strong as the contrast. Then again by twice that.
 SMOOTH = 0.7
@@ -306,7 +306,7 @@ def edge_measures(
     noise = noise_of(image)
     contrast = abs(levels.inside - levels.beside)
     deviation = float(np.sqrt(max(sums.squares / sums.voxels - mean**2, 0.0)))
-    if found <= 0 or noise > MAX_DOUBT * contrast or deviation > MAX_DOUBT * abs(mean):
+    if found <= 0 or noise > MAX_UNCERTAINTY * contrast or deviation > MAX_UNCERTAINTY * abs(mean):
         return None
     at = Geometry(
         psi.shape, spacing, tuple(geometry.index_to_world(corner_of(box))), geometry.direction

@@ -50,7 +50,7 @@ class Quality(NamedTuple):
         calibrated stands in docs/explanation/quality.md.
     next_click : (x, y, z) or None
         World mm (LPS): the most uncertain place, where to click next.
-    next_doubt : float
+    next_uncertainty : float
         Uncertainty there, 0 to 1.
     rim_fraction : float
         Share of the object's voxels that lie next to its surface.
@@ -105,7 +105,7 @@ class Quality(NamedTuple):
 
     probability: float
     next_click: tuple[float, float, float] | None
-    next_doubt: float
+    next_uncertainty: float
     rim_fraction: float
     border_fraction: float
     contrast: float

@@ -180,7 +180,7 @@ def measured(  # noqa: PLR0913
     return Quality(
         probability=0.0,
         next_click=None if place is None else _world(geometry, place),
-        next_doubt=uncertainty,
+        next_uncertainty=uncertainty,
         rim_fraction=_rim_fraction(inside),
         border_fraction=_border_fraction(inside, spacing),
         **_along_surface(found),
@@ -352,10 +352,12 @@ def _warnings(
     if is_doubtful and found.next_click is not None:
         # No place is named: a click where the surface has the least evidence was found to help in few cases. A run
         # without clicks is seldom mended by one, and mostly by clicks from the first step on.
-        sure = found.likely
+        likelihood = found.likely
         at_fault = "or --outside where it is most wrong"
         tried = at_fault if found.beyond_clicks is not None else "at the object in place of --start"
-        warnings.append(f"doubt: probably not right ({why(found)}; {sure}); try --inside {tried}")
+        warnings.append(
+            f"doubt: probably not right ({why(found)}; {likelihood}); try --inside {tried}"
+        )
     if found.next_click is None and stop.reason not in ("vanished", "filled"):
         tried = f"; try --inside ball:{_larger_ball(inside, geometry)}" if inside.any() else ""
         warnings.append(

@@ -319,10 +319,10 @@ class Follower:
         clicked = {followed.object for followed in arrival.refinements if followed.kind == "clicks"}
         image, duration = arrival.channels[0], arrival.duration
         for followed in self.objects:
-            sure = bool(clicked & {None, followed.id})
+            is_of_this_object = bool(clicked & {None, followed.id})
             others = [other.surface for id, other in found.items() if id != followed.id]
             # Where the surface that a run finds is not the object, the one that goes with the image still may be.
-            corrects = sure or followed.is_run or followed.appearance is not None
+            corrects = is_of_this_object or followed.is_run or followed.appearance is not None
             moves = corrects and followed.goes_with_image and predicted[followed.id].has_inside
             for is_run in (True, False) if moves else (corrects,):
                 shown = found.get(followed.id, NOTHING)
@@ -331,14 +331,14 @@ class Follower:
                 if not shown.surface.psi.size:
                     continue
                 now = profile(image, shown.surface, others)
-                if not sure and not self._is_shown(
+                if not is_of_this_object and not self._is_shown(
                     followed, shown, now, predicted[followed.id], not is_run
                 ):
                     continue
                 if is_run:
                     followed.momentum.correct(self._largest(shown).surface, duration, self._gains)
                     followed.note_corrected()
-                if not sure and not followed.is_run:
+                if not is_of_this_object and not followed.is_run:
                     shown = shown._replace(quality=followed.chance(now))
                 followed.note_seen(shown, now, arrival.time, self._geometry)
                 self._identities.see(followed.id, arrival.number)

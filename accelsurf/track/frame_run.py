@@ -317,7 +317,7 @@ def _measures(piece: SurfacePiece, surface: LevelSet, quality: float) -> Measure
 
 
 def measured_start(start: ObjectStart, geometry: Geometry) -> Measured:
-    """Measure an object whose voxels are given: nothing of it is in doubt."""
+    """Measure an object whose voxels are given: nothing of it is uncertain."""
     surface = LevelSet(start.psi, geometry.spacing, BAND)
     # The distance to the surface through the voxels' faces, on the same side in every voxel.
     least = np.float32(SIDE * min(geometry.steps))

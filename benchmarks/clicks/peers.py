@@ -128,10 +128,10 @@ def unary(
 
 def classifier(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
     """A forest's probability, smoothed by one voxel, above a half and connected to an inside click."""
-    sure = ndimage.gaussian_filter(
+    smoothed = ndimage.gaussian_filter(
         probability(domain, settings["position"]), [1.0 / h for h in domain.spacing]
     )
-    return np.where(connected(sure > 0.5, domain.seeds), 0.5, -0.5)
+    return np.where(connected(smoothed > 0.5, domain.seeds), 0.5, -0.5)
 
 
 def threshold(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:

@@ -161,10 +161,10 @@ def test_distances_are_in_mm_and_in_voxels_of_the_same_volume() -> None:
 def test_the_probability_of_the_method_is_kept() -> None:
     image, truth = ball_scan()
 
-    class Sure(Painter):
-        sureness = 0.75
+    class Confident(Painter):
+        confidence = 0.75
 
-    assert play(Sure, Scene(image, truth), 1)["clicks"][0]["sureness"] == 0.75
+    assert play(Confident, Scene(image, truth), 1)["clicks"][0]["sureness"] == 0.75
     assert play(Painter, Scene(image, truth), 1)["clicks"][0]["sureness"] is None
 
 

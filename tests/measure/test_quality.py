@@ -36,7 +36,7 @@ def look(mask, image, history=(), stop=DONE):
     )
 
 
-def test_a_clean_ball_raises_no_doubt():
+def test_a_clean_ball_raises_no_warning():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
     history = [step_record(0, volume_mm3=5.0), step_record(1)]
@@ -145,7 +145,7 @@ def made_for(case):
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("case", ["good", "border", "necks", "edge"])
-def test_the_command_warns_of_doubt_and_notes_the_plateau(case, tmp_path, capsys):
+def test_the_command_warns_and_notes_the_plateau(case, tmp_path, capsys):
     scan, start, allowed = made_for(case)
     io.write(Volume(scan, Geometry(SHAPE, SPACING)), tmp_path / "scan.nii.gz")
     io.write(Volume(allowed.astype(np.uint8), Geometry(SHAPE, SPACING)), tmp_path / "mask.nii.gz")
@@ -206,7 +206,7 @@ def test_a_plateau_is_noted_where_the_object_has_grown_since():
         assert not noted or "with 4000 um3, then" in found.notes[0]
 
 
-def test_what_is_too_small_to_be_judged_is_in_doubt():
+def test_what_is_too_small_to_be_judged_is_uncertain():
     mask = np.zeros(SHAPE, bool)
     mask[20, 22, 24] = True
     found = look(mask, mask * 1.0, [step_record(0, volume_mm3=1.2), step_record(9, volume_mm3=1.2)])
@@ -218,7 +218,7 @@ def test_what_is_too_small_to_be_judged_is_in_doubt():
     assert [words for words in found.warnings if wanted in words]
 
 
-def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
+def test_the_probability_is_that_of_the_file_and_falls_with_each_warning():
     z, y, x = coordinates()
     r = np.sqrt(z**2 + y**2 + x**2)
     image = (r < 12) + np.random.default_rng(1).normal(0, 0.05, SHAPE)
@@ -250,8 +250,8 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
     def probability(**changes):
         found = told_of(USUAL._replace(**changes))
         assert click_features(found) == features(found)
-        doubted = [words for words in found.warnings if words.startswith("doubt: ")]
-        assert bool(doubted) == (found.probability < likely.warning_threshold(found))
+        warned = [words for words in found.warnings if words.startswith("doubt: ")]
+        assert bool(warned) == (found.probability < likely.warning_threshold(found))
         return found.probability
 
     usual = probability()
@@ -289,12 +289,12 @@ def test_neither_the_compactness_nor_the_number_of_clicks_is_a_feature():
         ("size_spread", {"spread": 3.0}, "objects of other sizes fit the clicks as well"),
     ],
 )
-def test_a_doubt_names_what_speaks_most_against_the_result(feature, changes, words):
-    sure = USUAL._replace(
+def test_a_warning_names_what_speaks_most_against_the_result(feature, changes, words):
+    confident = USUAL._replace(
         overlap=0.98, spread=0.2, correction=0.1, unchanged=0.98, disagreement=0.0
     )
     weight = likely.calibrated_models()["clicks"]["features"][feature][2]
-    assert (words in likely.why(told_of(sure._replace(**changes)))) == (weight != 0)
+    assert (words in likely.why(told_of(confident._replace(**changes)))) == (weight != 0)
 
 
 @pytest.mark.parametrize("correction", [None, 0.05, 5.0])
@@ -329,9 +329,9 @@ def test_nothing_is_doubted_and_a_ball_is_not():
         and good.quality.probability > 0.8
     )
     assert bad.quality.probability < 0.3
-    (doubt,) = bad.quality.warnings
-    assert doubt.startswith("doubt: probably not right (")
-    assert doubt.endswith("likely to be good); try --inside or --outside where it is most wrong")
+    (warning,) = bad.quality.warnings
+    assert warning.startswith("doubt: probably not right (")
+    assert warning.endswith("likely to be good); try --inside or --outside where it is most wrong")
     # A click into what was found is a correction, and how deep it went counts; one beside it is none.
     beside, into = (refine(good, outside=f"ball:18.8,21.5,{at},1") for at in (45.0, 37.5))
     assert good.quality.correction is None and beside.quality.correction is None

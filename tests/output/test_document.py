@@ -70,7 +70,7 @@ def finished(**changes):
         quality=Quality(
             probability=0.75,
             next_click=(1.0, 2.0, 3.0),
-            next_doubt=0.5,
+            next_uncertainty=0.5,
             rim_fraction=0.1,
             border_fraction=0.25,
             contrast=0.5,

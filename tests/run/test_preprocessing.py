@@ -284,7 +284,7 @@ def test_the_command_line_has_them_all(tmp_path, capsys):
     )
 
 
-def test_strict_turns_doubt_into_exit_5(tmp_path, capsys):
+def test_strict_turns_a_warning_into_exit_5(tmp_path, capsys):
     volume, _, centre = ball()
     io.write(Volume(volume.array.astype(np.float32), volume.geometry), tmp_path / "scan.nii.gz")
     words = [

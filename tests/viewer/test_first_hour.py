@@ -92,11 +92,11 @@ def test_the_first_click_inside_begins_what_can_be_run_judged_and_undone(actions
             break
         actions.session.wait(1)
         viewing.time.sleep(0.02)
-    volume, interval, likely, *doubt = actions.state()["result"]
+    volume, interval, likely, *uncertain_lines = actions.state()["result"]
     assert volume.startswith("volume ") and volume.endswith(" ml") and interval.startswith("95 %: ")
     assert likely.endswith("% likely to be good")
     assert likely == actions.session.status.likelihoods[1]
-    assert [line.startswith("most doubtful at ") for line in doubt] == [True] * bool(
+    assert [line.startswith("most doubtful at ") for line in uncertain_lines] == [True] * bool(
         actions.session.status.uncertain
     )
     actions.request("undo")

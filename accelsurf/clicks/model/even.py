@@ -32,7 +32,7 @@ FROM = 7.5
 TOO_SMALL = 0.5
 READ = 0.7
 #: The click's radius is sure up to this multiple of the region's radius.
-SURE = 1.1
+TRUSTED = 1.1
 #: A click's inscribed radius is at most this part of the image's middle side: an object needs surroundings.
 OF_IMAGE = 0.35
 #: Radius, in the smallest spacings, beyond which a click is larger than people make them.
@@ -97,13 +97,13 @@ class AsRead(NamedTuple):
     seed : Seed
     noise : float or None
         Standard deviation in the homogeneous region around it; None where no region is known.
-    is_sure : bool
+    is_confident : bool
         The homogeneous region around it is as deep as the click says.
     """
 
     seed: Seed
     noise: float | None = None
-    is_sure: bool = False
+    is_confident: bool = False
 
 
 def as_large(seed: Seed, scene: Scene) -> AsRead:
@@ -116,20 +116,20 @@ def as_large(seed: Seed, scene: Scene) -> AsRead:
     """
     radius, most = inscribed_radius(seed, scene), OF_IMAGE * _middle_side(scene)
     even = even_ball(scene, seed)
-    noise, is_sure = None, False
+    noise, is_confident = None, False
     if (
         even is not None
         and _whole(scene) > even.radius >= FROM * scene.step
         and not _is_longer(seed, even.radius, scene)
     ):
-        noise, is_sure = even.noise, radius <= SURE * even.radius
+        noise, is_confident = even.noise, radius <= TRUSTED * even.radius
         if radius < TOO_SMALL * even.radius:
             return AsRead(
-                _ball(even.middle, READ * even.radius / DEEPER, seed, scene), noise, is_sure
+                _ball(even.middle, READ * even.radius / DEEPER, seed, scene), noise, is_confident
             )
     if radius > max(most, FROM * scene.step):
-        return AsRead(_ball(seed.core[0], most / DEEPER, seed, scene), noise, is_sure)
-    return AsRead(seed, noise, is_sure)
+        return AsRead(_ball(seed.core[0], most / DEEPER, seed, scene), noise, is_confident)
+    return AsRead(seed, noise, is_confident)
 
 
 def is_beyond_people(seed: Seed, scene: Scene) -> bool:

@@ -288,11 +288,11 @@ def first_blocks(
     by a factor is taken, and the larger answer is in place of a part of it.
     """
     network = networks()["first"] if network is None else network
-    read, noise, is_sure = as_large(seed, scene)
+    read, noise, is_confident = as_large(seed, scene)
     reading = _read(scene, read, noise, size_mm3, network)
     by_number = {each.number: (reading, each) for each in reading.answers}
     is_ambiguous = False
-    is_known = size_mm3 is not None or scene.sizes is not None or is_sure
+    is_known = size_mm3 is not None or scene.sizes is not None or is_confident
     if not is_known and is_beyond_people(read, scene):
         for smaller in smaller_clicks(read, scene):
             small = _read(scene, smaller, None, None, network)

@@ -297,7 +297,7 @@ class TiffReader:
         """
         if at not in self._known:
             self._entries(at)
-        with heard(), library_named(*_DAMAGED):
+        with messages_of_tifffile(), library_named(*_DAMAGED):
             self._library.filehandle.seek(at)
             return tifffile.TiffPage(self._library, index=0)
 
@@ -466,7 +466,7 @@ def _announced_bytes(page: tifffile.TiffPage) -> NDArray[np.int64]:
 
 
 @contextmanager
-def heard() -> Iterator[list[str]]:
+def messages_of_tifffile() -> Iterator[list[str]]:
     """Take the lines that tifffile logs in this thread; they go nowhere else."""
     said: list[str] = []
 
@@ -588,7 +588,7 @@ class TiffPages:
         kind = self._part.kind
         with library_named(f"page {z + 1} is damaged", TRUNCATED_HINT):
             page = reader.page(int(self._part.directories[z]))
-            with heard() as said:
+            with messages_of_tifffile() as said:
                 found = _unpacked_page(page)
             if said:
                 raise ValueError(said[0])
