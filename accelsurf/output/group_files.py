@@ -27,7 +27,7 @@ from accelsurf.output.folder import name_of
 from accelsurf.run.result import SegmentedObject
 
 _RECORD = "record.npz"
-_DRAFT = ".draft-"
+_STAGING = ".draft-"
 #: Names of a group's folder, of one that was not complete when its process was killed, and of a mesh.
 _FOLDER = re.compile(r"group-[0-9]+-[0-9a-f]{16}|\.draft-[a-z0-9_]{8}")
 _MESH = r"[^/\\]+_(surface|contour)_{id}\.[a-z0-9.]+"
@@ -221,7 +221,7 @@ def not_of_groups(work: Path) -> list[Path]:
 
 
 def _is_of_a_group(path: Path) -> bool:
-    if path.parent.name.startswith(_DRAFT) and is_staging(Path(path.name)):
+    if path.parent.name.startswith(_STAGING) and is_staging(Path(path.name)):
         return True  # of a mesh that was being written
     return _FILE.fullmatch(path.name) is not None and path.is_file() and not path.is_symlink()
 
@@ -232,7 +232,7 @@ def _staged(folder: Path) -> Iterator[Path]:
 
     An unreadable group of that name is removed.
     """
-    staged = Path(tempfile.mkdtemp(prefix=_DRAFT, dir=folder.parent))
+    staged = Path(tempfile.mkdtemp(prefix=_STAGING, dir=folder.parent))
     try:
         yield staged
         sync(staged)

@@ -68,13 +68,13 @@ class Store:
     def put(self, key: str, game: Mapping[str, Any]) -> None:
         """Keep a game, and write the file: whole, or not at all."""
         self.facts["games"][key] = rounded(game)
-        draft = self.path.with_suffix(f".{os.getpid()}.draft")
+        staged = self.path.with_suffix(f".{os.getpid()}.draft")
         lines = ",\n".join(
             f"{json.dumps(k)}: {json.dumps(v)}" for k, v in sorted(self.facts["games"].items())
         )
         head = json.dumps({k: v for k, v in self.facts.items() if k != "games"})[:-1]
-        draft.write_text(f'{head}, "games": {{\n{lines}\n}}}}\n')
-        draft.replace(self.path)
+        staged.write_text(f'{head}, "games": {{\n{lines}\n}}}}\n')
+        staged.replace(self.path)
 
     def forget(self, keys: set[str]) -> None:
         """Leave out games that are to be played again."""

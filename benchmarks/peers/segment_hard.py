@@ -5,7 +5,8 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-from benchmarks.peers.contest import report, reporter
+from benchmarks.peers.comparison import report, reporter
+
 from benchmarks.peers.hard_programs import OWN, PROGRAMS, Program, missing
 from benchmarks.peers.hard_works import WORKS, Work
 from benchmarks.peers.measure import Options, Trial, best, goal, in_turn, search, set_threads, table

@@ -7,11 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
-
-from accelsurf.api.segment import segment
-from accelsurf.measure.metrics import dice
-from benchmarks.peers.baselines import BASELINES
-from benchmarks.peers.contest import (
+from benchmarks.peers.comparison import (
     CARRIED,
     LEVEL,
     OWN,
@@ -24,6 +20,10 @@ from benchmarks.peers.contest import (
     reporter,
     time_best,
 )
+
+from accelsurf.api.segment import segment
+from accelsurf.measure.metrics import dice
+from benchmarks.peers.baselines import BASELINES
 from benchmarks.peers.measure import Options, Trial, best, combinations, ranked, search, set_threads
 from benchmarks.peers.work import noisy_cube
 

@@ -10,11 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from accelsurf import io
-from accelsurf.measure.metrics import dice
-from benchmarks.peers.baselines import BASELINES
-from benchmarks.peers.contest import (
+from benchmarks.peers.comparison import (
     CARRIED,
     OWN,
     SEARCH_S,
@@ -25,6 +21,10 @@ from benchmarks.peers.contest import (
     reporter,
     time_best,
 )
+
+from accelsurf import io
+from accelsurf.measure.metrics import dice
+from benchmarks.peers.baselines import BASELINES
 from benchmarks.peers.measure import (
     LONG,
     MissingError,

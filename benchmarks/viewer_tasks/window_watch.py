@@ -66,9 +66,9 @@ def items() -> dict[str, list[int]]:
 
 def write_whole(path: Path, said: dict[str, Any]) -> None:
     """Write a file of JSON, all or nothing."""
-    draft = path.with_suffix(".draft")
-    draft.write_text(json.dumps(said, default=str))
-    os.replace(draft, path)
+    staged = path.with_suffix(".draft")
+    staged.write_text(json.dumps(said, default=str))
+    os.replace(staged, path)
 
 
 class WindowWatch:

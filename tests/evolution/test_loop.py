@@ -44,7 +44,7 @@ def test_converged(flow):
     assert check_level_set(evolution.surface) == []
 
 
-def test_max_steps_and_the_ledger():
+def test_max_steps_and_the_energy_budget():
     evolution = Evolution(
         ball(4), ChanVese(smooth_image()), ConstantDensity(), max_steps=7, rule=StopRule()
     )

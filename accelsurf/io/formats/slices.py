@@ -231,9 +231,9 @@ def read_slices(path: Path, header: SliceFolder, available: int) -> Volume:
         available,
     )
     array: np.ndarray | None = None
-    for z, (file, claim) in enumerate(zip(header.files, header.headers, strict=True)):
+    for z, (file, header_of_file) in enumerate(zip(header.files, header.headers, strict=True)):
         with naming(file):
-            found = load(header.form.read)(file, claim, available)
+            found = load(header.form.read)(file, header_of_file, available)
             if array is None:
                 array, note = (
                     np.empty(header.geometry.shape, found.array.dtype),
@@ -263,10 +263,12 @@ def open_slices(path: Path, header: SliceFolder, opening: Opening) -> LazyVolume
             "slices in PNG are packed as a whole", "convert them to one OME-Zarr or to TIFF"
         )
     slabs = []
-    for file, claim in zip(header.files, header.headers, strict=True):
+    for file, header_of_file in zip(header.files, header.headers, strict=True):
         with naming(file):
             slabs.append(
-                load(header.form.open)(file, claim, Opening(cache_bytes=opening.cache_bytes)).voxels
+                load(header.form.open)(
+                    file, header_of_file, Opening(cache_bytes=opening.cache_bytes)
+                ).voxels
             )
     layout = StoreLayout((header.geometry,), (1, *header.geometry.shape[1:]))
     voxels = StackedVoxels(slabs, [1] * len(slabs))
