@@ -103,7 +103,7 @@ def cases(chosen: Sequence[Chosen], folder: Path) -> Iterator[Case]:
             yield Case(scan, made_by, part, np.ascontiguousarray(labels[box]), id)
 
 
-def coarsened(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator) -> Mask:
+def restricted(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator) -> Mask:
     """Blocks of four voxels of the smallest spacing: stair steps."""
     steps = [max(1, round(4 * min(spacing) / h)) for h in spacing]
     out = block_means(truth.astype(np.float32), steps) >= 0.5
@@ -160,7 +160,7 @@ def _ball(
 
 
 WORSE: dict[str, Callable[[Mask, tuple[float, ...], np.random.Generator], Mask]] = {
-    "coarsened": coarsened,
+    "coarsened": restricted,
     "cut": cut,
     "shifted": shifted,
     "spotted": spotted,

@@ -322,10 +322,10 @@ def take_active(open_slots, n, total, active):
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def sort_changes(on, changed, was_open, refined_later):
+def sort_changes(on, changed, was_open, refine_later):
     """The slots ``on`` (m,) that have ``changed``, and those of them that were open: their first feet. Serial.
 
-    The others of them are marked in ``refined_later`` (n,) bool.
+    The others of them are marked in ``refine_later`` (n,) bool.
     """
     sources, first = np.empty(on.shape[0], np.int64), np.empty(on.shape[0], np.int64)
     count, n_first = 0, 0
@@ -334,7 +334,7 @@ def sort_changes(on, changed, was_open, refined_later):
         sources[count], first[n_first] = s, s
         count += np.int64(changed[row])
         n_first += np.int64(changed[row] & was_open[row])
-        refined_later[s] |= changed[row] & ~was_open[row]
+        refine_later[s] |= changed[row] & ~was_open[row]
     return sources[:count], first[:n_first]
 
 

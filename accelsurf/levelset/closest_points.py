@@ -56,7 +56,7 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
         np.flatnonzero(state[:n] == march.OPEN),
         np.flatnonzero(state[:n] == march.EDGE),
     )
-    active, refined_later = np.zeros(room, np.bool_), np.zeros(room, np.bool_)
+    active, refine_later = np.zeros(room, np.bool_), np.zeros(room, np.bool_)
     active[open_slots] = True
     size = n
     for _ in range(MAX_ROUNDS):
@@ -68,7 +68,7 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
         )
         if cells.size > residue.size:
             more = cells.size - residue.size
-            residue, refined_later = np.pad(residue, (0, more)), np.pad(refined_later, (0, more))
+            residue, refine_later = np.pad(residue, (0, more)), np.pad(refine_later, (0, more))
         active_slots = surface.workers.serial(march.take_active, open_slots, n, size, active)
         if active_slots.size == 0:
             break
@@ -85,7 +85,7 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
         )
         # The first closest point of a cell is refined at once, as neighbours take it over; the others at the end.
         sources, first = surface.workers.serial(
-            march.sort_changes, active_slots, changed, was_open, refined_later
+            march.sort_changes, active_slots, changed, was_open, refine_later
         )
         parallel(
             march.refine_feet,
@@ -97,7 +97,7 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
             to_closest,
             (residue, limited),
         )
-    later = np.flatnonzero(refined_later[:size])
+    later = np.flatnonzero(refine_later[:size])
     parallel(
         march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited)
     )

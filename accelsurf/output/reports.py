@@ -252,10 +252,10 @@ def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
     wanted = config.model_dump(mode="json")
     corrections = wanted.pop("refine")
     free = {*_WITHOUT_EFFECT, *(key for key in _OPEN if key not in config.model_fields_set)}
-    refined = written.get("refine") or []
+    corrections_written = written.get("refine") or []
     return (
-        isinstance(refined, list)
-        and refined[: len(corrections)] == corrections
+        isinstance(corrections_written, list)
+        and corrections_written[: len(corrections)] == corrections
         and all(
             written.get(key, _default(key)) == value
             for key, value in wanted.items()

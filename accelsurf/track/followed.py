@@ -20,7 +20,7 @@ from accelsurf.track.evidence import FACTOR, Profile, volume_in_grid
 from accelsurf.track.frame_run import Measured
 from accelsurf.track.image_motion import LIKE
 from accelsurf.track.momentum import SurfaceMomentum, Triple
-from accelsurf.track.records import CarriedMesh, SurfacePiece, TrackedObject
+from accelsurf.track.records import SurfacePiece, TrackedMesh, TrackedObject
 
 #: A new mesh is made where the volume of a carried one differs from that of its surface by more than this part, or
 #: where more than this part of its triangles has turned over.
@@ -45,7 +45,7 @@ class MeshCarrier:
         self._faces = np.array(faces, np.int64).reshape(-1, 3)
         self._topology, self._generation = tuple(topology), int(generation)
 
-    def in_frame(self, momentum: SurfaceMomentum, geometry: Geometry) -> CarriedMesh | None:
+    def in_frame(self, momentum: SurfaceMomentum, geometry: Geometry) -> TrackedMesh | None:
         """The mesh now, in an image of more than one slice; None where nothing of the object lies in the grid."""
         piece = momentum.piece
         if geometry.slice_axis is not None or not piece.has_inside or (piece.psi < 0).all():
@@ -62,7 +62,7 @@ class MeshCarrier:
             self._faces, self._topology = made.faces.astype(np.int64), topology
             self._generation += 1
             points = momentum.points
-        return CarriedMesh(points, self._faces, self._generation)
+        return TrackedMesh(points, self._faces, self._generation)
 
     def _describes(self, points: NDArray[np.float64], volume: float) -> bool:
         """Test if the carried points are still a mesh of the surface."""

@@ -277,7 +277,9 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
     return False
 
 
-def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior: float) -> Measured:
+def settled(
+    predicted: MovedSurface, appearance: Appearance, image: Volume, prior: float
+) -> Measured:
     """Run a surface in a frame, by an appearance, from the momentum that it has; the chance of its result is even.
 
     The energy is U = int_inside (prior psi_0 - odds) dx + alpha A, psi_0 where it begins. The surface has constant
@@ -285,7 +287,7 @@ def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior:
 
     Parameters
     ----------
-    carried : MovedSurface
+    predicted : MovedSurface
         Moved in place.
     appearance : Appearance
     image : Volume
@@ -293,7 +295,7 @@ def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior:
     prior : float
         Weight of the distance from where it begins, 1/mm.
     """
-    boxed, speed = carried
+    boxed, speed = predicted
     surface, h = boxed.surface, min(image.geometry.steps)
     evidence = functools.partial(appearance.evidence, image)
     odds = (evidence if boxed.halving is None else boxed.halving.on_coarse(evidence))(

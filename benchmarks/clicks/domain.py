@@ -175,7 +175,7 @@ def made(
         1.4826 * float(np.median(np.abs(inside - middle))), floor, 1e-3 * float(np.ptp(part)), 1e-20
     )
     values = np.clip((part - middle) / np.float32(spread), -WINDOW, WINDOW)
-    coarse = coarsened_seeds(seeds, steps)
+    coarse = restricted_seeds(seeds, steps)
     faces = (
         outer_faces(clicks, geometry, box, margin) if drawn is None else faces_beyond(drawn, box)
     )
@@ -221,7 +221,7 @@ def faces_beyond(drawn: Box, box: Box) -> list[tuple[int, int]]:
     return sorted(face for face, beyond in ends if beyond)
 
 
-def coarsened_seeds(seeds: NDArray[np.uint8], steps: tuple[int, int, int]) -> NDArray[np.uint8]:
+def restricted_seeds(seeds: NDArray[np.uint8], steps: tuple[int, int, int]) -> NDArray[np.uint8]:
     """Seeds of blocks: none is lost; a block with seeds of both sides gets neither."""
     sides = []
     for side in (INSIDE, OUTSIDE):

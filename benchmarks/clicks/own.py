@@ -21,7 +21,7 @@ from benchmarks.clicks.person import Mask, PersonClick, voxels_of
 
 def segmenter(name: str) -> Segmenter:
     """Our methods by name."""
-    return {"accelsurf": Refined, "accelsurf-rerun": Rerun, "accelsurf-start": StartAlone}[name]
+    return {"accelsurf": Corrected, "accelsurf-rerun": Rerun, "accelsurf-start": StartAlone}[name]
 
 
 def text_of(click: PersonClick, image: Volume) -> str:
@@ -77,7 +77,7 @@ class Rerun:
         return np.asarray(result.labels > 0)
 
 
-class Refined:
+class Corrected:
     """`accelsurf segment` at the first click, `accelsurf refine` at every later one."""
 
     def __init__(self, image: Volume, hints: Hints) -> None:

@@ -28,7 +28,7 @@ BEHIND, SLOWER = 0.02, 3.0
 #: Seconds after which a search begins no new setting: on the small problem, on the large one.
 SEARCH_S = (60.0, 40.0)
 #: How many of the best settings of the small problem are tried on the large one.
-CARRIED = 2
+TRANSFERRED = 2
 
 
 def available(options: Options, peers: Mapping[str, Peer] | None = None) -> list[Peer]:

@@ -13,7 +13,7 @@ from accelsurf.errors import UsageError
 from accelsurf.image.volume import Volume
 from benchmarks.clicks import __main__ as program
 from benchmarks.clicks import games, methods, objects, peers, tables
-from benchmarks.clicks.domain import CroppedSession, coarsened_seeds, crop, outer_faces
+from benchmarks.clicks.domain import CroppedSession, crop, outer_faces, restricted_seeds
 from benchmarks.clicks.games import Hints, play, summary
 from benchmarks.clicks.measures import surfaces
 from benchmarks.clicks.objects import ClickObject, Scene
@@ -382,11 +382,11 @@ def test_coarse_grids_lose_no_seed() -> None:
     seeds = np.zeros((1, 7, 4), np.uint8)
     seeds[0, 6, 3], seeds[0, 0, 0] = 1, 2
     assert (
-        coarsened_seeds(seeds, (1, 3, 2))[0, 2, 1] == 1
-        and coarsened_seeds(seeds, (1, 3, 2))[0, 0, 0] == 2
+        restricted_seeds(seeds, (1, 3, 2))[0, 2, 1] == 1
+        and restricted_seeds(seeds, (1, 3, 2))[0, 0, 0] == 2
     )
     seeds[0, 1, 1] = 1
-    assert coarsened_seeds(seeds, (1, 3, 2))[0, 0, 0] == 0
+    assert restricted_seeds(seeds, (1, 3, 2))[0, 0, 0] == 0
 
 
 def test_the_shortest_path_goes_around_a_wall() -> None:

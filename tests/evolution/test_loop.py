@@ -245,7 +245,7 @@ def test_a_surface_at_a_sharp_edge_does_not_flicker(flow, steps, epsilon):
 
 
 @pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev])
-def test_the_strongest_force_is_remembered_in_mm_when_the_grid_changes(flow):
+def test_the_strongest_force_is_stored_in_mm_when_the_grid_changes(flow):
     coarse = LevelSet(np.asarray(2.0 * radius() - 14), (2.0, 2.0, 2.0))
     made = flow()
     made.start(coarse)
