@@ -33,7 +33,7 @@ from accelsurf.measure.quality import assess
 from accelsurf.run.preprocessing import apply, scale_of
 from benchmarks.clicks.folds import PHANTOMS
 from benchmarks.clicks.games import SAID, Hints
-from benchmarks.clicks.objects import Scene, chosen, load
+from benchmarks.clicks.objects import Scene, load, selected
 from benchmarks.clicks.own import StartAlone
 from benchmarks.clicks.person import PersonClick, next_click, voxels_of
 from benchmarks.clicks.references import within
@@ -231,32 +231,32 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--render", action="store_true", help="measure nothing")
     options = parser.parse_args(arguments)
     if options.render:
-        facts = json.loads(JSON.read_text())
+        results = json.loads(JSON.read_text())
     else:
-        facts = measure(options.volumes)
-        JSON.write_text(json.dumps(facts, indent=1) + "\n")
-    put_table(SIZES_PAGE, "benchmarks.first_clicks", text_of_sizes(facts["sizes"]), "python -m")
-    put_table(EVEN_PAGE, "benchmarks.first_clicks", text_of_even(facts["even"]), "python -m")
+        results = measure(options.volumes)
+        JSON.write_text(json.dumps(results, indent=1) + "\n")
+    put_table(SIZES_PAGE, "benchmarks.first_clicks", text_of_sizes(results["sizes"]), "python -m")
+    put_table(EVEN_PAGE, "benchmarks.first_clicks", text_of_even(results["even"]), "python -m")
     return 0
 
 
 def measure(folder: Path | None) -> dict[str, list[Row]]:
     """Make the rows."""
-    facts: dict[str, list[Row]] = {"even": [], "sizes": []}
+    results: dict[str, list[Row]] = {"even": [], "sizes": []}
     for part in ("2D", "3D"):
         for seed in range(SEEDS):
             drawn = even_object(part == "2D", seed)
             for kind, click in even_clicks(drawn.scene, seed):
                 about = {"part": part, "seed": seed, "look": drawn.look, "click": kind}
-                facts["even"].append({**about, **answered(drawn.scene, click)})
-                print(facts["even"][-1], flush=True)
-    for which in chosen([] if folder is not None else [PHANTOMS]):
+                results["even"].append({**about, **answered(drawn.scene, click)})
+                print(results["even"][-1], flush=True)
+    for which in selected([] if folder is not None else [PHANTOMS]):
         scene = load(which, folder)
         about = {"object": which.name, "fold": which.fold, "family": which.family}
         for kind, click in first_clicks(scene):
-            facts["sizes"].append({**about, "click": kind, **answered(scene, click)})
-            print(facts["sizes"][-1], flush=True)
-    return facts
+            results["sizes"].append({**about, "click": kind, **answered(scene, click)})
+            print(results["sizes"][-1], flush=True)
+    return results
 
 
 if __name__ == "__main__":

@@ -191,15 +191,15 @@ def draw(part: str, number: int) -> Iterator[tuple[dict[str, Any], accelsurf.Vol
         image += (1 - inside) * np.float32(random.uniform(0.3, 0.6)) * (along > 6)
     blur = random.uniform(0.3, 1.0)
     image = ndimage.gaussian_filter(image, blur / FINE)
-    facts = {"part": part, "number": number, "shape": name, "kind": kind, "blur": blur}
+    results = {"part": part, "number": number, "shape": name, "kind": kind, "blur": blur}
     for thickness in THICKNESSES:
         steps = (round(thickness / FINE), round(1 / FINE), round(1 / FINE))
         voxels, share = _averaged(image, steps), _averaged(inside, steps)
         noise = float(random.choice(NOISES))
         voxels = voxels + random.normal(0, noise, voxels.shape)
         scan = accelsurf.Volume.from_array((100 * voxels).astype(np.float32), (thickness, 1.0, 1.0))
-        facts_here = {**facts, "noise": noise, "thickness": thickness}
-        yield facts_here, scan, Truth(volume, area, diameter, share > 0.5)
+        results_here = {**results, "noise": noise, "thickness": thickness}
+        yield results_here, scan, Truth(volume, area, diameter, share > 0.5)
 
 
 def _averaged(values: NDArray[Any], steps: tuple[int, int, int]) -> Floats:
@@ -233,8 +233,8 @@ def clicked(scan: accelsurf.Volume, truth: Truth) -> tuple[accelsurf.Result, flo
 def played(part: str, numbers: range, surfaces: Path | None) -> Iterator[dict[str, Any]]:
     """Yield a row for each phantom in slices of each thickness: its facts, the truth, and the measures of its edge."""
     for number in numbers:
-        for facts, scan, truth in draw(part, number):
-            name = f"{part}_{number}_{facts['thickness']:g}.npz"
+        for results, scan, truth in draw(part, number):
+            name = f"{part}_{number}_{results['thickness']:g}.npz"
             kept = None if surfaces is None else surfaces / name
             if kept is None or not kept.exists():
                 result, dice, clicks = clicked(scan, truth)
@@ -247,9 +247,9 @@ def played(part: str, numbers: range, surfaces: Path | None) -> Iterator[dict[st
                     psi, image = arrays["psi"], arrays["image"]
                     surface, dice, clicks = arrays["figures"].tolist()
             edge = edge_measures(psi, image, scan.geometry, surface)
-            print(facts, f"Dice {dice:.3f}", flush=True)
+            print(results, f"Dice {dice:.3f}", flush=True)
             yield {
-                **facts,
+                **results,
                 "dice": round(dice, 4),
                 "clicks": int(clicks),
                 "true": {key: round(getattr(truth, key), 3) for key in KEYS},

@@ -41,7 +41,7 @@ from tests.support.lagrangian_cases import (
 from tests.support.offsets import CLOSE, MERGE, SPLIT, grow
 
 ROOT = Path(__file__).resolve().parent.parent
-FACTS = ROOT / "benchmarks" / "results" / "lagrangian.json"
+RESULTS_FILE = ROOT / "benchmarks" / "results" / "lagrangian.json"
 Row = dict[str, Any]
 #: A row of the study: its section, its name, the function that makes it and what that is called with.
 Job = tuple[str, str, Callable[..., Row], tuple[Any, ...]]
@@ -60,19 +60,19 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
     names = [name.strip() for name in options.only.split(",") if name.strip()] or list(SECTIONS)
-    facts: dict[str, Any] = json.loads(FACTS.read_text()) if FACTS.exists() else {}
+    results: dict[str, Any] = json.loads(RESULTS_FILE.read_text()) if RESULTS_FILE.exists() else {}
     jobs = [job for name in names for job in SECTIONS[name](options.quick)]
     with ProcessPoolExecutor(options.processes) as pool:
         found = [(job, pool.submit(job[2], *job[3])) for job in jobs]
         for name in names:
-            facts[name] = {}
+            results[name] = {}
         for (section, name, _, _), row in found:
-            facts[section][name] = plain(row.result())
-            print(f"{section:12s} {name:40s} {told(facts[section][name])}", flush=True)
-    facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
+            results[section][name] = plain(row.result())
+            print(f"{section:12s} {name:40s} {told(results[section][name])}", flush=True)
+    results["versions"] = {key: value for key, value in versions().items() if key != "platform"}
     if not options.quick:
-        FACTS.write_text(json.dumps(facts, indent=1) + "\n")
-        print(f"written: {FACTS.relative_to(ROOT)}")
+        RESULTS_FILE.write_text(json.dumps(results, indent=1) + "\n")
+        print(f"written: {RESULTS_FILE.relative_to(ROOT)}")
 
 
 def told(row: Row) -> str:

@@ -77,8 +77,8 @@ def main() -> None:
             )
             row[f"{threads} threads"] = json.loads(done.stdout)
         print(name, json.dumps(row), flush=True)
-        facts = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-        RESULTS.write_text(json.dumps(facts | {name: row}, indent=1) + "\n")
+        results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+        RESULTS.write_text(json.dumps(results | {name: row}, indent=1) + "\n")
 
 
 def scene(name: str, seed: int) -> Work:

@@ -38,7 +38,7 @@ ROOT = Path(__file__).resolve().parent.parent
 JSON, PAGE = ROOT / "docs/explanation/mend.json", ROOT / "docs/explanation/mend.md"
 
 
-class Chosen(NamedTuple):
+class Selected(NamedTuple):
     """Objects of a scan: how many, who made the reference, least and most voxels, and the first id that is none."""
 
     scan: str
@@ -51,19 +51,19 @@ class Chosen(NamedTuple):
 #: What is reported, and what numbers were chosen on. FreeSurfer's ids from 1000 on are parts of the cortex, which have
 #: no edge between them.
 REPORTED = (
-    Chosen("ct_abdomen_hires", 2, "a network"),
-    Chosen("ct_abdomen_hires", 2, "a network", (10_000, 150_000)),
-    Chosen("mri_brain256", 3, "a program", below=1000),
-    Chosen("mri_brain256", 1, "a program", (10_000, 60_000), below=1000),
-    Chosen("mri_cord_iso", 1, "people"),
-    Chosen("mri_cord_thick", 1, "people"),
-    Chosen("fluo_nuclei1136", 1, "people"),
-    Chosen("synthetic_nuclei", 2, "a simulation"),
+    Selected("ct_abdomen_hires", 2, "a network"),
+    Selected("ct_abdomen_hires", 2, "a network", (10_000, 150_000)),
+    Selected("mri_brain256", 3, "a program", below=1000),
+    Selected("mri_brain256", 1, "a program", (10_000, 60_000), below=1000),
+    Selected("mri_cord_iso", 1, "people"),
+    Selected("mri_cord_thick", 1, "people"),
+    Selected("fluo_nuclei1136", 1, "people"),
+    Selected("synthetic_nuclei", 2, "a simulation"),
 )
 TUNED = (
-    Chosen("ct_vertebra_l3", 1, "a program"),
-    Chosen("mri_lung_0004", 1, "people"),
-    Chosen("fluo_nuclei1135", 1, "people"),
+    Selected("ct_vertebra_l3", 1, "a program"),
+    Selected("mri_lung_0004", 1, "people"),
+    Selected("fluo_nuclei1135", 1, "people"),
 )
 #: Voxels around an object that is played.
 AROUND = 20
@@ -86,9 +86,9 @@ class Case(NamedTuple):
         return np.asarray(self.labels == self.id)
 
 
-def cases(chosen: Sequence[Chosen], folder: Path) -> Iterator[Case]:
+def cases(selected: Sequence[Selected], folder: Path) -> Iterator[Case]:
     """Objects at equal steps of rank by size, of those that are neither tiny nor huge."""
-    for scan, count, made_by, (least, most), below in chosen:
+    for scan, count, made_by, (least, most), below in selected:
         image = accelsurf.read(folder / f"{scan}.nii.gz")
         labels = accelsurf.read_labels(folder / f"{scan}_ref.nii.gz").array
         ids, sizes = np.unique(labels[labels > 0], return_counts=True)

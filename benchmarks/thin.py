@@ -95,8 +95,8 @@ def main() -> None:
         found = [resized(first, last, k, options.count) for k in range(len(DIRECTIONS))]
         rows.append(row(f"speed, radius from {first:g} to {last:g}", "cylinder", last, UNIT, found))
     options.output.mkdir(parents=True, exist_ok=True)
-    facts = {"what": __doc__, "count": options.count, "rows": rows}
-    (options.output / "thin.json").write_text(json.dumps(facts, indent=1) + "\n")
+    results = {"what": __doc__, "count": options.count, "rows": rows}
+    (options.output / "thin.json").write_text(json.dumps(results, indent=1) + "\n")
     print(f"written: {options.output / 'thin.json'}")
 
 

@@ -134,7 +134,7 @@ class Batch:
         self.admission = admission
         self.layout = layout
         self.names = TableNames(shard)
-        self._facts = {
+        self._description = {
             "argv": list(argv),
             "layout": layout,
             "shard": None if shard is None else str(shard),
@@ -179,7 +179,7 @@ class Batch:
         waiting = [Outcome(task.case.id, folder=task.shown_folder) for task in self.tasks]
         images = {task.case.id: task.case.image for task in self.tasks}
         columns = TRACK_COLUMNS if self.is_tracking else COLUMNS
-        return Tables(files, self.names, self._facts, waiting, images, columns)
+        return Tables(files, self.names, self._description, waiting, images, columns)
 
     @property
     def is_tracking(self) -> bool:

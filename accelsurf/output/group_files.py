@@ -153,7 +153,7 @@ def write_group(
         When a mesh cannot be written; OSError when something else cannot.
     """
     objects = result.objects
-    facts = {key: getattr(result, key) for key in ("energy", "resolved_settings", "warnings")}
+    description = {key: getattr(result, key) for key in ("energy", "resolved_settings", "warnings")}
     with _staged(folder) as staged:
         record = GroupRecord(
             (),
@@ -165,7 +165,7 @@ def write_group(
             np.asarray(result.high, np.int64),
             [segmented.stop for segmented in objects],
             [_write_meshes(staged, segmented, names, space) for segmented in objects],
-            _plain({**facts, "window": describe_window(result.window)}),
+            _plain({**description, "window": describe_window(result.window)}),
             [np.packbits(segmented.labels) for segmented in objects],
         )
         states.write_state(staged / _RECORD, record, TYPES)

@@ -256,7 +256,7 @@ def of_scan(name: str, folder: Path | None) -> list[ClickObject]:
     rest = [
         each.object for each in every if each.object.name in FORMER and each.object not in taken
     ]
-    return taken + [replace(each, chosen=False) for each in rest]
+    return taken + [replace(each, selected=False) for each in rest]
 
 
 def main() -> int:
@@ -264,7 +264,7 @@ def main() -> int:
     folder = Path(os.environ["ACCELSURF_VOLUMES"])
     found = [each for fold in FOLDS for name in fold.scans for each in of_scan(name, folder)]
     TABLE.write_text(written(found))
-    print(f"written: {TABLE}, {sum(each.chosen for each in found)} chosen")
+    print(f"written: {TABLE}, {sum(each.selected for each in found)} chosen")
     return 0
 
 

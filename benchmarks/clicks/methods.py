@@ -10,7 +10,7 @@ from accelsurf.image.volume import Volume
 from benchmarks.clicks.domain import CroppedSession
 from benchmarks.clicks.folds import tuned_on
 from benchmarks.clicks.games import Hints, Segmenter, Session, score
-from benchmarks.clicks.objects import ClickObject, chosen
+from benchmarks.clicks.objects import ClickObject, selected
 from benchmarks.clicks.peers import PEERS, ClickPeer
 from benchmarks.clicks.store import Store, key_of
 
@@ -56,7 +56,7 @@ class Method:
         """
         if len(self.grid) == 1:
             return self.grid[0]
-        others = chosen(tuned_on(fold))
+        others = selected(tuned_on(fold))
         scores: list[float] = []
         for settings in self.grid:
             games = [game for each in others if (game := tuned(store, each, settings)) is not None]

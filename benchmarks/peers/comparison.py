@@ -102,7 +102,7 @@ def judge(
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Goals and pairs: Dice and seconds against the best program that moves a surface, Dice against baselines."""
     own = programs[OWN]
-    others = {name: facts for name, facts in programs.items() if name not in (OWN, LEVEL)}
+    others = {name: results for name, results in programs.items() if name not in (OWN, LEVEL)}
     pairs = [
         {
             "pair": f"{label}: {name} / accelsurf",
@@ -111,13 +111,14 @@ def judge(
         }
         for name, f in others.items()
     ]
-    peers = {name: facts for name, facts in others.items() if name in PEERS}
+    peers = {name: results for name, results in others.items() if name in PEERS}
     if not peers:
         return [goal(f"{label}: times faster than the best peer", wanted, None)], pairs
     top = best(
-        Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in peers.items()
+        Trial({"name": name}, results["dice"], results["median_s"])
+        for name, results in peers.items()
     )
-    highest = max(facts["dice"] for facts in peers.values())
+    highest = max(results["dice"] for results in peers.values())
     name, as_good = (
         top.settings["name"],
         programs.get(LEVEL, own if own["dice"] >= highest else None),
@@ -132,7 +133,7 @@ def judge(
         ),
         goal(f"{label}: the same at its own best Dice", wanted, top.seconds / own["median_s"]),
         *_beside_baselines(
-            own, {name: facts for name, facts in others.items() if name in BASELINES}, label
+            own, {name: results for name, results in others.items() if name in BASELINES}, label
         ),
     ], pairs
 
@@ -144,7 +145,8 @@ def _beside_baselines(
     if not baselines:
         return []
     top = best(
-        Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in baselines.items()
+        Trial({"name": name}, results["dice"], results["median_s"])
+        for name, results in baselines.items()
     )
     name = top.settings["name"]
     return [

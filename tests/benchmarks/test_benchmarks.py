@@ -352,6 +352,6 @@ def test_a_tree_does_each_work_and_a_commit_that_is_not_there_is_one_line() -> N
 
 @pytest.mark.parametrize(("study", "entries"), [(defaults, "rows"), (real_scans, "cases")])
 def test_the_table_of_a_page_is_that_of_its_json(study: Any, entries: str) -> None:
-    found = json.loads(study.FACTS.read_text())[entries]
+    found = json.loads(study.RESULTS_FILE.read_text())[entries]
     table = study.text_of(found.values() if study is defaults else found)
     assert len(table) > 500 and table.strip() in study.PAGE.read_text()

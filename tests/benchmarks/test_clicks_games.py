@@ -280,7 +280,7 @@ def test_folds_without_chosen_settings_are_left_out_or_played_with_the_default(
     assert program.main([*call, "--default"]) == 0
     # The default is the last of the grid.
     assert set(small) == {3.0}
-    assert {key.split("/")[0] for key in Store(tmp_path, "made-up").facts["games"]} == {"c"}
+    assert {key.split("/")[0] for key in Store(tmp_path, "made-up").description["games"]} == {"c"}
 
 
 def test_a_game_with_more_clicks_serves_for_fewer_and_not_the_other_way(tmp_path: Path) -> None:
@@ -462,8 +462,8 @@ def test_tables_and_picture_are_made_of_the_games(
         "| liver | 1 | organs | 0.800 | 0.900 | 0.900 | 0.950 |  | 2 | 0.900 (watershed) |" in text
     )
     assert (tmp_path / "clicks.md").read_text() in text
-    facts = json.loads((tmp_path / "clicks.json").read_text())
-    assert facts["figures"]["plain"]["watershed"]["all"]["noc"]["0.85"] == 4.5
+    description = json.loads((tmp_path / "clicks.json").read_text())
+    assert description["figures"]["plain"]["watershed"]["all"]["noc"]["0.85"] == 4.5
     assert [path.name for path in written] == ["clicks.json", "clicks.md", "page.md", "clicks.png"]
     assert written[-1].stat().st_size > 5000
     rows = tables.flat(tmp_path)

@@ -49,9 +49,9 @@ def test_front_mask_is_the_part_within_a_width():
 @pytest.mark.parametrize("seed", range(5))
 def test_merged_order_is_raster_order(seed):
     rng = np.random.default_rng(seed)
-    chosen = rng.permutation(200)[:90]
+    selected = rng.permutation(200)[:90]
     n_old = int(rng.integers(0, 90))
-    old, new = np.sort(chosen[:n_old]), chosen[n_old:]
+    old, new = np.sort(selected[:n_old]), selected[n_old:]
     cells = np.concatenate([old, new])
     keep = rng.random(cells.size) < 0.6
     entered = n_old + np.flatnonzero(keep[n_old:])

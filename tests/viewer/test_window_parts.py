@@ -119,8 +119,8 @@ def test_a_message_is_seen_as_a_whole_at_any_size():
 
 
 def test_window_and_page_have_the_same_panels_tools_and_buttons_in_the_same_order():
-    titles, changes, tools, chosen, tip, bar, unbegun, shown, hidden, folded = lines_of(PANELS)
-    assert tools.split()[:4] == ["Size", "Inside", "Outside", "Look"] and chosen == "Size"
+    titles, changes, tools, selected, tip, bar, unbegun, shown, hidden, folded = lines_of(PANELS)
+    assert tools.split()[:4] == ["Size", "Inside", "Outside", "Look"] and selected == "Size"
     assert tip == Size.tip and len(tip) < 80
     assert (
         unbegun == "False False False" and folded == "['Expert']"
