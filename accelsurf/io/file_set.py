@@ -179,21 +179,19 @@ class FileSet:
             When one of the old files is an input of the run.
         """
         names = sorted(path.name for path in self.staging.iterdir() if path.name != last)
-        everything = names if last is None else [*names, last]
+        all_names = names if last is None else [*names, last]
         gone = [
-            name
-            for name in remove
-            if name not in everything and os.path.lexists(self.folder / name)
+            name for name in remove if name not in all_names and os.path.lexists(self.folder / name)
         ]
-        InputFiles(self._inputs).refuse(self.folder / name for name in (*everything, *gone))
+        InputFiles(self._inputs).refuse(self.folder / name for name in (*all_names, *gone))
         for path in self.staging.iterdir():
             sync(path)
         with uninterrupted():
             if self._mends and mends:
                 self._begin_again()
-            if len(everything) == 1 and not gone and not self._has_folder(everything[0]):
+            if len(all_names) == 1 and not gone and not self._has_folder(all_names[0]):
                 # All or nothing by itself.
-                os.replace(self.staging / everything[0], self.folder / everything[0])
+                os.replace(self.staging / all_names[0], self.folder / all_names[0])
             else:
                 self._exchange(names, last, gone)
             self.committed = True

@@ -400,8 +400,8 @@ class ImageContext:
                 sums = sums_by_plane(image, summing, training.background)
             else:
                 whole = self.whole_sums(channel, self.spacing, kind, summing)
-                everything = sums_by_plane(image, summing) if whole is None else whole
-                sums = everything - sums_by_plane(image, summing, training.foreground)
+                of_whole = sums_by_plane(image, summing) if whole is None else whole
+                sums = of_whole - sums_by_plane(image, summing, training.foreground)
             self._background[channel, kind] = sums
         return self._background[channel, kind]
 

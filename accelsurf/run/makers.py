@@ -215,11 +215,11 @@ def likelihood(inputs: TermInputs) -> Made:
             image, inputs.alpha, learned, epsilon, parzen, elsewhere, whole
         ), used
     least = context.once(least_variance, channel)
-    everything = _moments_of_whole(inputs)
+    of_whole = _moments_of_whole(inputs)
     if update == "yes":
         moments = context.moments_elsewhere(channel)
         return GaussianLikelihood(
-            image, inputs.alpha, None, epsilon, moments, everything, least
+            image, inputs.alpha, None, epsilon, moments, of_whole, least
         ), used
     # Outliers of a sample of the object are no part of it; the background is of many kinds, which all count.
     inside = robust_gaussian_of(context.sample(channel), least)
@@ -230,7 +230,7 @@ def likelihood(inputs: TermInputs) -> Made:
     for name, (mean, variance) in (("inside", inside), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
     return GaussianLikelihood(
-        image, inputs.alpha, TwoGaussians(inside, other), epsilon, whole=everything
+        image, inputs.alpha, TwoGaussians(inside, other), epsilon, whole=of_whole
     ), used
 
 

@@ -54,12 +54,12 @@ class RegionTotals:
         name = f"{kind} {channel}"
         self._summing[name] = summing
         if name not in self.totals:
-            self.totals[name] = self._over_everything(self._images[channel], summing)
+            self.totals[name] = self._over_whole(self._images[channel], summing)
         image, inside = self._images[channel][box], self._psi[box] < 0
         total = self.totals[name]
         return total[0] - summing(image[inside]), total[1] - summing(image.ravel())
 
-    def _over_everything(self, image: NDArray[np.float32], summing: Summing) -> NDArray[np.float64]:
+    def _over_whole(self, image: NDArray[np.float32], summing: Summing) -> NDArray[np.float64]:
         return np.stack(
             [sums_by_plane(image, summing, self._psi < 0), sums_by_plane(image, summing)]
         )

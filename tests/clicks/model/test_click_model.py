@@ -301,8 +301,8 @@ def test_confidence_is_higher_of_a_clear_object(two_balls):
 
 def test_a_whole_image_may_be_the_click():
     image = np.zeros((4, 5, 6), np.float32)
-    everything = Click("inside", whole_box((4, 5, 6)), np.ones((4, 5, 6), bool))
-    model = click_model(Scene((image,), SPACING), Clicks((everything,), (4, 5, 6)))
+    all_voxels = Click("inside", whole_box((4, 5, 6)), np.ones((4, 5, 6), bool))
+    model = click_model(Scene((image,), SPACING), Clicks((all_voxels,), (4, 5, 6)))
     assert shown(model, (4, 5, 6)).all()
 
 
