@@ -253,7 +253,7 @@ class RegionMass(Accelerated):
         across = layer.area > 0.0, layer.normal, self.width, np.zeros((surface.size, 3))
         where = surface.dense.slot, surface.grid, surface.band
         surface.workers.serial(
-            kernels.spread_across,
+            kernels.extend_across,
             0,
             surface.size,
             *where,

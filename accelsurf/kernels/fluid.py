@@ -294,7 +294,7 @@ def means_across(start, stop, fluid, grid, band, layer, out):
 
 
 @kernel(stage=Stage.FLOW)
-def spread_across(start, stop, slot, grid, band, layer, values, out):
+def extend_across(start, stop, slot, grid, band, layer, values, out):
     """Add ``values`` (n, 3) of the cells to the band cells across the surface, into ``out`` (n, 3): by one thread.
 
     The adjoint of `means_across`: where values are area x force/(rho x voxel), the accelerations that come out work on

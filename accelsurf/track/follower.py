@@ -31,7 +31,7 @@ from accelsurf.track.frame_run import (
     following_settings,
     measure,
     measured_piece,
-    settled,
+    recognised,
 )
 from accelsurf.track.image_motion import LIKE, image_motion
 from accelsurf.track.momentum import Gains, SurfaceMomentum, Triple
@@ -136,21 +136,21 @@ class Follower:
         starts = [ObjectStart(id, *piece) for id, piece in given.items()]
         step = min(self._geometry.steps)
         trust = {}
-        holding = set(given)
+        moving_ids = set(given)
         for steps in TRIED_STEPS:
-            if holding:
+            if moving_ids:
                 run = self._run.replace(max_steps=min(steps, self._run.max_steps))
                 found = measure(arrival.channels, starts, run, self._energy)
                 left = {
                     id: mean_square(piece, found[id].surface, step) for id, piece in given.items()
                 }
-                holding &= {id for id, square in left.items() if square <= ROUNDING * step**2}
+                moving_ids &= {id for id, square in left.items() if square <= ROUNDING * step**2}
         for followed in [followed for followed in self.objects if followed.id in given]:
-            piece, holds = given[followed.id], followed.id in holding
+            piece, holds = given[followed.id], followed.id in moving_ids
             depth = 2.0 * followed.volume_mm3 / max(followed.area_mm2, 1e-300)
             appearance = None if holds else appearance_of(arrival.channels[0], piece)
             if appearance is not None:
-                again = settled(
+                again = recognised(
                     self._at_rest(piece, depth).moved_surface(0.0),
                     appearance,
                     arrival.channels[0],
@@ -304,7 +304,9 @@ class Follower:
                 continue
             prior = followed.prior(MIN_PRIOR_DEVIATION * min(self._geometry.steps) ** 2)
             predicted = followed.momentum.moved_surface(arrival.duration)
-            found[followed.id] = settled(predicted, followed.appearance, arrival.channels[0], prior)
+            found[followed.id] = recognised(
+                predicted, followed.appearance, arrival.channels[0], prior
+            )
         if then:
             occupied = [
                 measured.surface for measured in found.values() if measured.surface.psi.size

@@ -277,7 +277,7 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
     return False
 
 
-def settled(
+def recognised(
     predicted: MovedSurface, appearance: Appearance, image: Volume, prior: float
 ) -> Measured:
     """Run a surface in a frame, by an appearance, from the momentum that it has; the chance of its result is even.

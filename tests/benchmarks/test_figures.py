@@ -69,7 +69,7 @@ def test_steps_to_one_percent_of_the_gap() -> None:
     assert (entry["steps"], entry["cells_visited"], entry["seconds"]) == (2, 20, 2.0)
     assert speed.line("gradient", 32, 3, run, 0.5)["steps"] is None
     falling = list(10.0 * 0.8 ** np.arange(80))
-    assert not speed.settled(falling[:40]) and speed.settled(falling)
+    assert not speed.is_steady(falling[:40]) and speed.is_steady(falling)
 
 
 def test_the_plain_settings_come_first() -> None:

@@ -113,7 +113,7 @@ def test_what_is_spread_across_works_what_the_means_say() -> None:
     )
     spread = np.zeros((surface.size, 3))
     there = surface.dense.slot, surface.grid, surface.band
-    surface.workers.serial(kernels.spread_across, 0, surface.size, *there, layer, values, spread)
+    surface.workers.serial(kernels.extend_across, 0, surface.size, *there, layer, values, spread)
     momentum = fluid.reshape(4, -1)[1:, surface.band.cells].T
     one = float((momentum * spread).sum())
     other = float((means[:, :1] * means[:, 1:] * values)[where].sum())

@@ -39,7 +39,7 @@ def actions(session, scene_of):
         ended(session)
 
 
-def settled(actions):
+def state_when_idle(actions):
     assert actions.session.wait(60)
     shown(actions)
     return actions.session.status
@@ -47,7 +47,7 @@ def settled(actions):
 
 def made(actions):
     """The changes that are in force."""
-    return [one.line for one in settled(actions).changes if one.done]
+    return [one.line for one in state_when_idle(actions).changes if one.done]
 
 
 def axial(actions, world):
@@ -89,7 +89,7 @@ def test_the_same_button_again_begins_anew_where_its_release_was_lost(actions):
     drag(actions, "axial", SECOND)
     assert actions.scene.marks.count == 1
     actions.request("release")
-    (refinement,) = settled(actions).refinements
+    (refinement,) = state_when_idle(actions).refinements
     assert len(refinement.inside) == 1 and refinement.inside[0].startswith("ball:25,")
     assert actions.scene.marks.count == 0
 
@@ -133,8 +133,8 @@ def test_one_finger_is_the_left_button(actions):
         actions.request("touch_down", *axial(actions, FIRST), number, True)
         actions.request("touch_move", *axial(actions, (13.0, 8.0, 9.0)), number)
         actions.request("touch_up", number)
-        assert len(settled(actions).refinements) == number - 2 and not actions.message
-    assert settled(actions).refinements[0].inside[0].startswith("path:")
+        assert len(state_when_idle(actions).refinements) == number - 2 and not actions.message
+    assert state_when_idle(actions).refinements[0].inside[0].startswith("path:")
 
 
 def test_what_is_under_two_fingers_stays_under_them(actions):
@@ -213,7 +213,7 @@ def test_fingers_that_were_lost_and_hands_beside_a_pen(actions):
     actions.request("touch_up", 5)
     assert actions.scene.marks.count == 1
     actions.request("release")
-    (refinement,) = settled(actions).refinements
+    (refinement,) = state_when_idle(actions).refinements
     assert refinement.inside[0].startswith("ball:11,") and actions.scene.marks.count == 0
 
 
@@ -350,4 +350,4 @@ def test_steps_of_plateaus_reach_the_page_and_can_be_gone_to(actions):
     assert actions.feature(HistoryFeature).state(status)["rests"] == [3, 7]
     for step in (7, 3):
         actions.request("go_to", step)
-        assert settled(actions).step == step and not actions.message
+        assert state_when_idle(actions).step == step and not actions.message

@@ -17,7 +17,7 @@ from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.slices import DragLines, function_lines, surface_lines
 from tests.support import viewing
-from tests.support.viewing import settle
+from tests.support.viewing import wait_until_idle
 
 TURNED = Rotation.from_euler("xyz", [9, -14, 20], degrees=True).as_matrix() @ np.diag(
     [-1.0, -1.0, 1.0]
@@ -256,7 +256,7 @@ def actions():
         made.request("layout", "slices")
         made.request("chart", False)
         made.request("cursor", *center)
-        settle(made)
+        wait_until_idle(made)
         scene.screenshot()
         yield made, center
     scene.close()
@@ -291,7 +291,7 @@ def test_a_stroke_marks_the_voxels_under_the_brush(actions, name):
         key: layer._sides > 0 for key, layer in zip(scene.slice_tiles, strokes._layers, strict=True)
     }
     actions.request("release")
-    settle(actions)
+    wait_until_idle(actions)
     given = [
         text
         for edit in (*actions.session.status.edits, *actions.session.status.refinements)
