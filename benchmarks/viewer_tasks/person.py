@@ -141,14 +141,14 @@ class Person:
                 panels = self.now()["widgets"]["panels"]
                 # The wheel over the panels scrolls them and changes no list and no number in them.
                 beyond = place[1] - high if place[1] >= high else low - place[1]
-                self.turn_wheel(panels, 5 if place[1] >= high else 4, 1 + int(beyond // NOTCH))
+                self.scroll(panels, 5 if place[1] >= high else 4, 1 + int(beyond // NOTCH))
                 before, place, turns = place, self._at_rest(name), turns + 1
                 if place == before:  # it lies beside what the wheel moves
                     self.actions -= 1
                     break
         self.click(place)
 
-    def turn_wheel(self, place: Sequence[float], button: int, notches: int) -> None:
+    def scroll(self, place: Sequence[float], button: int, notches: int) -> None:
         """Turn the wheel: up is 4, down 5."""
         self.actions += 1
         x, y = self._pixel(place)

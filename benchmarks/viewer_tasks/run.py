@@ -218,7 +218,7 @@ def show(person: Person, world: np.ndarray) -> None:
     slope, first = wanted
     notches = round(first + slope * float(world[2])) + 1 - now
     if notches:
-        person.turn_wheel(
+        person.scroll(
             seen["tiles"]["axial"]["middle"], 4 if (notches > 0) == (slope > 0) else 5, abs(notches)
         )
         person.until(

@@ -45,7 +45,7 @@ def crop(person, folder, name):
 
 
 @needs_screen
-def test_grey_values_by_drag_wheel_and_list(person):
+def test_grey_values_by_drag_scroll_and_list(person):
     x, y = person.now()["tiles"]["axial"]
     before = person.now()["state"]
     person.do(

@@ -89,7 +89,7 @@ def test_pointers_are_sent_as_what_they_are():
     ]
 
 
-def test_the_wheel_is_sent_as_the_browser_counts_it():
+def test_the_scroll_is_sent_as_the_browser_counts_it():
     script = (
         EVENTS
         + """

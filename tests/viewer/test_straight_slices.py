@@ -343,7 +343,7 @@ def test_the_read_out_is_of_the_voxel_under_the_mouse_and_can_be_copied(actions)
     )
 
 
-def test_sliders_wheel_and_switch(actions):
+def test_sliders_scroll_and_switch(actions):
     actions, center = actions
     scene, said = actions.scene, actions.state()
     assert said["straight"] and said["is_oblique"]
