@@ -278,8 +278,8 @@ def page_of(record: dict[str, Any]) -> str:
         "whole run, of a later one the correction. Each is the fastest of "
         f"{REPEATS}.",
         "",
-        f"{record['threads']} threads, {record['cores']} cores, load {record['load']:.1f} at the beginning. Where that is "
-        "more than the cores, a person would wait less on an idle machine, and the processor's seconds, of the same "
+        f"{record['threads']} threads, {record['cores']} cores, load {record['load']:.1f} at the beginning. Where that "
+        "is more than the cores, a person would wait less on an idle machine, and the processor's seconds, of the same "
         "clicks with one thread, tell more. Scans: objects of a T1 brain (niivue's demo images).",
         "",
         "| clicks | number | median | 95 % | largest | first step shown, median | processor, median | 95 % | wanted |",

@@ -140,10 +140,12 @@ def apart(
     there = LevelSet(other.psi, (spacing[0], spacing[1], spacing[2]), 6.0)
     cells = np.stack(np.unravel_index(here.band.cells, here.shape), axis=1)
     near = here.front(1.0)
-    feet = (cells + here.band.to_closest / np.array(spacing))[near] + np.subtract(
+    closest_points = (cells + here.band.to_closest / np.array(spacing))[near] + np.subtract(
         one.corner, other.corner
     )
-    off = np.abs(ndimage.map_coordinates(there.psi, feet.T, order=1, mode="nearest")) / min(spacing)
+    off = np.abs(
+        ndimage.map_coordinates(there.psi, closest_points.T, order=1, mode="nearest")
+    ) / min(spacing)
     return float(off.mean()), float(np.percentile(off, 99)), float(off.max())
 
 

@@ -133,7 +133,7 @@ def flood_component(psi, grid, cell, inside, flood, near):
 
 
 @kernel
-def touching(points, dense, grid, corner, reach, width):
+def touching(points, dense, grid, corner, margin, width):
     """Points at most so far from the inside of another surface, and in its band.
 
     Parameters
@@ -146,7 +146,7 @@ def touching(points, dense, grid, corner, reach, width):
         Its grid.
     corner : ndarray (3,) float64
         Where that begins in the common one.
-    reach : float
+    margin : float
         Points beyond its border count as on it up to so many voxels, along each axis.
     width : float
         How far, mm.
@@ -167,9 +167,9 @@ def touching(points, dense, grid, corner, reach, width):
     for i in range(n):
         z, y, x = points[i, 0] - corner[0], points[i, 1] - corner[1], points[i, 2] - corner[2]
         if not (
-            -reach <= z <= last_z + reach
-            and -reach <= y <= last_y + reach
-            and -reach <= x <= last_x + reach
+            -margin <= z <= last_z + margin
+            and -margin <= y <= last_y + margin
+            and -margin <= x <= last_x + margin
         ):
             continue
         z, y, x = min(max(z, 0.0), last_z), min(max(y, 0.0), last_y), min(max(x, 0.0), last_x)

@@ -166,8 +166,9 @@ def mean_above_centre(psi, cell, iz, iy, ix, grid):
 
 
 @kernel
-def curvature_at_foot(mean, gauss, d, most):
-    """Curvature H of the surface at the foot of a cell at distance ``d`` whose level has H = ``mean``, K = ``gauss``.
+def curvature_at_closest_point(mean, gauss, d, most):
+    """Curvature H of the surface at the closest point of a cell at distance ``d`` whose level has H = ``mean``, K =
+    ``gauss``.
 
     The level through the cell is the surface moved by d along its normal, so its principal curvatures are
     k/(1 + d k); undone here: H = (H_d - 2 d K_d) / (1 - d H_d + d^2 K_d). Clipped to |H| <= ``most``.

@@ -102,10 +102,10 @@ def evolved_faces(line, i, ratio, stiffness, low, high):
         for q in range(4):
             low[q] = high[q] = line[q, i]
         return
-    push = -change * (v * dv + stiffness * drho)
+    impulse = -change * (v * dv + stiffness * drho)
     turn, bend = -change * v * (high[2] - low[2]), -change * v * (high[3] - low[3])
     low[0], high[0] = low[0] + gain, high[0] + gain
-    low[1], high[1] = low[1] + push, high[1] + push
+    low[1], high[1] = low[1] + impulse, high[1] + impulse
     low[2], high[2] = low[2] + turn, high[2] + turn
     low[3], high[3] = low[3] + bend, high[3] + bend
 
@@ -253,12 +253,12 @@ def point_across(s, sample, grid, band, layer):
     """Weight and place (z, y, x), in voxels, of a ``sample`` of the mean across the surface at cell ``s``."""
     _, normal, width, shift = layer
     iz, iy, ix = unravel(band.cells[s], grid)
-    foot, n = band.to_closest[s], normal[s]
+    closest_point, n = band.to_closest[s], normal[s]
     along = (2.0 * sample + 1.0) / SAMPLES - 1.0
     away = along * width / max(voxels_along(n[0], n[1], n[2], grid), 1e-30)
-    pz = iz + (foot[0] + shift[s, 0] + away * n[0]) / grid.hz
-    py = iy + (foot[1] + shift[s, 1] + away * n[1]) / grid.hy
-    px = ix + (foot[2] + shift[s, 2] + away * n[2]) / grid.hx
+    pz = iz + (closest_point[0] + shift[s, 0] + away * n[0]) / grid.hz
+    py = iy + (closest_point[1] + shift[s, 1] + away * n[1]) / grid.hy
+    px = ix + (closest_point[2] + shift[s, 2] + away * n[2]) / grid.hx
     return bump(abs(along)) / SAMPLES, pz, py, px
 
 
@@ -321,12 +321,17 @@ def probe_inside(start, stop, fluid, grid, band, normal, depths, out):
     cells, shares = np.empty(8, np.int64), np.empty(8)
     for s in range(start, stop):
         iz, iy, ix = unravel(band.cells[s], grid)
-        foot, n = band.to_closest[s], normal[s]
+        closest_point, n = band.to_closest[s], normal[s]
         mm = 1.0 / max(voxels_along(n[0], n[1], n[2], grid), 1e-30)
         for d in range(2):
             away = depths[d] * mm
-            pz, py = iz + (foot[0] + away * n[0]) / grid.hz, iy + (foot[1] + away * n[1]) / grid.hy
-            corners_around(grid, pz, py, ix + (foot[2] + away * n[2]) / grid.hx, cells, shares)
+            pz, py = (
+                iz + (closest_point[0] + away * n[0]) / grid.hz,
+                iy + (closest_point[1] + away * n[1]) / grid.hy,
+            )
+            corners_around(
+                grid, pz, py, ix + (closest_point[2] + away * n[2]) / grid.hx, cells, shares
+            )
             for q in range(4):
                 value = 0.0
                 for corner in range(8):
@@ -337,14 +342,14 @@ def probe_inside(start, stop, fluid, grid, band, normal, depths, out):
 
 
 @kernel(stage=Stage.FLOW)
-def push_layer(start, stop, fluid, grid, cells, push, limit):
-    """Accelerate the fluid in place: V += ``push`` (n, 3), mm per unit time, in the band's ``cells`` (n,).
+def accelerate_layer(start, stop, fluid, grid, cells, impulse, limit):
+    """Accelerate the fluid in place: V += ``impulse`` (n, 3), mm per unit time, in the band's ``cells`` (n,).
 
     Where |V| is then above ``limit``, voxels per unit time, it becomes that; cells without a push stay as they are.
     """
     flat = fluid.reshape(4, -1)
     for s in range(start, stop):
-        z, y, x = push[s]
+        z, y, x = impulse[s]
         if z == 0.0 and y == 0.0 and x == 0.0:
             continue
         cell = cells[s]

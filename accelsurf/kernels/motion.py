@@ -13,7 +13,7 @@ from accelsurf.kernels.simd.cubic import cubic_value
 
 @kernel(stage=Stage.ENERGY)
 def sample_image(start, stop, image, grid, band, front, out):
-    """Cubic interpolation of a raveled dense image at the foot of every front cell (0 elsewhere)."""
+    """Cubic interpolation of a raveled dense image at the closest point of every front cell (0 elsewhere)."""
     w = np.empty(24)
     for s in range(np.uint64(start), np.uint64(stop)):
         out[s] = 0.0
@@ -34,7 +34,7 @@ def sample_image(start, stop, image, grid, band, front, out):
 
 @kernel(stage=Stage.ENERGY)
 def mean_across(start, stop, psi, image, band, front, settings, out):
-    """Mean of a I^2 + b I + c across the surface at the foot of every front cell (0 elsewhere).
+    """Mean of a I^2 + b I + c across the surface at the closest point of every front cell (0 elsewhere).
 
     Weighted by the smeared delta function (1 + cos(pi s/epsilon))/(2 epsilon) of the region sums, and by the
     area 1 + s H of the level at distance s, at five points along the normal, the raveled dense image I

@@ -10,7 +10,7 @@ from accelsurf.kernels.differences import (
     ROW,
     block_curvatures,
     block_memory,
-    curvature_at_foot,
+    curvature_at_closest_point,
     curvatures,
     gather_block,
     gradient,
@@ -98,8 +98,8 @@ def measure_band(start, stop, psi, grid, band, within, out):
         Distance from the surface, voxels, up to which curvature is measured.
     out : (ndarray (n,), ndarray (n,), ndarray (n,), ndarray (n,))
         Written, fraction, area, curvature and variation: share of the voxel inside; surface in it, mm2; H of the
-        surface at its foot, 1/mm, limited to what the grid resolves, 2/min(h), and 0 further than ``within`` off; the
-        same with psi mirrored at the border, the first variation of the area in the volume.
+        surface at its closest point, 1/mm, limited to what the grid resolves, 2/min(h), and 0 further than ``within``
+        off; the same with psi mirrored at the border, the first variation of the area in the volume.
     """
     fraction, area, curvature, variation = out
     diagonal = 0.51 * np.sqrt(grid.hz**2 + grid.hy**2 + grid.hx**2)
@@ -174,7 +174,7 @@ def measures(grid, d, voxels, level, within, diagonal, most):
     """
     gz, gy, gx, mean, gauss, above = level
     fraction = share_inside(grid, d, above, gz, gy, gx, diagonal)
-    curvature = curvature_at_foot(mean, gauss, d, most) if voxels <= within else 0.0
+    curvature = curvature_at_closest_point(mean, gauss, d, most) if voxels <= within else 0.0
     return fraction, smeared_area(d, voxels, gz, gy, gx, gauss, grid, AREA_WIDTH), curvature
 
 
@@ -223,18 +223,22 @@ def wide_areas(start, stop, psi, grid, band, width, out):
     """Area (mm2) of the surface at every slot, smeared over ``width`` voxels to either side, into ``out`` (n,).
 
     Parts of the surface, a few voxels long, are measured the better the wider the layer. Where it would reach
-    the outermost voxels it is narrower, down to `AREA_WIDTH`: the same for all cells of a foot.
+    the outermost voxels it is narrower, down to `AREA_WIDTH`: the same for all cells of a closest point.
     """
     for s in range(start, stop):
-        foot = band.to_closest[s]
-        voxels = voxels_along(foot[0], foot[1], foot[2], grid)
+        closest_point = band.to_closest[s]
+        voxels = voxels_along(closest_point[0], closest_point[1], closest_point[2], grid)
         out[s] = 0.0
         if voxels < width:
             iz, iy, ix = unravel(band.cells[s], grid)
             gz, gy, gx = gradient(psi, band.cells[s], iz, iy, ix, grid)
             _, gauss = curvatures(psi, band.cells[s], iz, iy, ix, grid)
             along = max(voxels_along(gz, gy, gx, grid), 1e-6)
-            fz, fy, fx = foot[0] / grid.hz, foot[1] / grid.hy, foot[2] / grid.hx
+            fz, fy, fx = (
+                closest_point[0] / grid.hz,
+                closest_point[1] / grid.hy,
+                closest_point[2] / grid.hx,
+            )
             room = room_to_border(
                 iz + fz, grid.nz, fz / voxels if voxels > 0.01 else gz / (grid.hz * along)
             )

@@ -22,8 +22,8 @@ from accelsurf.kernels.interpolate import (
 )
 from accelsurf.kernels.simd.cubic import cubic_value
 
-#: Smallest residue that counts, voxels; larger ones count by what they exceed it. So feet that disagree come together
-#: by this much in a redistancing.
+#: Smallest residue that counts, voxels; larger ones count by what they exceed it. So closest points that disagree come
+#: together by this much in a redistancing.
 MIN_RESIDUE = 3e-4
 #: Largest residue, voxels. What is more counts less, and nothing from twice as much on: large residues are of noise, or
 #: of points that are not on the surface any more.
@@ -33,7 +33,7 @@ MAX_RESIDUE = 0.1
 #: is as large as along the finest axis.
 MAX_LIMITED = 0.05
 #: Distance from the surface, voxels, within which cells have a residue of their own. Others have that of the cell
-#: nearest their foot: their feet then lie on the same surface as those beside it.
+#: nearest their closest point: their closest points then lie on the same surface as those beside it.
 OWN_RESIDUE = 1.0
 #: From this ratio of the spacings on most of the surface lies between two slices with no cell so near: cells that find
 #: none there keep a residue of their own.
@@ -42,7 +42,7 @@ VERY_THICK = 16.0
 
 @kernel
 def known_point(s, grid, band, motion):
-    """Foot of slot ``s`` after ``motion`` = (velocity (n, 3), dt): index coordinates z, y, x."""
+    """Closest point of slot ``s`` after ``motion`` = (velocity (n, 3), dt): index coordinates z, y, x."""
     velocity, dt = motion
     iz, iy, ix = unravel(band.cells[s], grid)
     return (
@@ -118,7 +118,7 @@ def largest_residue(psi, grid, point, memory):
 def own_residues(start, stop, psi, grid, band, motion, out):
     """Residue (mm) of every cell within `OWN_RESIDUE`; 0 elsewhere, and beside no surface.
 
-    On slices as thick as `VERY_THICK` every cell has one whose foot is well inside the volume.
+    On slices as thick as `VERY_THICK` every cell has one whose closest point is well inside the volume.
     ``psi`` is a distance and ``band`` its band, or psi has moved since, by ``motion`` = (velocity (n, 3), dt).
     ``out`` = (residue (n,) float32, near (n,) bool): whether the cell is so near.
     """
@@ -136,7 +136,7 @@ def own_residues(start, stop, psi, grid, band, motion, out):
     sy, sz = grid.nx, grid.ny * grid.nx
     for s in range(np.uint64(start), np.uint64(stop)):
         residue[s] = 0.0
-        # The length of the foot, when psi was a distance.
+        # The length of the closest point, when psi was a distance.
         near[s] = abs(band.psi[s]) <= furthest and has_own_residue(s, grid, band)
         if not near[s] and not thick:
             continue
@@ -164,7 +164,7 @@ def own_residues(start, stop, psi, grid, band, motion, out):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def distant_residues(start, stop, slot, grid, band, motion, out):
-    """Residue of every cell beyond `OWN_RESIDUE`: that of the cell nearest its foot, where that is within.
+    """Residue of every cell beyond `OWN_RESIDUE`: that of the cell nearest its closest point, where that is within.
 
     ``out`` as `own_residues` has filled it.
     """
@@ -198,7 +198,7 @@ def mark_below(start, stop, slot, grid, cells, flipped, marked):
 
 @kernel(stage=Stage.BAND)
 def drop_residues(start, stop, slot, grid, band, flipped, out):
-    """Set to 0 the residues in ``out`` (n,) of the cells whose foot is beside a flipped slot.
+    """Set to 0 the residues in ``out`` (n,) of the cells whose closest point is beside a flipped slot.
 
     ``flipped`` = ((n,) bool, `mark_below`'s marks (n,) bool).
     """

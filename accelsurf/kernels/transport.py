@@ -209,7 +209,9 @@ def advect_psi(start, stop, dense, grid, band, velocity, dt, out):
 
 @kernel
 def outward(psi, band, s, cell, iz, iy, ix, grid):
-    """Outward unit normal at the foot of slot ``s``: away from the foot where that is well off the cell."""
+    """Outward unit normal at the closest point of slot ``s``: away from the closest point where that is well off the
+    cell.
+    """
     d = band.psi[s]
     if abs(d) > 0.5 * min(grid.hz, min(grid.hy, grid.hx)):
         return -band.to_closest[s, 0] / d, -band.to_closest[s, 1] / d, -band.to_closest[s, 2] / d
@@ -220,7 +222,7 @@ def outward(psi, band, s, cell, iz, iy, ix, grid):
 
 @kernel(stage=Stage.FLOW)
 def normals(start, stop, psi, grid, band, out):
-    """Inward unit normal N at the foot of every cell, into ``out`` (n, 3)."""
+    """Inward unit normal N at the closest point of every cell, into ``out`` (n, 3)."""
     for s in range(start, stop):
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
@@ -312,8 +314,8 @@ def advect_fields(start, stop, slot, grid, band, motion, values, out):
     """Fields (n, m) of the new ``band`` advected from the old one, which ``slot`` still maps to.
 
     ``motion`` = (velocity (n_old, 3 or more), dt, limited). Each cell gets the values at the point of the old surface
-    that moved to its foot, the fields from column ``limited`` on within `LIMIT` of the values around that point. A
-    cell with nothing known there has its own old values, or 0 when it was not in the band.
+    that moved to its closest point, the fields from column ``limited`` on within `LIMIT` of the values around that
+    point. A cell with nothing known there has its own old values, or 0 when it was not in the band.
     """
     w = np.empty(24)
     target = np.empty(3)
@@ -345,7 +347,7 @@ def advect_fields(start, stop, slot, grid, band, motion, values, out):
 
 @kernel(stage=Stage.EXTENSION)
 def fields_between(start, stop, coarse, band, grid, place, fields, out):
-    """Fields (m, n) at the feet of a ``band`` on another grid: linear there over the band cells around.
+    """Fields (m, n) at the closest points of a ``band`` on another grid: linear there over the band cells around.
 
     ``coarse`` = (slot, grid) of the level of the values; ``place`` (2, 3) takes an index position of the
     band's ``grid`` to one of it: factor and addition. ``fields`` = (values (m, n_old) float32, fill values (m,) for

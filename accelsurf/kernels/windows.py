@@ -117,7 +117,7 @@ def two_means(start, stop, count, total, count_in, total_in, least, out):
 
 @kernel(stage=Stage.ENERGY)
 def read_nodes(start, stop, grid, band, front, nodes, fields, out):
-    """Two raveled ``fields`` of nodes at the foot of every front cell, into ``out`` (n, 2); 0 elsewhere."""
+    """Two raveled ``fields`` of nodes at the closest point of every front cell, into ``out`` (n, 2); 0 elsewhere."""
     row, plane = nodes.nx, nodes.ny * nodes.nx
     dz, dy, dx = plane if nodes.nz > 1 else 0, row if nodes.ny > 1 else 0, 1 if nodes.nx > 1 else 0
     first, second = fields
@@ -143,7 +143,8 @@ def read_nodes(start, stop, grid, band, front, nodes, fields, out):
 
 @kernel
 def lattice_weights(index, shift, n, stride, count, w):
-    """First of the three nodes of an axis around the point that a foot moves to, and their weights into ``w`` (3,).
+    """First of the three nodes of an axis around the point that a closest point moves to, and their weights into ``w``
+    (3,).
 
     The point is ``shift`` voxels from the cell ``index`` of ``n``; beyond the border it is at the border. ``stride``
     voxels lie between the ``count`` nodes. Their middle is that of the volume: mirrored, it has the mirrored lattice.
@@ -160,7 +161,8 @@ def lattice_weights(index, shift, n, stride, count, w):
 
 @kernel(stage=Stage.FLOW)
 def deposit(grid, band, mass, motion, stride, lattice):
-    """Add the ``mass`` (n,) of every cell to the ``lattice`` (mz, my, mx), at the point that its foot moves to. Serial.
+    """Add the ``mass`` (n,) of every cell to the ``lattice`` (mz, my, mx), at the point that its closest point moves
+    to. Serial.
 
     ``motion`` = (velocity (n, 3), dt); ``stride`` (3,) voxels between nodes. A mass is shared by the nodes around its
     point, see `lattice_weights`: what is added is what there was.
@@ -171,16 +173,16 @@ def deposit(grid, band, mass, motion, stride, lattice):
     for s in range(mass.size):
         if mass[s] <= 0.0:
             continue
-        foot = band.to_closest[s]
+        closest_point = band.to_closest[s]
         iz, iy, ix = unravel(band.cells[s], grid)
         az = lattice_weights(
-            iz, (foot[0] + dt * velocity[s, 0]) / grid.hz, grid.nz, stride[0], mz, wz
+            iz, (closest_point[0] + dt * velocity[s, 0]) / grid.hz, grid.nz, stride[0], mz, wz
         )
         ay = lattice_weights(
-            iy, (foot[1] + dt * velocity[s, 1]) / grid.hy, grid.ny, stride[1], my, wy
+            iy, (closest_point[1] + dt * velocity[s, 1]) / grid.hy, grid.ny, stride[1], my, wy
         )
         ax = lattice_weights(
-            ix, (foot[2] + dt * velocity[s, 2]) / grid.hx, grid.nx, stride[2], mx, wx
+            ix, (closest_point[2] + dt * velocity[s, 2]) / grid.hx, grid.nx, stride[2], mx, wx
         )
         for i in range(3):
             for j in range(3):
@@ -191,15 +193,15 @@ def deposit(grid, band, mass, motion, stride, lattice):
 
 @kernel(stage=Stage.FLOW)
 def lattice_factors(start, stop, grid, band, lattice, stride, out):
-    """Mean of the ``lattice`` (mz, my, mx) around the foot of every cell, with the weights of `deposit`."""
+    """Mean of the ``lattice`` (mz, my, mx) around the closest point of every cell, with the weights of `deposit`."""
     mz, my, mx = lattice.shape
     wz, wy, wx = np.empty(3), np.empty(3), np.empty(3)
     for s in range(start, stop):
-        foot = band.to_closest[s]
+        closest_point = band.to_closest[s]
         iz, iy, ix = unravel(band.cells[s], grid)
-        az = lattice_weights(iz, foot[0] / grid.hz, grid.nz, stride[0], mz, wz)
-        ay = lattice_weights(iy, foot[1] / grid.hy, grid.ny, stride[1], my, wy)
-        ax = lattice_weights(ix, foot[2] / grid.hx, grid.nx, stride[2], mx, wx)
+        az = lattice_weights(iz, closest_point[0] / grid.hz, grid.nz, stride[0], mz, wz)
+        ay = lattice_weights(iy, closest_point[1] / grid.hy, grid.ny, stride[1], my, wy)
+        ax = lattice_weights(ix, closest_point[2] / grid.hx, grid.nx, stride[2], mx, wx)
         total = 0.0
         for i in range(3):
             for j in range(3):

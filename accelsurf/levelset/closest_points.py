@@ -49,9 +49,18 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
     if known_residues is not None:
         residue[:n] = known_residues
     parallel(
-        march.find_feet, n, dense, grid, surface.band, (inner, residue, limited), to_closest, found
+        march.find_closest_points,
+        n,
+        dense,
+        grid,
+        surface.band,
+        (inner, residue, limited),
+        to_closest,
+        found,
     )
-    parallel(march.classify_feet, n, dense, grid, surface.band.cells, to_closest, found, state)
+    parallel(
+        march.classify_closest_points, n, dense, grid, surface.band.cells, to_closest, found, state
+    )
     open_slots, sources = (
         np.flatnonzero(state[:n] == march.OPEN),
         np.flatnonzero(state[:n] == march.EDGE),
@@ -79,16 +88,28 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
             np.empty(active_slots.size, np.float32),
         )
         rows = cells, to_closest, state, residue
-        parallel(march.propagate_feet, active_slots.size, dense, grid, rows, active_slots, nearer)
         parallel(
-            march.update_feet, active_slots.size, active_slots, nearer, (to_closest, state, residue)
+            march.propagate_closest_points,
+            active_slots.size,
+            dense,
+            grid,
+            rows,
+            active_slots,
+            nearer,
+        )
+        parallel(
+            march.update_closest_points,
+            active_slots.size,
+            active_slots,
+            nearer,
+            (to_closest, state, residue),
         )
         # The first closest point of a cell is refined at once, as neighbours take it over; the others at the end.
         sources, first = surface.workers.serial(
             march.sort_changes, active_slots, changed, was_open, refine_later
         )
         parallel(
-            march.refine_feet,
+            march.refine_closest_points,
             first.size,
             dense.psi,
             grid,
@@ -99,7 +120,14 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
         )
     later = np.flatnonzero(refine_later[:size])
     parallel(
-        march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited)
+        march.refine_closest_points,
+        later.size,
+        dense.psi,
+        grid,
+        cells,
+        later,
+        to_closest,
+        (residue, limited),
     )
     return ClosestPoints(cells, to_closest, state, size)
 
