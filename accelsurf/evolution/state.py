@@ -299,12 +299,10 @@ class LoopState:
 
     def record_return(self, potential: float, step: int) -> None:
         """Record that the surface went back to that of the lowest potential before a step."""
-        self.potential, self.returns, self.returned_at, self.judged_at = (
-            potential,
-            self.returns + 1,
-            step,
-            step,
-        )
+        self.potential = potential
+        self.returns = self.returns + 1
+        self.returned_at = step
+        self.judged_at = step
         self.snapshot = None
         self.earlier = None
         self.moved = math.nan

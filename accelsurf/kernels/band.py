@@ -17,15 +17,22 @@ MIN_DISTANCE = 1e-6
 @kernel(stage=Stage.BAND)
 def extent(cells, grid, out):
     """First voxel of some cells, and the one after the last, into ``out`` (2, 3) int64. Serial."""
-    low_y, low_x, high_y, high_x = grid.ny, grid.nx, -1, -1
+    low_y = grid.ny
+    low_x = grid.nx
+    high_y = -1
+    high_x = -1
     for s in range(cells.shape[0]):
         _, iy, ix = unravel(cells[s], grid)
         low_y, high_y = min(low_y, iy), max(high_y, iy)
         low_x, high_x = min(low_x, ix), max(high_x, ix)
     first, _, _ = unravel(cells[0], grid)
     last, _, _ = unravel(cells[-1], grid)
-    out[0, 0], out[0, 1], out[0, 2] = first, low_y, low_x
-    out[1, 0], out[1, 1], out[1, 2] = last + 1, high_y + 1, high_x + 1
+    out[0, 0] = first
+    out[0, 1] = low_y
+    out[0, 2] = low_x
+    out[1, 0] = last + 1
+    out[1, 1] = high_y + 1
+    out[1, 2] = high_x + 1
 
 
 @kernel(stage=Stage.BAND)
@@ -103,30 +110,36 @@ def sample_at_closest_points(start, stop, slot, grid, band, front, values, out):
     w = np.empty(24)
     rows = np.empty(16, np.int64)
     position = np.empty(3)
-    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
+    hz = 1.0 / grid.hz
+    hy = 1.0 / grid.hy
+    hx = 1.0 / grid.hx
     cells, closest_point = band.cells, band.to_closest
     for s in range(np.uint64(start), np.uint64(stop)):
         if not front[s]:
             continue
         cell = cells[s]
         iz, iy, ix = unravel(cell, grid)
-        pz, py, px = (
-            iz + closest_point[s, 0] * hz,
-            iy + closest_point[s, 1] * hy,
-            ix + closest_point[s, 2] * hx,
-        )
-        bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
+        pz = iz + closest_point[s, 0] * hz
+        py = iy + closest_point[s, 1] * hy
+        px = ix + closest_point[s, 2] * hx
+        bz = int(pz) - 1
+        by = int(py) - 1
+        bx = int(px) - 1
         inside = 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4
         if inside:
             at = (bz * grid.ny + by) * grid.nx + bx
             if band_rows(slot, n_old, at, grid.nx, grid.ny * grid.nx, rows):
-                uz, uy, ux = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
+                uz = np.float32(pz - bz)
+                uy = np.float32(py - by)
+                ux = np.float32(px - bx)
                 for field in range(m):
                     out[field, s] = cubic_rows(flat, rows, uz, uy, ux)
                     for k in range(16):
                         rows[k] += n_old
                 continue
-        position[0], position[1], position[2] = pz, py, px
+        position[0] = pz
+        position[1] = py
+        position[2] = px
         slot_before = slot[np.uint64(cell)]
         for field in range(m):
             if inside:
@@ -155,11 +168,17 @@ def outward_table(start, stop, slot, grid, band, front, off, table):
         pz = min(max(iz + band.to_closest[s, 0] / grid.hz, 0.0), grid.nz - 1.0)
         py = min(max(iy + band.to_closest[s, 1] / grid.hy, 0.0), grid.ny - 1.0)
         px = min(max(ix + band.to_closest[s, 2] / grid.hx, 0.0), grid.nx - 1.0)
-        iz, iy, ix = int(pz), int(py), int(px)
-        tz, ty, tx = pz - iz, py - iy, px - ix
+        iz = int(pz)
+        iy = int(py)
+        ix = int(px)
+        tz = pz - iz
+        ty = py - iy
+        tx = px - ix
         total = 0.0
         for corner in range(8):
-            i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+            i = corner >> 2
+            j = (corner >> 1) & 1
+            k = corner & 1
             share = (
                 (tz if i == 1 else 1.0 - tz)
                 * (ty if j == 1 else 1.0 - ty)
@@ -254,7 +273,9 @@ def put_linear(slot, row_of, c, axes, rows, shares, row):
     for k in range(10):
         shares[row, k] = 0.0
     for corner in range(8):
-        i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+        i = corner >> 2
+        j = (corner >> 1) & 1
+        k = corner & 1
         share = (
             (uz if i == 1 else 1.0 - uz)
             * (uy if j == 1 else 1.0 - uy)
@@ -396,7 +417,9 @@ def mark_front(psi, grid, row, marks):
     """Set ``marks`` (nx,) uint8 to 1 at the front cells of a row, to 0 at the others; in vectors."""
     iz, iy = row // grid.ny, row % grid.ny
     # Unsigned: an index that may be negative keeps the loops from running in vectors.
-    nx, start, unit = np.uint64(grid.nx), np.uint64(row * grid.nx), np.uint64(1)
+    nx = np.uint64(grid.nx)
+    start = np.uint64(row * grid.nx)
+    unit = np.uint64(1)
     plane = np.uint64(grid.ny) * nx
     # Beyond the border a row is its own neighbour.
     above = start - nx if iy > 0 else start

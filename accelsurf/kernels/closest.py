@@ -33,10 +33,14 @@ def is_near_volume(grid, iz, iy, ix, closest_point, margin):
     mz = margin if grid.hz < thick else 1e-3
     my = margin if grid.hy < thick else 1e-3
     mx = margin if grid.hx < thick else 1e-3
-    lz, ly, lx = -(iz + mz) * grid.hz, -(iy + my) * grid.hy, -(ix + mx) * grid.hx
+    lz = -(iz + mz) * grid.hz
+    ly = -(iy + my) * grid.hy
+    lx = -(ix + mx) * grid.hx
     uz, uy = (grid.nz - 1.0 - iz + mz) * grid.hz, (grid.ny - 1.0 - iy + my) * grid.hy
     ux = (grid.nx - 1.0 - ix + mx) * grid.hx
-    z, y, x = closest_point[0], closest_point[1], closest_point[2]
+    z = closest_point[0]
+    y = closest_point[1]
+    x = closest_point[2]
     # Without branches: with them this took as long as all the rest of a closest point.
     return (lz <= z) & (z <= uz) & (ly <= y) & (y <= uy) & (lx <= x) & (x <= ux)
 
@@ -49,11 +53,9 @@ def is_between_signs(psi, grid, iz, iy, ix, closest_point):
     slices: a surface that the labels do not have. A smooth surface may pass a corner of a cube of voxels and change no
     sign there: the next voxels count too, along axes as fine as the finest.
     """
-    bz, by, bx = (
-        int(iz + closest_point[0] / grid.hz),
-        int(iy + closest_point[1] / grid.hy),
-        int(ix + closest_point[2] / grid.hx),
-    )
+    bz = int(iz + closest_point[0] / grid.hz)
+    by = int(iy + closest_point[1] / grid.hy)
+    bx = int(ix + closest_point[2] / grid.hx)
     inside = psi[np.uint64((iz * grid.ny + iy) * grid.nx + ix)] < 0.0
     # The voxel beyond the surface, if there is one: nearly always this ends it.
     az = min(bz + 1, grid.nz - 1) if closest_point[0] > 0.0 else bz
@@ -62,7 +64,9 @@ def is_between_signs(psi, grid, iz, iy, ix, closest_point):
     if (psi[np.uint64((az * grid.ny + ay) * grid.nx + ax)] < 0.0) != inside:
         return True
     fine = 2.0 * min(grid.hz, min(grid.hy, grid.hx))
-    mz, my, mx = 1 if grid.hz < fine else 0, 1 if grid.hy < fine else 0, 1 if grid.hx < fine else 0
+    mz = 1 if grid.hz < fine else 0
+    my = 1 if grid.hy < fine else 0
+    mx = 1 if grid.hx < fine else 0
     for more in range(2):
         for az in range(max(bz - more * mz, 0), min(bz + 2 + more * mz, grid.nz)):
             for ay in range(max(by - more * my, 0), min(by + 2 + more * my, grid.ny)):
@@ -83,15 +87,31 @@ TOLERANCE = 0.05
 MIN_SLOPE2 = 0.04
 #: Longest correction in one iteration, voxels: the interpolant is trusted only near the front.
 MAX_MOVE = 1.5
-#: Status of a closest point in `closest_points`.
-ACTIVE, FOUND, LOST = 0.0, 1.0, 2.0
-#: Rows of the memory of `closest_points`, `BATCH` long each, one array for the compiler to see that they are apart:
-#: the closest point; its status; the last correction along the level, its square and relaxation; the square of the
-#: first one; psi and its gradient at the closest point; the value of psi where the surface lies, see `residues`;
-#: whether to limit the interpolant, see `limited`.
-CLOSEST, STATUS, LAST, SQUARE, RELAX, START, LEVEL, OFFSET, LIMITED = (
-    np.uint64(row * BATCH) for row in (0, 3, 4, 7, 8, 9, 10, 14, 15)
-)
+#: Status of a closest point in `closest_points`: it still moves.
+ACTIVE = 0.0
+#: It lies on the surface.
+FOUND = 1.0
+#: There is none, or it left the volume.
+LOST = 2.0
+# Rows of the memory of `closest_points`, `BATCH` long each, one array for the compiler to see that they are apart.
+#: Closest point, z, y, x.
+CLOSEST = np.uint64(0 * BATCH)
+#: Its status.
+STATUS = np.uint64(3 * BATCH)
+#: Last correction along the level, z, y, x.
+LAST = np.uint64(4 * BATCH)
+#: Square of the last correction.
+SQUARE = np.uint64(7 * BATCH)
+#: Relaxation.
+RELAX = np.uint64(8 * BATCH)
+#: Square of the first correction.
+START = np.uint64(9 * BATCH)
+#: Psi and its gradient at the closest point.
+LEVEL = np.uint64(10 * BATCH)
+#: Value of psi where the surface lies, see `residues`.
+OFFSET = np.uint64(14 * BATCH)
+#: Above 0: limit the interpolant, see `limited`.
+LIMITED = np.uint64(15 * BATCH)
 NEXT = np.uint64(BATCH)
 ROWS = 16
 
@@ -166,12 +186,12 @@ def find_nodes(i, grid, nodes, memory):
     py = place[i + NEXT] + memory[CLOSEST + NEXT + i] * (1.0 / grid.hy)
     px = place[i + NEXT + NEXT] + memory[CLOSEST + NEXT + NEXT + i] * (1.0 / grid.hx)
     unit = np.int32(1)
-    bz, by, bx = np.int32(pz) - unit, np.int32(py) - unit, np.int32(px) - unit
-    inner[i], inner[i + NEXT], inner[i + NEXT + NEXT] = (
-        np.float32(pz - bz),
-        np.float32(py - by),
-        np.float32(px - bx),
-    )
+    bz = np.int32(pz) - unit
+    by = np.int32(py) - unit
+    bx = np.int32(px) - unit
+    inner[i] = np.float32(pz - bz)
+    inner[i + NEXT] = np.float32(py - by)
+    inner[i + NEXT + NEXT] = np.float32(px - bx)
     # Well inside the volume, without the cases that value_and_gradient is for.
     inside = (
         (0 <= bz)
@@ -202,7 +222,9 @@ def levels_at(count, psi, grid, nodes, memory, w):
     ``nodes`` = `nodes_memory`, with the cells' indices.
     """
     place, inner, first, columns = nodes
-    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
+    hz = 1.0 / grid.hz
+    hy = 1.0 / grid.hy
+    hx = 1.0 / grid.hx
     sy, sz = grid.nx, grid.ny * grid.nx
     active = active_columns(count, memory, columns)
     if active == 0:
@@ -213,9 +235,13 @@ def levels_at(count, psi, grid, nodes, memory, w):
     for n in range(active):
         i = np.uint64(columns[n])
         if first[i] >= 0:
-            uz, uy, ux = inner[i], inner[i + NEXT], inner[i + NEXT + NEXT]
+            uz = inner[i]
+            uy = inner[i + NEXT]
+            ux = inner[i + NEXT + NEXT]
             level, gz, gy, gx = cubic(psi, first[i], sy, sz, uz, uy, ux)
-            gz, gy, gx = gz * hz, gy * hy, gx * hx
+            gz = gz * hz
+            gy = gy * hy
+            gx = gx * hx
         else:
             pz, py = (
                 place[i] + memory[CLOSEST + i] * hz,
@@ -224,12 +250,10 @@ def levels_at(count, psi, grid, nodes, memory, w):
             px = place[i + NEXT + NEXT] + memory[CLOSEST + NEXT + NEXT + i] * hx
             level, gz, gy, gx = value_and_gradient(psi, grid, pz, py, px, w)
         at = LEVEL + i
-        memory[at], memory[at + NEXT], memory[at + NEXT + NEXT], memory[at + NEXT + NEXT + NEXT] = (
-            level,
-            gz,
-            gy,
-            gx,
-        )
+        memory[at] = level
+        memory[at + NEXT] = gz
+        memory[at + NEXT + NEXT] = gy
+        memory[at + NEXT + NEXT + NEXT] = gx
     return active
 
 
@@ -256,23 +280,37 @@ def limited_levels_at(count, psi, grid, nodes, memory, lines):
 @kernel
 def correct(count, iteration, grid, memory):
     """One correction of the active closest points, see `closest_points`; all columns alike, to run in vectors."""
-    hz, hy, hx = np.float32(1.0 / grid.hz), np.float32(1.0 / grid.hy), np.float32(1.0 / grid.hx)
-    zero, unit, quarter = np.float32(0.0), np.float32(1.0), np.float32(0.25)
-    active, found, lost = np.float32(ACTIVE), np.float32(FOUND), np.float32(LOST)
-    shortest, longest, tiny = np.float32(0.1), np.float32(4.0), np.float32(1e-30)
+    hz = np.float32(1.0 / grid.hz)
+    hy = np.float32(1.0 / grid.hy)
+    hx = np.float32(1.0 / grid.hx)
+    zero = np.float32(0.0)
+    unit = np.float32(1.0)
+    quarter = np.float32(0.25)
+    active = np.float32(ACTIVE)
+    found = np.float32(FOUND)
+    lost = np.float32(LOST)
+    shortest = np.float32(0.1)
+    longest = np.float32(4.0)
+    tiny = np.float32(1e-30)
     least, most = np.float32(MIN_SLOPE2), np.float32(MAX_MOVE)
     first, later = iteration == 0, iteration >= 2
     enough = np.float32(FIRST_TOLERANCE if first else TOLERANCE)
     for i in range(np.uint64(count)):
-        z, y, x = memory[CLOSEST + i], memory[CLOSEST + NEXT + i], memory[CLOSEST + NEXT + NEXT + i]
+        z = memory[CLOSEST + i]
+        y = memory[CLOSEST + NEXT + i]
+        x = memory[CLOSEST + NEXT + NEXT + i]
         v, gz = memory[LEVEL + i] - memory[OFFSET + i], memory[LEVEL + NEXT + i]
         gy, gx = memory[LEVEL + NEXT + NEXT + i], memory[LEVEL + NEXT + NEXT + NEXT + i]
         g2 = gz * gz + gy * gy + gx * gx
         inverse = unit / max(g2, tiny)
         along = (z * gz + y * gy + x * gx) * inverse
-        tz, ty, tx = along * gz - z, along * gy - y, along * gx - x
+        tz = along * gz - z
+        ty = along * gy - y
+        tx = along * gx - x
         t2 = tz * tz + ty * ty + tx * tx
-        before, relax, begun = memory[SQUARE + i], memory[RELAX + i], memory[START + i]
+        before = memory[SQUARE + i]
+        relax = memory[RELAX + i]
+        begun = memory[START + i]
         left = (
             tz * memory[LAST + i]
             + ty * memory[LAST + NEXT + i]
@@ -283,7 +321,9 @@ def correct(count, iteration, grid, memory):
         factor = unit if first else longer
         begun = t2 if first else begun
         down = v * inverse
-        dz, dy, dx = factor * tz - down * gz, factor * ty - down * gy, factor * tx - down * gx
+        dz = factor * tz - down * gz
+        dy = factor * ty - down * gy
+        dx = factor * tx - down * gx
         move = np.sqrt(dz * hz * dz * hz + dy * hy * dy * hy + dx * hx * dx * hx)
         scale = min(unit, most / max(move, tiny))
         distance = np.sqrt(z * hz * z * hz + y * hy * y * hy + x * hx * x * hx)
@@ -298,7 +338,9 @@ def correct(count, iteration, grid, memory):
         memory[CLOSEST + i] = z + scale * dz
         memory[CLOSEST + NEXT + i] = y + scale * dy
         memory[CLOSEST + NEXT + NEXT + i] = x + scale * dx
-        memory[LAST + i], memory[LAST + NEXT + i], memory[LAST + NEXT + NEXT + i] = tz, ty, tx
+        memory[LAST + i] = tz
+        memory[LAST + NEXT + i] = ty
+        memory[LAST + NEXT + NEXT + i] = tx
         memory[SQUARE + i] = zero if move > most else t2
         memory[RELAX + i], memory[START + i] = factor, begun
         memory[STATUS + i] = now if status == active else status
@@ -363,15 +405,13 @@ def sides_beyond(value, least, around):
     """The sides of a cell of psi = ``value`` beyond which a ridge may lie, a bit each; ``around`` = psi at them."""
     a, b, c, d, e, f = around
     sign = np.float32(-1.0) if value < np.float32(0.0) else np.float32(1.0)
-    value, a, b, c, d, e, f = (
-        sign * value,
-        sign * a,
-        sign * b,
-        sign * c,
-        sign * d,
-        sign * e,
-        sign * f,
-    )
+    value = sign * value
+    a = sign * a
+    b = sign * b
+    c = sign * c
+    d = sign * d
+    e = sign * e
+    f = sign * f
     sides = towards_ridge(value, a, b, least) | (towards_ridge(value, b, a, least) << np.int32(1))
     sides |= (towards_ridge(value, c, d, least) << np.int32(2)) | (
         towards_ridge(value, d, c, least) << np.int32(3)
@@ -410,7 +450,9 @@ def beyond_ridges(slots, slot, grid, band, residue, memory, out):
         inside = rows[i] < 0.0
         # So that psi counts away from the surface on either side of it.
         sign = -1.0 if inside else 1.0
-        z, y, x = guesses[0, i], guesses[1, i], guesses[2, i]
+        z = guesses[0, i]
+        y = guesses[1, i]
+        x = guesses[2, i]
         least = np.sqrt(z * z + y * y + x * x) - MIN_GAIN * h
         found, scale = -1, 0.0
         while left != 0:
@@ -440,7 +482,9 @@ def beyond_ridges(slots, slot, grid, band, residue, memory, out):
             ) / abs(old[other])
             d = sign * rows[(1 + side) * BATCH + i] + along
             if 0.0 < d < least:
-                least, found, scale = d, other, d / abs(old[other])
+                least = d
+                found = other
+                scale = d / abs(old[other])
         if found >= 0:
             for axis in range(3):
                 moved[axis] = scale * closest_point[found, axis]
@@ -450,9 +494,17 @@ def beyond_ridges(slots, slot, grid, band, residue, memory, out):
             alone[i] = not is_near_volume(grid, iz, iy, ix, moved, 0.0)
 
 
-#: Rows of the memory of `guess_closest_points`, `BATCH` long each: psi at the cell and around it (-z, +z, -y, +y, -x,
-#: +x); the old psi; the old closest point; the residue; the index z, y, x.
-PSI, OLD, OLD_CLOSEST, RESIDUE, PLACE = (np.uint64(row * BATCH) for row in (0, 7, 8, 11, 12))
+# Rows of the memory of `guess_closest_points`, `BATCH` long each.
+#: Psi at the cell and around it (-z, +z, -y, +y, -x, +x).
+PSI = np.uint64(0 * BATCH)
+#: Old psi.
+OLD = np.uint64(7 * BATCH)
+#: Old closest point, z, y, x.
+OLD_CLOSEST = np.uint64(8 * BATCH)
+#: Residue.
+RESIDUE = np.uint64(11 * BATCH)
+#: Index z, y, x.
+PLACE = np.uint64(12 * BATCH)
 
 GUESS_ROWS = 15
 
@@ -529,8 +581,12 @@ def guess_closest_points(slots, dense, grid, band, guide, scratch, out):
             iz, iy, ix = unravel(cell, grid)
             neighbours(cell, iz, iy, ix, grid, near)
             if not first_guess(dense.psi, grid, cell, iz, iy, ix, near, guess):
-                guess[0], guess[1], guess[2] = 0.0, 0.0, 0.0
-            guesses[0, i], guesses[1, i], guesses[2, i] = guess[0], guess[1], guess[2]
+                guess[0] = 0.0
+                guess[1] = 0.0
+                guess[2] = 0.0
+            guesses[0, i] = guess[0]
+            guesses[1, i] = guess[1]
+            guesses[2, i] = guess[2]
 
 
 @kernel
@@ -558,7 +614,9 @@ def gather_around(slots, psi, grid, band, residue, rows):
         rows[at], rows[at + NEXT] = band.to_closest[s, 0], band.to_closest[s, 1]
         rows[at + NEXT + NEXT] = band.to_closest[s, 2]
         at = PLACE + i
-        rows[at], rows[at + NEXT], rows[at + NEXT + NEXT] = iz, iy, ix
+        rows[at] = iz
+        rows[at + NEXT] = iy
+        rows[at + NEXT + NEXT] = ix
 
 
 @kernel
@@ -572,17 +630,31 @@ def guess_alike(grid, inner, memory, out):
     """
     rows, alone, sides = memory
     guesses, beside, offset = out
-    gz, gy, gx = guesses[0], guesses[1], guesses[2]
-    hz, hy, hx = np.float32(grid.hz), np.float32(grid.hy), np.float32(grid.hx)
+    gz = guesses[0]
+    gy = guesses[1]
+    gx = guesses[2]
+    hz = np.float32(grid.hz)
+    hy = np.float32(grid.hy)
+    hx = np.float32(grid.hx)
     least = min(hz, min(hy, hx))
     shortest, inner = np.float32(MIN_LENGTH) * least, np.float32(inner)
-    pz, py, px = np.float32(0.5) / hz, np.float32(0.5) / hy, np.float32(0.5) / hx
-    zero, unit, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
-    mz, my, mx = np.float32(grid.nz - 1), np.float32(grid.ny - 1), np.float32(grid.nx - 1)
-    two, three, four = NEXT + NEXT, np.uint64(3) * NEXT, np.uint64(4) * NEXT
+    pz = np.float32(0.5) / hz
+    py = np.float32(0.5) / hy
+    px = np.float32(0.5) / hx
+    zero = np.float32(0.0)
+    unit = np.float32(1.0)
+    half = np.float32(0.5)
+    mz = np.float32(grid.nz - 1)
+    my = np.float32(grid.ny - 1)
+    mx = np.float32(grid.nx - 1)
+    two = NEXT + NEXT
+    three = np.uint64(3) * NEXT
+    four = np.uint64(4) * NEXT
     five, six = np.uint64(5) * NEXT, np.uint64(6) * NEXT
     for i in range(np.uint64(BATCH)):
-        value, old, residue = rows[PSI + i], rows[OLD + i], rows[RESIDUE + i]
+        value = rows[PSI + i]
+        old = rows[OLD + i]
+        residue = rows[RESIDUE + i]
         a, b = rows[PSI + NEXT + i], rows[PSI + two + i]
         c, d = rows[PSI + three + i], rows[PSI + four + i]
         e, f = rows[PSI + five + i], rows[PSI + six + i]
@@ -592,18 +664,20 @@ def guess_alike(grid, inner, memory, out):
         offset[i] = residue
         is_scaled = abs(old) > (inner if residue == zero else shortest)
         ratio = value / (old if is_scaled else unit)
-        z, y, x = (
-            ratio * rows[OLD_CLOSEST + i],
-            ratio * rows[OLD_CLOSEST + NEXT + i],
-            ratio * rows[OLD_CLOSEST + two + i],
-        )
+        z = ratio * rows[OLD_CLOSEST + i]
+        y = ratio * rows[OLD_CLOSEST + NEXT + i]
+        x = ratio * rows[OLD_CLOSEST + two + i]
         is_scaled = is_scaled & (abs(z) + abs(y) + abs(x) > zero)
-        dz, dy, dx = pz * (b - a), py * (d - c), px * (f - e)
+        dz = pz * (b - a)
+        dy = py * (d - c)
+        dx = px * (f - e)
         slope = dz * dz + dy * dy + dx * dx
         scale = -value / max(slope, half)
         gz[i], gy[i] = z if is_scaled else scale * dz, y if is_scaled else scale * dy
         gx[i] = x if is_scaled else scale * dx
-        iz, iy, ix = rows[PLACE + i], rows[PLACE + NEXT + i], rows[PLACE + two + i]
+        iz = rows[PLACE + i]
+        iy = rows[PLACE + NEXT + i]
+        ix = rows[PLACE + two + i]
         # Beyond the border psi is only continued, at the band's edge from where it is no distance.
         near = (-iz * hz <= z) & (z <= (mz - iz) * hz) & (-iy * hy <= y) & (y <= (my - iy) * hy)
         near = near & (-ix * hx <= x) & (x <= (mx - ix) * hx)

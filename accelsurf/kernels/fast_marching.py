@@ -65,7 +65,10 @@ def find_front_closest_points(start, stop, dense, grid, band, guide, on, closest
     ``guide`` = (inner, residue (n,), limited).
     """
     psi = dense.psi
-    near, guess, plane, w = np.empty(6, np.int64), np.empty(3), np.empty(3), np.empty(24)
+    near = np.empty(6, np.int64)
+    guess = np.empty(3)
+    plane = np.empty(3)
+    w = np.empty(24)
     scratch = near, guess, guess_memory()
     memory, points, status = closest_point_memory()
     inner, residue, limited = guide
@@ -84,16 +87,16 @@ def find_front_closest_points(start, stop, dense, grid, band, guide, on, closest
         for i in range(count):
             s, cell = on[first + i], at[i]
             iz, iy, ix = unravel(cell, grid)
-            guess[0], guess[1], guess[2] = points[0, i], points[1, i], points[2, i]
+            guess[0] = points[0, i]
+            guess[1] = points[1, i]
+            guess[2] = points[2, i]
             found = status[i] == FOUND and is_near_volume(grid, iz, iy, ix, guess, MARGIN)
             neighbours(cell, iz, iy, ix, grid, near)
             bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
             accept_closest_point(psi[cell], grid, plane, bound, guess, found, 0.5)
-            closest_point[s, 0], closest_point[s, 1], closest_point[s, 2] = (
-                guess[0],
-                guess[1],
-                guess[2],
-            )
+            closest_point[s, 0] = guess[0]
+            closest_point[s, 1] = guess[1]
+            closest_point[s, 2] = guess[2]
 
 
 @kernel
@@ -150,11 +153,9 @@ def extended_closest_point(s, d, grid, closest_point, up, weights):
         axis = k % 3
         sign = sides[axis] * (1 if k < 3 else 2)
         oz, oy, ox = step_of(2 * axis + 1, grid)
-        z, y, x = (
-            closest_point[slots[k], 0] + sign * oz,
-            closest_point[slots[k], 1] + sign * oy,
-            closest_point[slots[k], 2] + sign * ox,
-        )
+        z = closest_point[slots[k], 0] + sign * oz
+        y = closest_point[slots[k], 1] + sign * oy
+        x = closest_point[slots[k], 2] + sign * ox
         w = weights[k]
         mean = mean[0] + w * z, mean[1] + w * y, mean[2] + w * x
         length2 = z * z + y * y + x * x
@@ -164,11 +165,9 @@ def extended_closest_point(s, d, grid, closest_point, up, weights):
     if abs(length - d) > TRUSTED * d:
         mean, length = nearest, np.sqrt(best)
     scale = d / max(length, 1e-30)
-    closest_point[s, 0], closest_point[s, 1], closest_point[s, 2] = (
-        mean[0] * scale,
-        mean[1] * scale,
-        mean[2] * scale,
-    )
+    closest_point[s, 0] = mean[0] * scale
+    closest_point[s, 1] = mean[1] * scale
+    closest_point[s, 2] = mean[2] * scale
 
 
 @kernel
@@ -197,7 +196,9 @@ def march_outwards(dense, grid, known, heap, counts, front, half_width):
     keys, slots = heap
     near, weights = np.empty(6, np.int64), np.empty(6)
     up = np.empty(6, np.int64), np.empty(3, np.int64), np.empty((4, 3))
-    n, size, begun = counts[0], counts[1], counts[2]
+    n = counts[0]
+    size = counts[1]
+    begun = counts[2]
     ended = True
     while begun < front.shape[0] or size > 0:
         if n + 6 > cells.shape[0] or size + 6 > keys.shape[0]:
@@ -227,7 +228,9 @@ def march_outwards(dense, grid, known, heap, counts, front, half_width):
                 continue
             other = slot[near[side]]
             if other < 0:
-                other, cells[n], state[n] = n, near[side], FAR
+                other = n
+                cells[n] = near[side]
+                state[n] = FAR
                 slot[near[side]] = n
                 n += 1
             if state[other] != FAR and state[other] != TRIAL:
@@ -237,7 +240,9 @@ def march_outwards(dense, grid, known, heap, counts, front, half_width):
                 insert(keys, slots, size, d, other, cells)
                 size += 1
                 distance[other], state[other] = d, TRIAL
-    counts[0], counts[1], counts[2] = n, size, begun
+    counts[0] = n
+    counts[1] = size
+    counts[2] = begun
     return ended
 
 
@@ -304,12 +309,14 @@ def upwind_table(start, stop, slot, grid, known, off, table):
 
 @kernel(stage=Stage.EXTENSION)
 def carry_outwards(off, slots, shares, values):
-    """Overwrite ``values`` (n,) at the slots ``off`` (m,), in this order, by what `upwind_table` has for them; serial.
+    """Overwrite ``values`` (n,) at the slots ``off`` (m,), in this order, by the means that `upwind_table` has for them; serial.
 
     No value leaves the range of those that it comes from: a difference of second order would.
     """
     for row in range(off.shape[0]):
-        value, low, high = np.float32(0.0), np.float32(np.inf), np.float32(-np.inf)
+        value = np.float32(0.0)
+        low = np.float32(np.inf)
+        high = np.float32(-np.inf)
         for k in range(6):
             share = shares[row, k]
             if share != 0.0:
@@ -319,8 +326,12 @@ def carry_outwards(off, slots, shares, values):
         values[off[row]] = min(max(value, low), high) if low <= high else np.float32(0.0)
 
 
-#: State of a slot in a march: not reached; with a first estimate; accepted.
-FAR, TRIAL, ACCEPTED = 0, 1, 2
+#: State of a slot in a march: not reached yet.
+FAR = 0
+#: With a first estimate.
+TRIAL = 1
+#: Accepted: its distance is final.
+ACCEPTED = 2
 #: The neighbour beyond a neighbour counts where both have their closest points on the same piece of surface: then
 #: |p_1 - p_2|^2 + (d_1 - d_2)^2 = h^2 on a plane, and it may be at most this many h^2.
 SAME_SHEET = 1.5
@@ -352,17 +363,30 @@ def upwind_neighbours(cell, slot, grid, known, furthest, up):
     iz, iy, ix = unravel(cell, grid)
     nearest = -1
     for axis in range(3):
-        h, n, stride = grid.hz, grid.nz, grid.ny * grid.nx
+        h = grid.hz
+        n = grid.nz
+        stride = grid.ny * grid.nx
         at = iz
         if axis == 1:
-            h, n, stride, at = grid.hy, grid.ny, grid.nx, iy
+            h = grid.hy
+            n = grid.ny
+            stride = grid.nx
+            at = iy
         elif axis == 2:
-            h, n, stride, at = grid.hx, grid.nx, 1, ix
-        slots[axis], slots[3 + axis], terms[0, axis], terms[3, axis] = -1, -1, 1e30, 0.0
+            h = grid.hx
+            n = grid.nx
+            stride = 1
+            at = ix
+        slots[axis] = -1
+        slots[3 + axis] = -1
+        terms[0, axis] = 1e30
+        terms[3, axis] = 0.0
         for sign in (-1, 1):
             s = slot[cell + sign * stride] if 0 <= at + sign < n else -1
             if s >= 0 and state[s] == ACCEPTED and abs(distance[s]) < min(furthest, terms[0, axis]):
-                slots[axis], sides[axis], terms[0, axis] = s, sign, abs(distance[s])
+                slots[axis] = s
+                sides[axis] = sign
+                terms[0, axis] = abs(distance[s])
         s, sign = slots[axis], sides[axis]
         if s < 0:
             continue
@@ -421,8 +445,10 @@ def slope_across(index, grid, known, nearest, up):
             and axis != nearest
             and out * closest_point[s, axis] > 0.0
         ):
-            # A neighbour further in is not what the distance comes from.
-            slots[axis], slots[3 + axis], terms[0, axis] = -1, -1, 1e30
+            # The distance does not come from a neighbour further in.
+            slots[axis] = -1
+            slots[3 + axis] = -1
+            terms[0, axis] = 1e30
             terms[3, axis] = min(abs(closest_point[s, axis]) / d, MAX_ACROSS)
 
 
@@ -443,7 +469,10 @@ def solve_distance(up, grid, second):
         most = min(most, terms[0, axis] + h)
     limit, furthest = 1e29, 0.0
     while furthest >= 0.0:
-        a, b, c, furthest = 0.0, 0.0, 0.0, -1.0
+        a = 0.0
+        b = 0.0
+        c = 0.0
+        furthest = -1.0
         for axis in range(3):
             d = terms[0, axis]
             if slots[axis] < 0 or d >= limit:
@@ -451,7 +480,10 @@ def solve_distance(up, grid, second):
             h = grid.hz if axis == 0 else (grid.hy if axis == 1 else grid.hx)
             t, e = (terms[1, axis], terms[2, axis]) if second else (d, h)
             w = 1.0 / (e * e)
-            a, b, c, furthest = a + w, b + w * t, c + w * t * t, max(furthest, d)
+            a = a + w
+            b = b + w * t
+            c = c + w * t * t
+            furthest = max(furthest, d)
         disc = b * b - a * (c - rest)
         if furthest >= 0.0 and disc >= 0.0 and b + np.sqrt(disc) > a * furthest:
             return min((b + np.sqrt(disc)) / a, most)
@@ -494,13 +526,27 @@ def upwind_weights(d, up, weights):
 def estimate(cell, slot, grid, distance, state):
     """First-order distance (mm) of a cell from its accepted neighbours, of which there is one at least."""
     iz, iy, ix = unravel(cell, grid)
-    d0, w0, d1, w1, d2, w2 = 1e30, 0.0, 1e30, 0.0, 1e30, 0.0
+    d0 = 1e30
+    w0 = 0.0
+    d1 = 1e30
+    w1 = 0.0
+    d2 = 1e30
+    w2 = 0.0
     for axis in range(3):
-        h, n, stride, at = grid.hz, grid.nz, grid.ny * grid.nx, iz
+        h = grid.hz
+        n = grid.nz
+        stride = grid.ny * grid.nx
+        at = iz
         if axis == 1:
-            h, n, stride, at = grid.hy, grid.ny, grid.nx, iy
+            h = grid.hy
+            n = grid.ny
+            stride = grid.nx
+            at = iy
         elif axis == 2:
-            h, n, stride, at = grid.hx, grid.nx, 1, ix
+            h = grid.hx
+            n = grid.nx
+            stride = 1
+            at = ix
         d, w = 1e30, 1.0 / (h * h)
         for sign in (-1, 1):
             s = slot[cell + sign * stride] if 0 <= at + sign < n else -1
@@ -515,13 +561,19 @@ def estimate(cell, slot, grid, distance, state):
             d2, w2 = d, w
     # (d - d0)^2 w0 + (d - d1)^2 w1 + ... = 1, measured from d0, with as many terms as are nearer than d.
     best = 1.0 / np.sqrt(w0)
-    a, b, c = w0, 0.0, -1.0
+    a = w0
+    b = 0.0
+    c = -1.0
     if d1 - d0 < best:
         u = d1 - d0
-        a, b, c = a + w1, b + w1 * u, c + w1 * u * u
+        a = a + w1
+        b = b + w1 * u
+        c = c + w1 * u * u
         best = (b + np.sqrt(max(b * b - a * c, 0.0))) / a
         if d2 - d0 < best:
             u = d2 - d0
-            a, b, c = a + w2, b + w2 * u, c + w2 * u * u
+            a = a + w2
+            b = b + w2 * u
+            c = c + w2 * u * u
             best = (b + np.sqrt(max(b * b - a * c, 0.0))) / a
     return d0 + best

@@ -34,7 +34,10 @@ def hll_flux(left, right, stiffness, out):
     Harten, Lax and van Leer with the slowest and the fastest wave of both sides; into a void a wave runs at V + 2 c.
     Without pressure these are the two velocities themselves: apart they leave a void, together they merge.
     """
-    rl, vl, rr, vr = left[0], left[1], right[0], right[1]
+    rl = left[0]
+    vl = left[1]
+    rr = right[0]
+    vr = right[1]
     cl, cr = np.sqrt(stiffness * rl), np.sqrt(stiffness * rr)
     if rr <= 0.0:
         slow, fast = vl - cl, vl + 2.0 * cl
@@ -229,18 +232,16 @@ def fastest_waves(first, last, fluid, limits, out):
 @kernel
 def corners_around(grid, pz, py, px, cells, shares):
     """Cells (8,) around a point, in voxels, and their ``shares`` (8,) in linear interpolation."""
-    pz, py, px = (
-        min(max(pz, 0.0), grid.nz - 1.0),
-        min(max(py, 0.0), grid.ny - 1.0),
-        min(max(px, 0.0), grid.nx - 1.0),
-    )
-    z, y, x = (
-        min(int(pz), max(grid.nz - 2, 0)),
-        min(int(py), max(grid.ny - 2, 0)),
-        min(int(px), max(grid.nx - 2, 0)),
-    )
+    pz = min(max(pz, 0.0), grid.nz - 1.0)
+    py = min(max(py, 0.0), grid.ny - 1.0)
+    px = min(max(px, 0.0), grid.nx - 1.0)
+    z = min(int(pz), max(grid.nz - 2, 0))
+    y = min(int(py), max(grid.ny - 2, 0))
+    x = min(int(px), max(grid.nx - 2, 0))
     for corner in range(8):
-        i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+        i = corner >> 2
+        j = (corner >> 1) & 1
+        k = corner & 1
         share = (pz - z if i == 1 else 1.0 - (pz - z)) * (py - y if j == 1 else 1.0 - (py - y))
         share *= px - x if k == 1 else 1.0 - (px - x)
         shares[corner] = share
@@ -275,7 +276,9 @@ def means_across(start, stop, fluid, grid, band, layer, out):
         Cells that are measured, the others get 0; normal; width, voxels; shift of the points, mm.
     """
     flat = fluid.reshape(4, -1)
-    total, cells, shares = np.empty(4), np.empty(8, np.int64), np.empty(8)
+    total = np.empty(4)
+    cells = np.empty(8, np.int64)
+    shares = np.empty(8)
     for s in range(start, stop):
         out[s, :] = 0.0
         if not layer[0][s]:
@@ -354,7 +357,11 @@ def accelerate_layer(start, stop, fluid, grid, cells, impulse, limit):
             continue
         cell = cells[s]
         rho = np.float64(flat[0, cell])
-        z, y, x = flat[1, cell] + rho * z, flat[2, cell] + rho * y, flat[3, cell] + rho * x
+        z = flat[1, cell] + rho * z
+        y = flat[2, cell] + rho * y
+        x = flat[3, cell] + rho * x
         rate = voxels_along(z, y, x, grid)
         factor = limit * rho / rate if rate > limit * rho else 1.0
-        flat[1, cell], flat[2, cell], flat[3, cell] = factor * z, factor * y, factor * x
+        flat[1, cell] = factor * z
+        flat[2, cell] = factor * y
+        flat[3, cell] = factor * x

@@ -29,8 +29,12 @@ from accelsurf.kernels.closest import (
 )
 from accelsurf.kernels.grid import BATCH, is_thick, neighbours, step_of, unravel, voxels_along
 
-#: State of a slot's closest point: not known yet; known; known, and a neighbour is not in the band.
-OPEN, FROZEN, EDGE = 0, 1, 2
+#: State of a slot's closest point: not known yet.
+OPEN = 0
+#: Known.
+FROZEN = 1
+#: Known, and a neighbour is not in the band.
+EDGE = 2
 #: A closest point may lie this many voxels beyond the border; a surface further out has left the volume.
 MARGIN = 1.0
 #: A cell enters when it is at most this much beyond the band, voxels, by its neighbour's tangent plane.
@@ -73,12 +77,12 @@ def find_closest_points(start, stop, dense, grid, band, guide, closest_point, st
             s = first + i
             cell = band.cells[s]
             n = np.uint64(i)
-            iz, iy, ix = (
-                np.int64(place[n]),
-                np.int64(place[n + NEXT]),
-                np.int64(place[n + NEXT + NEXT]),
-            )
-            guess[0], guess[1], guess[2] = points[0, i], points[1, i], points[2, i]
+            iz = np.int64(place[n])
+            iy = np.int64(place[n + NEXT])
+            ix = np.int64(place[n + NEXT + NEXT])
+            guess[0] = points[0, i]
+            guess[1] = points[1, i]
+            guess[2] = points[2, i]
             found = status[i] == FOUND and around[i]
             bound = -1.0
             if beside[i]:
@@ -91,11 +95,9 @@ def find_closest_points(start, stop, dense, grid, band, guide, closest_point, st
             if within[i] and not beside[i] and state[s] == FROZEN:
                 if not is_between_signs(psi, grid, iz, iy, ix, guess):
                     state[s] = OPEN
-            closest_point[s, 0], closest_point[s, 1], closest_point[s, 2] = (
-                guess[0],
-                guess[1],
-                guess[2],
-            )
+            closest_point[s, 0] = guess[0]
+            closest_point[s, 1] = guess[1]
+            closest_point[s, 2] = guess[2]
 
 
 @kernel
@@ -107,7 +109,9 @@ def check_volume(grid, place, points, within, around):
     other. Of all columns alike, so that it runs in vectors.
     """
     for i in range(np.uint64(BATCH)):
-        iz, iy, ix = place[i], place[i + NEXT], place[i + NEXT + NEXT]
+        iz = place[i]
+        iy = place[i + NEXT]
+        ix = place[i + NEXT + NEXT]
         closest_point = (
             np.float64(points[i]),
             np.float64(points[i + NEXT]),
@@ -169,11 +173,9 @@ def classify_closest_points(start, stop, dense, grid, cells, closest_point, stat
             elif state[np.uint64(slot)] != OPEN:
                 other = np.uint64(slot)
                 oz, oy, ox = step_of(side, grid)
-                cz, cy, cx = (
-                    closest_point[other, 0] + oz,
-                    closest_point[other, 1] + oy,
-                    closest_point[other, 2] + ox,
-                )
+                cz = closest_point[other, 0] + oz
+                cy = closest_point[other, 1] + oy
+                cx = closest_point[other, 2] + ox
                 if cz * cz + cy * cy + cx * cx < least:
                     reviewed[s] = OPEN
                     break
@@ -203,13 +205,19 @@ def tangent_closest_point(closest_point, via, grid, cz, cy, cx, out):
     gives. The neighbour's own closest point where that neighbour is too close to the surface to tell its normal.
     Returns its length in voxels.
     """
-    fz, fy, fx = closest_point[via, 0], closest_point[via, 1], closest_point[via, 2]
+    fz = closest_point[via, 0]
+    fy = closest_point[via, 1]
+    fx = closest_point[via, 2]
     length2 = fz * fz + fy * fy + fx * fx
     h = min(grid.hz, min(grid.hy, grid.hx))
     if length2 > 0.1 * h * h:
         along = (cz * fz + cy * fy + cx * fx) / length2
-        cz, cy, cx = along * fz, along * fy, along * fx
-    out[0], out[1], out[2] = cz, cy, cx
+        cz = along * fz
+        cy = along * fy
+        cx = along * fx
+    out[0] = cz
+    out[1] = cy
+    out[2] = cx
     return voxels_along(cz, cy, cx, grid)
 
 
@@ -275,11 +283,9 @@ def wake_neighbours(start, stop, dense, grid, known, sources, half_width, enteri
                 active[np.uint64(other)] = True
                 continue
             oz, oy, ox = step_of(side, grid)
-            cz, cy, cx = (
-                closest_point[source, 0] - oz,
-                closest_point[source, 1] - oy,
-                closest_point[source, 2] - ox,
-            )
+            cz = closest_point[source, 0] - oz
+            cy = closest_point[source, 1] - oy
+            cx = closest_point[source, 2] - ox
             voxels = tangent_closest_point(closest_point, source, grid, cz, cy, cx, guess)
             if voxels <= half_width + SLACK and is_within_stencil(
                 dense.psi, grid, near[side], voxels
@@ -325,7 +331,9 @@ def enter_some(slot, grid, known, n, sources, entering, first):
             at = cell + steps[side // 2] * (side % 2 * 2 - 1)
             # Another source may have let it in.
             if slot[at] < 0:
-                cells[n], state[n], active[n] = at, OPEN, True
+                cells[n] = at
+                state[n] = OPEN
+                active[n] = True
                 slot[at] = n
                 n += 1
     return sources.shape[0], n
@@ -389,15 +397,15 @@ def closer_point_of_neighbour(s, dense, grid, cells, closest_point, state, near,
             continue
         other = np.uint64(slot)
         oz, oy, ox = step_of(side, grid)
-        cz, cy, cx = (
-            closest_point[other, 0] + oz,
-            closest_point[other, 1] + oy,
-            closest_point[other, 2] + ox,
-        )
+        cz = closest_point[other, 0] + oz
+        cy = closest_point[other, 1] + oy
+        cx = closest_point[other, 2] + ox
         d = cz * cz + cy * cy + cx * cx
         if d < least:
             least, found = d, slot
-            out[0], out[1], out[2] = cz, cy, cx
+            out[0] = cz
+            out[1] = cy
+            out[2] = cx
     return found
 
 
@@ -418,7 +426,9 @@ def propagate_closest_points(start, stop, dense, grid, known, on, out):
         )
         changed[row] = donor >= 0
         offset[row] = residue[np.uint64(donor)] if donor >= 0 else 0.0
-        better[row, 0], better[row, 1], better[row, 2] = guess[0], guess[1], guess[2]
+        better[row, 0] = guess[0]
+        better[row, 1] = guess[1]
+        better[row, 2] = guess[2]
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
@@ -431,11 +441,9 @@ def update_closest_points(start, stop, on, found, known):
     for row in range(start, stop):
         if changed[row]:
             s = on[row]
-            closest_point[s, 0], closest_point[s, 1], closest_point[s, 2] = (
-                better[row, 0],
-                better[row, 1],
-                better[row, 2],
-            )
+            closest_point[s, 0] = better[row, 0]
+            closest_point[s, 1] = better[row, 1]
+            closest_point[s, 2] = better[row, 2]
             state[s], residue[s] = FROZEN, offset[row]
 
 
@@ -458,21 +466,19 @@ def refine_closest_points(start, stop, psi, grid, cells, on, closest_point, guid
             s = on[first + i]
             at[i] = cells[s]
             memory[OFFSET + np.uint64(i)] = residue[s]
-            points[0, i], points[1, i], points[2, i] = (
-                closest_point[s, 0],
-                closest_point[s, 1],
-                closest_point[s, 2],
-            )
+            points[0, i] = closest_point[s, 0]
+            points[1, i] = closest_point[s, 1]
+            points[2, i] = closest_point[s, 2]
         closest_points(count, psi, grid, at, memory, w)
         for i in range(count):
             s = on[first + i]
             iz, iy, ix = unravel(at[i], grid)
-            out[0], out[1], out[2] = points[0, i], points[1, i], points[2, i]
+            out[0] = points[0, i]
+            out[1] = points[1, i]
+            out[2] = points[2, i]
             d = np.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
             shorter = status[i] == FOUND and d <= length(closest_point, s) * (1.0 + 1e-3)
             if shorter and is_near_volume(grid, iz, iy, ix, out, MARGIN):
-                closest_point[s, 0], closest_point[s, 1], closest_point[s, 2] = (
-                    out[0],
-                    out[1],
-                    out[2],
-                )
+                closest_point[s, 0] = out[0]
+                closest_point[s, 1] = out[1]
+                closest_point[s, 2] = out[2]

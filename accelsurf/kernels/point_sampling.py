@@ -54,14 +54,18 @@ def outward_normals(start, stop, psi, grid, band, front, out):
     psi is a distance, so the normal at the cell is that at its closest point. 0 too where psi has no slope.
     """
     for s in range(start, stop):
-        nz, ny, nx = 0.0, 0.0, 0.0
+        nz = 0.0
+        ny = 0.0
+        nx = 0.0
         if front[s]:
             cell = band.cells[s]
             iz, iy, ix = unravel(cell, grid)
             nz, ny, nx = gradient(psi, cell, iz, iy, ix, grid)
         norm = np.sqrt(nz * nz + ny * ny + nx * nx)
         scale = 1.0 / norm if norm > 1e-12 else 0.0
-        out[s, 0], out[s, 1], out[s, 2] = nz * scale, ny * scale, nx * scale
+        out[s, 0] = nz * scale
+        out[s, 1] = ny * scale
+        out[s, 2] = nx * scale
 
 
 @kernel(stage=Stage.ENERGY)

@@ -50,7 +50,9 @@ def fraction_below_plane(psi, gz, gy, gx, grid):
     # A direction along a face has m = 0, where the formula is 0/0: this much tilt has no visible effect, and
     # shares a face that lies exactly between two voxels among them.
     least = 1e-4 * (a + b + c)
-    a, b, c = max(a, least), max(b, least), max(c, least)
+    a = max(a, least)
+    b = max(b, least)
+    c = max(c, least)
     total = a + b + c
     s = 0.5 * total - psi
     if s <= 0.0:
@@ -123,16 +125,16 @@ def measure_band(start, stop, psi, grid, band, within, out):
                 band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid
             )
             if abs(d) > diagonal and voxels > max(within, AREA_WIDTH):
-                fraction[s], area[s], curvature[s], variation[s] = (
-                    1.0 if d < 0.0 else 0.0,
-                    0.0,
-                    0.0,
-                    0.0,
-                )
+                fraction[s] = 1.0 if d < 0.0 else 0.0
+                area[s] = 0.0
+                curvature[s] = 0.0
+                variation[s] = 0.0
                 continue
             iz, iy, ix = unravel(band.cells[s], grid)
             if gather_block(band.cells[s], iz, iy, ix, psi, grid, memory, count):
-                which[count], distance[count], measured[count] = s, d, voxels
+                which[count] = s
+                distance[count] = d
+                measured[count] = voxels
                 count += 1
             else:
                 gz, gy, gx = gradient(psi, band.cells[s], iz, iy, ix, grid)
@@ -156,7 +158,9 @@ def measure_band(start, stop, psi, grid, band, within, out):
         measures_alike(grid, distance, memory, (within, most), measured)
         for i in range(count):
             s, d = which[i], distance[i]
-            gz, gy, gx = slope[0, i], slope[1, i], slope[2, i]
+            gz = slope[0, i]
+            gy = slope[1, i]
+            gx = slope[2, i]
             fraction[s] = share_inside(grid, d, shape[2, i], gz, gy, gx, diagonal)
             area[s], curvature[s] = measured[2 * BATCH + i], measured[3 * BATCH + i]
             if measured[i] <= MIN_DIRECTION:
@@ -197,7 +201,9 @@ def measures_alike(grid, distance, memory, limits, measured):
     within, most = limits
     for i in range(np.uint64(BATCH)):
         # The width by a row: divided by what does not change it would be rounded otherwise than in `smeared_area`.
-        d, voxels, width = distance[i], measured[i], measured[ROW[1] + i]
+        d = distance[i]
+        voxels = measured[i]
+        width = measured[ROW[1] + i]
         mean, gauss = memory[CURVATURES + i], memory[CURVATURES + ROW[1] + i]
         # Nothing is divided by 0, also where the result is not used.
         mm = max(abs(d) / max(voxels, MIN_DIRECTION), 1e-30)
@@ -234,11 +240,9 @@ def wide_areas(start, stop, psi, grid, band, width, out):
             gz, gy, gx = gradient(psi, band.cells[s], iz, iy, ix, grid)
             _, gauss = curvatures(psi, band.cells[s], iz, iy, ix, grid)
             along = max(voxels_along(gz, gy, gx, grid), 1e-6)
-            fz, fy, fx = (
-                closest_point[0] / grid.hz,
-                closest_point[1] / grid.hy,
-                closest_point[2] / grid.hx,
-            )
+            fz = closest_point[0] / grid.hz
+            fy = closest_point[1] / grid.hy
+            fx = closest_point[2] / grid.hx
             room = room_to_border(
                 iz + fz, grid.nz, fz / voxels if voxels > 0.01 else gz / (grid.hz * along)
             )

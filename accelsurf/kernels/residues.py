@@ -55,11 +55,9 @@ def known_point(s, grid, band, motion):
 @kernel
 def has_own_residue(s, grid, band):
     """Test if slot ``s`` is within `OWN_RESIDUE` of the surface."""
-    fz, fy, fx = (
-        band.to_closest[s, 0] / grid.hz,
-        band.to_closest[s, 1] / grid.hy,
-        band.to_closest[s, 2] / grid.hx,
-    )
+    fz = band.to_closest[s, 0] / grid.hz
+    fy = band.to_closest[s, 1] / grid.hy
+    fx = band.to_closest[s, 2] / grid.hx
     return fz * fz + fy * fy + fx * fx <= OWN_RESIDUE * OWN_RESIDUE
 
 
@@ -85,7 +83,9 @@ def nearest_slot(slot, grid, pz, py, px):
 def is_at_surface(psi, grid, pz, py, px):
     """Test if psi has both signs around an index position: what has lost its inside must not be held in place."""
     inside = 0
-    iz, iy, ix = np.int64(np.floor(pz)), np.int64(np.floor(py)), np.int64(np.floor(px))
+    iz = np.int64(np.floor(pz))
+    iy = np.int64(np.floor(py))
+    ix = np.int64(np.floor(px))
     if 0 <= iz < grid.nz - 1 and 0 <= iy < grid.ny - 1 and 0 <= ix < grid.nx - 1:
         a = (iz * grid.ny + iy) * grid.nx + ix
         b = a + grid.ny * grid.nx
@@ -107,7 +107,9 @@ def largest_residue(psi, grid, point, memory):
     first[0] = enter_point(np.uint64(0), grid, *point, lines)
     limited_in_vectors(1, psi, grid, first, lines)
     level, gz, gy, gx = four_nodes(lines, LEVELS)
-    z, y, x = grid.hz * gz, grid.hy * gy, grid.hx * gx
+    z = grid.hz * gz
+    y = grid.hy * gy
+    x = grid.hx * gx
     voxel = np.sqrt((z * z + y * y + x * x) / max(gz * gz + gy * gy + gx * gx, 1e-30))
     return MAX_RESIDUE * (
         voxel if abs(level) <= MAX_LIMITED * voxel else min(grid.hz, min(grid.hy, grid.hx))
@@ -141,7 +143,9 @@ def own_residues(start, stop, psi, grid, band, motion, out):
         if not near[s] and not thick:
             continue
         pz, py, px = known_point(s, grid, band, motion)
-        bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
+        bz = int(pz) - 1
+        by = int(py) - 1
+        bx = int(px) - 1
         # Well inside the volume, without the cases and the slopes of value_and_gradient.
         if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
             at = (bz * grid.ny + by) * grid.nx + bx

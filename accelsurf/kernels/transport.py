@@ -77,7 +77,10 @@ def four_fields_at(values, slot, first, sy, sz, w, out):
     vector, each in the order of `band_vector_at`. False where a node is not in the band.
     """
     n = values.shape[0]
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    a = 0.0
+    b = 0.0
+    c = 0.0
+    d = 0.0
     for i in range(4):
         for j in range(4):
             at = first + i * sz + j * sy
@@ -91,7 +94,10 @@ def four_fields_at(values, slot, first, sy, sz, w, out):
                 b += weight * values[row, 1]
                 c += weight * values[row, 2]
                 d += weight * values[row, 3]
-    out[0], out[1], out[2], out[3] = a, b, c, d
+    out[0] = a
+    out[1] = b
+    out[2] = c
+    out[3] = d
     return True
 
 
@@ -104,10 +110,14 @@ def linear_band_vector(values, slot, grid, position, out):
     pz = min(max(position[0], 0.0), grid.nz - 1.0)
     py = min(max(position[1], 0.0), grid.ny - 1.0)
     px = min(max(position[2], 0.0), grid.nx - 1.0)
-    iz, iy, ix = int(np.floor(pz)), int(np.floor(py)), int(np.floor(px))
+    iz = int(np.floor(pz))
+    iy = int(np.floor(py))
+    ix = int(np.floor(px))
     weight = 0.0
     for corner in range(8):
-        i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+        i = corner >> 2
+        j = (corner >> 1) & 1
+        k = corner & 1
         share = (pz - iz if i == 1 else 1.0 - (pz - iz)) * (py - iy if j == 1 else 1.0 - (py - iy))
         share *= px - ix if k == 1 else 1.0 - (px - ix)
         if share <= 1e-6:
@@ -197,7 +207,9 @@ def advect_psi(start, stop, dense, grid, band, velocity, dt, out):
     for s in range(start, stop):
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
-        target[0], target[1], target[2] = iz, iy, ix
+        target[0] = iz
+        target[1] = iy
+        target[2] = ix
         departure_point(velocity, dense.slot, grid, target, dt, (w, v), at)
         if has_stencil(dense.slot, grid, at, w):
             out[s], _, _, _ = value_and_gradient(dense.psi, grid, at[0], at[1], at[2], w)
@@ -227,7 +239,9 @@ def normals(start, stop, psi, grid, band, out):
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
         nz, ny, nx = outward(psi, band, s, cell, iz, iy, ix, grid)
-        out[s, 0], out[s, 1], out[s, 2] = -nz, -ny, -nx
+        out[s, 0] = -nz
+        out[s, 1] = -ny
+        out[s, 2] = -nx
 
 
 @kernel
@@ -295,7 +309,9 @@ def surface_gradient(start, stop, slot, grid, cells, front, field, out):
     g = np.empty(3)
     values, normal = field
     for s in range(start, stop):
-        out[s, 0], out[s, 1], out[s, 2] = 0.0, 0.0, 0.0
+        out[s, 0] = 0.0
+        out[s, 1] = 0.0
+        out[s, 2] = 0.0
         if not front[s]:
             continue
         cell = cells[s]

@@ -47,7 +47,9 @@ def scatter(cells, weight, image, grid, nodes, counts, totals):
     the order of the sums is that of the cells.
     """
     row, plane = nodes.nx, nodes.ny * nodes.nx
-    dz, dy, dx = plane if nodes.nz > 1 else 0, row if nodes.ny > 1 else 0, 1 if nodes.nx > 1 else 0
+    dz = plane if nodes.nz > 1 else 0
+    dy = row if nodes.ny > 1 else 0
+    dx = 1 if nodes.nx > 1 else 0
     for s in range(cells.shape[0]):
         if weight[s] == 0.0:
             continue
@@ -105,9 +107,13 @@ def two_means(start, stop, count, total, count_in, total_in, least, out):
     less the squares are about two means than about one. All are 0 where a part ``least`` of the window or less lies on
     one side.
     """
-    first, second, gain = out[0], out[1], out[2]
+    first = out[0]
+    second = out[1]
+    gain = out[2]
     for i in range(start, stop):
-        first[i], second[i], gain[i] = 0.0, 0.0, 0.0
+        first[i] = 0.0
+        second[i] = 0.0
+        gain[i] = 0.0
         n1, n2 = count_in[i], count[i] - count_in[i]
         if n1 > least * count[i] and n2 > least * count[i]:
             f1, f2 = total_in[i] / n1, (total[i] - total_in[i]) / n2
@@ -119,7 +125,9 @@ def two_means(start, stop, count, total, count_in, total_in, least, out):
 def read_nodes(start, stop, grid, band, front, nodes, fields, out):
     """Two raveled ``fields`` of nodes at the closest point of every front cell, into ``out`` (n, 2); 0 elsewhere."""
     row, plane = nodes.nx, nodes.ny * nodes.nx
-    dz, dy, dx = plane if nodes.nz > 1 else 0, row if nodes.ny > 1 else 0, 1 if nodes.nx > 1 else 0
+    dz = plane if nodes.nz > 1 else 0
+    dy = row if nodes.ny > 1 else 0
+    dx = 1 if nodes.nx > 1 else 0
     first, second = fields
     for s in range(start, stop):
         out[s, 0], out[s, 1] = 0.0, 0.0
@@ -155,7 +163,9 @@ def lattice_weights(index, shift, n, stride, count, w):
     place = 0.5 * (count - 1) + min(max(index + shift - middle, -middle), middle) / stride
     nearest = int(place + 0.5)
     t = place - nearest
-    w[0], w[1], w[2] = 0.5 * (0.5 - t) ** 2, 0.75 - t * t, 0.5 * (0.5 + t) ** 2
+    w[0] = 0.5 * (0.5 - t) ** 2
+    w[1] = 0.75 - t * t
+    w[2] = 0.5 * (0.5 + t) ** 2
     return nearest - 1
 
 
@@ -169,7 +179,9 @@ def deposit(grid, band, mass, motion, stride, lattice):
     """
     velocity, dt = motion
     mz, my, mx = lattice.shape
-    wz, wy, wx = np.empty(3), np.empty(3), np.empty(3)
+    wz = np.empty(3)
+    wy = np.empty(3)
+    wx = np.empty(3)
     for s in range(mass.size):
         if mass[s] <= 0.0:
             continue
@@ -195,7 +207,9 @@ def deposit(grid, band, mass, motion, stride, lattice):
 def lattice_factors(start, stop, grid, band, lattice, stride, out):
     """Mean of the ``lattice`` (mz, my, mx) around the closest point of every cell, with the weights of `deposit`."""
     mz, my, mx = lattice.shape
-    wz, wy, wx = np.empty(3), np.empty(3), np.empty(3)
+    wz = np.empty(3)
+    wy = np.empty(3)
+    wx = np.empty(3)
     for s in range(start, stop):
         closest_point = band.to_closest[s]
         iz, iy, ix = unravel(band.cells[s], grid)

@@ -109,7 +109,10 @@ def march(times, medium, appearance, grid, seeds, cap, sources):
         sources.origin[:] = -1
         for cell in seeds:
             sources.origin[cell] = cell
-    done, count, waiting, bucket = 0, len(seeds), 0, np.int64(0)
+    done = 0
+    count = len(seeds)
+    waiting = 0
+    bucket = np.int64(0)
     while True:
         while done < count:
             if waiting + SIDES > len(queue.entries):
@@ -253,7 +256,9 @@ def upwind_time(times, cell, at, cost, grid):
     a = earlier(times, cell, at[0], grid.nz, grid.ny * grid.nx)
     b = earlier(times, cell, at[1], grid.ny, grid.nx)
     c = earlier(times, cell, at[2], grid.nx, 1)
-    ha, hb, hc = grid.hz, grid.hy, grid.hx
+    ha = grid.hz
+    hb = grid.hy
+    hc = grid.hx
     if b < a:
         a, b, ha, hb = b, a, hb, ha
     if c < b:
@@ -310,7 +315,9 @@ def factored_time(times, sources, cells, at, costs, grid):
     (cell, come_from), (cost, least_cost) = cells, costs
     source = sources.origin[come_from]
     sz, sy, sx = unravel(source, grid)
-    dz, dy, dx = (at[0] - sz) * grid.hz, (at[1] - sy) * grid.hy, (at[2] - sx) * grid.hx
+    dz = (at[0] - sz) * grid.hz
+    dy = (at[1] - sy) * grid.hy
+    dx = (at[2] - sx) * grid.hx
     r = np.sqrt(dz * dz + dy * dy + dx * dx)
     layer = grid.ny * grid.nx
     straight = is_straight(times, sources, come_from, cost, grid)
@@ -329,7 +336,9 @@ def factored_time(times, sources, cells, at, costs, grid):
     for axes in range(3, 8):  # sets of two axes and of all three, as bits
         if axes == 4:
             continue
-        u, v, w = axes & 1, axes >> 1 & 1, axes >> 2
+        u = axes & 1
+        v = axes >> 1 & 1
+        w = axes >> 2
         if (u and t0 == np.inf) or (v and t1 == np.inf) or (w and t2 == np.inf):
             continue
         square = u * a0 * a0 + v * a1 * a1 + w * a2 * a2
@@ -354,7 +363,9 @@ def is_straight(times, sources, cell, cost, grid):
     """Test if the front came to a voxel straight from its seed, at this cost all the way."""
     sz, sy, sx = unravel(sources.origin[cell], grid)
     iz, iy, ix = unravel(cell, grid)
-    dz, dy, dx = (iz - sz) * grid.hz, (iy - sy) * grid.hy, (ix - sx) * grid.hx
+    dz = (iz - sz) * grid.hz
+    dy = (iy - sy) * grid.hy
+    dx = (ix - sx) * grid.hx
     least = cost * np.sqrt(dz * dz + dy * dy + dx * dx)
     return abs(times[cell] - least) <= EVEN * least
 
@@ -476,7 +487,9 @@ def shortest_paths(seeds, values, lengths, weight):
     costs = step_costs(values, lengths, weight)
     # A row is looked at again only after a row beside it has changed: when that was, and when it was looked at.
     changed, looked = np.zeros((nz, ny), np.int64), np.full((nz, ny), np.int64(-1))
-    now, sweep, improves = np.int64(0), 0, True
+    now = np.int64(0)
+    sweep = 0
+    improves = True
     while improves:
         improves = False
         for i in range(nz):
@@ -501,7 +514,9 @@ def step_costs(values, lengths, weight):
     channels, nz, ny, nx = values.shape
     out = np.full((3, nz, ny, nx), np.float32(np.inf))
     for axis in range(3):
-        dz, dy, dx = int(axis == 0), int(axis == 1), int(axis == 2)
+        dz = int(axis == 0)
+        dy = int(axis == 1)
+        dx = int(axis == 2)
         square, scale = np.float32(lengths[axis] ** 2), np.float32(weight)
         for iz in range(dz, nz):
             for iy in range(dy, ny):
