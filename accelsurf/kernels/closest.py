@@ -591,7 +591,7 @@ def guess_closest_points(slots, dense, grid, band, guide, scratch, out):
 
 @kernel
 def gather_around(slots, psi, grid, band, residue, rows):
-    """Fill ``rows`` with what is known of the cells of ``slots``.
+    """Fill ``rows`` with psi, closest points and residues of the cells of ``slots``.
 
     Beyond the border psi is as in the cell.
     """

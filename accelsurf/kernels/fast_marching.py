@@ -309,7 +309,7 @@ def upwind_table(start, stop, slot, grid, known, off, table):
 
 @kernel(stage=Stage.EXTENSION)
 def carry_outwards(off, slots, shares, values):
-    """Overwrite ``values`` (n,) at the slots ``off`` (m,), in this order, by the means that `upwind_table` has for them; serial.
+    """Overwrite ``values`` (n,) at the slots ``off`` (m,), in this order, by the means of `upwind_table`; serial.
 
     No value leaves the range of those that it comes from: a difference of second order would.
     """

@@ -64,8 +64,8 @@ def load_line(flat, where, axis, limits, line):
     """Copy a line of the raveled fluid (4, cells) as (rho, V_n, V_t, V_s) into ``line`` (4, count + 4).
 
     ``where``: first cell, stride, count; ``limits``: stiffness, dry. Two cells beyond either end repeat the last one:
-    what reaches the border flows out. Where rho is at most ``dry`` there is no velocity. Returns the first and one past
-    the last cell where something may flow, as indices of the line.
+    mass that reaches the border flows out. Where rho is at most ``dry`` there is no velocity. Returns the first and one
+    past the last cell where something may flow, as indices of the line.
     """
     base, stride, count = where
     stiffness, dry = limits

@@ -18,7 +18,8 @@ from accelsurf.kernels.simd.cubic import cubic
 def place_on_axis(p, n):
     """First of the four nodes, or of all ``n``, around position ``p`` (voxels) on an axis, and the place among them.
 
-    ``p`` beyond the axis is clamped to its ends. Returns (base, u, beyond), where ``beyond`` is what was clamped.
+    ``p`` beyond the axis is clamped to its ends. Returns (base, u, beyond), where ``beyond`` is the distance that was
+    clamped.
     """
     clamped = min(max(p, 0.0), n - 1.0)
     base = min(max(int(np.floor(clamped)) - 1, 0), max(n - 4, 0))
@@ -48,7 +49,7 @@ def axis_weights(p, n, w, o):
     """Weights of the nodes ``base .. base + count - 1`` for position ``p`` (voxels) on an axis of ``n`` nodes.
 
     ``w[o:o+4]`` get the weights of the value, ``w[o+4:o+8]`` those of the derivative per voxel. ``p`` beyond the
-    axis is clamped to its ends; the returned ``beyond`` is what was clamped, for a linear continuation.
+    axis is clamped to its ends; the returned ``beyond`` is the distance that was clamped, for a linear continuation.
     Returns (base, count, beyond).
     """
     base, u, beyond = place_on_axis(p, n)
@@ -420,7 +421,7 @@ def load_nodes(count, length, psi, first, shift, memory):
 
 @kernel(inlined=True)
 def bends(a, b, c, d, most):
-    """Replacement of the outer nodes of a line a, b, c, d: whether a is, d is, both by parabolas, what each gets added.
+    """Replacement of the outer nodes of a line a, b, c, d: whether a is, d is, both by parabolas, the addition to each.
 
     The second differences at b and c are limited to ``most`` more or less than the smaller of them, 0 where their
     signs differ: an outer node is replaced by the parabola through the other three, or by the line through the inner
@@ -436,7 +437,7 @@ def bends(a, b, c, d, most):
 
 @kernel(inlined=True)
 def bent(replaced, parabola, more, a, b, c, d):
-    """The node a of a line ``a, b, c, d``, or what it is ``replaced`` by, see `bends`."""
+    """The node a of a line ``a, b, c, d``, or its replacement where ``replaced``, see `bends`."""
     node = 2.0 * b - c + more
     node = node + (b - 2.0 * c + d) if parabola else node
     return node if replaced else a
@@ -482,7 +483,7 @@ def limited_line(memory, at, weights, most):
 def slope_along(memory, at, weights, limited):
     """A slope across a line from those at its nodes, ``limited`` as `limited_line` has limited the values there.
 
-    The slopes of what was added to the values are 0.
+    The slopes of the additions are 0.
     """
     new_a, new_d, parabola = limited
     a, b, c, d = four_nodes(memory, at)

@@ -223,11 +223,11 @@ def tangent_closest_point(closest_point, via, grid, cz, cy, cx, out):
 
 @kernel
 def is_within_stencil(psi, grid, cell, voxels):
-    """Test if a cell with a closest point of so many ``voxels`` belongs to the band on thick slices; on other grids all
+    """Test if a cell with a closest point ``voxels`` off belongs to the band on thick slices; on other grids all
     do.
 
     Where the spacings differ so much a closest point may be long in voxels while the surface is near across the slices.
-    So psi must change its sign within `STENCIL_WIDTH` voxels: what is interpolated at the surface and beside it reads
+    So psi must change its sign within `STENCIL_WIDTH` voxels: interpolation at the surface and beside it reads
     no others.
     """
     if voxels <= STENCIL_WIDTH or not is_thick(grid):

@@ -1,4 +1,4 @@
-"""Residues: what the interpolant of psi is at points known to lie on the surface, where it ought to be 0.
+"""Residues: the interpolant of psi at points known to lie on the surface, where it ought to be 0.
 
 The cubic of four nodes is off in fourth order on a smooth surface, by up to 0.1 voxel where its nodes lie on both sides
 of a ridge of the distance, and always to the same side: a redistancing that looked for the value 0 would swell what is
@@ -81,7 +81,8 @@ def nearest_slot(slot, grid, pz, py, px):
 
 @kernel
 def is_at_surface(psi, grid, pz, py, px):
-    """Test if psi has both signs around an index position: what has lost its inside must not be held in place."""
+    """Test if psi has both signs around an index position: a piece that has lost its inside must not be held in place.
+    """
     inside = 0
     iz = np.int64(np.floor(pz))
     iy = np.int64(np.floor(py))

@@ -175,7 +175,7 @@ def deposit(grid, band, mass, motion, stride, lattice):
     to. Serial.
 
     ``motion`` = (velocity (n, 3), dt); ``stride`` (3,) voxels between nodes. A mass is shared by the nodes around its
-    point, see `lattice_weights`: what is added is what there was.
+    point, see `lattice_weights`: the sum is that of the masses.
     """
     velocity, dt = motion
     mz, my, mx = lattice.shape
@@ -227,7 +227,7 @@ def lattice_factors(start, stop, grid, band, lattice, stride, out):
 
 @kernel(stage=Stage.FLOW)
 def border_outflow(start, stop, grid, cells, motion, out):
-    """Part of what is in every cell that flows out through the border in a step, V dt/h; below 0: that flows in.
+    """Part of the content of every cell that flows out through the border in a step, V dt/h; below 0: that flows in.
 
     ``motion`` = (velocity (n, 3), dt). 0 for cells off the border, and along axes of one voxel.
     """

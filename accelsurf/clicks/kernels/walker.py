@@ -43,7 +43,7 @@ def walk(out, fixed, values, spacing, sharpness, tolerance, most):
     flat = out.ravel()
     held = fixed.ravel()
     rest, product = np.empty(size), np.empty(size)
-    # Of the right-hand side: what the fixed values alone leave over.
+    # Of the right-hand side: the residual of the fixed values alone.
     direction = np.where(held, flat, 0.0)
     apply_links(product, direction, held, links, total)
     target = 0.0

@@ -72,10 +72,10 @@ def mirrored(index, count):
 
 @kernel
 def dilate(values, lines, out):
-    """Largest of the values of a footprint, for each voxel; what lies beyond the border does not count.
+    """Largest of the values of a footprint, for each voxel; voxels beyond the border do not count.
 
     The footprint is a set of lines along the last axis. Those of equal length are compared first, from the longest on,
-    and what was found is then widened by a voxel to either side for each voxel that the next ones are shorter: a pass
+    and the result is then widened by a voxel to either side for each voxel that the next ones are shorter: a pass
     over a row for each line, not for each voxel of it.
 
     Parameters
