@@ -150,11 +150,9 @@ def crop_of(scan: str) -> Crop:
             and apart >= APART
             and (strength := edge(values, truth)) > strongest
         ):
-            strongest, found, spacing = (
-                strength,
-                (which.name, values, truth),
-                scene.image.geometry.spacing,
-            )
+            strongest = strength
+            found = (which.name, values, truth)
+            spacing = scene.image.geometry.spacing
     name, values, truth = found
     steps = coarsening(values.shape, spacing, MOST)
     values, truth = block_means(values, steps), block_means(truth.astype(np.float32), steps) >= 0.5
@@ -394,12 +392,16 @@ def measured(crop: Crop, start: str, name: str, settings: Settings) -> list[Any]
     click, run = ball_of(crop, start), METHODS[start][name].run
     began = time.process_time()
     if run is not None:
-        labels, steps, reason = run(crop, click, settings), None, ""
+        labels = run(crop, click, settings)
+        steps = None
+        reason = ""
     else:
         try:
             labels, steps, reason = by_flow(crop, click, start, name, settings)
         except AccelsurfError as error:
-            labels, steps, reason = np.zeros(crop.truth.shape, np.bool_), None, f"refused: {error}"
+            labels = np.zeros(crop.truth.shape, np.bool_)
+            steps = None
+            reason = f"refused: {error}"
     seconds = time.process_time() - began
     far = surfaces(labels, crop.truth, crop.spacing)["mean_voxels"]
     return [

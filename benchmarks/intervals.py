@@ -98,11 +98,9 @@ def box(p: Floats, random: np.random.Generator) -> Shape:
 
 def tube(p: Floats, random: np.random.Generator) -> Shape:
     """A tube of constant width along an arc, with round ends."""
-    radius, width, half = (
-        random.uniform(9, 40),
-        random.uniform(3.5, 6),
-        random.uniform(8, 13),
-    )
+    radius = random.uniform(9, 40)
+    width = random.uniform(3.5, 6)
+    half = random.uniform(8, 13)
     half_angle = min(half / radius, 2.2)
     middle = radius * 0.5 * (1 + np.cos(half_angle))
     angle = np.clip(np.arctan2(p[1], p[0] + middle), -half_angle, half_angle)
@@ -214,7 +212,9 @@ def _averaged(values: NDArray[Any], steps: tuple[int, int, int]) -> Floats:
 def clicked(scan: accelsurf.Volume, truth: Truth) -> tuple[accelsurf.Result, float, int]:
     """Segment as a person does who clicks where most is wrong; return the result, its Dice, and the clicks."""
     clicks: dict[str, list[str]] = {"inside": [], "outside": []}
-    wrong, side, spacing = truth.inside, "inside", scan.geometry.spacing
+    wrong = truth.inside
+    side = "inside"
+    spacing = scan.geometry.spacing
     for _ in range(MAX_CLICKS):
         deep = ndimage.distance_transform_edt(np.pad(wrong, 1), spacing)[1:-1, 1:-1, 1:-1]
         z, y, x = (int(v) for v in np.unravel_index(int(deep.argmax()), deep.shape))
@@ -239,7 +239,9 @@ def played(part: str, numbers: range, surfaces: Path | None) -> Iterator[dict[st
             if kept is None or not kept.exists():
                 result, dice, clicks = clicked(scan, truth)
                 one = result.objects[0]
-                psi, image, surface = one.psi, one.image, one.volume_mm3
+                psi = one.psi
+                image = one.image
+                surface = one.volume_mm3
                 if kept is not None:
                     np.savez(kept, psi=psi, image=image, figures=(surface, dice, clicks))
             else:

@@ -201,7 +201,9 @@ def volumes(problem: Any, frame: Any, sizes: tuple[int, ...]) -> Row:
 
 def growing_out(model: str, n: int) -> Row:
     """A ball that grows out through three faces under a constant force: largest and mean error, voxels."""
-    force, centre, r0 = -0.5, np.array([0.75, 0.85, 0.8]), 0.45
+    force = -0.5
+    centre = np.array([0.75, 0.85, 0.8])
+    r0 = 0.45
     h, on = WIDTH / (n - 1), lattice(n)
     radius = np.sqrt(((on.points - centre[:, None, None, None]) ** 2).sum(axis=0))
     path = exact.path(
@@ -221,7 +223,10 @@ def growing_out(model: str, n: int) -> Row:
 
 def retreating(n: int) -> Row:
     """A disc cut by two sides shrinks at constant speed: its points lie c t from the circle's arc in the slice."""
-    force, centre, r0, t = 0.5, np.array([0.75, 0.6]), 1.1, 0.8
+    force = 0.5
+    centre = np.array([0.75, 0.6])
+    r0 = 1.1
+    t = 0.8
     h, on = WIDTH / (n - 1), lattice(n, flat=True)
     radius = np.sqrt(((on.points[1:] - centre[:, None, None, None]) ** 2).sum(axis=0))
     run = Run(Setup(radius - r0, np.full(radius.shape, force), on.spacing), Law("descent"))

@@ -223,7 +223,9 @@ def needed(after: list[float], wanted: float, first: int = 0) -> int | None:
 
 def play(case: Case, ways: list[str], known: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
     """Rows of the table of one object; ``known`` are its rows so far."""
-    truth, spacing, h = case.truth, case.image.geometry.spacing, min(case.image.geometry.spacing)
+    truth = case.truth
+    spacing = case.image.geometry.spacing
+    h = min(case.image.geometry.spacing)
     if known:
         from_nothing = known[0]["from_nothing"]
     else:

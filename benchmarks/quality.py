@@ -111,11 +111,9 @@ def main() -> None:
 
 def gather(results: dict[str, Any], options: argparse.Namespace) -> None:
     """Make the rows that are missing, or of another model, and write them as they come."""
-    made_by, only, began = (
-        model_digest(),
-        {name for name in options.only.split(",") if name},
-        time.monotonic(),
-    )
+    made_by = model_digest()
+    only = {name for name in options.only.split(",") if name}
+    began = time.monotonic()
     names = [which.name for which in selected()] if "ACCELSURF_VOLUMES" in os.environ else []
     if not names:
         print("ACCELSURF_VOLUMES is not set: phantoms and scenes only", file=sys.stderr)
@@ -165,7 +163,9 @@ def in_game(scene: Scene, seed: int | None) -> Iterator[Row]:
     image, truth = scene.image, scene.truth
     values = image.as_float32()
     player = StartAlone(image.with_array(apply(values, scale_of(values))), Hints())
-    clicked, labels, before = np.zeros(truth.shape, np.bool_), None, None
+    clicked = np.zeros(truth.shape, np.bool_)
+    labels = None
+    before = None
     for number in range(CLICKS):
         random = None if seed is None else np.random.default_rng([BASE, seed, number])
         click = next_click(truth, labels, image.geometry, random)

@@ -95,7 +95,9 @@ def measured(
         surface = evolution.surface
         cells, psi = surface.band.cells, surface.band.psi
         evolution.history.pop()
-        evolution.stop, evolution.rule, evolution.max_steps = None, None, 10**9
+        evolution.stop = None
+        evolution.rule = None
+        evolution.max_steps = 10**9
         for _ in range(MORE):
             if evolution.step() is None:
                 break

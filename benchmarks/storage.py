@@ -169,12 +169,12 @@ def read_dense(psi, shape, cells, closest_points, out):
     """Cubic value and slopes at each cell's closest point."""
     ny, nx = shape[1], shape[2]
     for i in range(len(cells)):
-        bz, by, bx = (
-            int(closest_points[i, 0]) - 1,
-            int(closest_points[i, 1]) - 1,
-            int(closest_points[i, 2]) - 1,
-        )
-        uz, uy, ux = closest_points[i, 0] - bz, closest_points[i, 1] - by, closest_points[i, 2] - bx
+        bz = int(closest_points[i, 0]) - 1
+        by = int(closest_points[i, 1]) - 1
+        bx = int(closest_points[i, 2]) - 1
+        uz = closest_points[i, 0] - bz
+        uy = closest_points[i, 1] - by
+        ux = closest_points[i, 2] - bx
         value, gz, gy, gx = cubic(psi, (bz * ny + by) * nx + bx, nx, ny * nx, uz, uy, ux)
         out[i] = value + gz + gy + gx
 
@@ -185,12 +185,12 @@ def read_table(psi, table, bricks, bits, closest_points, out):
     low = (1 << bits) - 1
     local = np.empty(64, np.float32)
     for i in range(len(closest_points)):
-        bz, by, bx = (
-            int(closest_points[i, 0]) - 1,
-            int(closest_points[i, 1]) - 1,
-            int(closest_points[i, 2]) - 1,
-        )
-        uz, uy, ux = closest_points[i, 0] - bz, closest_points[i, 1] - by, closest_points[i, 2] - bx
+        bz = int(closest_points[i, 0]) - 1
+        by = int(closest_points[i, 1]) - 1
+        bx = int(closest_points[i, 2]) - 1
+        uz = closest_points[i, 0] - bz
+        uy = closest_points[i, 1] - by
+        ux = closest_points[i, 2] - bx
         if (
             bz & low <= low - 3 and by & low <= low - 3 and bx & low <= low - 3
         ):  # one brick has them all
@@ -217,13 +217,16 @@ def read_halo(psi, table, bricks, bits, closest_points, out):
     """The same by bricks that have their neighbours' outer voxels beside their own."""
     low, wide = (1 << bits) - 1, (1 << bits) + 4
     for i in range(len(closest_points)):
-        bz, by, bx = (
-            int(closest_points[i, 0]) - 1,
-            int(closest_points[i, 1]) - 1,
-            int(closest_points[i, 2]) - 1,
-        )
-        uz, uy, ux = closest_points[i, 0] - bz, closest_points[i, 1] - by, closest_points[i, 2] - bx
-        z, y, x = bz + 1, by + 1, bx + 1  # the brick of the second node
+        bz = int(closest_points[i, 0]) - 1
+        by = int(closest_points[i, 1]) - 1
+        bx = int(closest_points[i, 2]) - 1
+        uz = closest_points[i, 0] - bz
+        uy = closest_points[i, 1] - by
+        ux = closest_points[i, 2] - bx
+        # the brick of the second node
+        z = bz + 1
+        y = by + 1
+        x = bx + 1
         brick = table[((z >> bits) * bricks[1] + (y >> bits)) * bricks[2] + (x >> bits)]
         at = ((brick * wide + (z & low) + 1) * wide + (y & low) + 1) * wide + (x & low) + 1
         value, gz, gy, gx = cubic(psi, at, wide, wide * wide, uz, uy, ux)
@@ -259,7 +262,9 @@ def cross_table(psi, table, bricks, bits, places, out):
     by_plane, by_row = 1 << (2 * bits), 1 << bits
     for i in range(len(places)):
         z, y, x = places[i]
-        lz, ly, lx = z & low, y & low, x & low
+        lz = z & low
+        ly = y & low
+        lx = x & low
         above = ((z >> bits) * bricks[1] + (y >> bits)) * bricks[2] + (x >> bits)
         c = (table[above] << (3 * bits)) + (lz << (2 * bits)) + (ly << bits) + lx
         total = np.float32(0.0)
@@ -269,7 +274,9 @@ def cross_table(psi, table, bricks, bits, places, out):
         else:
             for d in (-2, -1, 1, 2):
                 for axis in range(3):
-                    a, b, e = z + d * (axis == 0), y + d * (axis == 1), x + d * (axis == 2)
+                    a = z + d * (axis == 0)
+                    b = y + d * (axis == 1)
+                    e = x + d * (axis == 2)
                     brick = table[((a >> bits) * bricks[1] + (b >> bits)) * bricks[2] + (e >> bits)]
                     total += psi[
                         (brick << (3 * bits))

@@ -63,7 +63,9 @@ class ThereAndBack(ImageSequence):
     """The frames of a phantom forward, then backward to the first; noise is that of the phantom's frame."""
 
     def __init__(self, phantom: MovingPhantom) -> None:
-        self.phantom, self.geometry, self.source = phantom, phantom.geometry, phantom.source
+        self.phantom = phantom
+        self.geometry = phantom.geometry
+        self.source = phantom.source
         self.times, self.time_unit = tuple(float(n) for n in range(2 * len(phantom) - 1)), "frame"
 
     def _channels(self, number: int) -> list[Volume]:

@@ -180,7 +180,9 @@ def droplet(folder: Path | None) -> Iterator[dict[str, Any]]:
         part = VolumeSequence([sequence.channels(n)[0] for n in numbers])
         truth = [otsu(one.array) for one in (part.channels(n)[0] for n in range(len(numbers)))]
         for model in MODELS:
-            began, scores, off = time.perf_counter(), [], []
+            began = time.perf_counter()
+            scores = []
+            off = []
             for result in tracking(part, truth[0].astype(np.uint8), model, "chan-vese"):
                 if not result.frame:
                     continue

@@ -81,7 +81,7 @@ def nearest_slot(slot, grid, pz, py, px):
 
 @kernel
 def is_at_surface(psi, grid, pz, py, px):
-    """Test if psi has both signs around an index position: a piece that has lost its inside must not be held in place."""
+    """Test if psi has both signs around an index position: a piece without inside must not be held in place."""
     inside = 0
     iz = np.int64(np.floor(pz))
     iy = np.int64(np.floor(py))

@@ -77,7 +77,10 @@ class CroppedSession:
         drawn: Box | None = None,
         whole: bool = False,
     ) -> None:
-        self.image, self.solver, self.settings, self.cap = image, solver, settings, cap
+        self.image = image
+        self.solver = solver
+        self.settings = settings
+        self.cap = cap
         self.drawn, self.whole = drawn, whole
         self.clicks: list[PersonClick] = []
 

@@ -467,7 +467,9 @@ def picture(folder: Path, figures: Mapping[str, Any]) -> list[Path]:
             if part not in found:
                 continue
             # A method has one colour in all panels.
-            i, is_ours, dice = list(METHODS).index(name), name in OWN, found[part]["dice"]
+            i = list(METHODS).index(name)
+            is_ours = name in OWN
+            dice = found[part]["dice"]
             axis.plot(
                 list(dice),
                 list(dice.values()),

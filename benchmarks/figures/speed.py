@@ -57,7 +57,9 @@ def history(
     """Energy, cells visited and seconds at every step, until it has settled or the energy is ``enough``."""
     surface, energy = problem(n, dim)
     evolution = Evolution(surface, energy, flow, StepLimits(0.5, 95.0), steps, Restart())
-    energies, cells, seconds = [], [0], [0.0]
+    energies = []
+    cells = [0]
+    seconds = [0.0]
     for step in evolution:
         energies.append(step.record.potential)
         cells.append(cells[-1] + step.record.cells_visited)

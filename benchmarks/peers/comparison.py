@@ -62,7 +62,9 @@ def time_best(
     trials, calls = dict(trials), dict(calls)
     tops = {name: best(tried) for name, tried in trials.items()}
     for trial in (trial for trial in level(trials) if trial.settings != tops[OWN].settings):
-        tops[LEVEL], trials[LEVEL], calls[LEVEL] = trial, trials[OWN], calls[OWN]
+        tops[LEVEL] = trial
+        trials[LEVEL] = trials[OWN]
+        calls[LEVEL] = calls[OWN]
     highest = max(top.dice for name, top in tops.items() if name not in BASELINES)
     good = [t.seconds for n, t in tops.items() if n in PEERS and t.dice >= highest - BEHIND]
     slow = SLOWER * min(good, default=float("inf"))

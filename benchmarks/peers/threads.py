@@ -39,7 +39,11 @@ def threads(options: Options) -> dict[str, Any]:
         image, _, start, _ = noisy_cube(32 if options.quick else 128)
         cube = RunConfig(start=start, presmooth=1.0)
         works["noisy cube instead"] = lambda n: segment_on(image, cube.replace(threads=n))
-    goals, pairs, rows, more, found = [], [], [], [], {}
+    goals = []
+    pairs = []
+    rows = []
+    more = []
+    found = {}
     for name, work in works.items():
         work(2)  # compile
         runs = one_and_two(work, options.repeats)

@@ -75,7 +75,9 @@ class WindowWatch:
     """Says where the parts of a window are, what it shows, and where its surface is wrong."""
 
     def __init__(self, main: Any, state_file: Path, truth: list[Any]) -> None:
-        self._main, self._file, self._truth = main, state_file, truth
+        self._main = main
+        self._file = state_file
+        self._truth = truth
         self._wanted = state_file.with_suffix(".judge")
         self._verdict: dict[str, Any] = {}
         self._frames: list[float] = []
