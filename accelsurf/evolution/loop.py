@@ -396,11 +396,13 @@ class Evolution:
             "volume_mm3": self.surface.volume(fraction),
             "area_mm2": float(area.sum()),
             "band_cells": self.surface.size,
-            "extra": tuple(
-                (name, float(measure(self.surface, self.energy, self.flow)))
-                for name, measure in self.measures.items()
-            ),
+            "extra": tuple(self._measured()),
         }
+
+    def _measured(self) -> Iterator[tuple[str, float]]:
+        """Yield the user's measures of the surface, by name."""
+        for name, measure in self.measures.items():
+            yield name, float(measure(self.surface, self.energy, self.flow))
 
     def _advance(self, plan: StepPlan) -> int:
         """Move the surface and the fields on it; returns how many components were removed."""

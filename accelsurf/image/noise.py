@@ -61,10 +61,10 @@ def sample_places(shape: Sequence[int]) -> list[tuple[NDArray[np.int64], ...]]:
     places = []
     for axis in (i for i, n in enumerate(shape) if n > 2):
         at = [_evenly(n - 2 if i == axis else n, apart) for i, n in enumerate(shape)]
-        places += [
-            tuple(index + shift if i == axis else index for i, index in enumerate(at))
-            for shift in (0, 1, 2)
-        ]
+        for shift in (0, 1, 2):
+            places.append(
+                tuple(index + shift if i == axis else index for i, index in enumerate(at))
+            )
     return places
 
 

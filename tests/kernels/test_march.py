@@ -416,7 +416,7 @@ def guessed(dense, grid, band, inner, first, count):
 
 @pytest.mark.parametrize("shape", [(7, 9, 8), *THIN])
 def test_guesses_are_the_first_guess_or_the_old_closest_point_drawn_out(shape):
-    """Of a whole band, moved since it was a distance; the old closest point within the voxel centres' box; 0: no guess."""
+    """Of a whole band that has moved since; the old closest point within the voxel centres' box; 0: no guess."""
     rng = np.random.default_rng(9)
     psi = reference.smooth_noise(shape, 10, 1.0)
     psi.ravel()[: psi.size // 10] = 2  # flat: no guess within
@@ -835,7 +835,7 @@ def test_changes_are_first_closest_points_or_refined_later():
 
 @pytest.mark.parametrize("shape", [(7, 9, 8), *THIN])
 def test_a_round_takes_the_closest_of_the_neighbours_closest_points(shape):
-    """Of a whole band with random closest points, some not known, as a plain reference; a range writes nothing outside."""
+    """Of a whole band with random closest points, some unknown, as a plain reference; a range writes in itself."""
     rng = np.random.default_rng(17)
     size = int(np.prod(shape))
     dense, band = reference.whole_band(np.ones(shape), rng.normal(0, 1, (size, 3)))
