@@ -7,14 +7,14 @@ has are not made again. The scans are those of `benchmarks.clicks`, in the folde
 
 **Object.** The crop is an object's box, 15 % wider on each side. Of a scan's objects in the click benchmark's table
 with `LEAST` voxels or more, whose mean is a deviation or more apart from that of the rest of the crop (a surface
-between two means finds no other), the one with the strongest edge; on a grid coarsened to at most `MOST` voxels.
+between two means finds no other), the one with the strongest edge; on a grid restricted to at most `MOST` voxels.
 
 **Noise.** Full exposure is the scan as it is, or one with noise of a quarter of the contrast where it has less. At 1/k
 of the exposure the variance is k times as large: Rician in MR; Poisson counts in projections with electronic noise,
 reconstructed by filtered backprojection, in CT; Poisson counts per voxel in fluorescence. No scan is of ultrasound.
 
 **Runs.** From a ball in the deepest place, and from a click there. Flows: `segment` to the stop rule, one step control,
-one thread. Settings are chosen by mean Dice on half of the bodies, at the full exposure and at 1/16, and reported on
+one thread. Settings are selected by mean Dice on half of the bodies, at the full exposure and at 1/16, and reported on
 the other half. Flows from a click have nothing to choose: the program does it.
 """
 
@@ -68,9 +68,9 @@ LEAST, APART, MOST, MARGIN = 1000, 1.0, 80_000, 0.15
 FULL = 0.25
 #: Parts of the full exposure; 1 is the scan as it is.
 EXPOSURES = (1, 4, 16, 64)
-#: For each, in the order of the runs, the exposure that settings are chosen at.
+#: For each, in the order of the runs, the exposure that settings are selected at.
 SELECTED_AT = {16: 16, 64: 16, 1: 1, 4: 1}
-#: The folds that settings are chosen on; the others, which have no body in common with them, are reported.
+#: The folds that settings are selected on; the others, which have no body in common with them, are reported.
 TUNED = ("1", "2", "4")
 #: Ray that is absorbed most, in e-folds; views over half a turn; electronic noise of a detector, in quanta.
 ABSORBED, VIEWS, ELECTRONIC = 4.0, 180, 5.0
@@ -465,7 +465,7 @@ def warm_up() -> None:
 
 
 def tasks(results: Results) -> Iterator[tuple[int, str, str, str, dict[str, Any]]]:
-    """All runs in order: of an exposure those that settings are chosen by, then those reported; slow ones last."""
+    """All runs in order: of an exposure those that settings are selected by, then those reported; slow ones last."""
     for slow, (part, at), is_tuned in itertools.product(
         (False, True), SELECTED_AT.items(), (True, False)
     ):
@@ -488,7 +488,7 @@ def key_of(scan: str, part: int, start: str, name: str, settings: Settings) -> s
 
 
 def best(results: Results, part: int, start: str, name: str) -> dict[str, Any]:
-    """The settings of a method with the best mean Dice on the half that they are chosen on."""
+    """The settings of a method with the best mean Dice on the half that they are selected on."""
 
     def score(settings: dict[str, Any]) -> float:
         return sum(
@@ -686,7 +686,7 @@ def compare(mine: list[Reported], others: list[Reported]) -> str:
 
 
 def table_of_settings(results: Results) -> list[str]:
-    """For the flows from a ball each setting, on the half that settings are chosen on."""
+    """For the flows from a ball each setting, on the half that settings are selected on."""
     lines = head_of(("exposure", "settings", *FLOWS, "momentum less descent"))
     for part, settings in itertools.product(sorted(set(SELECTED_AT.values())), FLOW_GRID):
         keys = {

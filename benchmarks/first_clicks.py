@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.clicks.model.confidence import confidence_of
-from accelsurf.clicks.model.even import BEYOND
+from accelsurf.clicks.model.homogeneous import BEYOND
 from accelsurf.evolution.records import Stop
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
@@ -42,7 +42,9 @@ from benchmarks.peers.measure import scans_folder
 
 ROOT = Path(__file__).resolve().parent.parent
 JSON = ROOT / "benchmarks/results/first_clicks.json"
-SIZES_PAGE, EVEN_PAGE = (ROOT / f"docs/explanation/{name}.md" for name in ("quality", "clicks"))
+SIZES_PAGE, HOMOGENEOUS_PAGE = (
+    ROOT / f"docs/explanation/{name}.md" for name in ("quality", "clicks")
+)
 #: A large ball is this part of the depth at which it lies.
 NEARLY = 0.95
 #: An answer is of another size than the object by this factor.
@@ -103,14 +105,14 @@ def answered(scene: Scene, click: PersonClick) -> Row:
     }
 
 
-class Even(NamedTuple):
+class Homogeneous(NamedTuple):
     """An even object: its image and truth, and what it looks like."""
 
     scene: Scene
     look: str
 
 
-def even_object(is_flat: bool, seed: int) -> Even:
+def homogeneous_object(is_flat: bool, seed: int) -> Homogeneous:
     """Draw a ball, a box or lobes, turned and stretched, as a mask, clipped or in noise."""
     random = np.random.default_rng([int(is_flat), seed])
     shape = (1, SIDE_2D, SIDE_2D) if is_flat else (SIDE_3D,) * 3
@@ -138,12 +140,12 @@ def even_object(is_flat: bool, seed: int) -> Even:
         "noise": 100.0 * truth + 15.0 * noise,
     }[look]
     spacing = (4.0, 1.0, 1.0) if is_flat else (1.0, 1.0, 1.0)
-    return Even(
+    return Homogeneous(
         Scene(Volume.from_array(values.astype(np.float32), spacing), truth), f"{look}, {kind}"
     )
 
 
-def even_clicks(scene: Scene, seed: int) -> Iterator[tuple[str, PersonClick]]:
+def homogeneous_clicks(scene: Scene, seed: int) -> Iterator[tuple[str, PersonClick]]:
     """A point, a small ball and a short stroke anywhere in an object, but for its rim."""
     random = np.random.default_rng(seed)
     deep = ndimage.distance_transform_edt(scene.truth, sampling=scene.image.geometry.spacing)
@@ -200,7 +202,7 @@ def text_of_sizes(rows: list[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def text_of_even(rows: list[Row]) -> str:
+def text_of_homogeneous(rows: list[Row]) -> str:
     """The table of even objects."""
     lines = head_of(
         ("even objects", "click", "objects", "median Dice", "least Dice", "above .9", "ambiguous")
@@ -236,7 +238,12 @@ def main(arguments: list[str] | None = None) -> int:
         results = measure(options.volumes)
         JSON.write_text(json.dumps(results, indent=1) + "\n")
     put_table(SIZES_PAGE, "benchmarks.first_clicks", text_of_sizes(results["sizes"]), "python -m")
-    put_table(EVEN_PAGE, "benchmarks.first_clicks", text_of_even(results["even"]), "python -m")
+    put_table(
+        HOMOGENEOUS_PAGE,
+        "benchmarks.first_clicks",
+        text_of_homogeneous(results["even"]),
+        "python -m",
+    )
     return 0
 
 
@@ -245,8 +252,8 @@ def measure(folder: Path | None) -> dict[str, list[Row]]:
     results: dict[str, list[Row]] = {"even": [], "sizes": []}
     for part in ("2D", "3D"):
         for seed in range(SEEDS):
-            drawn = even_object(part == "2D", seed)
-            for kind, click in even_clicks(drawn.scene, seed):
+            drawn = homogeneous_object(part == "2D", seed)
+            for kind, click in homogeneous_clicks(drawn.scene, seed):
                 about = {"part": part, "seed": seed, "look": drawn.look, "click": kind}
                 results["even"].append({**about, **answered(drawn.scene, click)})
                 print(results["even"][-1], flush=True)

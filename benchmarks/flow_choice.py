@@ -131,7 +131,7 @@ def measured(case: Case, flow: str) -> dict[str, Any]:
 
 
 def missed(row: dict[str, Any]) -> str:
-    """By how much the chosen flow is worse or slower than the best; empty within the limits.
+    """By how much the selected flow is worse or slower than the best; empty within the limits.
 
     Examples
     --------

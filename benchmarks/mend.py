@@ -1,7 +1,7 @@
 """Masks that are nearly right: brought to the edges without a click, and clicked, beside starting anew.
 
 ACCELSURF_VOLUMES=DIR python -m benchmarks.mend             plays the scans that are reported; writes JSON and page
-ACCELSURF_VOLUMES=DIR python -m benchmarks.mend --tuning    those on which numbers were chosen; prints alone
+ACCELSURF_VOLUMES=DIR python -m benchmarks.mend --tuning    those on which numbers were selected; prints alone
 python -m benchmarks.mend --render                          the page again, from the JSON alone
 
 Reference masks are made worse in five ways that errors of networks and of hands have. Then `refine(labels=...)` mends
@@ -48,8 +48,8 @@ class Selected(NamedTuple):
     below: int = 1 << 31
 
 
-#: What is reported, and what numbers were chosen on. FreeSurfer's ids from 1000 on are parts of the cortex, which have
-#: no edge between them.
+#: What is reported, and what numbers were selected on. FreeSurfer's ids from 1000 on are parts of the cortex, which
+#: have no edge between them.
 REPORTED = (
     Selected("ct_abdomen_hires", 2, "a network"),
     Selected("ct_abdomen_hires", 2, "a network", (10_000, 150_000)),

@@ -61,7 +61,7 @@ _CORD = " ".join(
     for place in ("31.8,5,24.8", "30.8,16,24.7", "30.3,27,25.0", "30.3,38,25.3", "30.3,49,25.6")
 )
 _BONES = (32, 33, 69, 70, *range(97, 104), *range(109, 116))
-#: By the simulated person's clicks, and then from places chosen on the scan by eye.
+#: By the simulated person's clicks, and then from places selected on the scan by eye.
 CASES: dict[str, Case] = {
     "brain": Case(_BRAIN, clicks=3),
     "oblique brain": Case(_OBLIQUE, clicks=3),

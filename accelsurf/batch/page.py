@@ -74,7 +74,7 @@ def by_uncertainty(outcome: Outcome) -> tuple[int, float, str]:
     Examples
     --------
     >>> good, bad = Outcome("a", "ok", probability=0.9), Outcome("b", "ok", probability=0.2)
-    >>> [one.id for one in sorted([Outcome("d"), good, bad, Outcome("c", "failed")], key=doubt)]
+    >>> [one.id for one in sorted([Outcome("d"), good, bad, Outcome("c", "failed")], key=by_uncertainty)]
     ['c', 'b', 'a', 'd']
     """
     first = {"failed": 0, "ok": 1, "waiting": 2}[outcome.status]

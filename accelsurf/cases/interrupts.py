@@ -117,7 +117,7 @@ class Interrupts:
 
     @contextmanager
     def patience(self, question: str) -> Iterator[None]:
-        """While this lasts, a first signal is answered with a line and remembered; raises for one that was lost.
+        """While this lasts, a first signal is answered with a line and stored; raises for one that was lost.
 
         Parameters
         ----------

@@ -127,7 +127,7 @@ def refine(
 
     Or have other objects: a new one, two merged, one split. The run's files are replaced, all at once, unless another
     folder is given. A correction that fails or is interrupted leaves them as they are. What accelsurf segment or refine
-    wrote with its state (NAME_state.npz) can be refined; NAME_run.toml has all settings and corrections, for segment
+    wrote with its state (NAME_state.npz) can be corrected; NAME_run.toml has all settings and corrections, for segment
     --config.
 
     With --labels an image and a label map are given in place of a result: a mask that is nearly right, whoever made it.

@@ -28,7 +28,7 @@ from accelsurf.settings.corrections import Correction
 
 
 def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) -> Result:
-    """Return the result that a state was written of: the same surfaces, bit for bit, and ready to be refined.
+    """Return the result that a state was written of: the same surfaces, bit for bit, and ready to be corrected.
 
     Parameters
     ----------

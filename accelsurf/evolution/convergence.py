@@ -102,7 +102,8 @@ class StopRule(NamedTuple):
         )
         # At the minimum itself some speed may stay that redistancing undoes: a run that has hardly moved may end.
         travelled = (
-            sum(record.motion_voxels for record in state.history[state.first :]) > Restart().travel
+            sum(record.motion_voxels for record in state.history[state.first :])
+            > Restart().distance
         )
         return travelled and last.kinetic > LEVEL_KINETIC * gained and late > LEVEL * early
 
@@ -142,11 +143,11 @@ def forecast(moved: float, moved_before: float, moved_twice: float, windows: flo
 
 
 class Restart(NamedTuple):
-    """When momentum is set to zero: the potential rises, ``travel`` voxels after the start or the last restart,
+    """When momentum is set to zero: the potential rises, ``distance`` voxels after the start or the last restart,
     and not within ``steps`` steps of it.
     """
 
-    travel: float = 3.0
+    distance: float = 3.0
     steps: int = 5
 
     def is_due(self, potential: float, records: list[StepRecord]) -> bool:
@@ -157,10 +158,10 @@ class Restart(NamedTuple):
         for record in reversed(records):
             travelled += record.motion_voxels
             steps += 1
-            if record.restarted or travelled >= self.travel:
+            if record.restarted or travelled >= self.distance:
                 break
         rising = potential > records[-1].potential
-        return rising and steps >= self.steps and travelled >= self.travel
+        return rising and steps >= self.steps and travelled >= self.distance
 
 
 def surface_is_gone(surface: LevelSet, potential: float) -> Reason | None:

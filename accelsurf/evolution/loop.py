@@ -55,7 +55,7 @@ class Evolution:
     corner : (z, y, x)
         First voxel of the surface's box on the level's grid.
     stop_at_rest : bool
-        Whether to go back to where the front rested when it breaks through from there, and end.
+        Whether to go back to where the front was on a plateau when it breaks through from there, and end.
     measures : mapping of str to callable
         Of (surface, energy, flow): the numbers that each record has under ``extra``.
     end : {"lowest", "present"}

@@ -207,7 +207,7 @@ class LoopState:
     moved : float
         Its mean distance from there to ``snapshot``, voxels; NaN if there was none.
     plateaus : PlateauWatch
-        Where the front rested, and the data to find the next place.
+        Where the front was on a plateau, and the data to find the next place.
     """
 
     history: list[StepRecord] = field(default_factory=list)
@@ -309,7 +309,7 @@ class LoopState:
         self.fields = None
 
     def record_plateau(self, potential: float) -> None:
-        """Record that the surface went back to where its front rested."""
+        """Record that the surface went back to where its front was on a plateau."""
         self.potential = potential
 
 

@@ -12,14 +12,14 @@ from accelsurf.grid.geometry import axis_steps
 
 #: Of a normal distribution: median absolute second difference, in standard deviations.
 SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
-#: Area weight of `area_against_noise` where the noise is as strong as the contrast, in voxels of the smallest spacing:
+#: Area weight of `area_for_noise` where the noise is as strong as the contrast, in voxels of the smallest spacing:
 #: the clicks' model has the same there (`accelsurf.clicks.model.surface`).
 WEIGHT = 0.3
 #: Approximate number of voxels whose second differences tell the noise of an image.
 SAMPLES = 1 << 18
 
 
-def area_against_noise(deviation: float, shape: Sequence[int], spacing: Sequence[float]) -> float:
+def area_for_noise(deviation: float, shape: Sequence[int], spacing: Sequence[float]) -> float:
     """Weight of the area (mm, times the square of the image's unit) beside squared differences from means.
 
     A surface that follows the noise gains in the sum of squares as much as its area costs: both grow with the variance.

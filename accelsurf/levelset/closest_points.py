@@ -104,7 +104,8 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
             nearer,
             (to_closest, state, residue),
         )
-        # The first closest point of a cell is refined at once, as neighbours take it over; the others at the end.
+        # The first closest point of a cell is moved to its own at once, as neighbours take it over; the others at the
+        # end.
         sources, first = surface.workers.serial(
             march.sort_changes, active_slots, changed, was_open, refine_later
         )

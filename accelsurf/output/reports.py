@@ -125,7 +125,7 @@ class Report:
 
     @property
     def state(self) -> ListedFile | None:
-        """The state that a result can be refined from, if it has one."""
+        """The state that a result can be corrected from, if it has one."""
         if self.document is None or self.document["status"] == "failed":
             return None
         return next((file for file in self.listed if file.kind == "state"), None)

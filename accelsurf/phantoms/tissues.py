@@ -174,8 +174,8 @@ class TissuePhantom(ImageSequence):
         sigma = [
             recipe.grain / h if n > 1 else 0.0 for h, n in zip(spacing, strength.shape, strict=True)
         ]
-        even = ndimage.gaussian_filter(strength, sigma, mode="nearest")
-        values = (1.0 - recipe.speckle) * even
+        smooth = ndimage.gaussian_filter(strength, sigma, mode="nearest")
+        values = (1.0 - recipe.speckle) * smooth
         if recipe.speckle:
             values = values + recipe.speckle * self._speckle(number, material, strength, sigma)
         return [Volume(values.astype(np.float32), self.geometry)]

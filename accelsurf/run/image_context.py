@@ -391,7 +391,7 @@ class ImageContext:
     def sums_of_background(self, channel: int, kind: str, summing: Summing) -> NDArray[np.float64]:
         """Sums of a channel over the background that likelihood learns from; ``kind`` is their name.
 
-        Unless voxels of the background are given, they are everything's less the foreground's: the same,
+        Unless voxels of the background are given, they are the whole's less the foreground's: the same,
         wherever the image ends beyond the foreground.
         """
         training, image = self._trained_on(*_NO_SAMPLE), self.images[channel]

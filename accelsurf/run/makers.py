@@ -50,7 +50,7 @@ from accelsurf.flows import (
     Sobolev,
 )
 from accelsurf.grid.geometry import axis_steps
-from accelsurf.image.noise import area_against_noise, noise_of
+from accelsurf.image.noise import area_for_noise, noise_of
 from accelsurf.image.smoothing import gradient_magnitude
 from accelsurf.run.image_context import TermInputs
 from accelsurf.settings import budgets
@@ -135,7 +135,7 @@ def chan_vese(inputs: TermInputs) -> Made:
     epsilon = inputs.number("epsilon", inputs.config.epsilon)
     context, channel = inputs.context, inputs.channel
     elsewhere = context.moments_elsewhere(channel)
-    by_noise = area_against_noise(
+    by_noise = area_for_noise(
         context.once(noise_of, channel), context.images[channel].shape, context.spacing
     )
     area = inputs.number("area", by_noise)

@@ -91,7 +91,7 @@ class Follower:
     energy : Energy or callable, optional
         One of the user's own.
     meshes : bool
-        Whether meshes are carried along.
+        Whether meshes move with the momentum.
     """
 
     def __init__(

@@ -128,7 +128,7 @@ def _names(text: str) -> list[str]:
 
 
 def tasks(method: Method, store: Store, options: argparse.Namespace) -> Iterator[Task]:
-    """Games of a method, by the command line; folds without chosen settings are said and left out."""
+    """Games of a method, by the command line; folds without selected settings are said and left out."""
     kinds = [kind for kind in options.games if kind != "size" or method.takes_size]
     selected_by_fold: dict[str, dict[str, Any] | None] = {}
     for which in options.objects:

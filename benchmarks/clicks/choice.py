@@ -1,4 +1,4 @@
-"""The rule by which objects are chosen from the scans; `python -m benchmarks.clicks.choice` writes ``objects.json``.
+"""The rule by which objects are selected from the scans; `python -m benchmarks.clicks.choice` writes ``objects.json``.
 
 1. Candidates are the labels of a reference that have a name a person would say, and groups of them; nuclei by number;
    of one label in many parts (vessels) its parts. A candidate has at least 300 voxels, a vessel 1,000.
@@ -172,7 +172,7 @@ FORMER = (
 
 
 class Candidate(NamedTuple):
-    """An object that may be chosen, its number of voxels, and the strength of its edge (infinite: not asked)."""
+    """An object that may be selected, its number of voxels, and the strength of its edge (infinite: not asked)."""
 
     object: ClickObject
     size: int
@@ -239,7 +239,7 @@ def spread(found: Sequence[Candidate], most: int) -> list[Candidate]:
 
 
 def of_scan(name: str, folder: Path | None) -> list[ClickObject]:
-    """Objects of a scan: those chosen, and those of the former list that are not."""
+    """Objects of a scan: those selected, and those of the former list that are not."""
     by_threshold = [
         ClickObject(which, name, (), THRESHOLDS[which].family)
         for which in THRESHOLDS

@@ -61,7 +61,7 @@ class CroppedSession:
         ``reach`` and what the solver takes; with ``implied`` what the clicks imply of the voxels around them
         (`benchmarks.clicks.implied`) counts as said.
     cap : int
-        Voxels above which the crop is coarsened.
+        Voxels above which the crop is restricted.
     drawn : Box, optional
         The box that a person drew around the object: the crop is this box and a voxel more, and that voxel is outside.
     whole : bool

@@ -395,7 +395,7 @@ def seconds(games: Sequence[dict[str, Any]]) -> dict[str, float | None]:
 
 
 def score(games: Sequence[dict[str, Any]]) -> float:
-    """What settings are chosen by: the mean Dice over clicks 1, 2, 3 and 5 and over the objects."""
+    """What settings are selected by: the mean Dice over clicks 1, 2, 3 and 5 and over the objects."""
     values = [
         value for game in games for n in BUDGETS[:4] if (value := dice_after(game, n)) is not None
     ]

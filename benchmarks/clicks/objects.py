@@ -102,7 +102,7 @@ def selected(folds: Collection[str] = (), names: Iterable[str] = ()) -> list[Cli
 
     Examples
     --------
-    >>> [each.name for each in chosen(["3"], ["aorta-mra"])]
+    >>> [each.name for each in selected(["3"], ["aorta-mra"])]
     ['aorta-mra']
     """
     for fold in folds:

@@ -29,7 +29,7 @@ REACHES = (2.0, 4.0)
 
 @dataclass(frozen=True)
 class ClickPeer:
-    """A method: its solver, the settings that are tried, and the voxels above which its crop is coarsened."""
+    """A method: its solver, the settings that are tried, and the voxels above which its crop is restricted."""
 
     name: str
     solver: Solver
@@ -169,7 +169,7 @@ def neighbours(
     return offsets, np.sqrt(((offsets * np.array(spacing)) ** 2).sum(axis=1)).astype(np.float32)
 
 
-#: By name. Those that solve large systems are coarsened sooner.
+#: By name. Those that solve large systems are restricted sooner.
 def with_implied(grid: list[dict[str, Any]], **best: Any) -> list[dict[str, Any]]:
     """A grid and its best setting once more, with what accelsurf takes clicks to imply beside the clicks."""
     return [*grid, {**best, "implied": 1}]

@@ -44,7 +44,7 @@ KINDS = {
 CHALLENGES = {"cvpr": "first a point", "cvpr-box": "first a box and a point in it"}
 #: Goals: medians of the Dice over the scans' folds after so many exact clicks; of each fold after five.
 WANTED, WANTED_IN_FOLD = {1: 0.68, 2: 0.79, 3: 0.83, 5: 0.87, 10: 0.90}, 0.75
-#: What a row is of in which the person has chosen among up to three answers to the first click.
+#: What a row is of in which the person has selected among up to three answers to the first click.
 BEST_OF_ANSWERS = "best of its answers (one more decision of the person)"
 Games = Mapping[str, Mapping[str, dict[str, Any]]]
 
@@ -82,7 +82,7 @@ def write(folder: Path, page: Path | None) -> list[Path]:
 
 
 def settings_of(folder: Path) -> dict[str, dict[str, tuple[dict[str, Any], bool]]]:
-    """Method -> fold -> settings that its games have there, and whether they were chosen on the other folds."""
+    """Method -> fold -> settings that its games have there, and whether they were selected on the other folds."""
     out: dict[str, dict[str, tuple[dict[str, Any], bool]]] = {}
     for name, method in METHODS.items():
         store = Store(folder, name)

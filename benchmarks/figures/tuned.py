@@ -1,8 +1,8 @@
 """`tuned`: every flow with its settings tuned, over seeds, noise levels and starts.
 
 The comparison that a fair reader asks for: descent gets an area weight, presmoothing and the same diffusion, Sobolev
-its length, momentum its blend, each chosen on the truth (which favours all alike) as the best mean Dice over all images
-and starts of one noise level. (Descent suffers from redistancing in programs that move the surface by it; here a
+its length, momentum its blend, each selected on the truth (which favours all alike) as the best mean Dice over all
+images and starts of one noise level. (Descent suffers from redistancing in programs that move the surface by it; here a
 hundred redistances move it by a thousandth of a voxel, so their interval is nothing to tune.)
 """
 

@@ -192,18 +192,18 @@ def test_restart_when_the_potential_rises_after_travel():
     assert at, "the surface overshoots the object, so the potential must rise"
     first = at[0]
     assert rows[first].potential > rows[first - 1].potential
-    assert sum(row.motion_voxels for row in rows[:first]) >= Restart().travel
+    assert sum(row.motion_voxels for row in rows[:first]) >= Restart().distance
     assert rows[first].kinetic == 0
     # Without travel enough it waits; without a rule it never comes.
     assert not any(row.restarted for row in restarts(None))
-    later = [row.step for row in restarts(Restart(travel=1000.0)) if row.restarted]
+    later = [row.step for row in restarts(Restart(distance=1000.0)) if row.restarted]
     assert later == []
 
 
 def test_restart_converges_where_plain_friction_oscillates():
     """A quadratic well: 3/t friction lets the energy decay like a power, restart makes it fall faster."""
     energies = []
-    for restart in (None, Restart(travel=1.0, steps=5)):
+    for restart in (None, Restart(distance=1.0, steps=5)):
         evolution = Evolution(
             ball(5),
             ChanVese(smooth_image(), means=(1.0, 0.0)),

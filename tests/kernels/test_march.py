@@ -820,7 +820,7 @@ def test_active_slots_are_taken_once_and_in_order():
     assert march.take_active(open_slots, 30, 38, active).size == 0
 
 
-def test_changes_are_first_closest_points_or_refined_later():
+def test_changes_are_first_closest_points_or_refine_later():
     rng = np.random.default_rng(6)
     on, changed, was_open = rng.permutation(50)[:30], rng.random(30) < 0.6, rng.random(30) < 0.5
     later = rng.random(50) < 0.2

@@ -186,7 +186,7 @@ def test_objects_are_merged_split_removed_and_undone_without_a_trace(screen, tmp
         person.until(lambda now: 0.4 < opacity(now) < 0.6)
         person.drag((x + width * 0.5, y), (x + width * 0.8, y), (x + width + 20, y))
         person.until(lambda now: opacity(now) == 1.0)
-        # Both rows are chosen and become one; the part under a click is an object of its own again.
+        # Both rows are selected and become one; the part under a click is an object of its own again.
         person.click("object 0")
         x, y = person.now()["buttons"]["object 1"]
         person.do("keydown", "ctrl", "mousemove", str(x), str(y), "click", "1", "keyup", "ctrl")

@@ -242,7 +242,7 @@ def named(files):
 
 
 def has_selected(picture, least=10):
-    """Whether both chosen colours are seen, and neither of the palette in their place."""
+    """Whether both selected colours are seen, and neither of the palette in their place."""
     return all(count(picture, code) > least for code in SELECTED) and not any(
         count(picture, code) > least for code in colors.OBJECT_COLORS[:2]
     )

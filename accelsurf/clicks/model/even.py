@@ -63,7 +63,7 @@ NO_NOISE = 1e-3
 DITHER = 0.02
 
 
-class EvenBall(NamedTuple):
+class HomogeneousBall(NamedTuple):
     """A ball in which nothing differs.
 
     Attributes
@@ -115,17 +115,19 @@ def as_large(seed: Seed, scene: Scene) -> AsRead:
         When the homogeneous region comes near an open face of the scene's part.
     """
     radius, most = inscribed_radius(seed, scene), OF_IMAGE * _middle_side(scene)
-    even = even_ball(scene, seed)
+    homogeneous = homogeneous_ball(scene, seed)
     noise, is_confident = None, False
     if (
-        even is not None
-        and _whole(scene) > even.radius >= FROM * scene.step
-        and not _is_longer(seed, even.radius, scene)
+        homogeneous is not None
+        and _whole(scene) > homogeneous.radius >= FROM * scene.step
+        and not _is_longer(seed, homogeneous.radius, scene)
     ):
-        noise, is_confident = even.noise, radius <= TRUSTED * even.radius
-        if radius < TOO_SMALL * even.radius:
+        noise, is_confident = homogeneous.noise, radius <= TRUSTED * homogeneous.radius
+        if radius < TOO_SMALL * homogeneous.radius:
             return AsRead(
-                _ball(even.middle, READ * even.radius / DEEPER, seed, scene), noise, is_confident
+                _ball(homogeneous.middle, READ * homogeneous.radius / DEEPER, seed, scene),
+                noise,
+                is_confident,
             )
     if radius > max(most, FROM * scene.step):
         return AsRead(_ball(seed.core[0], most / DEEPER, seed, scene), noise, is_confident)
@@ -156,7 +158,7 @@ def dithered(values: Floats, noise: float) -> Floats:
     return (values + DITHER * span * drawn).astype(np.float32)
 
 
-def even_ball(scene: Scene, seed: Seed) -> EvenBall | None:
+def homogeneous_ball(scene: Scene, seed: Seed) -> HomogeneousBall | None:
     """Return the largest ball around a click's middle that is found to be even; None where its own is not.
 
     The ball grows as long as the next shell, and each of its sectors, has the mean and the spread of the values within.
@@ -192,7 +194,7 @@ def even_ball(scene: Scene, seed: Seed) -> EvenBall | None:
     return found
 
 
-def _grown(scene: Scene, middle: NDArray[np.float64], radius: float) -> EvenBall | None:
+def _grown(scene: Scene, middle: NDArray[np.float64], radius: float) -> HomogeneousBall | None:
     """Grow a ball from a radius on."""
     ball = _values_around(scene, middle, radius)
     if ball is None:
@@ -204,7 +206,7 @@ def _grown(scene: Scene, middle: NDArray[np.float64], radius: float) -> EvenBall
         if around is None or not _is_like(_shell(around, radius), ball):
             break
         radius, ball = wider, around
-    return EvenBall(middle, radius, float(ball.values.std(axis=1).max()))
+    return HomogeneousBall(middle, radius, float(ball.values.std(axis=1).max()))
 
 
 def _values_around(scene: Scene, middle: NDArray[np.float64], radius: float) -> _Values | None:

@@ -65,7 +65,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class DicomHeader:
-    """A series that was chosen.
+    """A series that was selected.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Se
     Raises
     ------
     InputError
-        When there is no image, or there are several and none was chosen.
+        When there is no image, or there are several and none was selected.
     GeometryError
         When the slices lie on no grid and are not to be put on one.
     """

@@ -210,8 +210,8 @@ class TiffReader:
     def is_imagej(self) -> bool:
         """Test if ImageJ has written the file: its table of colours, or 0 shown as white, is for the display alone.
 
-        ImageJ measures the stored numbers whatever table is chosen. Where another program writes a palette, the numbers
-        are places in it and say nothing by themselves.
+        ImageJ measures the stored numbers whatever table is selected. Where another program writes a palette, the
+        numbers are places in it and say nothing by themselves.
         """
         return description_of(self.page(self._first)).text.startswith(IMAGEJ)
 

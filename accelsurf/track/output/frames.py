@@ -340,7 +340,7 @@ class TrackSet:
 
     @cached_property
     def window(self) -> GreyWindow:
-        """Grey values of all pictures: chosen on the first frame, with its objects."""
+        """Grey values of all pictures: selected on the first frame, with its objects."""
         if not self.rows:
             return GreyWindow(0.0, 1.0)
         first = self.rows[0].frame

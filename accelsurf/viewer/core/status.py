@@ -69,7 +69,7 @@ class Status(NamedTuple):
     changes : tuple of ChangeLine
         In order, also those that are undone.
     plateaus : tuple of int
-        Steps in which the surface rested before it broke through, and that have been made.
+        Steps in which the surface was on a plateau before it broke through, and that have been made.
     uncertain : tuple of UncertainLocation
         Where to click next, the most uncertain location first; found some time after the run's end.
     terms : sequence of dict

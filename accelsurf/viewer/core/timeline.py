@@ -233,7 +233,9 @@ class Timeline:
         return self.run.config.replace(**named) if named else self.run.config
 
     def _plateaus(self) -> tuple[int, ...]:
-        """Return the steps in which an object rested before it broke through, also those ahead that were made."""
+        """Return the steps in which an object was on a plateau before it broke through, also those ahead that were
+        made.
+        """
         last = self.checkpoints.last
         watches = [evolving.evolution.state.plateaus for evolving in self.run.objects]
         watches += [
