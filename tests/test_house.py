@@ -94,7 +94,7 @@ STANDARD_NAMES = {
 }
 #: Words of the column that are plain English in docstrings and comments.
 PLAIN_IN_PROSE = {
-    *("against", "carried", "everything", "push", "pushed", "tissue", "tissues", "refined"),
+    *("against", "carried", "everything", "push", "pushed", "tissue", "tissues", "refined", "rests"),
 }
 #: Words that no identifier of the package may have as a part: each has a standard term of the field.
 PRIVATE_WORDS = {
@@ -275,6 +275,8 @@ def test_no_identifier_has_a_word_that_record_0001_replaces(folder):
     found = []
     for path in modules(ROOT / folder):
         for node, name in identifiers(parsed(path)):
+            if name.startswith("test_"):
+                continue  # a sentence
             replaced = words(name) & REPLACED.keys()
             used |= {name} if replaced else set()
             if replaced and name not in STANDARD_NAMES:
