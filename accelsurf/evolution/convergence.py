@@ -13,10 +13,11 @@ from accelsurf.levelset import LevelSet
 #: Mean motion in a step, voxels, below which a surface does not move: details finer than the grid let it oscillate.
 STILL = 0.05
 #: A kinetic energy above this share of w times the decrease of the potential must fall: in the second half of the
-#: window it is at most the share `LEVEL` of that in the first.
+#: window it is at most the share `LEVEL` of that in the first. From the same 27 runs.
 LEVEL_KINETIC = 0.05
 LEVEL = 0.7
-#: Number of further windows that would move a converged surface by little: 200 steps, 60 to 100 after coarser levels.
+#: Number of further windows that would move a converged surface by little: 200 steps, 60 to 100 after coarser levels;
+#: 27 runs of benchmarks/notes/steps-and-stop.md.
 HORIZON = 10
 #: A run has stalled when the last `STALL_STEPS` steps are all shorter than the share `STALLED` of the CFL step, or than
 #: the share `COLLAPSED` of the longest step; steps down to the share `SHORT` are long enough to judge by.

@@ -20,13 +20,16 @@ from accelsurf.grid.boxes import Corner
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checkpoint import band_state, complete_state, psi_of
 
-#: Steps that the speed is a mean over; parts of the peak below which a front may rest and above which it breaks
-#: through; part of the volume that it has grown by then.
+# The numbers come from leaks of organs in CT: benchmarks/notes/quality.md, "When it rests, when it breaks through".
+#: Steps that the speed is a mean over.
 WINDOW = 5
+#: Part of the peak below which a front may be on a plateau; a liver that fills falls to 0.53 of its peak.
 SLOW = 0.5
+#: Part of the peak above which it breaks through: creep in an aorta has 0.01 of it.
 BURST = 0.04
+#: Part of the volume that it has grown by then; chosen with `BURST`.
 GROWTH = 0.05
-#: Below this part of the peak it is as good as still.
+#: Below this part of the peak it is as good as still: an aorta falls to 0.01 of 2.35 mm.
 STILL = 0.01
 #: A front without momentum is slow for this many steps: no plateau.
 AFTER_RESTART = 10
