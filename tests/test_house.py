@@ -94,7 +94,17 @@ STANDARD_NAMES = {
 }
 #: Words of the column that are plain English in docstrings and comments.
 PLAIN_IN_PROSE = {
-    *("against", "carried", "everything", "push", "pushed", "tissue", "tissues", "refined", "rests"),
+    *(
+        "against",
+        "carried",
+        "everything",
+        "push",
+        "pushed",
+        "tissue",
+        "tissues",
+        "refined",
+        "rests",
+    ),
 }
 #: Words that no identifier of the package may have as a part: each has a standard term of the field.
 PRIVATE_WORDS = {

@@ -120,7 +120,9 @@ def test_flowable_mass_without_area_weight_is_ill_posed() -> None:
     rate: by |f| sqrt(w/(alpha rho)), about, for the shortest waves.
     """
     p, small, f, t, m = parameter(128), 1e-9, -0.5, 2.0, 25
-    circle, wave, opposite_wave = (np.stack([np.cos(i * p), np.sin(i * p)], axis=1) for i in (1, m, -m))
+    circle, wave, opposite_wave = (
+        np.stack([np.cos(i * p), np.sin(i * p)], axis=1) for i in (1, m, -m)
+    )
     start = Curve(circle + small * (wave + opposite_wave))
     start = Curve(start.points, density=1.0 / start.geometry().stretch)
     modes = {}

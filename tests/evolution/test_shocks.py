@@ -75,7 +75,13 @@ def coasting(
         near = surface.front(1.0)
         _, row, column = np.unravel_index(surface.band.cells[near], surface.shape)
         closest_point = surface.band.to_closest[near]
-        yield now, np.stack([(column + 0.5) * h + closest_point[:, 2], (row + 0.5) * h + closest_point[:, 1]], axis=1)
+        yield (
+            now,
+            np.stack(
+                [(column + 0.5) * h + closest_point[:, 2], (row + 0.5) * h + closest_point[:, 1]],
+                axis=1,
+            ),
+        )
 
 
 @pytest.mark.parametrize(
