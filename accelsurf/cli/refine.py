@@ -84,7 +84,7 @@ class WholeOptions:
     Parameters
     ----------
     to_edges
-        Bring the whole border to the image's edges, by at most so many mm; no click is needed.
+        Bring the whole border to the image's edges, by at most this length in mm; no click is needed.
     islands
         Remove parts of the object that are smaller than this, as 50mm3; the largest stays.
     holes
@@ -249,8 +249,8 @@ class _CorrectedRun:
             refiner = Refiner(log.timed("load", lambda: restored(self._source.state, volume, more)))
             for correction in self._corrections:
                 changes = refiner.apply(correction, on_step=watcher.on_step)
-                what = f"{correction}: " if len(self._corrections) > 1 else ""
-                self._lines += [what + line for line in _lines_of(changes)]
+                prefix = f"{correction}: " if len(self._corrections) > 1 else ""
+                self._lines += [prefix + line for line in _lines_of(changes)]
         result = refiner.result()
         log.warnings.extend(result.warnings)
         return result

@@ -252,13 +252,14 @@ def refuse_another_run(path: str | Path, header: CheckpointHeader, here: Checkpo
     other = [
         key for key in here.settings if key not in FREE and there.get(key) != here.settings[key]
     ]
-    what = "another image or start"
+    difference = "another image or start"
     if other:
         key = other[0]
         more = f" and {len(other) - 1} more" if len(other) > 1 else ""
-        what = f"other settings: {key} was {shown(there.get(key))}, is {shown(here.settings[key])}{more}"
+        difference = f"other settings: {key} was {shown(there.get(key))}, is {shown(here.settings[key])}{more}"
     raise InputError(
-        f"{path}: a checkpoint of {what}", "give those of the run that wrote it, or begin anew"
+        f"{path}: a checkpoint of {difference}",
+        "give those of the run that wrote it, or begin anew",
     )
 
 

@@ -343,9 +343,9 @@ class Result:
 
     def __repr__(self) -> str:
         size = " x ".join(str(n) for n in self.geometry.size)
-        what = f"{len(self.objects)} objects" if self.has_ids else "1 object"
+        content = f"{len(self.objects)} objects" if self.has_ids else "1 object"
         volume = size_text(self.volume_mm3, self.geometry.unit, 3)
-        return f"Result({what}, {volume}, {self.stop.reason}, {size} voxels)"
+        return f"Result({content}, {volume}, {self.stop.reason}, {size} voxels)"
 
     def _repr_html_(self) -> str:
         """A slice with the outlines of the objects, and the repr, for notebooks."""

@@ -30,14 +30,14 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     Parameters
     ----------
-    what : str
+    noun : str
         Noun for an entry, for messages.
     *entries
         The built-in ones.
     """
 
-    def __init__(self, what: str, *entries: Entry) -> None:
-        self._what = what
+    def __init__(self, noun: str, *entries: Entry) -> None:
+        self._noun = noun
         self._entries: dict[str, Entry] = {}
         for entry in entries:
             self.register(entry)
@@ -70,7 +70,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             When the name is taken.
         """
         if entry.name in self._entries:
-            raise ValueError(f"there is a {self._what} {entry.name} already")
+            raise ValueError(f"there is a {self._noun} {entry.name} already")
         self._entries[entry.name] = entry
         return Registration(self._entries, entry.name)
 
