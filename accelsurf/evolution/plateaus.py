@@ -27,7 +27,7 @@ WINDOW = 5
 SLOW = 0.5
 #: Part of the peak above which it breaks through: creep in an aorta has 0.01 of it.
 BURST = 0.04
-#: Part of the volume that it has grown by then; chosen with `BURST`.
+#: Part of the volume that it has grown by then; selected with `BURST`.
 GROWTH = 0.05
 #: Below this part of the peak it is as good as still: an aorta falls to 0.01 of 2.35 mm.
 STILL = 0.01

@@ -34,7 +34,7 @@ def area_for_noise(deviation: float, shape: Sequence[int], spacing: Sequence[flo
 
     Examples
     --------
-    >>> area_against_noise(2.0, (9, 9, 9), (3.0, 1.0, 1.5))
+    >>> area_for_noise(2.0, (9, 9, 9), (3.0, 1.0, 1.5))
     1.2
     """
     return WEIGHT * deviation**2 * min(axis_steps(shape, spacing))
