@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.clicks.model.confidence import confidence_of
-from accelsurf.clicks.model.homogeneous import BEYOND
+from accelsurf.clicks.model.even import BEYOND
 from accelsurf.evolution.records import Stop
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice

@@ -8,7 +8,7 @@ from accelsurf.api.segment import segment
 from accelsurf.clicks.model import Scene, click_model
 from accelsurf.clicks.model.answers import LIKELIEST, OF_ALIKE, Answer
 from accelsurf.clicks.model.confidence import confidence_of
-from accelsurf.clicks.model.homogeneous import PEOPLES, smaller_clicks
+from accelsurf.clicks.model.even import PEOPLES, smaller_clicks
 from accelsurf.clicks.model.windows import inscribed_radius, seed_of
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import whole_box

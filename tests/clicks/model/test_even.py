@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from accelsurf.api.segment import segment
 from accelsurf.clicks.model import Scene, click_model
-from accelsurf.clicks.model.homogeneous import FROM, as_large, homogeneous_ball
+from accelsurf.clicks.model.even import FROM, as_large, homogeneous_ball
 from accelsurf.clicks.model.windows import seed_of
 from accelsurf.grid.boxes import bounding_box, whole_box
 from accelsurf.grid.clicks import Click, Clicks
