@@ -124,7 +124,7 @@ class NotConvergedError(AccelsurfError):
 
 
 class DoubtfulError(AccelsurfError):
-    """There is a result, but its quality is in doubt, which --strict makes an error (exit 5)."""
+    """There is a result, but its quality is uncertain, which --strict makes an error (exit 5)."""
 
     exit_code = 5
     kind = "doubtful"

@@ -38,7 +38,9 @@ def least_cut(
     [True, True]
     """
     size = len(to_source)
-    every, source, sink = np.arange(size), np.full(size, size), np.full(size, size + 1)
+    every = np.arange(size)
+    source = np.full(size, size)
+    sink = np.full(size, size + 1)
     rows = np.concatenate(
         [*(voxels for one, other, _ in links for voxels in (one, other)), source, every]
     )

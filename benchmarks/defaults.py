@@ -28,7 +28,7 @@ from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE, FACTS = (
+PAGE, RESULTS_FILE = (
     ROOT / "docs" / "explanation" / "defaults.md",
     ROOT / "docs" / "explanation" / "defaults.json",
 )
@@ -73,23 +73,23 @@ def main() -> None:
         *recipe_files.recipe_names(),
         *SCANS,
     ]
-    facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"rows": {}}
+    results = json.loads(RESULTS_FILE.read_text()) if RESULTS_FILE.exists() else {"rows": {}}
     for name in names:
         rows = scan(name, options.threads) if name in SCANS else phantom(name, options.threads)
-        others = {key: row for key, row in facts["rows"].items() if row["input"] != name}
-        facts["rows"] = others | {f"{name} {row['noise']}": row for row in rows}
-        write(facts)
+        others = {key: row for key, row in results["rows"].items() if row["input"] != name}
+        results["rows"] = others | {f"{name} {row['noise']}": row for row in rows}
+        write(results)
 
 
-def write(facts: dict[str, Any]) -> None:
+def write(results: dict[str, Any]) -> None:
     """The JSON and the page's table."""
-    facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
+    results["versions"] = {key: value for key, value in versions().items() if key != "platform"}
     order = [*recipe_files.recipe_names(), *SCANS]
-    facts["rows"] = dict(
-        sorted(facts["rows"].items(), key=lambda item: order.index(item[1]["input"]))
+    results["rows"] = dict(
+        sorted(results["rows"].items(), key=lambda item: order.index(item[1]["input"]))
     )
-    FACTS.write_text(json.dumps(facts, indent=1) + "\n")
-    put_table(PAGE, "defaults", text_of(facts["rows"].values()))
+    RESULTS_FILE.write_text(json.dumps(results, indent=1) + "\n")
+    put_table(PAGE, "defaults", text_of(results["rows"].values()))
 
 
 def phantom(name: str, threads: int) -> list[dict[str, Any]]:
@@ -167,7 +167,7 @@ def run(source: Path, truth: Volume | None, ball: str, threads: int) -> dict[str
         )
         if "error" not in row:
             name = source.name.removesuffix(".nii.gz")
-            row |= typed.facts_of(target, name)
+            row |= typed.results_of(target, name)
             if truth is not None:
                 found = io.read_labels(target / f"{name}_seg.nii.gz")
                 row["metrics"] = metrics.evaluate(found, truth).to_dict()

@@ -7,14 +7,14 @@ has are not made again. The scans are those of `benchmarks.clicks`, in the folde
 
 **Object.** The crop is an object's box, 15 % wider on each side. Of a scan's objects in the click benchmark's table
 with `LEAST` voxels or more, whose mean is a deviation or more apart from that of the rest of the crop (a surface
-between two means finds no other), the one with the strongest edge; on a grid coarsened to at most `MOST` voxels.
+between two means finds no other), the one with the strongest edge; on a grid restricted to at most `MOST` voxels.
 
 **Noise.** Full exposure is the scan as it is, or one with noise of a quarter of the contrast where it has less. At 1/k
 of the exposure the variance is k times as large: Rician in MR; Poisson counts in projections with electronic noise,
 reconstructed by filtered backprojection, in CT; Poisson counts per voxel in fluorescence. No scan is of ultrasound.
 
 **Runs.** From a ball in the deepest place, and from a click there. Flows: `segment` to the stop rule, one step control,
-one thread. Settings are chosen by mean Dice on half of the bodies, at the full exposure and at 1/16, and reported on
+one thread. Settings are selected by mean Dice on half of the bodies, at the full exposure and at 1/16, and reported on
 the other half. Flows from a click have nothing to choose: the program does it.
 """
 
@@ -47,7 +47,7 @@ from accelsurf.settings.run_config import RunConfig
 from benchmarks.clicks.domain import CroppedSession
 from benchmarks.clicks.folds import FOLDS
 from benchmarks.clicks.measures import surfaces
-from benchmarks.clicks.objects import Scene, chosen, load
+from benchmarks.clicks.objects import Scene, load, selected
 from benchmarks.clicks.peers import PEERS
 from benchmarks.clicks.person import PersonClick, ball_voxels, next_click
 from benchmarks.clicks.references import edge
@@ -68,9 +68,9 @@ LEAST, APART, MOST, MARGIN = 1000, 1.0, 80_000, 0.15
 FULL = 0.25
 #: Parts of the full exposure; 1 is the scan as it is.
 EXPOSURES = (1, 4, 16, 64)
-#: For each, in the order of the runs, the exposure that settings are chosen at.
-CHOSEN_AT = {16: 16, 64: 16, 1: 1, 4: 1}
-#: The folds that settings are chosen on; the others, which have no body in common with them, are reported.
+#: For each, in the order of the runs, the exposure that settings are selected at.
+SELECTED_AT = {16: 16, 64: 16, 1: 1, 4: 1}
+#: The folds that settings are selected on; the others, which have no body in common with them, are reported.
 TUNED = ("1", "2", "4")
 #: Ray that is absorbed most, in e-folds; views over half a turn; electronic noise of a detector, in quanta.
 ABSORBED, VIEWS, ELECTRONIC = 4.0, 180, 5.0
@@ -94,7 +94,7 @@ LEVEL = 0.01
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Settings = Mapping[str, Any]
-Facts = dict[str, Any]
+Results = dict[str, Any]
 
 
 class Crop(NamedTuple):
@@ -120,7 +120,7 @@ def scans(is_tuned: bool) -> list[str]:
     """The scans of a half that have an object, in order."""
     folds = [fold.name for fold in FOLDS if (fold.name in TUNED) == is_tuned]
     return [
-        name for name in dict.fromkeys(each.volume for each in chosen(folds)) if name not in NONE
+        name for name in dict.fromkeys(each.volume for each in selected(folds)) if name not in NONE
     ]
 
 
@@ -139,7 +139,7 @@ def cropped(scene: Scene) -> tuple[Array, Mask]:
 def crop_of(scan: str) -> Crop:
     """The crop that the rule takes of a scan."""
     strongest = 0.0
-    for which in (each for each in chosen() if each.volume == scan):
+    for which in (each for each in selected() if each.volume == scan):
         scene = load(which)
         values, truth = cropped(scene)
         apart = abs(difference(values, truth)) / np.sqrt(
@@ -150,11 +150,9 @@ def crop_of(scan: str) -> Crop:
             and apart >= APART
             and (strength := edge(values, truth)) > strongest
         ):
-            strongest, found, spacing = (
-                strength,
-                (which.name, values, truth),
-                scene.image.geometry.spacing,
-            )
+            strongest = strength
+            found = (which.name, values, truth)
+            spacing = scene.image.geometry.spacing
     name, values, truth = found
     steps = coarsening(values.shape, spacing, MOST)
     values, truth = block_means(values, steps), block_means(truth.astype(np.float32), steps) >= 0.5
@@ -394,12 +392,16 @@ def measured(crop: Crop, start: str, name: str, settings: Settings) -> list[Any]
     click, run = ball_of(crop, start), METHODS[start][name].run
     began = time.process_time()
     if run is not None:
-        labels, steps, reason = run(crop, click, settings), None, ""
+        labels = run(crop, click, settings)
+        steps = None
+        reason = ""
     else:
         try:
             labels, steps, reason = by_flow(crop, click, start, name, settings)
         except AccelsurfError as error:
-            labels, steps, reason = np.zeros(crop.truth.shape, np.bool_), None, f"refused: {error}"
+            labels = np.zeros(crop.truth.shape, np.bool_)
+            steps = None
+            reason = f"refused: {error}"
     seconds = time.process_time() - began
     far = surfaces(labels, crop.truth, crop.spacing)["mean_voxels"]
     return [
@@ -425,19 +427,19 @@ def main() -> None:
         "--tables", action="store_true", help="only write the page again, from the JSON"
     )
     options = parser.parse_args()
-    facts: Facts = (
+    results: Results = (
         json.loads(RESULTS.read_text()) if RESULTS.exists() else {"scans": {}, "runs": {}}
     )
     if not options.tables:
         warm_up()
-        for part, scan, start, name, settings in tasks(facts):
+        for part, scan, start, name, settings in tasks(results):
             if time.process_time() > 60.0 * options.minutes:
                 print("the time is up: call again to go on")
                 break
             key = key_of(scan, part, start, name, settings)
-            if key not in facts["runs"]:
+            if key not in results["runs"]:
                 crop = exposed(scan, part)
-                place = facts["scans"].setdefault(
+                place = results["scans"].setdefault(
                     scan,
                     {
                         "object": crop.name,
@@ -448,10 +450,10 @@ def main() -> None:
                     },
                 )
                 place["noise"][str(part)] = round(crop.noise / abs(crop.contrast), 3)
-                facts["runs"][key] = measured(crop, start, name, settings)
-                print(key, facts["runs"][key], flush=True)
-                save(facts)
-    write(facts)
+                results["runs"][key] = measured(crop, start, name, settings)
+                print(key, results["runs"][key], flush=True)
+                save(results)
+    write(results)
 
 
 def warm_up() -> None:
@@ -462,20 +464,20 @@ def warm_up() -> None:
     segment(image, inside="ball:6,6,6,2", threads=1)
 
 
-def tasks(facts: Facts) -> Iterator[tuple[int, str, str, str, dict[str, Any]]]:
-    """All runs in order: of an exposure those that settings are chosen by, then those reported; slow ones last."""
+def tasks(results: Results) -> Iterator[tuple[int, str, str, str, dict[str, Any]]]:
+    """All runs in order: of an exposure those that settings are selected by, then those reported; slow ones last."""
     for slow, (part, at), is_tuned in itertools.product(
-        (False, True), CHOSEN_AT.items(), (True, False)
+        (False, True), SELECTED_AT.items(), (True, False)
     ):
         for scan, start in itertools.product(scans(is_tuned), METHODS):
             for name, method in METHODS[start].items():
                 if (name == SLOW) != slow or (is_tuned and (part != at or len(method.grid) == 1)):
                     continue
-                settings = method.grid if is_tuned else [best(facts, at, start, name)]
+                settings = method.grid if is_tuned else [best(results, at, start, name)]
                 settings = (
                     settings
                     if is_tuned or name not in FLOWS
-                    else [*settings, best(facts, at, start, MOMENTUM)]
+                    else [*settings, best(results, at, start, MOMENTUM)]
                 )
                 yield from ((part, scan, start, name, each) for each in settings)
 
@@ -485,12 +487,12 @@ def key_of(scan: str, part: int, start: str, name: str, settings: Settings) -> s
     return f"{scan}/{part}/{start}/{name}/{','.join(f'{k}={v}' for k, v in settings.items())}"
 
 
-def best(facts: Facts, part: int, start: str, name: str) -> dict[str, Any]:
-    """The settings of a method with the best mean Dice on the half that they are chosen on."""
+def best(results: Results, part: int, start: str, name: str) -> dict[str, Any]:
+    """The settings of a method with the best mean Dice on the half that they are selected on."""
 
     def score(settings: dict[str, Any]) -> float:
         return sum(
-            facts["runs"][key_of(scan, part, start, name, settings)][0] for scan in scans(True)
+            results["runs"][key_of(scan, part, start, name, settings)][0] for scan in scans(True)
         )
 
     grid = METHODS[start][name].grid
@@ -503,11 +505,11 @@ def exposed(scan: str, part: int) -> Crop:
     return degraded(crop_of(scan), scan, part)
 
 
-def save(facts: Facts) -> None:
+def save(results: Results) -> None:
     """Write the JSON, a run a line."""
-    lines = (f"{json.dumps(key)}: {json.dumps(row)}" for key, row in facts["runs"].items())
+    lines = (f"{json.dumps(key)}: {json.dumps(row)}" for key, row in results["runs"].items())
     RESULTS.write_text(
-        f'{{"scans": {json.dumps(facts["scans"])}, "runs": {{\n' + ",\n".join(lines) + "\n}}\n"
+        f'{{"scans": {json.dumps(results["scans"])}, "runs": {{\n' + ",\n".join(lines) + "\n}}\n"
     )
 
 
@@ -525,7 +527,7 @@ class Reported(NamedTuple):
 
 
 def compared(
-    facts: Facts, part: int, start: str, settings_of: str = ""
+    results: Results, part: int, start: str, settings_of: str = ""
 ) -> dict[str, dict[str, Reported]]:
     """For each scan that is reported the runs at an exposure, by method: of those that have been run on all.
 
@@ -535,16 +537,16 @@ def compared(
     for scan in scans(False):
         runs = {}
         for name in METHODS[start]:
-            chosen_by = settings_of or name
+            selected_by = settings_of or name
             if all(
-                key_of(each, CHOSEN_AT[part], start, chosen_by, settings) in facts["runs"]
+                key_of(each, SELECTED_AT[part], start, selected_by, settings) in results["runs"]
                 for each in scans(True)
-                for settings in METHODS[start][chosen_by].grid[1:]
+                for settings in METHODS[start][selected_by].grid[1:]
             ):
                 key = key_of(
-                    scan, part, start, name, best(facts, CHOSEN_AT[part], start, chosen_by)
+                    scan, part, start, name, best(results, SELECTED_AT[part], start, selected_by)
                 )
-                runs |= {name: Reported(*facts["runs"][key])} if key in facts["runs"] else {}
+                runs |= {name: Reported(*results["runs"][key])} if key in results["runs"] else {}
         if {MOMENTUM, DESCENT} <= set(runs):
             found[scan] = runs
     everywhere = set(METHODS[start]).intersection(*found.values())
@@ -555,27 +557,27 @@ def compared(
 
 
 def reported(
-    facts: Facts, part: int, start: str, name: str, settings_of: str = ""
+    results: Results, part: int, start: str, name: str, settings_of: str = ""
 ) -> list[Reported]:
     """The runs of a method at an exposure; none where it has not been run on all scans on which momentum has."""
     return [
-        runs[name] for runs in compared(facts, part, start, settings_of).values() if name in runs
+        runs[name] for runs in compared(results, part, start, settings_of).values() if name in runs
     ]
 
 
-def write(facts: Facts) -> None:
+def write(results: Results) -> None:
     """Write tables and picture of what has been run."""
-    put_table(PAGE, "scans", "\n".join(table_of_scans(facts)), COMMAND)
+    put_table(PAGE, "scans", "\n".join(table_of_scans(results)), COMMAND)
     for start in METHODS:
-        put_table(PAGE, f"from a {start}", "\n".join(table_of_methods(facts, start)), COMMAND)
+        put_table(PAGE, f"from a {start}", "\n".join(table_of_methods(results, start)), COMMAND)
         put_table(
             PAGE,
             f"against momentum, from a {start}",
-            "\n".join(table_of_pairs(facts, start)),
+            "\n".join(table_of_pairs(results, start)),
             COMMAND,
         )
-    put_table(PAGE, "settings", "\n".join(table_of_settings(facts)), COMMAND)
-    draw(facts)
+    put_table(PAGE, "settings", "\n".join(table_of_settings(results)), COMMAND)
+    draw(results)
 
 
 def label_of(part: int) -> str:
@@ -583,7 +585,7 @@ def label_of(part: int) -> str:
     return "as it is" if part == 1 else f"1/{part}"
 
 
-def table_of_scans(facts: Facts) -> list[str]:
+def table_of_scans(results: Results) -> list[str]:
     """A row for each scan: its object, crop, and noise."""
     columns = (
         "scan",
@@ -596,8 +598,8 @@ def table_of_scans(facts: Facts) -> list[str]:
     )
     lines = head_of(columns)
     for is_tuned in (True, False):
-        for scan in (name for name in scans(is_tuned) if name in facts["scans"]):
-            place = facts["scans"][scan]
+        for scan in (name for name in scans(is_tuned) if name in results["scans"]):
+            place = results["scans"][scan]
             noise = (
                 f"{place['noise'][str(p)]:.2f}" if str(p) in place["noise"] else ""
                 for p in EXPOSURES
@@ -612,7 +614,7 @@ def table_of_scans(facts: Facts) -> list[str]:
     return lines
 
 
-def table_of_methods(facts: Facts, start: str) -> list[str]:
+def table_of_methods(results: Results, start: str) -> list[str]:
     """A row for each exposure and method."""
     lines = head_of(
         (
@@ -630,15 +632,15 @@ def table_of_methods(facts: Facts, start: str) -> list[str]:
     for part in EXPOSURES:
         winners = [
             max(runs, key=lambda name: runs[name].dice)
-            for runs in compared(facts, part, start).values()
+            for runs in compared(results, part, start).values()
         ]
         for name in METHODS[start]:
-            runs = reported(facts, part, start, name)
+            runs = reported(results, part, start, name)
             if not runs:
                 continue
             fars = [np.inf if run.far is None else run.far for run in runs]
             steps = [run.steps for run in runs if run.steps is not None]
-            settings = said(best(facts, CHOSEN_AT[part], start, name))
+            settings = said(best(results, SELECTED_AT[part], start, name))
             cells = [
                 label_of(part),
                 name,
@@ -654,15 +656,15 @@ def table_of_methods(facts: Facts, start: str) -> list[str]:
     return lines
 
 
-def table_of_pairs(facts: Facts, start: str) -> list[str]:
+def table_of_pairs(results: Results, start: str) -> list[str]:
     """For each method and exposure by how much momentum is better, and how often."""
     lines = head_of(("momentum less", *(label_of(part) for part in EXPOSURES)))
     flows = [(name, MOMENTUM) for name in list(FLOWS)[1:] if start == BALL]
     for name, settings_of in [(name, "") for name in list(METHODS[start])[1:]] + flows:
         cells = [name + (", settings of momentum" if settings_of else "")]
         for part in EXPOSURES:
-            others = reported(facts, part, start, name, settings_of)
-            mine = reported(facts, part, start, MOMENTUM, settings_of) if others else []
+            others = reported(results, part, start, name, settings_of)
+            mine = reported(results, part, start, MOMENTUM, settings_of) if others else []
             cells.append(compare(mine, others))
         lines.append(row_of(cells))
     return lines
@@ -683,18 +685,18 @@ def compare(mine: list[Reported], others: list[Reported]) -> str:
     return f"{gains.mean():+.3f} ({better} better, {gains.size - better - worse} level, {worse} worse){times}"
 
 
-def table_of_settings(facts: Facts) -> list[str]:
-    """For the flows from a ball each setting, on the half that settings are chosen on."""
+def table_of_settings(results: Results) -> list[str]:
+    """For the flows from a ball each setting, on the half that settings are selected on."""
     lines = head_of(("exposure", "settings", *FLOWS, "momentum less descent"))
-    for part, settings in itertools.product(sorted(set(CHOSEN_AT.values())), FLOW_GRID):
+    for part, settings in itertools.product(sorted(set(SELECTED_AT.values())), FLOW_GRID):
         keys = {
             name: [key_of(scan, part, BALL, name, settings) for scan in scans(True)]
             for name in FLOWS
         }
         runs = {
-            name: [Reported(*facts["runs"][key]) for key in each]
+            name: [Reported(*results["runs"][key]) for key in each]
             for name, each in keys.items()
-            if all(key in facts["runs"] for key in each)
+            if all(key in results["runs"] for key in each)
         }
         dices = (
             f"{np.mean([run.dice for run in runs[name]]):.3f}" if name in runs else ""
@@ -717,7 +719,7 @@ def said(settings: Settings) -> str:
     )
 
 
-def draw(facts: Facts) -> None:
+def draw(results: Results) -> None:
     """Draw Dice against noise, and for each scan which method is best: momentum where it is level."""
     import matplotlib
 
@@ -727,7 +729,7 @@ def draw(facts: Facts) -> None:
     colours = dict(zip(METHODS[BALL], COLOURS, strict=True))
     names, parts = (
         scans(False),
-        [part for part in EXPOSURES if any(compared(facts, part, start) for start in METHODS)],
+        [part for part in EXPOSURES if any(compared(results, part, start) for start in METHODS)],
     )
     figure, axes = plt.subplots(
         2, 2, sharex="col", figsize=(11, 8.5), dpi=100, layout="constrained"
@@ -735,7 +737,7 @@ def draw(facts: Facts) -> None:
     for column, start in enumerate(METHODS):
         top, tiles = axes[0, column], axes[1, column]
         for name, settings_of in [*((name, "") for name in colours), (DESCENT, MOMENTUM)]:
-            runs = [reported(facts, part, start, name, settings_of) for part in parts]
+            runs = [reported(results, part, start, name, settings_of) for part in parts]
             if not any(runs):
                 continue
             means = [np.mean([run.dice for run in each] or [np.nan]) for each in runs]
@@ -745,7 +747,7 @@ def draw(facts: Facts) -> None:
         top.set(title=f"from a {start}", ylabel="mean Dice", ylim=(0, 1))
         tiles.set_xticks(range(len(parts)), [label_of(part) for part in parts])
         for x, part in enumerate(parts):
-            for scan, runs in compared(facts, part, start).items():
+            for scan, runs in compared(results, part, start).items():
                 first = max(runs, key=lambda name: runs[name].dice)
                 y, behind = names.index(scan), runs[first].dice - runs[MOMENTUM].dice
                 words = f"{runs[first].dice:.2f}" + (f"  ({behind:.2f})" if behind > LEVEL else "")

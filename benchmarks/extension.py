@@ -45,15 +45,15 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=sorted(PARTS), default=sorted(PARTS))
     options = parser.parse_args()
     path = options.output / "extension.json"
-    facts = json.loads(path.read_text()) if path.exists() else {}
+    results = json.loads(path.read_text()) if path.exists() else {}
     for name in options.only:
         if name == "cord" and options.volumes is None:
             continue
-        facts[name] = (
+        results[name] = (
             {one: PARTS[name](one, options) for one in EXTENSIONS} if name != "cost" else cost()
         )
-        print(name, json.dumps(facts[name], indent=1), flush=True)
-        path.write_text(json.dumps(facts, indent=1) + "\n")
+        print(name, json.dumps(results[name], indent=1), flush=True)
+        path.write_text(json.dumps(results, indent=1) + "\n")
 
 
 def grid(shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> Floats:

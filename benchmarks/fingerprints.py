@@ -95,7 +95,9 @@ BASE: dict[str, Any] = {"start": BALL, "max_steps": 25, "levels": 1, "threads": 
 
 def runs(folder: Path) -> dict[str, Callable[[], Any]]:
     """Every run by its name; ``folder`` takes what they read."""
-    one, flat, slab = cube(), disc(), thick()
+    one = cube()
+    flat = disc()
+    slab = thick()
     second = np.asarray(ndimage.gaussian_filter(one.array, 1.0), np.float32)
     mask = np.zeros(one.array.shape, np.uint8)
     mask[6:27, 5:28, 7:26] = 1

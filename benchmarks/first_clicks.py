@@ -33,7 +33,7 @@ from accelsurf.measure.quality import Judged, assess
 from accelsurf.run.preprocessing import apply, scale_of
 from benchmarks.clicks.folds import PHANTOMS
 from benchmarks.clicks.games import SAID, Hints
-from benchmarks.clicks.objects import Scene, chosen, load
+from benchmarks.clicks.objects import Scene, load, selected
 from benchmarks.clicks.own import StartAlone
 from benchmarks.clicks.person import PersonClick, next_click, voxels_of
 from benchmarks.clicks.references import within
@@ -42,7 +42,9 @@ from benchmarks.peers.measure import scans_folder
 
 ROOT = Path(__file__).resolve().parent.parent
 JSON = ROOT / "benchmarks/results/first_clicks.json"
-SIZES_PAGE, EVEN_PAGE = (ROOT / f"docs/explanation/{name}.md" for name in ("quality", "clicks"))
+SIZES_PAGE, HOMOGENEOUS_PAGE = (
+    ROOT / f"docs/explanation/{name}.md" for name in ("quality", "clicks")
+)
 #: A large ball is this part of the depth at which it lies.
 NEARLY = 0.95
 #: An answer is of another size than the object by this factor.
@@ -105,14 +107,14 @@ def answered(scene: Scene, click: PersonClick) -> Row:
     }
 
 
-class Even(NamedTuple):
+class Homogeneous(NamedTuple):
     """An even object: its image and truth, and what it looks like."""
 
     scene: Scene
     look: str
 
 
-def even_object(is_flat: bool, seed: int) -> Even:
+def homogeneous_object(is_flat: bool, seed: int) -> Homogeneous:
     """Draw a ball, a box or lobes, turned and stretched, as a mask, clipped or in noise."""
     random = np.random.default_rng([int(is_flat), seed])
     shape = (1, SIDE_2D, SIDE_2D) if is_flat else (SIDE_3D,) * 3
@@ -140,12 +142,12 @@ def even_object(is_flat: bool, seed: int) -> Even:
         "noise": 100.0 * truth + 15.0 * noise,
     }[look]
     spacing = (4.0, 1.0, 1.0) if is_flat else (1.0, 1.0, 1.0)
-    return Even(
+    return Homogeneous(
         Scene(Volume.from_array(values.astype(np.float32), spacing), truth), f"{look}, {kind}"
     )
 
 
-def even_clicks(scene: Scene, seed: int) -> Iterator[tuple[str, PersonClick]]:
+def homogeneous_clicks(scene: Scene, seed: int) -> Iterator[tuple[str, PersonClick]]:
     """A point, a small ball and a short stroke anywhere in an object, but for its rim."""
     random = np.random.default_rng(seed)
     deep = ndimage.distance_transform_edt(scene.truth, sampling=scene.image.geometry.spacing)
@@ -186,15 +188,15 @@ def text_of_sizes(rows: list[Row]) -> str:
                 continue
             times = np.array([row["times"] for row in here])
             named = np.array([row["ambiguous"] for row in here])
-            sure = np.array([row["probability"] for row in here])
+            probabilities = np.array([row["probability"] for row in here])
             off = (times >= FACTOR) | (times <= 1.0 / FACTOR)
             counts = (
                 int(named.sum()),
-                int((sure[named] >= SAID).sum()),
+                int((probabilities[named] >= SAID).sum()),
                 f"{int((times >= FACTOR).sum())}, {int((times <= 1.0 / FACTOR).sum())}",
                 int(named[off].sum()),
-                int((sure[off] <= 0.5).sum()),
-                int((sure[off] >= SAID).sum()),
+                int((probabilities[off] <= 0.5).sum()),
+                int((probabilities[off] >= SAID).sum()),
             )
             mean = np.mean([row["dice"] for row in here])
             cells = (f"{part}: {name}", str(len(here)), f"{mean:.3f}", *map(str, counts))
@@ -202,7 +204,7 @@ def text_of_sizes(rows: list[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def text_of_even(rows: list[Row]) -> str:
+def text_of_homogeneous(rows: list[Row]) -> str:
     """The table of even objects."""
     lines = head_of(
         ("even objects", "click", "objects", "median Dice", "least Dice", "above .9", "ambiguous")
@@ -233,32 +235,37 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--render", action="store_true", help="measure nothing")
     options = parser.parse_args(arguments)
     if options.render:
-        facts = json.loads(JSON.read_text())
+        results = json.loads(JSON.read_text())
     else:
-        facts = measure(options.volumes)
-        JSON.write_text(json.dumps(facts, indent=1) + "\n")
-    put_table(SIZES_PAGE, "benchmarks.first_clicks", text_of_sizes(facts["sizes"]), "python -m")
-    put_table(EVEN_PAGE, "benchmarks.first_clicks", text_of_even(facts["even"]), "python -m")
+        results = measure(options.volumes)
+        JSON.write_text(json.dumps(results, indent=1) + "\n")
+    put_table(SIZES_PAGE, "benchmarks.first_clicks", text_of_sizes(results["sizes"]), "python -m")
+    put_table(
+        HOMOGENEOUS_PAGE,
+        "benchmarks.first_clicks",
+        text_of_homogeneous(results["even"]),
+        "python -m",
+    )
     return 0
 
 
 def measure(folder: Path | None) -> dict[str, list[Row]]:
     """Make the rows."""
-    facts: dict[str, list[Row]] = {"even": [], "sizes": []}
+    results: dict[str, list[Row]] = {"even": [], "sizes": []}
     for part in ("2D", "3D"):
         for seed in range(SEEDS):
-            drawn = even_object(part == "2D", seed)
-            for kind, click in even_clicks(drawn.scene, seed):
+            drawn = homogeneous_object(part == "2D", seed)
+            for kind, click in homogeneous_clicks(drawn.scene, seed):
                 about = {"part": part, "seed": seed, "look": drawn.look, "click": kind}
-                facts["even"].append({**about, **answered(drawn.scene, click)})
-                print(facts["even"][-1], flush=True)
-    for which in chosen([] if folder is not None else [PHANTOMS]):
+                results["even"].append({**about, **answered(drawn.scene, click)})
+                print(results["even"][-1], flush=True)
+    for which in selected([] if folder is not None else [PHANTOMS]):
         scene = load(which, folder)
         about = {"object": which.name, "fold": which.fold, "family": which.family}
         for kind, click in first_clicks(scene):
-            facts["sizes"].append({**about, "click": kind, **answered(scene, click)})
-            print(facts["sizes"][-1], flush=True)
-    return facts
+            results["sizes"].append({**about, "click": kind, **answered(scene, click)})
+            print(results["sizes"][-1], flush=True)
+    return results
 
 
 if __name__ == "__main__":

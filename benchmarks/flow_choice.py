@@ -28,7 +28,7 @@ from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.run.run import Run
 from accelsurf.settings.flow_specs import DESCENT, MOMENTUM
 from accelsurf.settings.run_config import RunConfig
-from benchmarks.defaults import FACTS, SCANS
+from benchmarks.defaults import RESULTS_FILE, SCANS
 from benchmarks.pages import head_of, put_table, row_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -98,7 +98,9 @@ def main() -> None:
 
 def cases(name: str) -> Iterator[Case]:
     """The images of a name; those of a scan need the folder ACCELSURF_VOLUMES."""
-    starts = {key: row["start"] for key, row in json.loads(FACTS.read_text())["rows"].items()}
+    starts = {
+        key: row["start"] for key, row in json.loads(RESULTS_FILE.read_text())["rows"].items()
+    }
     if name in SCANS:
         folder, stem = Path(os.environ["ACCELSURF_VOLUMES"]), SCANS[name][0]
         if not SCANS[name][2]:
@@ -129,7 +131,7 @@ def measured(case: Case, flow: str) -> dict[str, Any]:
 
 
 def missed(row: dict[str, Any]) -> str:
-    """By how much the chosen flow is worse or slower than the best; empty within the limits.
+    """By how much the selected flow is worse or slower than the best; empty within the limits.
 
     Examples
     --------

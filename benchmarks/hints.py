@@ -27,7 +27,7 @@ from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
 from accelsurf.run.region_of_interest import cropped
-from benchmarks.clicks.objects import ClickObject, Scene, chosen, load
+from benchmarks.clicks.objects import ClickObject, Scene, load, selected
 from benchmarks.clicks.own import text_of
 from benchmarks.clicks.person import PersonClick, next_click
 
@@ -227,7 +227,7 @@ def main() -> None:
         given.output.write_text(json.dumps({"rows": rows}, indent=1) + "\n", encoding="utf-8")
 
     seen: dict[str, int] = {}
-    for which in chosen(names=given.only):
+    for which in selected(names=given.only):
         seen[which.volume] = seen.get(which.volume, 0) + 1
         if seen[which.volume] <= given.each or given.only:
             began = time.perf_counter()

@@ -98,11 +98,9 @@ def box(p: Floats, random: np.random.Generator) -> Shape:
 
 def tube(p: Floats, random: np.random.Generator) -> Shape:
     """A tube of constant width along an arc, with round ends."""
-    radius, width, half = (
-        random.uniform(9, 40),
-        random.uniform(3.5, 6),
-        random.uniform(8, 13),
-    )
+    radius = random.uniform(9, 40)
+    width = random.uniform(3.5, 6)
+    half = random.uniform(8, 13)
     half_angle = min(half / radius, 2.2)
     middle = radius * 0.5 * (1 + np.cos(half_angle))
     angle = np.clip(np.arctan2(p[1], p[0] + middle), -half_angle, half_angle)
@@ -191,15 +189,15 @@ def draw(part: str, number: int) -> Iterator[tuple[dict[str, Any], accelsurf.Vol
         image += (1 - inside) * np.float32(random.uniform(0.3, 0.6)) * (along > 6)
     blur = random.uniform(0.3, 1.0)
     image = ndimage.gaussian_filter(image, blur / FINE)
-    facts = {"part": part, "number": number, "shape": name, "kind": kind, "blur": blur}
+    results = {"part": part, "number": number, "shape": name, "kind": kind, "blur": blur}
     for thickness in THICKNESSES:
         steps = (round(thickness / FINE), round(1 / FINE), round(1 / FINE))
         voxels, share = _averaged(image, steps), _averaged(inside, steps)
         noise = float(random.choice(NOISES))
         voxels = voxels + random.normal(0, noise, voxels.shape)
         scan = accelsurf.Volume.from_array((100 * voxels).astype(np.float32), (thickness, 1.0, 1.0))
-        facts_here = {**facts, "noise": noise, "thickness": thickness}
-        yield facts_here, scan, Truth(volume, area, diameter, share > 0.5)
+        results_here = {**results, "noise": noise, "thickness": thickness}
+        yield results_here, scan, Truth(volume, area, diameter, share > 0.5)
 
 
 def _averaged(values: NDArray[Any], steps: tuple[int, int, int]) -> Floats:
@@ -214,7 +212,9 @@ def _averaged(values: NDArray[Any], steps: tuple[int, int, int]) -> Floats:
 def clicked(scan: accelsurf.Volume, truth: Truth) -> tuple[accelsurf.Result, float, int]:
     """Segment as a person does who clicks where most is wrong; return the result, its Dice, and the clicks."""
     clicks: dict[str, list[str]] = {"inside": [], "outside": []}
-    wrong, side, spacing = truth.inside, "inside", scan.geometry.spacing
+    wrong = truth.inside
+    side = "inside"
+    spacing = scan.geometry.spacing
     for _ in range(MAX_CLICKS):
         deep = ndimage.distance_transform_edt(np.pad(wrong, 1), spacing)[1:-1, 1:-1, 1:-1]
         z, y, x = (int(v) for v in np.unravel_index(int(deep.argmax()), deep.shape))
@@ -233,13 +233,15 @@ def clicked(scan: accelsurf.Volume, truth: Truth) -> tuple[accelsurf.Result, flo
 def played(part: str, numbers: range, surfaces: Path | None) -> Iterator[dict[str, Any]]:
     """Yield a row for each phantom in slices of each thickness: its facts, the truth, and the measures of its edge."""
     for number in numbers:
-        for facts, scan, truth in draw(part, number):
-            name = f"{part}_{number}_{facts['thickness']:g}.npz"
+        for results, scan, truth in draw(part, number):
+            name = f"{part}_{number}_{results['thickness']:g}.npz"
             kept = None if surfaces is None else surfaces / name
             if kept is None or not kept.exists():
                 result, dice, clicks = clicked(scan, truth)
                 one = result.objects[0]
-                psi, image, surface = one.psi, one.image, one.volume_mm3
+                psi = one.psi
+                image = one.image
+                surface = one.volume_mm3
                 if kept is not None:
                     np.savez(kept, psi=psi, image=image, figures=(surface, dice, clicks))
             else:
@@ -247,9 +249,9 @@ def played(part: str, numbers: range, surfaces: Path | None) -> Iterator[dict[st
                     psi, image = arrays["psi"], arrays["image"]
                     surface, dice, clicks = arrays["figures"].tolist()
             edge = edge_measures(psi, image, scan.geometry, surface)
-            print(facts, f"Dice {dice:.3f}", flush=True)
+            print(results, f"Dice {dice:.3f}", flush=True)
             yield {
-                **facts,
+                **results,
                 "dice": round(dice, 4),
                 "clicks": int(clicks),
                 "true": {key: round(getattr(truth, key), 3) for key in KEYS},

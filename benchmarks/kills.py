@@ -85,7 +85,7 @@ class Bench:
         bench.finish()  # compiles what is not compiled yet
         began = time.perf_counter()
         program = bench.start()
-        bench.wait_for_drafts(program)
+        bench.wait_for_staging(program)
         first = time.perf_counter()
         program.communicate(timeout=600)
         bench.seconds, bench.writing = time.perf_counter() - began, time.perf_counter() - first
@@ -143,7 +143,7 @@ class Bench:
         """What is left of runs."""
         return sorted(self.results.glob(".*"))
 
-    def wait_for_drafts(self, program: subprocess.Popen[str]) -> None:
+    def wait_for_staging(self, program: subprocess.Popen[str]) -> None:
         """Wait until a run writes its first file, or ends."""
         while program.poll() is None and not any(self.results.glob(".*/*/*")):
             time.sleep(0.002)
@@ -158,7 +158,7 @@ class Bench:
         }[part]
         moment = self.random.uniform(0.0, longest)
         if part == "first draft":
-            self.wait_for_drafts(program)
+            self.wait_for_staging(program)
         elif part == "last draft":
             while program.poll() is None and not any(self.results.glob(f".*/*/{NAME}_report.json")):
                 time.sleep(0.0002)

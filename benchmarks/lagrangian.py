@@ -41,7 +41,7 @@ from tests.support.lagrangian_cases import (
 from tests.support.offsets import CLOSE, MERGE, SPLIT, grow
 
 ROOT = Path(__file__).resolve().parent.parent
-FACTS = ROOT / "benchmarks" / "results" / "lagrangian.json"
+RESULTS_FILE = ROOT / "benchmarks" / "results" / "lagrangian.json"
 Row = dict[str, Any]
 #: A row of the study: its section, its name, the function that makes it and what that is called with.
 Job = tuple[str, str, Callable[..., Row], tuple[Any, ...]]
@@ -60,19 +60,19 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
     names = [name.strip() for name in options.only.split(",") if name.strip()] or list(SECTIONS)
-    facts: dict[str, Any] = json.loads(FACTS.read_text()) if FACTS.exists() else {}
+    results: dict[str, Any] = json.loads(RESULTS_FILE.read_text()) if RESULTS_FILE.exists() else {}
     jobs = [job for name in names for job in SECTIONS[name](options.quick)]
     with ProcessPoolExecutor(options.processes) as pool:
         found = [(job, pool.submit(job[2], *job[3])) for job in jobs]
         for name in names:
-            facts[name] = {}
+            results[name] = {}
         for (section, name, _, _), row in found:
-            facts[section][name] = plain(row.result())
-            print(f"{section:12s} {name:40s} {told(facts[section][name])}", flush=True)
-    facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
+            results[section][name] = plain(row.result())
+            print(f"{section:12s} {name:40s} {told(results[section][name])}", flush=True)
+    results["versions"] = {key: value for key, value in versions().items() if key != "platform"}
     if not options.quick:
-        FACTS.write_text(json.dumps(facts, indent=1) + "\n")
-        print(f"written: {FACTS.relative_to(ROOT)}")
+        RESULTS_FILE.write_text(json.dumps(results, indent=1) + "\n")
+        print(f"written: {RESULTS_FILE.relative_to(ROOT)}")
 
 
 def told(row: Row) -> str:
@@ -201,7 +201,9 @@ def volumes(problem: Any, frame: Any, sizes: tuple[int, ...]) -> Row:
 
 def growing_out(model: str, n: int) -> Row:
     """A ball that grows out through three faces under a constant force: largest and mean error, voxels."""
-    force, centre, r0 = -0.5, np.array([0.75, 0.85, 0.8]), 0.45
+    force = -0.5
+    centre = np.array([0.75, 0.85, 0.8])
+    r0 = 0.45
     h, on = WIDTH / (n - 1), lattice(n)
     radius = np.sqrt(((on.points - centre[:, None, None, None]) ** 2).sum(axis=0))
     path = exact.path(
@@ -221,7 +223,10 @@ def growing_out(model: str, n: int) -> Row:
 
 def retreating(n: int) -> Row:
     """A disc cut by two sides shrinks at constant speed: its points lie c t from the circle's arc in the slice."""
-    force, centre, r0, t = 0.5, np.array([0.75, 0.6]), 1.1, 0.8
+    force = 0.5
+    centre = np.array([0.75, 0.6])
+    r0 = 1.1
+    t = 0.8
     h, on = WIDTH / (n - 1), lattice(n, flat=True)
     radius = np.sqrt(((on.points[1:] - centre[:, None, None, None]) ** 2).sum(axis=0))
     run = Run(Setup(radius - r0, np.full(radius.shape, force), on.spacing), Law("descent"))

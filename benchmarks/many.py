@@ -77,8 +77,8 @@ def main() -> None:
             )
             row[f"{threads} threads"] = json.loads(done.stdout)
         print(name, json.dumps(row), flush=True)
-        facts = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-        RESULTS.write_text(json.dumps(facts | {name: row}, indent=1) + "\n")
+        results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+        RESULTS.write_text(json.dumps(results | {name: row}, indent=1) + "\n")
 
 
 def scene(name: str, seed: int) -> Work:
@@ -128,7 +128,9 @@ def measured(work: Work, threads: int) -> dict[str, float]:
 
 def peers(work: Work) -> dict[str, Any]:
     """Return Dice, processor seconds and setting of the best of each other program."""
-    seeds, rows, other = seeds_of(work), dict[str, Any](), max(work.inside) + 1
+    seeds = seeds_of(work)
+    rows = dict[str, Any]()
+    other = max(work.inside) + 1
     markers = np.where(seeds < 0, other, seeds)
     for sigma in (0.5, 1.0, 1.5):
         smooth = ndimage.gaussian_filter(work.image, sigma)

@@ -1,7 +1,7 @@
 """Masks that are nearly right: brought to the edges without a click, and clicked, beside starting anew.
 
 ACCELSURF_VOLUMES=DIR python -m benchmarks.mend             plays the scans that are reported; writes JSON and page
-ACCELSURF_VOLUMES=DIR python -m benchmarks.mend --tuning    those on which numbers were chosen; prints alone
+ACCELSURF_VOLUMES=DIR python -m benchmarks.mend --tuning    those on which numbers were selected; prints alone
 python -m benchmarks.mend --render                          the page again, from the JSON alone
 
 Reference masks are made worse in five ways that errors of networks and of hands have. Then `refine(labels=...)` mends
@@ -38,7 +38,7 @@ ROOT = Path(__file__).resolve().parent.parent
 JSON, PAGE = ROOT / "docs/explanation/mend.json", ROOT / "docs/explanation/mend.md"
 
 
-class Chosen(NamedTuple):
+class Selected(NamedTuple):
     """Objects of a scan: how many, who made the reference, least and most voxels, and the first id that is none."""
 
     scan: str
@@ -48,22 +48,22 @@ class Chosen(NamedTuple):
     below: int = 1 << 31
 
 
-#: What is reported, and what numbers were chosen on. FreeSurfer's ids from 1000 on are parts of the cortex, which have
-#: no edge between them.
+#: What is reported, and what numbers were selected on. FreeSurfer's ids from 1000 on are parts of the cortex, which
+#: have no edge between them.
 REPORTED = (
-    Chosen("ct_abdomen_hires", 2, "a network"),
-    Chosen("ct_abdomen_hires", 2, "a network", (10_000, 150_000)),
-    Chosen("mri_brain256", 3, "a program", below=1000),
-    Chosen("mri_brain256", 1, "a program", (10_000, 60_000), below=1000),
-    Chosen("mri_cord_iso", 1, "people"),
-    Chosen("mri_cord_thick", 1, "people"),
-    Chosen("fluo_nuclei1136", 1, "people"),
-    Chosen("synthetic_nuclei", 2, "a simulation"),
+    Selected("ct_abdomen_hires", 2, "a network"),
+    Selected("ct_abdomen_hires", 2, "a network", (10_000, 150_000)),
+    Selected("mri_brain256", 3, "a program", below=1000),
+    Selected("mri_brain256", 1, "a program", (10_000, 60_000), below=1000),
+    Selected("mri_cord_iso", 1, "people"),
+    Selected("mri_cord_thick", 1, "people"),
+    Selected("fluo_nuclei1136", 1, "people"),
+    Selected("synthetic_nuclei", 2, "a simulation"),
 )
 TUNED = (
-    Chosen("ct_vertebra_l3", 1, "a program"),
-    Chosen("mri_lung_0004", 1, "people"),
-    Chosen("fluo_nuclei1135", 1, "people"),
+    Selected("ct_vertebra_l3", 1, "a program"),
+    Selected("mri_lung_0004", 1, "people"),
+    Selected("fluo_nuclei1135", 1, "people"),
 )
 #: Voxels around an object that is played.
 AROUND = 20
@@ -86,9 +86,9 @@ class Case(NamedTuple):
         return np.asarray(self.labels == self.id)
 
 
-def cases(chosen: Sequence[Chosen], folder: Path) -> Iterator[Case]:
+def cases(selected: Sequence[Selected], folder: Path) -> Iterator[Case]:
     """Objects at equal steps of rank by size, of those that are neither tiny nor huge."""
-    for scan, count, made_by, (least, most), below in chosen:
+    for scan, count, made_by, (least, most), below in selected:
         image = accelsurf.read(folder / f"{scan}.nii.gz")
         labels = accelsurf.read_labels(folder / f"{scan}_ref.nii.gz").array
         ids, sizes = np.unique(labels[labels > 0], return_counts=True)
@@ -103,7 +103,7 @@ def cases(chosen: Sequence[Chosen], folder: Path) -> Iterator[Case]:
             yield Case(scan, made_by, part, np.ascontiguousarray(labels[box]), id)
 
 
-def coarsened(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator) -> Mask:
+def restricted(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator) -> Mask:
     """Blocks of four voxels of the smallest spacing: stair steps."""
     steps = [max(1, round(4 * min(spacing) / h)) for h in spacing]
     out = block_means(truth.astype(np.float32), steps) >= 0.5
@@ -160,7 +160,7 @@ def _ball(
 
 
 WORSE: dict[str, Callable[[Mask, tuple[float, ...], np.random.Generator], Mask]] = {
-    "coarsened": coarsened,
+    "coarsened": restricted,
     "cut": cut,
     "shifted": shifted,
     "spotted": spotted,
@@ -223,7 +223,9 @@ def needed(after: list[float], wanted: float, first: int = 0) -> int | None:
 
 def play(case: Case, ways: list[str], known: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
     """Rows of the table of one object; ``known`` are its rows so far."""
-    truth, spacing, h = case.truth, case.image.geometry.spacing, min(case.image.geometry.spacing)
+    truth = case.truth
+    spacing = case.image.geometry.spacing
+    h = min(case.image.geometry.spacing)
     if known:
         from_nothing = known[0]["from_nothing"]
     else:

@@ -37,7 +37,7 @@ SIZES, LEVEL, WIDTH = (10, 40, 100, 200, 320, 440, 560, 680), 43.0, 324.0
 #: Columns and rows of the slice that are shown.
 COLUMNS, ROWS = slice(60, 400), slice(145, 405)
 SIDE, COLOUR, MARK = 440, (255, 196, 0), (80, 200, 255)
-BELOW, HOLD = 34, 110
+BELOW, PAUSE = 34, 110
 
 
 class Frame(NamedTuple):
@@ -46,7 +46,7 @@ class Frame(NamedTuple):
     labels: NDArray[np.bool_] | None
     cursor: Sequence[float]
     words: str
-    ms: int = HOLD
+    ms: int = PAUSE
     #: Clicks so far: places, and colours.
     marks: tuple[tuple[Sequence[float], tuple[int, int, int]], ...] = ()
 
@@ -96,7 +96,7 @@ def frames(image: Volume) -> list[Frame]:
         Frame(found, out[-1].cursor, f"Release: {result.volume_mm3 / 1000:.0f} ml.", 1500, marks)
     )
     words = "Click where it is wrong:"
-    out += [Frame(found, at, words, HOLD, marks) for at in way(out[-1].cursor, OUTSIDE, 8)]
+    out += [Frame(found, at, words, PAUSE, marks) for at in way(out[-1].cursor, OUTSIDE, 8)]
     marks = (*marks, (OUTSIDE, MARK))
     out.append(Frame(found, OUTSIDE, words, 500, marks))
     better = accelsurf.refine(result, outside=("ball:" + ",".join(map(str, (*OUTSIDE, 4.0))),))

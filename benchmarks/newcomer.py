@@ -123,7 +123,9 @@ def follow(page: Path, work: Path, scan: Path | None, label: str) -> list[dict[s
 
 def typed_in(line: str, work: Path, env: dict[str, str]) -> dict[str, Any]:
     """Run a line of a shell; seconds, exit code, and the last line of what it said, if it failed."""
-    now, began, before = time.time(), time.monotonic(), os.times()
+    now = time.time()
+    began = time.monotonic()
+    before = os.times()
     run = subprocess.run(line, shell=True, cwd=work, env=env, text=True, capture_output=True)
     said = run.stderr.strip().splitlines()
     seconds, processor = time.monotonic() - began, sum(os.times()[2:4]) - sum(before[2:4])

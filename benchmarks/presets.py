@@ -27,7 +27,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
 from benchmarks.clicks.games import Hints, play
 from benchmarks.clicks.objects import ClickObject, load, objects
-from benchmarks.clicks.own import Refined
+from benchmarks.clicks.own import Corrected
 from benchmarks.peers.measure import scans_folder
 from tests.support.tissues import membrane_cells
 
@@ -84,7 +84,7 @@ STARTED = {
 CELLS = "membrane-cells"
 
 
-class WithPreset(Refined):
+class WithPreset(Corrected):
     """`accelsurf segment --preset` at the first click, `accelsurf refine` at every later one."""
 
     def __init__(self, preset: str, image: Volume, hints: Hints) -> None:
@@ -94,7 +94,7 @@ class WithPreset(Refined):
 
 def clicked(name: str, which: ClickObject, folder: Path) -> dict[str, Any]:
     """Dice and seconds after each click, with a preset or by default."""
-    made = Refined if name == DEFAULT else partial(WithPreset, name)
+    made = Corrected if name == DEFAULT else partial(WithPreset, name)
     games = play(made, load(which, folder), CLICKS)["clicks"]
     errors = [row["error"] for row in games if "error" in row]
     return {

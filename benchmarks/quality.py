@@ -35,7 +35,7 @@ from accelsurf.measure.metrics import dice
 from accelsurf.run.preprocessing import apply, scale_of
 from benchmarks.clicks.folds import FOLDS, PHANTOMS
 from benchmarks.clicks.games import BASE, FAILED, GOOD, SAID, Hints
-from benchmarks.clicks.objects import Scene, chosen, load
+from benchmarks.clicks.objects import Scene, load, selected
 from benchmarks.clicks.own import StartAlone
 from benchmarks.clicks.person import PersonClick, next_click, voxels_of
 from benchmarks.clicks.reading.scenes import scene as drawn_scene
@@ -43,7 +43,7 @@ from benchmarks.clicks.references import within
 from benchmarks.pages import head_of, put_table, row_of
 
 ROOT = Path(__file__).resolve().parent.parent
-FACTS = ROOT / "benchmarks" / "results" / "quality.json"
+RESULTS_FILE = ROOT / "benchmarks" / "results" / "quality.json"
 MODEL = ROOT / "accelsurf" / "measure" / likely.MODEL_FILE
 PAGE, PICTURE = (
     ROOT / "docs" / "explanation" / "quality.md",
@@ -89,39 +89,37 @@ def main() -> None:
     )
     parser.add_argument("--jobs", type=int, default=1, help="processes (1)")
     options = parser.parse_args()
-    facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"games": {}}
+    results = json.loads(RESULTS_FILE.read_text()) if RESULTS_FILE.exists() else {"games": {}}
     if not options.fit:
-        gather(facts, options)
-    held = {name: entry["rows"] for name, entry in facts["games"].items() if entry["rows"]}
+        gather(results, options)
+    held = {name: entry["rows"] for name, entry in results["games"].items() if entry["rows"]}
     models: dict[str, dict[str, Any]] = {
         kind: {**trained(held, kind), "threshold": WARNED} for kind in KINDS
     }
     models["clicks"]["threshold_corrected"] = even_odds(held, models["clicks"])
     MODEL.write_text(json.dumps(models, indent=1) + "\n")
     likely.calibrated_models.cache_clear()
-    facts["figures"] = {kind: every_figure(held, judged(held, kind)) for kind in KINDS}
-    FACTS.write_text(json.dumps(facts, indent=0) + "\n")
-    put_table(PAGE, "quality", text_of(facts["figures"]))
-    picture(facts["figures"]["clicks"])
-    print(text_of(facts["figures"]))
+    results["figures"] = {kind: every_figure(held, judged(held, kind)) for kind in KINDS}
+    RESULTS_FILE.write_text(json.dumps(results, indent=0) + "\n")
+    put_table(PAGE, "quality", text_of(results["figures"]))
+    picture(results["figures"]["clicks"])
+    print(text_of(results["figures"]))
 
 
 # -- results ------------------------------------------------------------------------------------------------
 
 
-def gather(facts: dict[str, Any], options: argparse.Namespace) -> None:
+def gather(results: dict[str, Any], options: argparse.Namespace) -> None:
     """Make the rows that are missing, or of another model, and write them as they come."""
-    made_by, only, began = (
-        model_digest(),
-        {name for name in options.only.split(",") if name},
-        time.monotonic(),
-    )
-    names = [which.name for which in chosen()] if "ACCELSURF_VOLUMES" in os.environ else []
+    made_by = model_digest()
+    only = {name for name in options.only.split(",") if name}
+    began = time.monotonic()
+    names = [which.name for which in selected()] if "ACCELSURF_VOLUMES" in os.environ else []
     if not names:
         print("ACCELSURF_VOLUMES is not set: phantoms and scenes only", file=sys.stderr)
-        names = [which.name for which in chosen([PHANTOMS])]
+        names = [which.name for which in selected([PHANTOMS])]
     names += [f"{DRAWN}-{seed}" for seed in SCENES]
-    kept = {} if options.again else facts["games"]
+    kept = {} if options.again else results["games"]
     missing = [
         name
         for name in names
@@ -129,8 +127,8 @@ def gather(facts: dict[str, Any], options: argparse.Namespace) -> None:
     ]
     with ProcessPoolExecutor(options.jobs) as pool:
         for name, rows in zip(missing, pool.map(rows_of, missing), strict=True):
-            facts["games"][name] = {"made_by": made_by, "rows": rows}
-            FACTS.write_text(json.dumps(facts, indent=0) + "\n")
+            results["games"][name] = {"made_by": made_by, "rows": rows}
+            RESULTS_FILE.write_text(json.dumps(results, indent=0) + "\n")
             print(
                 f"{time.monotonic() - began:.0f} s {name}",
                 [round(row["dice"], 2) for row in rows],
@@ -149,7 +147,7 @@ def model_digest() -> str:
 def rows_of(name: str) -> list[Row]:
     """The rows of an object of the benchmark, or of a drawn scene."""
     if not name.startswith(DRAWN):
-        (which,) = chosen(names=[name])
+        (which,) = selected(names=[name])
         scan = load(which, Path(os.environ.get("ACCELSURF_VOLUMES", "")))
         return [{**row, "fold": which.fold} for seed in GAMES for row in in_game(scan, seed)]
     image, objects = drawn_scene(int(name.split("-")[1]))
@@ -165,7 +163,9 @@ def in_game(scene: Scene, seed: int | None) -> Iterator[Row]:
     image, truth = scene.image, scene.truth
     values = image.as_float32()
     player = StartAlone(image.with_array(apply(values, scale_of(values))), Hints())
-    clicked, labels, before = np.zeros(truth.shape, np.bool_), None, None
+    clicked = np.zeros(truth.shape, np.bool_)
+    labels = None
+    before = None
     for number in range(CLICKS):
         random = None if seed is None else np.random.default_rng([BASE, seed, number])
         click = next_click(truth, labels, image.geometry, random)

@@ -35,7 +35,7 @@ from accelsurf.interact.refine import beginning_with
 from accelsurf.interact.refiner import Refiner
 from accelsurf.settings.corrections import corrections_of
 from benchmarks.clicks.folds import FAMILIES, FOLDS, PHANTOMS
-from benchmarks.clicks.objects import ClickObject, Scene, chosen, load
+from benchmarks.clicks.objects import ClickObject, Scene, load, selected
 from benchmarks.clicks.own import text_of
 from benchmarks.clicks.person import PersonClick, next_click, voxels_of
 from benchmarks.clicks.references import within
@@ -69,10 +69,10 @@ class Case(NamedTuple):
 
 def cases(with_scans: bool) -> Iterator[Case]:
     """All phantoms; with scans one object of each family in each fold, and one of each fold to be cut."""
-    yield from (Case(each, False) for each in chosen([PHANTOMS]))
+    yield from (Case(each, False) for each in selected([PHANTOMS]))
     random = np.random.default_rng(SEED)
     for fold in FOLDS if with_scans else ():
-        held = chosen([fold.name])
+        held = selected([fold.name])
         for family in FAMILIES:
             alike = [each for each in held if each.family == family]
             if alike:
@@ -289,37 +289,37 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--render", action="store_true", help="measure nothing")
     options = parser.parse_args(arguments)
-    facts: dict[str, list[Row]] = (
+    results: dict[str, list[Row]] = (
         json.loads(JSON.read_text()) if options.render or options.objects else {}
     )
     if not options.render:
-        measure(facts, options)
+        measure(results, options)
     put_table(
         PAGE,
         "benchmarks.reach",
-        f"{text_of_rows(facts['rows'])}\n{text_of_leaks(facts['leaks'])}",
+        f"{text_of_rows(results['rows'])}\n{text_of_leaks(results['leaks'])}",
         "python -m",
     )
     return 0
 
 
-def measure(facts: dict[str, list[Row]], options: argparse.Namespace) -> None:
+def measure(results: dict[str, list[Row]], options: argparse.Namespace) -> None:
     """Make the rows, and write them as they come."""
-    only, keep = options.objects, facts.get("rows", [])
-    facts["rows"] = [row for row in keep if row["object"] not in only]
+    only, keep = options.objects, results.get("rows", [])
+    results["rows"] = [row for row in keep if row["object"] not in only]
     if not only or "leaks" in only:
-        facts["leaks"] = []
+        results["leaks"] = []
         for seed in range(LEAKS):
-            facts["leaks"].append(leak(seed))
-            print(facts["leaks"][-1], flush=True)
+            results["leaks"].append(leak(seed))
+            print(results["leaks"][-1], flush=True)
     for case in cases(options.volumes is not None):
         which = case.object
         about = {"object": which.name, "fold": which.fold, "family": which.family}
         for row in play(case, options.volumes) if not only or which.name in only else ():
             if row is not None:
-                facts["rows"].append({**about, **row})
-                print(facts["rows"][-1], flush=True)
-        JSON.write_text(json.dumps(facts, indent=1) + "\n")
+                results["rows"].append({**about, **row})
+                print(results["rows"][-1], flush=True)
+        JSON.write_text(json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":

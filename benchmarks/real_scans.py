@@ -32,7 +32,7 @@ from benchmarks.peers.objects import compare_on_objects, mean_dice
 from benchmarks.peers.scans import best_window, compare_peers
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE, FACTS = (
+PAGE, RESULTS_FILE = (
     ROOT / "docs" / "explanation" / "real-scans.md",
     ROOT / "docs" / "explanation" / "real-scans.json",
 )
@@ -61,7 +61,7 @@ _CORD = " ".join(
     for place in ("31.8,5,24.8", "30.8,16,24.7", "30.3,27,25.0", "30.3,38,25.3", "30.3,49,25.6")
 )
 _BONES = (32, 33, 69, 70, *range(97, 104), *range(109, 116))
-#: By the simulated person's clicks, and then from places chosen on the scan by eye.
+#: By the simulated person's clicks, and then from places selected on the scan by eye.
 CASES: dict[str, Case] = {
     "brain": Case(_BRAIN, clicks=3),
     "oblique brain": Case(_OBLIQUE, clicks=3),
@@ -147,20 +147,20 @@ def main() -> None:
 
 def write_row(name: str, row: dict[str, Any]) -> None:
     """Put a row into the JSON and the page; what other programs reached stays where they were not run again."""
-    facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"cases": {}}
-    if "peers" not in row and "peers" in facts["cases"].get(name, {}):
-        row["peers"] = facts["cases"][name]["peers"]
-    if "peers" not in row and name in facts.get("peers", {}).get("cases", {}):
+    results = json.loads(RESULTS_FILE.read_text()) if RESULTS_FILE.exists() else {"cases": {}}
+    if "peers" not in row and "peers" in results["cases"].get(name, {}):
+        row["peers"] = results["cases"][name]["peers"]
+    if "peers" not in row and name in results.get("peers", {}).get("cases", {}):
         # Of a search before the rows were made again; its date is beside it.
-        row["peers"] = facts["peers"]["cases"][name]
-    facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
-    facts["cases"] = {
-        key: {**facts["cases"], name: row}[key]
+        row["peers"] = results["peers"]["cases"][name]
+    results["versions"] = {key: value for key, value in versions().items() if key != "platform"}
+    results["cases"] = {
+        key: {**results["cases"], name: row}[key]
         for key in CASES
-        if key in {**facts["cases"], name: row}
+        if key in {**results["cases"], name: row}
     }
-    FACTS.write_text(json.dumps(facts, indent=1) + "\n")
-    put_table(PAGE, "real-scans", text_of(facts["cases"]))
+    RESULTS_FILE.write_text(json.dumps(results, indent=1) + "\n")
+    put_table(PAGE, "real-scans", text_of(results["cases"]))
 
 
 def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
@@ -201,7 +201,7 @@ def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dic
         row |= typed.call([*given, "--overwrite", "--quiet"], options.output)
         if "error" in row:
             return row
-        row |= typed.facts_of(target, case.image)
+        row |= typed.results_of(target, case.image)
     image, labels = io.read(source), io.read_labels(target / f"{case.image}_seg.nii.gz")
     if truth is not None:
         row["metrics"] = (

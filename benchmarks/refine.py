@@ -32,7 +32,7 @@ from accelsurf.interact.refiner import Refiner
 from accelsurf.phantoms.recipes import load_recipe, make
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
-from benchmarks.clicks.objects import chosen, load
+from benchmarks.clicks.objects import load, selected
 from benchmarks.clicks.own import text_of
 from benchmarks.clicks.person import PersonClick, next_click
 from benchmarks.peers.measure import scans_folder
@@ -156,7 +156,7 @@ def phantoms(size: int) -> Iterator[Case]:
 
 def scans(folder: Path, names: Sequence[str]) -> Iterator[Case]:
     """The objects in the brain."""
-    for one in chosen(names=IN_BRAIN):
+    for one in selected(names=IN_BRAIN):
         if not names or one.name in names:
             scene = load(one, folder)
             yield Case(one.name, "scan", scene.image, scene.truth)
@@ -268,7 +268,7 @@ def _labels(refiner: Refiner, shape: Sequence[int]) -> NDArray[np.bool_]:
 # -- the page ----------------------------------------------------------------------------------------------
 
 
-def page_of(facts: dict[str, Any]) -> str:
+def page_of(record: dict[str, Any]) -> str:
     """The page of the documentation."""
     lines = [
         "# How long a click takes",
@@ -278,14 +278,14 @@ def page_of(facts: dict[str, Any]) -> str:
         "whole run, of a later one the correction. Each is the fastest of "
         f"{REPEATS}.",
         "",
-        f"{facts['threads']} threads, {facts['cores']} cores, load {facts['load']:.1f} at the beginning. Where that is "
-        "more than the cores, a person would wait less on an idle machine, and the processor's seconds, of the same "
+        f"{record['threads']} threads, {record['cores']} cores, load {record['load']:.1f} at the beginning. Where that "
+        "is more than the cores, a person would wait less on an idle machine, and the processor's seconds, of the same "
         "clicks with one thread, tell more. Scans: objects of a T1 brain (niivue's demo images).",
         "",
         "| clicks | number | median | 95 % | largest | first step shown, median | processor, median | 95 % | wanted |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    rows = facts["clicks"]
+    rows = record["clicks"]
     for kind in ("phantom", "scan"):
         for which in ("first", "later"):
             own = [
@@ -338,7 +338,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parse(arguments)
     path = options.results / NAME
     if not options.render:
-        facts = {
+        record = {
             "threads": options.threads,
             "cores": len(os.sched_getaffinity(0)),
             "machine": platform.machine(),
@@ -355,11 +355,11 @@ def main(arguments: list[str] | None = None) -> int:
             if options.objects and case.name not in options.objects:
                 continue
             for row in play(case, options.clicks, options.threads):
-                facts["clicks"].append(row)
+                record["clicks"].append(row)
                 line = f"{row['object']} {row['click']} {row['side']}: {row['wall_s']:.2f} s, cpu {row['cpu_s']:.2f} s"
                 print(line, flush=True)
         options.results.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(facts, indent=1) + "\n")
+        path.write_text(json.dumps(record, indent=1) + "\n")
         print(f"written: {path}")
     # Results elsewhere are trials: the docs show those of the repository.
     if options.results == RESULTS:

@@ -25,7 +25,7 @@ import psutil
 from nnInteractive.inference.remote import nnInteractiveRemoteInferenceSession
 from scipy import ndimage
 
-from benchmarks.clicks.objects import chosen, load
+from benchmarks.clicks.objects import load, selected
 from benchmarks.clicks.person import next_click
 from benchmarks.peers.measure import scans_folder
 from benchmarks.refine import IN_BRAIN
@@ -85,7 +85,7 @@ def first_prompt(
 
 def measured(address: str, process: int, names: list[str]) -> dict[str, Any]:
     """Return the waits of all prompts for some objects."""
-    objects = chosen(names=names)
+    objects = selected(names=names)
     scene = load(objects[0])
     image, geometry = scene.image.as_float32(), scene.image.geometry
     viewer, labels = Waits(address, process), np.zeros(geometry.shape, np.uint8)

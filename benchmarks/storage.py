@@ -165,24 +165,32 @@ def tree(size: int) -> dict[str, Any]:
 
 
 @kernel
-def read_dense(psi, shape, cells, feet, out):
+def read_dense(psi, shape, cells, closest_points, out):
     """Cubic value and slopes at each cell's closest point."""
     ny, nx = shape[1], shape[2]
     for i in range(len(cells)):
-        bz, by, bx = int(feet[i, 0]) - 1, int(feet[i, 1]) - 1, int(feet[i, 2]) - 1
-        uz, uy, ux = feet[i, 0] - bz, feet[i, 1] - by, feet[i, 2] - bx
+        bz = int(closest_points[i, 0]) - 1
+        by = int(closest_points[i, 1]) - 1
+        bx = int(closest_points[i, 2]) - 1
+        uz = closest_points[i, 0] - bz
+        uy = closest_points[i, 1] - by
+        ux = closest_points[i, 2] - bx
         value, gz, gy, gx = cubic(psi, (bz * ny + by) * nx + bx, nx, ny * nx, uz, uy, ux)
         out[i] = value + gz + gy + gx
 
 
 @kernel
-def read_table(psi, table, bricks, bits, feet, out):
+def read_table(psi, table, bricks, bits, closest_points, out):
     """The same by bricks: 4^3 neighbours are copied row by row through the table, then computed with."""
     low = (1 << bits) - 1
     local = np.empty(64, np.float32)
-    for i in range(len(feet)):
-        bz, by, bx = int(feet[i, 0]) - 1, int(feet[i, 1]) - 1, int(feet[i, 2]) - 1
-        uz, uy, ux = feet[i, 0] - bz, feet[i, 1] - by, feet[i, 2] - bx
+    for i in range(len(closest_points)):
+        bz = int(closest_points[i, 0]) - 1
+        by = int(closest_points[i, 1]) - 1
+        bx = int(closest_points[i, 2]) - 1
+        uz = closest_points[i, 0] - bz
+        uy = closest_points[i, 1] - by
+        ux = closest_points[i, 2] - bx
         if (
             bz & low <= low - 3 and by & low <= low - 3 and bx & low <= low - 3
         ):  # one brick has them all
@@ -205,13 +213,20 @@ def read_table(psi, table, bricks, bits, feet, out):
 
 
 @kernel
-def read_halo(psi, table, bricks, bits, feet, out):
+def read_halo(psi, table, bricks, bits, closest_points, out):
     """The same by bricks that have their neighbours' outer voxels beside their own."""
     low, wide = (1 << bits) - 1, (1 << bits) + 4
-    for i in range(len(feet)):
-        bz, by, bx = int(feet[i, 0]) - 1, int(feet[i, 1]) - 1, int(feet[i, 2]) - 1
-        uz, uy, ux = feet[i, 0] - bz, feet[i, 1] - by, feet[i, 2] - bx
-        z, y, x = bz + 1, by + 1, bx + 1  # the brick of the second node
+    for i in range(len(closest_points)):
+        bz = int(closest_points[i, 0]) - 1
+        by = int(closest_points[i, 1]) - 1
+        bx = int(closest_points[i, 2]) - 1
+        uz = closest_points[i, 0] - bz
+        uy = closest_points[i, 1] - by
+        ux = closest_points[i, 2] - bx
+        # the brick of the second node
+        z = bz + 1
+        y = by + 1
+        x = bx + 1
         brick = table[((z >> bits) * bricks[1] + (y >> bits)) * bricks[2] + (x >> bits)]
         at = ((brick * wide + (z & low) + 1) * wide + (y & low) + 1) * wide + (x & low) + 1
         value, gz, gy, gx = cubic(psi, at, wide, wide * wide, uz, uy, ux)
@@ -247,7 +262,9 @@ def cross_table(psi, table, bricks, bits, places, out):
     by_plane, by_row = 1 << (2 * bits), 1 << bits
     for i in range(len(places)):
         z, y, x = places[i]
-        lz, ly, lx = z & low, y & low, x & low
+        lz = z & low
+        ly = y & low
+        lx = x & low
         above = ((z >> bits) * bricks[1] + (y >> bits)) * bricks[2] + (x >> bits)
         c = (table[above] << (3 * bits)) + (lz << (2 * bits)) + (ly << bits) + lx
         total = np.float32(0.0)
@@ -257,7 +274,9 @@ def cross_table(psi, table, bricks, bits, places, out):
         else:
             for d in (-2, -1, 1, 2):
                 for axis in range(3):
-                    a, b, e = z + d * (axis == 0), y + d * (axis == 1), x + d * (axis == 2)
+                    a = z + d * (axis == 0)
+                    b = y + d * (axis == 1)
+                    e = x + d * (axis == 2)
                     brick = table[((a >> bits) * bricks[1] + (b >> bits)) * bricks[2] + (e >> bits)]
                     total += psi[
                         (brick << (3 * bits))
@@ -295,11 +314,11 @@ def access_times(repeats: int, size: int = 256, radius: float = 80.0) -> dict[st
     psi = surface.psi
     cells = surface.band.cells.astype(np.int64)
     places = np.stack(np.unravel_index(cells, psi.shape), axis=1).astype(np.int64)
-    feet = np.ascontiguousarray(places + surface.band.to_closest, np.float32)
+    closest_points = np.ascontiguousarray(places + surface.band.to_closest, np.float32)
     shape = np.array(psi.shape, np.int64)
     flat = psi.ravel()
     programs: dict[str, Callable[[NDArray[np.float32]], None]] = {
-        "cubic, dense": lambda out: read_dense(flat, shape, cells, feet, out),
+        "cubic, dense": lambda out: read_dense(flat, shape, cells, closest_points, out),
         "cross, dense": lambda out: cross_dense(flat, shape, cells, out),
     }
     for bits in (3, 4, 5):
@@ -309,10 +328,10 @@ def access_times(repeats: int, size: int = 256, radius: float = 80.0) -> dict[st
         n = np.array(psi.shape, np.int64) // side
         programs |= {
             f"cubic, bricks of {side}, gathered": lambda out, v=plain, t=table, n=n, b=bits: (
-                read_table(v, t, n, b, feet, out)
+                read_table(v, t, n, b, closest_points, out)
             ),
             f"cubic, bricks of {side}, halo": lambda out, v=halo, t=table, n=n, b=bits: read_halo(
-                v, t, n, b, feet, out
+                v, t, n, b, closest_points, out
             ),
             f"cross, bricks of {side}": lambda out, v=plain, t=table, n=n, b=bits: cross_table(
                 v, t, n, b, places, out

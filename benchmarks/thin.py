@@ -65,7 +65,7 @@ SIZES = {
     (4.0, 1.0, 1.0): {"slab": (6.0, 8.0), "cylinder": (4.0,), "ball": (6.0,)},
 }
 #: Spacings of what moves.
-CARRIED = UNIT, (2.0, 1.0, 1.0), (3.0, 1.5, 1.0)
+MOVED_SPACINGS = UNIT, (2.0, 1.0, 1.0), (3.0, 1.5, 1.0)
 
 
 def main() -> None:
@@ -79,15 +79,15 @@ def main() -> None:
             for size in sizes:
                 for sign in (1, -1):
                     found = [
-                        rested(kind, size, k, spacing, sign, options.count)
+                        after_redistances(kind, size, k, spacing, sign, options.count)
                         for k in range(len(DIRECTIONS))
                     ]
                     rows.append(row("at rest", kind, size, spacing, found, sign=sign))
-    for step, spacing in itertools.product((0.05, 0.2), CARRIED):
+    for step, spacing in itertools.product((0.05, 0.2), MOVED_SPACINGS):
         for kind in ("slab", "cylinder"):
             for size in SIZES[spacing][kind]:
                 found = [
-                    carried(kind, size, k, step, options.count, spacing)
+                    moved_by_speed(kind, size, k, step, options.count, spacing)
                     for k in range(len(DIRECTIONS))
                 ]
                 rows.append(row(f"velocity, {step:g} voxel a step", kind, size, spacing, found))
@@ -95,8 +95,8 @@ def main() -> None:
         found = [resized(first, last, k, options.count) for k in range(len(DIRECTIONS))]
         rows.append(row(f"speed, radius from {first:g} to {last:g}", "cylinder", last, UNIT, found))
     options.output.mkdir(parents=True, exist_ok=True)
-    facts = {"what": __doc__, "count": options.count, "rows": rows}
-    (options.output / "thin.json").write_text(json.dumps(facts, indent=1) + "\n")
+    results = {"what": __doc__, "count": options.count, "rows": rows}
+    (options.output / "thin.json").write_text(json.dumps(results, indent=1) + "\n")
     print(f"written: {options.output / 'thin.json'}")
 
 
@@ -174,7 +174,7 @@ def displacement(
     return np.concatenate(out), int(np.count_nonzero(flipped))
 
 
-def rested(
+def after_redistances(
     kind: str,
     size: float,
     number: int,
@@ -190,7 +190,7 @@ def rested(
     return displacement(exact, sign * surface.psi, spacing, 2 if kind == "ball" else MARGIN)
 
 
-def carried(
+def moved_by_speed(
     kind: str, size: float, number: int, step: float, count: int, spacing: tuple[float, ...] = UNIT
 ) -> tuple[Floats, int]:
     """`displacement` after ``count`` steps of ``step`` mm under a constant velocity, across the object."""

@@ -89,7 +89,7 @@ def main() -> None:
         print_row(rows[-1])
 
     options.output.mkdir(parents=True, exist_ok=True)
-    facts = {
+    record = {
         "recipe": phantom.recipe.model_dump(mode="json"),
         "starts": STARTS,
         "machine": {
@@ -99,7 +99,7 @@ def main() -> None:
         },
         "variants": rows,
     }
-    (options.output / "three_starts.json").write_text(json.dumps(facts, indent=1) + "\n")
+    (options.output / "three_starts.json").write_text(json.dumps(record, indent=1) + "\n")
     draw(labels, rows, phantom.truth.array, options.output / "three_starts.png")
     print(f"written: {options.output / 'three_starts.json'}, .png")
 

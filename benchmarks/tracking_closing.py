@@ -63,7 +63,9 @@ class ThereAndBack(ImageSequence):
     """The frames of a phantom forward, then backward to the first; noise is that of the phantom's frame."""
 
     def __init__(self, phantom: MovingPhantom) -> None:
-        self.phantom, self.geometry, self.source = phantom, phantom.geometry, phantom.source
+        self.phantom = phantom
+        self.geometry = phantom.geometry
+        self.source = phantom.source
         self.times, self.time_unit = tuple(float(n) for n in range(2 * len(phantom) - 1)), "frame"
 
     def _channels(self, number: int) -> list[Volume]:
@@ -140,10 +142,12 @@ def apart(
     there = LevelSet(other.psi, (spacing[0], spacing[1], spacing[2]), 6.0)
     cells = np.stack(np.unravel_index(here.band.cells, here.shape), axis=1)
     near = here.front(1.0)
-    feet = (cells + here.band.to_closest / np.array(spacing))[near] + np.subtract(
+    closest_points = (cells + here.band.to_closest / np.array(spacing))[near] + np.subtract(
         one.corner, other.corner
     )
-    off = np.abs(ndimage.map_coordinates(there.psi, feet.T, order=1, mode="nearest")) / min(spacing)
+    off = np.abs(
+        ndimage.map_coordinates(there.psi, closest_points.T, order=1, mode="nearest")
+    ) / min(spacing)
     return float(off.mean()), float(np.percentile(off, 99)), float(off.max())
 
 

@@ -107,7 +107,9 @@ def linked(
 def by_overlap(parts: Sequence[Labels], spots: Sequence[Spot], reach: float) -> Followed:
     """Each part follows the one before that it overlaps most; where several follow one they are its children."""
     del reach  # it needs no distance
-    ids, parents, next_id = {}, {}, 1
+    ids = {}
+    parents = {}
+    next_id = 1
     for spot in spots:
         before = (
             parts[spot.frame - 1][parts[spot.frame] == spot.value]

@@ -66,7 +66,7 @@ DROPLET = (1.98, 1.98, 3.998)
 DROPLET_ORIGIN = (1.71, 122.14, 181.65)
 #: Every frame of the droplet, and every fifth: it then moves by about a pixel at a time.
 STRIDES = (1, 5)
-#: The energy of the cells was chosen on frames 0 to 4; these are the frames that are told.
+#: The energy of the cells was selected on frames 0 to 4; these are the frames that are told.
 CELLS_FROM, CELLS_TO = 5, 10
 CELLS_ENERGY = "likelihood:histogram"
 
@@ -180,7 +180,9 @@ def droplet(folder: Path | None) -> Iterator[dict[str, Any]]:
         part = VolumeSequence([sequence.channels(n)[0] for n in numbers])
         truth = [otsu(one.array) for one in (part.channels(n)[0] for n in range(len(numbers)))]
         for model in MODELS:
-            began, scores, off = time.perf_counter(), [], []
+            began = time.perf_counter()
+            scores = []
+            off = []
             for result in tracking(part, truth[0].astype(np.uint8), model, "chan-vese"):
                 if not result.frame:
                     continue

@@ -59,7 +59,7 @@ def call(words: Sequence[str], folder: Path) -> dict[str, Any]:
     return row | ({"error": done.stderr.strip() or "no message"} if done.returncode else {})
 
 
-def facts_of(target: Path, name: str) -> dict[str, Any]:
+def results_of(target: Path, name: str) -> dict[str, Any]:
     """What rows keep of the report in a folder of outputs."""
     report = json.loads((target / f"{name}_report.json").read_text())
     row = {key: report[key] for key in KEPT}
@@ -91,7 +91,7 @@ def play(
     Returns
     -------
     list of dict
-        A row for each click: `command`, what `call` and `facts_of` say, and `metrics` of the labels. The last one has
+        A row for each click: `command`, what `call` and `results_of` say, and `metrics` of the labels. The last one has
         an `error` where a command failed.
     """
     rows: list[dict[str, Any]] = []
@@ -124,5 +124,5 @@ def play(
             break
         found = io.read_labels(target / f"{name}_seg.nii.gz")
         labels = np.asarray(found.array > 0)
-        rows[-1] |= facts_of(target, name) | {"metrics": metrics.evaluate(found, truth).to_dict()}
+        rows[-1] |= results_of(target, name) | {"metrics": metrics.evaluate(found, truth).to_dict()}
     return rows

@@ -182,7 +182,9 @@ def window_process(source: str, result_file: str, start: str, steps: int) -> Non
     path = Path(result_file)
     session = Session(io.read(source), config_of(start), name="scan")
     session.ready.result()
-    answers, drawn, times = [], [], {}
+    answers = []
+    drawn = []
+    times = {}
 
     class Timed(Window):
         def toggle_help(self) -> None:

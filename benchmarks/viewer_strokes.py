@@ -308,7 +308,9 @@ class Hand:
         """Send an event; milliseconds until the next picture, at most some seconds, and of the window's thread."""
         from PySide6.QtWidgets import QApplication
 
-        before, began, worked = len(self._drawn), time.perf_counter(), self._own_seconds()
+        before = len(self._drawn)
+        began = time.perf_counter()
+        worked = self._own_seconds()
         QApplication.postEvent(self.window.canvas, event)
         while len(self._drawn) == before and time.perf_counter() - began < seconds:
             time.sleep(0.0005)
@@ -326,7 +328,9 @@ class Hand:
         from PySide6.QtGui import QWheelEvent
 
         at = self._on_canvas(next(self._along("axial")))
-        none, anywhere, times = Qt.MouseButton.NoButton, self.window.canvas.mapToGlobal(at), []
+        none = Qt.MouseButton.NoButton
+        anywhere = self.window.canvas.mapToGlobal(at)
+        times = []
         for number in range(2 * MOTIONS):
             turned = QPoint(0, 120 if number % MOTIONS < MOTIONS // 2 else -120)
             keys, phase = Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase

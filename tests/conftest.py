@@ -19,7 +19,7 @@ PIXEL = base64.b64decode(
 )
 
 
-@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
+@pytest.hookimpl(tryfirst=True)  # before tests are selected by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark as slow the cases that a test with the mark ``sampled`` does not need by default."""
     cases = defaultdict(list)

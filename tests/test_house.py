@@ -37,27 +37,86 @@ FROM_OUTSIDE = {
     "accelsurf/napari/widget.py layer.selected_label": "napari's way to select a label",
 }
 
-#: Words that no identifier may have as a part: each has a standard term of the field (docs/architecture.md, "Words").
-PRIVATE_WORDS = {
-    *(
-        "books",
-        "chosen",
-        "coarsened",
-        "contested",
-        "feet",
-        "fence",
-        "fenced",
-        "fences",
-        "fewest",
-        "flicker",
-        "foot",
-    ),
-    *("kept", "ledger", "remembered", "splat", "stirred", "strongest", "told", "twin", "wells"),
+#: Words of the *not* column of record 0001, in identifiers of package, benchmarks and tests, and the term instead.
+REPLACED = {
+    **dict.fromkeys(("foot", "feet"), "closest point"),
+    **dict.fromkeys(("settle", "settles", "settled"), "redistance"),
+    **dict.fromkeys(("books", "ledger"), "energy budget, history"),
+    **dict.fromkeys(("remembered", "resumed_state"), "checkpoint, state"),
+    **dict.fromkeys(("rests", "rested"), "plateau"),
+    **dict.fromkeys(("push", "pushed"), "add_velocity, impulse"),
+    **dict.fromkeys(("coarsened", "refined", "carried"), "restrict, prolong, transfer"),
+    **dict.fromkeys(("fence", "fences", "fenced", "contest", "contested", "against"), "constraint"),
+    "everything": "the whole, moments of a region",
+    **dict.fromkeys(("chosen", "wish", "facts"), "resolved settings, requested options"),
+    **dict.fromkeys(("proposal", "proposals"), "size hypothesis"),
+    "sureness": "confidence",
+    **dict.fromkeys(("doubt", "doubts"), "uncertain location, warning"),
+    **dict.fromkeys(("surprise", "surprises"), "disagreement"),
+    **dict.fromkeys(("heard", "disowned", "contradicting"), "active, rejected, inconsistent"),
+    **dict.fromkeys(("tissue", "tissues"), "local appearance, homogeneous region"),
+    **dict.fromkeys(("draft", "drafts"), "staging files"),
+    **dict.fromkeys(("workplace", "finger", "fingers", "wheel"), "actions, touch, scroll"),
 }
-#: Words that terms of the field have replaced (record 0001).
-REPLACED_WORDS = {"disowned", "drafts", "fingers", "wheel", "wish", "won", "workplace"}
+#: Words of that column that are standard, or plain, in another sense. As the whole name of a function, method or class
+#: most of them are refused below (`VAGUE_NAMES`).
+OTHER_SENSE = {
+    "row": "of a table, an image or a band",
+    "part": "of a file, an image or a surface",
+    "cut": "graph cut; an object that a border cuts",
+    "spread": "of values, in statistics",
+    "hold": "what a container or a file has; the option --hold of movies",
+    "keep": "the mask of what stays; the option --keep-state",
+    "resume": "the option --resume",
+    "rest": "the remainder; a velocity of 0; the option --stop-at-rest",
+    "reach": "how far a click acts, mm",
+    "begin": "where bytes, a box or a run begins",
+    "take": "numpy's word for a choice of rows",
+    "change": "a difference of numbers; an entry of the viewer's list of changes",
+    "edit": "of a run in its course, the option --edit",
+    "refinement": "a correction of a finished run, as the setting refine names it",
+    "stroke": "the line that a person draws, not its effect",
+    "answer": "another object that a first click may mean, as options and reports name it",
+    "claim": "what a header says before it is checked; a request of the viewers' protocol",
+    "even": "of numbers",
+    "quiet": "the option --quiet",
+    "learned": "of an appearance: only a 'learned answer' is a score",
+    "mixed": "of derivatives: only a 'mixed answer' is a score",
+}
+#: Identifiers with a replaced word that stay, each with the reason.
+STANDARD_NAMES = {
+    "SOFT_TISSUE": "a grey window of CT",
+    "_TISSUE": "a code of SNOMED",
+    "Tissue": "kinds of the phantoms of tissue",
+    "TissuePhantom": "kinds of the phantoms of tissue",
+    "TissueRecipe": "kinds of the phantoms of tissue",
+    "_TISSUES": "kinds of the phantoms of tissue",
+    "tissue": "a key of recipes, and the share of soft tissue in a scan",
+}
+#: Words of the column that are plain English in docstrings and comments.
+PLAIN_IN_PROSE = {
+    *(
+        "against",
+        "carried",
+        "everything",
+        "push",
+        "pushed",
+        "tissue",
+        "tissues",
+        "refined",
+        "rests",
+    ),
+}
+#: Words that no identifier of the package may have as a part: each has a standard term of the field.
+PRIVATE_WORDS = {
+    *("fewest", "fingers", "flicker", "kept", "splat", "stirred", "strongest", "told", "twin"),
+    *("wells", "wish", "won"),
+}
 #: The same for sequences of words.
-PRIVATE_NAMES = ("hold_back", "travel_dt", "asked_width", "one_slice", "of_patient", "regionsums")
+PRIVATE_NAMES = (
+    *("hold_back", "travel_dt", "asked_width", "one_slice", "of_patient", "regionsums"),
+    *("learned_answer", "mixed_answer", "half_width_of_click", "going_on"),
+)
 #: Constants are called MAX_, MIN_ and BATCH instead.
 PRIVATE_CONSTANTS = re.compile(r"^_?(MOST|LEAST)_|TOGETHER")
 #: Plain English that says too little as the name of a function, method or class.
@@ -91,8 +150,6 @@ VAGUE_NAMES = {
     ),
     *("spread", "take"),
 }
-#: In kernels `to_closest` is defined once: the closest point of a cell.
-KERNEL_WORDS = {"foot", "feet"}
 
 
 @cache
@@ -212,17 +269,58 @@ def test_an_attribute_that_is_set_from_outside_has_a_reason(figures):
 def test_identifiers_are_made_of_the_words_of_the_field():
     found = []
     for path in modules(PACKAGE):
-        private = PRIVATE_WORDS - KERNEL_WORDS if "kernels" in path.parts else PRIVATE_WORDS
-        private = private | REPLACED_WORDS
         for node, name in identifiers(parsed(path)):
             plain = name.lower()
             if (
-                words(name) & private
+                words(name) & PRIVATE_WORDS
                 or any(one in plain for one in PRIVATE_NAMES)
                 or PRIVATE_CONSTANTS.search(name)
             ):
                 found.append(place(path, node, name))
     assert not found, listed(found)
+
+
+@pytest.mark.parametrize("folder", ["accelsurf", "benchmarks", "tests"])
+def test_no_identifier_has_a_word_that_record_0001_replaces(folder):
+    used = set()
+    found = []
+    for path in modules(ROOT / folder):
+        for node, name in identifiers(parsed(path)):
+            if name.startswith("test_"):
+                continue  # a sentence
+            replaced = words(name) & REPLACED.keys()
+            used |= {name} if replaced else set()
+            if replaced and name not in STANDARD_NAMES:
+                terms = ", ".join(REPLACED[word] for word in sorted(replaced))
+                found.append(f"{place(path, node, name)}: {terms}")
+    assert not found, listed(found)
+    if folder == "accelsurf":
+        assert used == STANDARD_NAMES.keys()  # an exception that nothing needs goes
+
+
+def test_no_docstring_or_comment_has_a_word_that_record_0001_replaces():
+    refused = REPLACED.keys() - PLAIN_IN_PROSE
+    found = [
+        f"{name}: {word}"
+        for name, module in house.modules().items()
+        for word in sorted(set(re.findall(r"[a-z]+", house.prose(module))) & refused)
+    ]
+    assert not found, listed(found)
+
+
+def test_each_word_that_record_0001_replaces_is_refused_or_has_a_reason():
+    """A word that is added to the record's table is added here."""
+    record = (ROOT / "docs" / "decisions" / "0001-rooms-and-words.md").read_text(encoding="utf-8")
+    column = [line.split("|")[2] for line in record.splitlines() if line.startswith("| ")][1:]
+    single = {
+        word
+        for cell in column
+        for word in re.findall(r"(?:^|,|;) *([a-z]+)(?= *(?:,|;|$))", cell.strip())
+    }
+    known = REPLACED.keys() | OTHER_SENSE.keys()
+    assert len(single) > 30 and not {word.rstrip("s") for word in single} - {
+        word.rstrip("s") for word in known
+    }
 
 
 def test_functions_and_classes_have_names_that_say_what_they_do():

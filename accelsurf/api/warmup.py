@@ -25,7 +25,7 @@ from accelsurf.settings.run_config import RunConfig
 SIDE = 24
 RADIUS = 8.0
 START = 5.0
-#: Steps of each run: restarts, limits and rests are met within them.
+#: Steps of each run: restarts, limits and plateaus are met within them.
 STEPS = 12
 MIDDLE = ",".join([f"{SIDE / 2:g}"] * 3)
 #: Terms that want bounds, and those that want clicks.

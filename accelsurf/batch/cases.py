@@ -33,7 +33,7 @@ class Shard(NamedTuple):
     def __str__(self) -> str:
         return f"{self.number}/{self.total}"
 
-    def part_of(self, everything: Sequence[T]) -> list[T]:
+    def part_of(self, items: Sequence[T]) -> list[T]:
         """Return its part: every ``total``-th.
 
         Examples
@@ -41,7 +41,7 @@ class Shard(NamedTuple):
         >>> Shard(2, 3).part_of("abcdefgh")
         ['b', 'e', 'h']
         """
-        return list(everything[self.number - 1 :: self.total])
+        return list(items[self.number - 1 :: self.total])
 
 
 def read_cases(

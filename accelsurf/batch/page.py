@@ -51,7 +51,9 @@ def page_html(
         for key in ("ok", "failed", "waiting")
     }
     summary = ", ".join(f"{number} {key}" for key, number in counts.items() if number) or "no case"
-    ended = [outcome for outcome in sorted(outcomes, key=doubt) if outcome.status != "waiting"]
+    ended = [
+        outcome for outcome in sorted(outcomes, key=by_uncertainty) if outcome.status != "waiting"
+    ]
     links = " ".join(f'<a href="{quote(name)}">{escape(name)}</a>' for name in files)
     lines = [
         "<!DOCTYPE html>",
@@ -66,13 +68,13 @@ def page_html(
     return "\n".join(lines) + "\n"
 
 
-def doubt(outcome: Outcome) -> tuple[int, float, str]:
-    """Order of the cases: failed, without a probability, by falling doubt, those that wait.
+def by_uncertainty(outcome: Outcome) -> tuple[int, float, str]:
+    """Order of the cases: failed, without a probability, by falling uncertainty, those that wait.
 
     Examples
     --------
     >>> good, bad = Outcome("a", "ok", probability=0.9), Outcome("b", "ok", probability=0.2)
-    >>> [one.id for one in sorted([Outcome("d"), good, bad, Outcome("c", "failed")], key=doubt)]
+    >>> [one.id for one in sorted([Outcome("d"), good, bad, Outcome("c", "failed")], key=by_uncertainty)]
     ['c', 'b', 'a', 'd']
     """
     first = {"failed": 0, "ok": 1, "waiting": 2}[outcome.status]

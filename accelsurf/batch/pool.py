@@ -187,7 +187,7 @@ class LocalPool:
         self._waiting: deque[Job] = deque()
         self.workers: list[_Worker] = []
         self._stillborn = 0
-        self._heard_bell, self._bell = multiprocessing.get_context("spawn").Pipe(duplex=False)
+        self._bell_receiver, self._bell = multiprocessing.get_context("spawn").Pipe(duplex=False)
 
     def submit(self, job: Job) -> None:
         """Add a job."""
@@ -230,7 +230,7 @@ class LocalPool:
     def close(self) -> None:
         """End all workers at once, those at work too."""
         self._bell.close()
-        self._heard_bell.close()
+        self._bell_receiver.close()
         for worker in self.workers:
             worker.process.kill()
         for worker in self.workers:
@@ -273,10 +273,12 @@ class LocalPool:
         places = [
             place for worker in busy for place in (worker.connection, worker.process.sentinel)
         ]
-        if self._heard_bell in connection.wait([self._heard_bell, *places], self._patience(busy)):
+        if self._bell_receiver in connection.wait(
+            [self._bell_receiver, *places], self._patience(busy)
+        ):
             raise Interrupted
         for worker in busy:
-            yield from self._heard(worker)
+            yield from self._receive(worker)
         yield from self._too_large([worker for worker in busy if worker.job is not None])
 
     def _patience(self, busy: list[_Worker]) -> float | None:
@@ -288,7 +290,7 @@ class LocalPool:
             ]
         return min(times, default=None)
 
-    def _heard(self, worker: _Worker) -> Iterator[Ended]:
+    def _receive(self, worker: _Worker) -> Iterator[Ended]:
         """Read the messages of a worker, or find out that it is dead or late."""
         alive = worker.process.is_alive()  # asked first: messages from before its death count
         try:

@@ -1,6 +1,6 @@
 """Signals and standard streams: SIGINT (Ctrl-C) and SIGTERM give a line, an exit code, and complete files.
 
-Lines about errors and doubts are short, on one line, in characters that a terminal prints. The results and
+Lines about errors and warnings are short, on one line, in characters that a terminal prints. The results and
 files of a command do not depend on whether somebody can read its messages.
 """
 
@@ -117,7 +117,7 @@ class Interrupts:
 
     @contextmanager
     def patience(self, question: str) -> Iterator[None]:
-        """While this lasts, a first signal is answered with a line and remembered; raises for one that was lost.
+        """While this lasts, a first signal is answered with a line and stored; raises for one that was lost.
 
         Parameters
         ----------

@@ -55,13 +55,17 @@ def shortcoming(name: str, result: Result, strict: bool) -> tuple[AccelsurfError
     if stop.reason == "diverged":
         return DivergedError(summary, _REPORT), []
     late = [text for segmented in result.objects for text in _late(name, result, segmented)]
-    doubts = [text for segmented in result.objects for text in _doubts(result, segmented)]
+    quality_warnings = [
+        text for segmented in result.objects for text in _warnings_of(result, segmented)
+    ]
     if strict and late:
         return NotConvergedError(f"{late[0]}{_and_more(late)}", _LATER), []
-    if strict and doubts:
+    if strict and quality_warnings:
         start = "" if result.has_ids else f"{name}: "
-        return DoubtfulError(f"{start}{doubts[0]}{_and_more(doubts)}", _LOOK), []
-    return None, late + doubts
+        return DoubtfulError(
+            f"{start}{quality_warnings[0]}{_and_more(quality_warnings)}", _LOOK
+        ), []
+    return None, late + quality_warnings
 
 
 def _late(name: str, result: Result, segmented: SegmentedObject) -> list[str]:
@@ -70,12 +74,12 @@ def _late(name: str, result: Result, segmented: SegmentedObject) -> list[str]:
     return [_end_of(f"object {segmented.id}" if result.has_ids else name, result, segmented)]
 
 
-def _doubts(result: Result, segmented: SegmentedObject) -> list[str]:
+def _warnings_of(result: Result, segmented: SegmentedObject) -> list[str]:
     if not result.has_ids:
         return list(segmented.quality.warnings)
     if not segmented.has_surface:
         return [_end_of(f"object {segmented.id}", result, segmented)]
-    return [f"object {segmented.id}: {doubt}" for doubt in segmented.quality.warnings]
+    return [f"object {segmented.id}: {warning}" for warning in segmented.quality.warnings]
 
 
 def _end_of(whose: str, result: Result, segmented: SegmentedObject) -> str:

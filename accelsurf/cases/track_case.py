@@ -195,7 +195,7 @@ def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
     """Write the files; return the exit code."""
     with watcher.writing():
         code = watcher.exit_code(0)
-        warnings = [*tracking.sequence.notes, *tracking.warnings, *_doubts(tracking)]
+        warnings = [*tracking.sequence.notes, *tracking.warnings, *_warnings_of(tracking)]
         outputs.finish(tracking.lineage, status="ok", exit_code=code, warnings=warnings)
     say_warnings(warnings, watcher)
     note_result(watcher, case.place)
@@ -204,8 +204,8 @@ def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
     return code
 
 
-def _doubts(tracking: Tracking) -> list[str]:
-    """Return doubts about the tracks, at most ten."""
+def _warnings_of(tracking: Tracking) -> list[str]:
+    """Return warnings about the tracks, at most ten."""
     count = len(tracking.visits)
     out = (
         [

@@ -126,7 +126,7 @@ class Watcher:
         return self._interrupts.exit_code(code)
 
     def on_warning(self, text: str) -> None:
-        """Print a doubt about the start, before the first step."""
+        """Print a warning about the start, before the first step."""
         self.printed_warnings.add(text)
         say(f"warning: {text}")
 

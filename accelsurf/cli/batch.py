@@ -73,18 +73,18 @@ class BatchOptions:
     """The cases are sequences: each is followed as accelsurf track does it, with the settings of tracking."""
 
     layout: Annotated[Literal["auto", "folder", "nnunet", "bids"], Parameter(group=BATCH)] = "auto"
-    """How a folder is read; auto looks at its names."""
+    """Way to read a folder; auto looks at its names."""
 
     output_layout: Annotated[Literal["plain", "bids", "nnunet"] | None, Parameter(group=FILES)] = (
         None
     )
-    """How label maps are named and laid out, as --layout of accelsurf segment."""
+    """Names and layout of label maps, as --layout of accelsurf segment."""
 
     plan: Annotated[bool, _SWITCH] = False
-    """Print what each case is thought to need and what would run at once, and run nothing."""
+    """Print the memory that each case is thought to need and the cases that would run at once, and run nothing."""
 
     resume: Annotated[bool, _SWITCH] = False
-    """Leave alone what is finished: cases with a result of the same image by the same settings. The others are run."""
+    """Leave finished cases alone, those with a result of the same image by the same settings. The others are run."""
 
     jobs: Annotated[
         int | None, Parameter(group=BATCH, metavar="N", show_default="by cores and memory")

@@ -58,7 +58,7 @@ def fetch(
     to
         Folder for the files; made when missing.
     list
-        Show what can be fetched; nothing is fetched.
+        List the data sets; nothing is fetched.
     overwrite
         Replace other files of the same names.
     """

@@ -212,7 +212,7 @@ class ObjectOptions:
     """Options for the objects of a large image."""
 
     jobs: Annotated[int | None, Parameter(group=OBJECTS, metavar="N", show_default="1")] = None
-    """With --objects: read the image in parts, and run so many groups of objects at the same time, each in a process of
+    """With --objects: read the image in parts, and run this number of groups of objects at once, each in a process of
     its own. They share --max-memory. The result is the same."""
 
     scheduler: Annotated[str | None, Parameter(group=OBJECTS, metavar="ADDRESS")] = None

@@ -141,8 +141,8 @@ def _values(array: NDArray[Any]) -> str:
     nans = int(np.isnan(array).sum())
     others = {"NaN": nans, "infinite": int(array.size - finite.sum()) - nans}
     said = [
-        f"{count} voxel{'s are' if count > 1 else ' is'} {what}"
-        for what, count in others.items()
+        f"{count} voxel{'s are' if count > 1 else ' is'} {noun}"
+        for noun, count in others.items()
         if count
     ]
     if finite.any():

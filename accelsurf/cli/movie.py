@@ -59,7 +59,7 @@ class Look:
     """Colours of the background and text: dark or light."""
 
     every: Annotated[int, Parameter(group=MOVIE)] = 1
-    """Draw one frame for every so many steps."""
+    """Draw a frame every N steps."""
 
     fps: Annotated[float, Parameter(group=MOVIE)] = 15.0
     """Frames per second."""
@@ -150,19 +150,19 @@ def movie(
     drawn: Run | Result
     try:
         if on_disk:
-            drawn, what = movie_file.result_in_folder(source, volume, more), "picture"
+            drawn, kind = movie_file.result_in_folder(source, volume, more), "picture"
             movies.write_png(target, movie_file.picture_of_result(drawn, scene))
         else:
             with watcher.watch(image.name, run_settings.max_steps, "writing the steps so far"):
                 drawn = Run(volume, run_settings, None, more)
-                what = _draw(drawn, scene, target, None if preview else movie_settings, watcher)
+                kind = _draw(drawn, scene, target, None if preview else movie_settings, watcher)
     finally:
         scene.close()
     watcher.note(
         f"the {'picture' if preview else 'movie'} of the steps so far is written: {target.absolute()}"
     )
     if not display.quiet and drawn.stop is not None:
-        print(f"{image.name}: {_ending(drawn.stop, drawn.has_ids)}\n  {what}  {target.absolute()}")
+        print(f"{image.name}: {_ending(drawn.stop, drawn.has_ids)}\n  {kind}  {target.absolute()}")
     return watcher.exit_code(0)
 
 

@@ -183,7 +183,7 @@ def _report(
     )
     contents["objects"] = rows
     if done.records:
-        facts, stops = (
+        description, stops = (
             done.records[0].report_entries,
             [stop for record in done.records for stop in record.stops],
         )
@@ -195,7 +195,7 @@ def _report(
                 "time": stop.time,
                 "message": stop.message,
             },
-            "resolved_settings": facts["resolved_settings"],
+            "resolved_settings": description["resolved_settings"],
             "touches_border": any(row["touches_border"] for row in rows),
             **{key: _sum(done.records, key) for key in _SUMS},
         }

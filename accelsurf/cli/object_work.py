@@ -172,8 +172,8 @@ def _work_folder(place: OutputFolder, resume: bool) -> Path:
     if work.is_dir() and not resume:
         shutil.rmtree(work)
     work.mkdir(exist_ok=True)
-    for draft in work.glob(".draft-*"):
-        shutil.rmtree(draft, ignore_errors=True)
+    for staged in work.glob(".draft-*"):
+        shutil.rmtree(staged, ignore_errors=True)
     return work
 
 

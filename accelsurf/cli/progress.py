@@ -76,22 +76,22 @@ class BatchProgress:
         The kind of progress to show.
     count : int
         Number of cases.
-    what : str, optional
+    unit : str, optional
         Noun for them, in the plural.
     """
 
-    def __init__(self, display: Display, count: int, what: str = "cases") -> None:
+    def __init__(self, display: Display, count: int, unit: str = "cases") -> None:
         kind = shown_kind(display)
         self._show_json, self._quiet = kind == "json", display.quiet
         self._count = count
         self._done = 0
         self._failed = 0
-        self._what, self._has_bar = what, kind == "bar"
+        self._unit, self._has_bar = unit, kind == "bar"
         self._bar: Bar | None = None
 
     def __enter__(self) -> BatchProgress:
         if self._has_bar:
-            text = f"{{task.completed:.0f}}/{{task.total:.0f}} {self._what}"
+            text = f"{{task.completed:.0f}}/{{task.total:.0f}} {self._unit}"
             self._bar = Bar("", text, self._count, state="starting")
         return self
 
@@ -166,7 +166,7 @@ class BatchProgress:
                 **fields,
                 "done": self._done,
                 "failed": self._failed,
-                self._what: self._count,
+                self._unit: self._count,
             }
         )
 

@@ -89,7 +89,7 @@ class WholeOptions:
     Parameters
     ----------
     to_edges
-        Bring the whole border to the image's edges, by at most so many mm; no click is needed.
+        Bring the whole border to the image's edges, by at most this length in mm; no click is needed.
     islands
         Remove parts of the object that are smaller than this, as 50mm3; the largest stays.
     holes
@@ -132,7 +132,7 @@ def refine(
 
     Or have other objects: a new one, two merged, one split. The run's files are replaced, all at once, unless another
     folder is given. A correction that fails or is interrupted leaves them as they are. What accelsurf segment or refine
-    wrote with its state (NAME_state.npz) can be refined; NAME_run.toml has all settings and corrections, for segment
+    wrote with its state (NAME_state.npz) can be corrected; NAME_run.toml has all settings and corrections, for segment
     --config.
 
     With --labels an image and a label map are given in place of a result: a mask that is nearly right, whoever made it.
@@ -250,10 +250,10 @@ class _CorrectedRun:
             refiner = Refiner(log.timed("load", lambda: restored(self._source.state, volume, more)))
             for correction in self._corrections:
                 changes = refiner.apply(correction, on_step=watcher.on_step)
-                what = f"{correction}: " if len(self._corrections) > 1 else ""
+                prefix = f"{correction}: " if len(self._corrections) > 1 else ""
                 for change in changes:
                     which = f" (object {change.object_id})" if len(changes) > 1 else ""
-                    self.lines.append(f"  {what}{change.text}{which}")
+                    self.lines.append(f"  {prefix}{change.text}{which}")
         result = refiner.result()
         log.warnings.extend(result.warnings)
         return result

@@ -171,7 +171,7 @@ def seconds_by_stage(
     Examples
     --------
     >>> import accelsurf.levelset, accelsurf.flows.constant_density
-    >>> seconds_by_stage({"load": 1.0, "evolve": 5.0, "total": 7.0}, {"find_feet": 3.0, "kick": 1.0})
+    >>> seconds_by_stage({"load": 1.0, "evolve": 5.0, "total": 7.0}, {"find_closest_points": 3.0, "kick": 1.0})
     [('load', 1.0), ('closest points', 3.0), ('flow', 1.0), ('evolve: other', 1.0), ('other', 1.0)]
     """
     from accelsurf.kernels._jit import STAGE_OF_KERNEL, Stage

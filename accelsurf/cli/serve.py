@@ -31,7 +31,7 @@ def serve(
 
     Start it, and give the viewer's plug-in the address that is printed, in place of an nnInteractive server's: point,
     box in a slice, scribble, lasso, a mask to begin with, undo. No GPU is needed, and nothing is written to disk.
-    Who comes and goes, what is asked and what came of it is a line each on standard error. Ctrl-C ends it.
+    Each viewer that comes or goes, and each request with its outcome, is a line on standard error. Ctrl-C ends it.
 
     By default this machine alone is served. Nothing is encrypted: for other machines use a tunnel (ssh -L), or a
     network that you trust and a key.

@@ -145,13 +145,13 @@ def _written(
     overwrite: bool,
     write: Callable[[FileSet, dict[str, Path]], dict[str, Any]],
 ) -> dict[str, Path]:
-    """Write a set of files by ``write``, which returns the facts, and these last."""
+    """Write a set of files by ``write``, which returns the description, and these last."""
     paths = {kind: folder / f"{name}{end}" for kind, end in ends.items()}
     with OutputFolder(folder, name, overwrite=overwrite).stage(paths) as files:
-        facts = write(files, paths)
+        description = write(files, paths)
         with naming_final(files):
             kinds = {path.name: kind for kind, path in paths.items() if kind != "facts"}
-            facts |= {"versions": versions(), "outputs": describe_staged(files, kinds)}
-            write_bytes(files.staging / paths["facts"].name, (to_json(facts) + "\n").encode())
+            description |= {"versions": versions(), "outputs": describe_staged(files, kinds)}
+            write_bytes(files.staging / paths["facts"].name, (to_json(description) + "\n").encode())
             files.commit(last=paths["facts"].name)
     return paths

@@ -25,7 +25,8 @@ from accelsurf.levelset import BandChange, LevelSet, dot
 MIN_DEVIATION = 0.01
 #: Standard deviation of a normal distribution whose median absolute deviation is 1.
 NORMAL_MAD = 1.4826
-#: Bins of a histogram between these percentiles of the image, and a margin of this part of them to either side.
+#: Bins of a histogram between these percentiles of the image, and a margin of this part of them to either side; the
+#: percentiles are those of record 0015.
 BINS = 64
 END_PERCENTILES = (0.5, 99.5)
 MARGIN = 0.05

@@ -13,10 +13,11 @@ from accelsurf.levelset import LevelSet
 #: Mean motion in a step, voxels, below which a surface does not move: details finer than the grid let it oscillate.
 STILL = 0.05
 #: A kinetic energy above this share of w times the decrease of the potential must fall: in the second half of the
-#: window it is at most the share `LEVEL` of that in the first.
+#: window it is at most the share `LEVEL` of that in the first. From the same 27 runs.
 LEVEL_KINETIC = 0.05
 LEVEL = 0.7
-#: Number of further windows that would move a converged surface by little: 200 steps, 60 to 100 after coarser levels.
+#: Number of further windows that would move a converged surface by little: 200 steps, 60 to 100 after coarser levels;
+#: 27 runs of benchmarks/notes/steps-and-stop.md.
 HORIZON = 10
 #: A run has stalled when the last `STALL_STEPS` steps are all shorter than the share `STALLED` of the CFL step, or than
 #: the share `COLLAPSED` of the longest step; steps down to the share `SHORT` are long enough to judge by.
@@ -102,7 +103,8 @@ class StopRule(NamedTuple):
         )
         # At the minimum itself some speed may stay that redistancing undoes: a run that has hardly moved may end.
         travelled = (
-            sum(record.motion_voxels for record in state.history[state.first :]) > Restart().travel
+            sum(record.motion_voxels for record in state.history[state.first :])
+            > Restart().distance
         )
         return travelled and last.kinetic > LEVEL_KINETIC * gained and late > LEVEL * early
 
@@ -142,11 +144,11 @@ def forecast(moved: float, moved_before: float, moved_twice: float, windows: flo
 
 
 class Restart(NamedTuple):
-    """When momentum is set to zero: the potential rises, ``travel`` voxels after the start or the last restart,
+    """When momentum is set to zero: the potential rises, ``distance`` voxels after the start or the last restart,
     and not within ``steps`` steps of it.
     """
 
-    travel: float = 3.0
+    distance: float = 3.0
     steps: int = 5
 
     def is_due(self, potential: float, records: list[StepRecord]) -> bool:
@@ -157,10 +159,10 @@ class Restart(NamedTuple):
         for record in reversed(records):
             travelled += record.motion_voxels
             steps += 1
-            if record.restarted or travelled >= self.travel:
+            if record.restarted or travelled >= self.distance:
                 break
         rising = potential > records[-1].potential
-        return rising and steps >= self.steps and travelled >= self.travel
+        return rising and steps >= self.steps and travelled >= self.distance
 
 
 def surface_is_gone(surface: LevelSet, potential: float) -> Reason | None:

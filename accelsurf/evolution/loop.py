@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies import Energy
-from accelsurf.evolution import lowest, rests
+from accelsurf.evolution import lowest, plateaus
 from accelsurf.evolution.convergence import stalled, surface_is_gone
 from accelsurf.evolution.records import Reason, Step, StepFields, StepRecord, Stop, StopReason
 from accelsurf.evolution.setup import SolverSetup
@@ -263,15 +263,15 @@ class Evolution:
             fraction, area = surface.fraction_and_area()
             potential = state.potential
         columns = self._columns(n, potential, fraction, area) | {"returned": decision != "stay"}
-        if reason is None and (rest := self._left_rest(n, columns)) is not None:
-            fraction, area = rests.go_back(
-                rest, state, area, surface, self.energy, flow, self._corner
+        if reason is None and (plateau := self._left_plateau(n, columns)) is not None:
+            fraction, area = plateaus.go_back(
+                plateau, state, area, surface, self.energy, flow, self._corner
             )
             columns = self._columns(n, state.potential, fraction, area) | {
                 "returned": True,
-                "back_to": rest.step,
+                "back_to": plateau.step,
             }
-            reason = Reason("rested", rests.WHY.format(rest.step))
+            reason = Reason("rested", plateaus.WHY.format(plateau.step))
         if reason is not None:
             if columns["returned"] and surface.size:
                 fields = StepFields(
@@ -345,6 +345,11 @@ class Evolution:
                 for name, measure in self.setup.measures.items()
             ),
         }
+
+    def _measured(self) -> Iterator[tuple[str, float]]:
+        """Yield the user's measures of the surface, by name."""
+        for name, measure in self.measures.items():
+            yield name, float(measure(self.surface, self.energy, self.flow))
 
     def _advance(self, plan: StepPlan) -> int:
         """Move the surface and the fields on it; returns how many components were removed."""
@@ -426,15 +431,17 @@ class Evolution:
             self.state, self.setup.rule is not None and self.setup.rule.patience is not None
         )
 
-    def _left_rest(self, n: int, columns: dict[str, Any]) -> Slowest | None:
-        """Watch for a rest; the one that the surface has just broken through from, if the run shall end at it."""
+    def _left_plateau(self, n: int, columns: dict[str, Any]) -> Slowest | None:
+        """Watch for a plateau; return that which the surface has just left, if the run shall end at it."""
         state = self.state
-        before = rests.completed(state.rests, self.level, self.surface)
-        now = rests.Moment(n, self.level, columns["volume_mm3"], columns["area_mm2"], self._corner)
-        self.state.rests = rests.watched(
+        before = plateaus.completed(state.plateaus, self.level, self.surface)
+        now = plateaus.Moment(
+            n, self.level, columns["volume_mm3"], columns["area_mm2"], self._corner
+        )
+        self.state.plateaus = plateaus.watched(
             before, self.history[state.first :], now, self.surface, state.fields
         )
-        has_left = len(state.rests.found) > len(before.found)
+        has_left = len(state.plateaus.found) > len(before.found)
         return before.slowest if self.setup.stop_at_rest and has_left else None
 
     def _limits_now(self) -> StepLimits:

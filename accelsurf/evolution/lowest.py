@@ -14,12 +14,13 @@ from accelsurf.flows import Flow
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checkpoint import band_state, complete_state
 
-#: A run goes back when this number of steps has found no lower potential and the surface has moved away since.
+#: A run goes back when this number of steps has found no lower potential and the surface has moved away since:
+#: benchmarks/notes/steps-and-stop.md, "Lowest energy".
 PATIENCE = 60
 #: The same of a run that begins near its end and has found nothing lower than its start: it goes back there and ends.
 PATIENCE_AT_START = 20
 #: How often an evolution goes back and continues with shorter steps; once if the surface is gone, which is quick to
-#: happen again. Then it ends.
+#: happen again. Then it ends. Selected, not measured.
 MAX_RETURNS = 3
 MAX_RETURNS_IF_GONE = 1
 #: By which factor the CFL number of the following steps becomes smaller each time.

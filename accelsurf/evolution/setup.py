@@ -21,8 +21,8 @@ class SolverSetup(NamedTuple):
     ``flow``, not started yet; ``limits`` of the step; ``restart`` or None; ``half_width`` of the band, in voxels of
     each level; stop ``rule`` of the finest level, None to run to the last step; ``max_volume`` (mm3) of the leak guard
     or None; ``reach``, how far beyond the surface its energy sees the image, mm; ``stop_at_rest``, whether it ends
-    where the front rested; ``extension`` of the level set; ``end``, "lowest" or "present", the state it ends with after
-    its last step; ``measures``, numbers by name that each record has besides its own.
+    where the front was on a plateau; ``extension`` of the level set; ``end``, "lowest" or "present", the state it ends
+    with after its last step; ``measures``, numbers by name that each record has besides its own.
     """
 
     flow: Flow

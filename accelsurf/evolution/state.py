@@ -1,6 +1,6 @@
 """State of the loop as a value: copied for a checkpoint, passed on to the next grid.
 
-It has the energy budget, the state of lowest potential, and the rests of the front.
+It has the energy budget, the state of lowest potential, and the plateaus of the front.
 """
 
 from __future__ import annotations
@@ -134,8 +134,8 @@ class Slowest(NamedTuple):
     complete: bool = False
 
 
-class FoundRest(NamedTuple):
-    """Rest of the front: its ``step``, the ``level``, the ``volume_mm3`` then, the step ``left_at`` in which it was
+class FoundPlateau(NamedTuple):
+    """Plateau of the front: its ``step``, the ``level``, the ``volume_mm3`` then, the step ``left_at`` in which it was
     seen to break through, and the voxel ``place`` (z, y, x) of that level's grid in which it grew fastest then.
     """
 
@@ -146,26 +146,26 @@ class FoundRest(NamedTuple):
     place: Corner
 
 
-class RestWatch(NamedTuple):
-    """Rests found so far; a value, replaced at each step.
+class PlateauWatch(NamedTuple):
+    """Plateaus found so far; a value, replaced at each step.
 
     ``peak`` speed of the front, mm per unit of flow time; ``slowest`` state since it fell below
-    `accelsurf.evolution.rests.SLOW` of that; the rests ``found``, on all grids.
+    `accelsurf.evolution.plateaus.SLOW` of that; the plateaus ``found``, on all grids.
     """
 
     peak: float = 0.0
     slowest: Slowest | None = None
-    found: tuple[FoundRest, ...] = ()
+    found: tuple[FoundPlateau, ...] = ()
 
-    def on_next_grid(self) -> RestWatch:
+    def on_next_grid(self) -> PlateauWatch:
         """The watch on another grid; a state whose sides are not known yet is left behind."""
         return (
             self if self.slowest is None or self.slowest.complete else self._replace(slowest=None)
         )
 
-    def anew(self) -> RestWatch:
-        """The watch under other settings: it begins anew, and keeps the rests found."""
-        return RestWatch(found=self.found)
+    def anew(self) -> PlateauWatch:
+        """The watch under other settings: it begins anew, and keeps the plateaus found."""
+        return PlateauWatch(found=self.found)
 
     @property
     def nbytes(self) -> int:
@@ -206,8 +206,8 @@ class LoopState:
         The surface at the check of convergence before ``snapshot``.
     moved : float
         Its mean distance from there to ``snapshot``, voxels; NaN if there was none.
-    rests : RestWatch
-        Where the front rested, and the data to find the next place.
+    plateaus : PlateauWatch
+        Where the front was on a plateau, and the data to find the next place.
     """
 
     history: list[StepRecord] = field(default_factory=list)
@@ -226,7 +226,7 @@ class LoopState:
     returned_at: int = 0
     earlier: Snapshot | None = None
     moved: float = math.nan
-    rests: RestWatch = RestWatch()
+    plateaus: PlateauWatch = PlateauWatch()
 
     def copy(self) -> LoopState:
         """An independent copy; arrays and records are shared, as nothing writes to them."""
@@ -255,7 +255,7 @@ class LoopState:
             judged_at=count,
             returned_at=count,
             edits=self.edits,
-            rests=self.rests.on_next_grid(),
+            plateaus=self.plateaus.on_next_grid(),
         )
         return (
             replace(state, budget=self.budget, potential_before=self.potential)
@@ -270,7 +270,7 @@ class LoopState:
             gained_before=self.gained if compares else 0.0,
             edits=self.edits + 1,
             fields=self.fields,
-            rests=self.rests.anew(),
+            plateaus=self.plateaus.anew(),
         )
 
     def record_potential(self, potential: float) -> None:
@@ -299,19 +299,17 @@ class LoopState:
 
     def record_return(self, potential: float, step: int) -> None:
         """Record that the surface went back to that of the lowest potential before a step."""
-        self.potential, self.returns, self.returned_at, self.judged_at = (
-            potential,
-            self.returns + 1,
-            step,
-            step,
-        )
+        self.potential = potential
+        self.returns = self.returns + 1
+        self.returned_at = step
+        self.judged_at = step
         self.snapshot = None
         self.earlier = None
         self.moved = math.nan
         self.fields = None
 
-    def record_rest(self, potential: float) -> None:
-        """Record that the surface went back to where its front rested."""
+    def record_plateau(self, potential: float) -> None:
+        """Record that the surface went back to where its front was on a plateau."""
         self.potential = potential
 
 
@@ -345,5 +343,5 @@ class Checkpoint(NamedTuple):
         )
         shared += 16 * acting.speed.size if acting else 0
         shared += self.loop.lowest.nbytes if self.loop.lowest is not None else 0
-        shared += self.loop.rests.nbytes
+        shared += self.loop.plateaus.nbytes
         return self.surface.nbytes + fields + 8 * len(self.loop.history) + shared

@@ -32,7 +32,9 @@ class Clock:
         friction: float | None = None,
         t0: float | None = None,
     ) -> None:
-        self.k, self.lambda_, self.friction = float(k), float(lambda_), friction
+        self.k = float(k)
+        self.lambda_ = float(lambda_)
+        self.friction = friction
         self._given = 0.0 if t0 is None and (k > 1 or friction is not None) else t0
         self.t0 = self._given
         self.time = self.t0 or 0.0

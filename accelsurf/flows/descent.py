@@ -74,7 +74,7 @@ class Descent(Flow):
         fastest = self.peak_force_so_far(percentile(rates, limits.percentile), surface)
         return limits.cfl / fastest if fastest > 0 else math.inf
 
-    def resting_dt(self, now: StepInput, speed: np.ndarray, dt: float) -> float:
+    def stiffness_dt(self, now: StepInput, speed: np.ndarray, dt: float) -> float:
         """``dt``, shorter if this ``speed`` (n,) would undo more than `UNDONE` of the last step, of speeds `_last`.
 
         The force of a small displacement d is -K d. The Rayleigh quotient of K for the last step d = dt v,
@@ -172,11 +172,11 @@ class Gradient(Descent):
         self.diffusion = diffusion
 
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
-        """Step with beta = f, within the bounds of `stable_dt` and `resting_dt` and of D dt in a step."""
+        """Step with beta = f, within the bounds of `stable_dt` and `stiffness_dt` and of D dt in a step."""
         surface, front = now.surface, now.front
         speed = np.array(now.force, np.float32)
         cfl_dt = self.cfl_dt(voxel_rates(surface, front, speed)[front], surface, limits)
-        dt = self.resting_dt(now, speed, min(stable_dt(now, cfl_dt), limits.dt_max))
+        dt = self.stiffness_dt(now, speed, min(stable_dt(now, cfl_dt), limits.dt_max))
         if self.diffusion:
             dt = min(dt, largest_diffusion(surface) / self.diffusion)
         if not math.isfinite(dt):
@@ -258,14 +258,14 @@ class Sobolev(Descent):
         self.length = length
 
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
-        """Step with beta = g, dt <= cfl/|g|, and `resting_dt`."""
+        """Step with beta = g, dt <= cfl/|g|, and `stiffness_dt`."""
         surface = now.surface
         length = LENGTH * surface.smallest_spacing if self.length is None else self.length
         speed = h1_gradient(surface, now.force, length, self._last)
         inner = surface.front(1.0)
         surface.extend_outwards(speed, inner)
         cfl_dt = self.cfl_dt(voxel_rates(surface, inner, speed)[inner], surface, limits)
-        dt = self.resting_dt(now, speed, min(cfl_dt, limits.dt_max))
+        dt = self.stiffness_dt(now, speed, min(cfl_dt, limits.dt_max))
         if not math.isfinite(dt):
             return StepPlan.none(surface)
         return self.remember(descent_plan(now, self._last, speed, dt, limits, cfl_dt))

@@ -11,7 +11,7 @@ from accelsurf.kernels import motion
 from accelsurf.levelset import LevelSet
 
 #: Number k of the stage that is blended with the last, s, for s = 2 to 14 stages. Of the k that leave a step as long as
-#: it can be, those with which it damps the finest waves best (to 0.73 and less).
+#: it can be, those with which it damps the finest waves best (to 0.73 and less): benchmarks/notes/flows.md.
 BLENDED = (0, 0, 1, 0, 1, 2, 1, 2, 1, 2, 3, 4, 5)
 MAX_STAGES = 1 + len(BLENDED)
 #: Part of the stable step that is used. It also bounds the error in time: at 12 voxels of radius a wave of degree 4
@@ -19,6 +19,7 @@ MAX_STAGES = 1 + len(BLENDED)
 SAFETY = 0.9
 #: Free diffusion is a mixing length: D = at most MIXING x h x front speed. The surface then averages its speed over
 #: the same patch for each voxel travelled, whatever the step: a step cut short by another bound is not overdamped.
+#: From a noisy cube, benchmarks/notes/flows.md, "as a mixing length".
 MIXING = 16.0
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from accelsurf.kernels import waves
 from accelsurf.levelset import LevelSet
 
-#: Plane waves per draw.
+#: Plane waves per draw: its distribution is nearly normal, see benchmarks/notes/flows.md, "random plane waves".
 WAVES = 64
 #: Correlation length unless one is given, in voxels of the largest spacing.
 LENGTH = 4.0

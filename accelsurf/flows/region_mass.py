@@ -145,8 +145,8 @@ class RegionMass(Accelerated):
     def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
         """Change V along N, in the layer."""
         within = layer_area(surface, self.width) > 0.0
-        push = np.where(within, speed, 0.0)[:, None] * surface.normals()
-        self.fluid = self._pushed(surface, self.fluid, push, math.inf)
+        impulse = np.where(within, speed, 0.0)[:, None] * surface.normals()
+        self.fluid = self._accelerated(surface, self.fluid, impulse, math.inf)
 
     # -- one step ------------------------------------------------------------------------------------------
 
@@ -249,19 +249,19 @@ class RegionMass(Accelerated):
         slowed = self.fluid * np.float32(factor)
         slowed[0] = self.fluid[0]
         along = gain * now.force * layer.area / (layer.density * surface.voxel_volume)
-        push = np.zeros((surface.size, 3))
+        impulse = np.zeros((surface.size, 3))
         across = layer.area > 0.0, layer.normal, self.width, np.zeros((surface.size, 3))
         where = surface.dense.slot, surface.grid, surface.band
         surface.workers.serial(
-            kernels.spread_across,
+            kernels.extend_across,
             0,
             surface.size,
             *where,
             across,
             along[:, None] * layer.normal,
-            push,
+            impulse,
         )
-        return self._pushed(surface, slowed, push, limit)
+        return self._accelerated(surface, slowed, impulse, limit)
 
     def _clipped(
         self, now: StepInput, layer: Layer, dt: float, limit: float
@@ -313,15 +313,17 @@ class RegionMass(Accelerated):
         return out
 
     @staticmethod
-    def _pushed(surface: LevelSet, fluid: np.ndarray, push: np.ndarray, limit: float) -> np.ndarray:
+    def _accelerated(
+        surface: LevelSet, fluid: np.ndarray, impulse: np.ndarray, limit: float
+    ) -> np.ndarray:
         out = fluid.copy()
         surface.workers.parallel(
-            kernels.push_layer,
+            kernels.accelerate_layer,
             surface.size,
             out,
             surface.grid,
             surface.band.cells,
-            np.asarray(push, np.float64),
+            np.asarray(impulse, np.float64),
             limit,
         )
         return out

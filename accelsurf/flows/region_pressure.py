@@ -98,7 +98,9 @@ class RegionPressure(RegionMass):
 
     def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
         """Change V along N, in all of the band."""
-        self.fluid = self._pushed(surface, self.fluid, speed[:, None] * surface.normals(), math.inf)
+        self.fluid = self._accelerated(
+            surface, self.fluid, speed[:, None] * surface.normals(), math.inf
+        )
 
     # -- one step ------------------------------------------------------------------------------------------
 

@@ -120,10 +120,13 @@ class Clicks:
     @cached_property
     def _foreign(self) -> tuple[Click | None, ...]:
         """Each click as objects of other ids see it; None of outside clicks."""
-        return tuple(
-            click._replace(side="outside", id=1, owner=click.id) if click.side == "inside" else None
-            for click in self.clicks
-        )
+        foreign: list[Click | None] = []
+        for click in self.clicks:
+            is_inside = click.side == "inside"
+            foreign.append(
+                click._replace(side="outside", id=1, owner=click.id) if is_inside else None
+            )
+        return tuple(foreign)
 
     def ids(self) -> tuple[int, ...]:
         """Return the ids that have inside clicks, in rising order."""

@@ -73,10 +73,8 @@ class DisplayOrientation:
             first = (0.0, 0.0, 0.0)
         else:
             away = np.subtract(ends, geometry.world_to_index(geometry.zero)).tolist()
-            first = tuple(
-                (-away[axis] if flip else away[axis]) * geometry.spacing[axis]
-                for axis, flip in zip(order, flips, strict=True)
-            )
+            lengths = [away[axis] * geometry.spacing[axis] for axis in order]
+            first = tuple(-mm if flip else mm for mm, flip in zip(lengths, flips, strict=True))
         names = ("z", "y", "x") if parallel else ("z'", "y'", "x'")
         return cls(order, flips, spacing, first, names)  # type: ignore[arg-type]
 
@@ -120,11 +118,12 @@ def scales_of(geometry: Geometry, index: Sequence[float]) -> tuple[float, float,
     (11.0, 22.0, 33.0)
     """
     up = DisplayOrientation.of(geometry)
-    z, y, x = (
-        up.coordinate(new, geometry.shape[axis] - 1 - index[axis] if flip else index[axis])
-        for new, (axis, flip) in enumerate(zip(up.order, up.flips, strict=True))
-    )
-    return float(x), float(y), float(z)
+    place = []
+    for new, (axis, flip) in enumerate(zip(up.order, up.flips, strict=True)):
+        shown = geometry.shape[axis] - 1 - index[axis] if flip else index[axis]
+        place.append(float(up.coordinate(new, shown)))
+    z, y, x = place
+    return x, y, z
 
 
 def index_of_scales(geometry: Geometry, xyz: Sequence[float]) -> tuple[float, float, float]:

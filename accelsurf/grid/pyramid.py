@@ -27,7 +27,7 @@ MIN_VOXELS = 8
 QUARTER_WEIGHTS = (-0.0703125, 0.8671875, 0.2265625, -0.0234375)
 #: The same half-way between the second and the third: of the outer two, of the inner two.
 HALF_WEIGHTS = (-0.0625, 0.5625)
-#: Where the number of levels is chosen automatically: the smallest number of voxels along an axis that is halved, and
+#: Where the number of levels is selected automatically: the smallest number of voxels along an axis that is halved, and
 #: how deep each part of the start must be, voxels.
 AUTO_MIN_VOXELS = 24
 AUTO_MIN_DEPTH = 2.0

@@ -12,7 +12,7 @@ from accelsurf.image.kernels.blocks import sums_along
 
 
 def coarsening(counts: Sequence[int], spacing: Sequence[float], most: int) -> tuple[int, int, int]:
-    """Whole steps by which a grid is coarsened to at most ``most`` voxels, the finest axis first.
+    """Whole steps by which a grid is restricted to at most ``most`` voxels, the finest axis first.
 
     Parameters
     ----------

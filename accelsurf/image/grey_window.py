@@ -1,4 +1,4 @@
-"""Values that are shown black and white: chosen from an object and its surroundings, or from the whole image."""
+"""Values that are shown black and white: selected from an object and its surroundings, or from the whole image."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import bounding_box
 
-#: Voxels that a window is chosen from at most.
+#: Voxels that a window is selected from at most.
 MAX_SAMPLES = 300_000
 #: Percentiles of the object, of its surroundings and of a whole image that are taken as their ends.
 OBJECT_ENDS = (2.0, 98.0)

@@ -12,14 +12,14 @@ from accelsurf.grid.geometry import axis_steps
 
 #: Of a normal distribution: median absolute second difference, in standard deviations.
 SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
-#: Area weight of `area_against_noise` where the noise is as strong as the contrast, in voxels of the smallest spacing:
+#: Area weight of `area_for_noise` where the noise is as strong as the contrast, in voxels of the smallest spacing:
 #: the clicks' model has the same there (`accelsurf.clicks.model.surface`).
 WEIGHT = 0.3
 #: Approximate number of voxels whose second differences tell the noise of an image.
 SAMPLES = 1 << 18
 
 
-def area_against_noise(deviation: float, shape: Sequence[int], spacing: Sequence[float]) -> float:
+def area_for_noise(deviation: float, shape: Sequence[int], spacing: Sequence[float]) -> float:
     """Weight of the area (mm, times the square of the image's unit) beside squared differences from means.
 
     A surface that follows the noise gains in the sum of squares as much as its area costs: both grow with the variance.
@@ -34,7 +34,7 @@ def area_against_noise(deviation: float, shape: Sequence[int], spacing: Sequence
 
     Examples
     --------
-    >>> area_against_noise(2.0, (9, 9, 9), (3.0, 1.0, 1.5))
+    >>> area_for_noise(2.0, (9, 9, 9), (3.0, 1.0, 1.5))
     1.2
     """
     return WEIGHT * deviation**2 * min(axis_steps(shape, spacing))
@@ -61,10 +61,10 @@ def sample_places(shape: Sequence[int]) -> list[tuple[NDArray[np.int64], ...]]:
     places = []
     for axis in (i for i, n in enumerate(shape) if n > 2):
         at = [_evenly(n - 2 if i == axis else n, apart) for i, n in enumerate(shape)]
-        places += [
-            tuple(index + shift if i == axis else index for i, index in enumerate(at))
-            for shift in (0, 1, 2)
-        ]
+        for shift in (0, 1, 2):
+            places.append(
+                tuple(index + shift if i == axis else index for i, index in enumerate(at))
+            )
     return places
 
 

@@ -113,13 +113,10 @@ class SliceStack:
         for axis in axes:
             corner[up.order[axis]] = geometry.shape[up.order[axis]] - 1 if up.flips[axis] else 0
         first = np.array([up.first[axis] for axis in axes]) * turn
-        ends = [
-            sorted(
-                sign * up.coordinate(axis, index)
-                for index in (-0.5, geometry.shape[up.order[axis]] - 0.5)
-            )
-            for axis, sign in zip((horizontal, vertical), turn, strict=False)
-        ]
+        ends = []
+        for axis, sign in zip((horizontal, vertical), turn, strict=False):
+            last = geometry.shape[up.order[axis]] - 0.5
+            ends.append(sorted(sign * up.coordinate(axis, index) for index in (-0.5, last)))
         n, h = geometry.shape[up.order[plane]], up.spacing[plane]
         return cls(
             geometry,
@@ -317,11 +314,12 @@ class SliceStack:
             return self.hung(array.take(number, axis=self.axis))
         if smooth:
             return linear(array, self.patch(number).places)
-        z, y, x = (
+        places = self.patch(number, fine=FINE).places
+        nearest = tuple(
             np.clip(place + 0.5, 0.0, n - 0.5).astype(np.intp)
-            for place, n in zip(self.patch(number, fine=FINE).places, array.shape, strict=True)
+            for place, n in zip(places, array.shape, strict=True)
         )
-        return np.asarray(array[z, y, x])
+        return np.asarray(array[nearest])
 
     def hung(self, plane: NDArray[Any]) -> NDArray[Any]:
         """A plane of the array across `axis` as the picture of a slice along voxels, its first row lowest."""

@@ -100,7 +100,7 @@ def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
     (evolving,), ((history, stop),) = run.objects, _ending(run)
     psi = run.prepared.on_whole_grid(evolving.psi_on_finest()[1])
     learned, whole = run.prepared.learned_by(evolving.context), whole_box(run.volume.geometry.shape)
-    plateaus = plateaus_of(evolving.evolution.state.rests.found, run.prepared)
+    plateaus = plateaus_of(evolving.evolution.state.plateaus.found, run.prepared)
     return SegmentedObject(
         1,
         whole,
@@ -138,7 +138,7 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
                 stop,
                 evolving.made.terms,
                 learned,
-                plateaus_of(evolving.evolution.state.rests.found, run.prepared),
+                plateaus_of(evolving.evolution.state.plateaus.found, run.prepared),
                 clicked_voxels(run.prepared.clicks, evolving.id, run.prepared.first, box),
                 _confidence(run, evolving),
             )

@@ -234,8 +234,8 @@ def edge_field(
             distance = mask_distance(inside, spacing)
         mixed = MIXED * min(spacing)
         pulls = [
-            _pull(image, even, distance, sigma, mixed)
-            for image, even in zip(images, smooth, strict=True)
+            _pull(image, homogeneous, distance, sigma, mixed)
+            for image, homogeneous in zip(images, smooth, strict=True)
         ]
         field = np.asarray(np.mean(pulls, axis=0) + old, np.float32)
     return field

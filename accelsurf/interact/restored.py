@@ -29,7 +29,7 @@ from accelsurf.text.clicks import clicks_of
 
 
 def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) -> Result:
-    """Return the result that a state was written of: the same surfaces, bit for bit, and ready to be refined.
+    """Return the result that a state was written of: the same surfaces, bit for bit, and ready to be corrected.
 
     Parameters
     ----------

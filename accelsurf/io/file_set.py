@@ -86,7 +86,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class _Claim:
+class _FolderLock:
     """A staging folder that this process writes in, and the open file by which it is locked; -1 without a lock."""
 
     folder: Path
@@ -125,13 +125,13 @@ class FileSet:
     """
 
     def __init__(
-        self, folder: Path, claim: _Claim, left: Sequence[Path], inputs: Sequence[Path]
+        self, folder: Path, folder_lock: _FolderLock, left: Sequence[Path], inputs: Sequence[Path]
     ) -> None:
         self.folder = folder
-        self._claim = claim
+        self._folder_lock = folder_lock
         self._left = left
         self._inputs = inputs
-        self._mends = claim.is_unfinished
+        self._mends = folder_lock.is_unfinished
         self.committed = False
         shutil.rmtree(self.staging, ignore_errors=True)  # of a run that was killed
         os.mkdir(self.staging)
@@ -139,12 +139,16 @@ class FileSet:
     @property
     def staging(self) -> Path:
         """The folder in which the files are written, under their final names."""
-        return self._claim.folder / (_AGAIN if self._mends else _NEW)
+        return self._folder_lock.folder / (_AGAIN if self._mends else _NEW)
 
     @property
     def earlier(self) -> tuple[Path, ...]:
         """Folders with the files that a killed run has left of an unfinished set, with its reports, old and new."""
-        return (self._claim.folder / _NEW, self._claim.folder / _OLD) if self._mends else ()
+        return (
+            (self._folder_lock.folder / _NEW, self._folder_lock.folder / _OLD)
+            if self._mends
+            else ()
+        )
 
     def discard(self) -> None:
         """Remove the staging files."""
@@ -175,21 +179,19 @@ class FileSet:
             When one of the old files is an input of the run.
         """
         names = sorted(path.name for path in self.staging.iterdir() if path.name != last)
-        everything = names if last is None else [*names, last]
+        all_names = names if last is None else [*names, last]
         gone = [
-            name
-            for name in remove
-            if name not in everything and os.path.lexists(self.folder / name)
+            name for name in remove if name not in all_names and os.path.lexists(self.folder / name)
         ]
-        InputFiles(self._inputs).refuse(self.folder / name for name in (*everything, *gone))
+        InputFiles(self._inputs).refuse(self.folder / name for name in (*all_names, *gone))
         for path in self.staging.iterdir():
             sync(path)
         with uninterrupted():
             if self._mends and mends:
                 self._begin_again()
-            if len(everything) == 1 and not gone and not self._has_folder(everything[0]):
+            if len(all_names) == 1 and not gone and not self._has_folder(all_names[0]):
                 # All or nothing by itself.
-                os.replace(self.staging / everything[0], self.folder / everything[0])
+                os.replace(self.staging / all_names[0], self.folder / all_names[0])
             else:
                 self._exchange(names, last, gone)
             self.committed = True
@@ -201,11 +203,11 @@ class FileSet:
     @property
     def _old(self) -> Path:
         """The folder for old files; another one where the old ones of an unfinished set have to stay."""
-        return self._claim.folder / (f"{_OLD} {_AGAIN}" if self._mends else _OLD)
+        return self._folder_lock.folder / (f"{_OLD} {_AGAIN}" if self._mends else _OLD)
 
     def _begin_again(self) -> None:
         """Let the files of this run take the place of those that a killed one has left; the set stays unfinished."""
-        folder = self._claim.folder
+        folder = self._folder_lock.folder
         shutil.rmtree(folder / _GONE, ignore_errors=True)
         with suppress(FileNotFoundError):  # a kill may have come between these two
             os.rename(folder / _NEW, folder / _GONE)
@@ -299,15 +301,17 @@ def open_set(
     left = [path for path in recover(folder) if _set_name(path) == short]
     if left and not (mend or unique):
         raise _unfinished_error(folder / name, left[0])
-    claim = _claimed(folder, short, unique)
+    folder_lock = _claimed(folder, short, unique)
     try:
-        yield FileSet(folder, claim, [path for path in left if path != claim.folder], inputs)
+        yield FileSet(
+            folder, folder_lock, [path for path in left if path != folder_lock.folder], inputs
+        )
     finally:
         with uninterrupted():
-            if claim.is_unfinished:
-                claim.release()  # the next command says so
+            if folder_lock.is_unfinished:
+                folder_lock.release()  # the next command says so
             else:
-                claim.remove()
+                folder_lock.remove()
 
 
 def _unfinished_error(path: Path, staging: Path) -> OutputError:
@@ -318,7 +322,7 @@ def _unfinished_error(path: Path, staging: Path) -> OutputError:
     )
 
 
-def _claimed(folder: Path, short: str, unique: bool) -> _Claim:
+def _claimed(folder: Path, short: str, unique: bool) -> _FolderLock:
     """Make a staging folder that is this process's alone, or take that of a dead one.
 
     Raises
@@ -339,11 +343,11 @@ def _claimed(folder: Path, short: str, unique: bool) -> _Claim:
             break
         try:
             if (lock := _locked(staging)) is not None:
-                return _Claim(staging, lock)
+                return _FolderLock(staging, lock)
         except FileNotFoundError:  # who looked if its writer is dead has removed it
             folder.stat()
         except OSError as error:
-            _Claim(staging).remove()
+            _FolderLock(staging).remove()
             reason = error.strerror or str(error)
             break
         time.sleep(_TRY_SECONDS)
@@ -363,11 +367,11 @@ def _claimed(folder: Path, short: str, unique: bool) -> _Claim:
     return _unsealed(folder, short)
 
 
-def _unsealed(folder: Path, short: str) -> _Claim:
+def _unsealed(folder: Path, short: str) -> _FolderLock:
     """A staging folder that no other process knows anything of."""
     staging = folder / f".{short}.{secrets.token_hex(12)}.accelsurf"
     os.mkdir(staging)
-    return _Claim(staging)
+    return _FolderLock(staging)
 
 
 def recover(folder: Path) -> list[Path]:
@@ -396,12 +400,12 @@ def recover(folder: Path) -> list[Path]:
             continue
         if lock is None:
             continue
-        claim = _Claim(path, lock)
-        if claim.is_unfinished:
+        folder_lock = _FolderLock(path, lock)
+        if folder_lock.is_unfinished:
             unfinished.append(path)
-            claim.release()
+            folder_lock.release()
         else:
-            claim.remove()
+            folder_lock.remove()
     _name_foreign(folder, foreign)
     return unfinished
 
@@ -410,7 +414,7 @@ def is_unfinished(folder: Path, name: str) -> bool:
     """Test if a killed process of this user has put only some files of a set in place."""
     if not folder.is_dir():
         return False
-    return _Claim(folder / _staging_name(folder, _short(name), _ALONE)).is_unfinished
+    return _FolderLock(folder / _staging_name(folder, _short(name), _ALONE)).is_unfinished
 
 
 def refuse_unfinished(folder: Path) -> None:

@@ -134,13 +134,13 @@ def _read(path: Path) -> bytes:
 
 def _make(path: Path) -> None:
     """Write a new key, all of it at once; where another process was faster, its key counts."""
-    draft = path.with_name(f"{_KEY}.{secrets.token_hex(8)}")
+    staged = path.with_name(f"{_KEY}.{secrets.token_hex(8)}")
     try:
-        with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+        with open(os.open(staged, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
             file.write(secrets.token_bytes(_KEY_BYTES))
             file.flush()
             os.fsync(file.fileno())
         with suppress(FileExistsError):
-            os.link(draft, path)
+            os.link(staged, path)
     finally:
-        draft.unlink(missing_ok=True)
+        staged.unlink(missing_ok=True)

@@ -10,9 +10,10 @@ Arguments that many kernels have, with n band cells ("slots"):
 
 =================  ==================================================================================================
 start, stop        Range of slots that the call owns; ``first_block, last_block`` the same in blocks of `grid.BLOCK`.
-grid, dense, band  `grid.Grid`, `grid.DenseArrays` and `grid.Band`, which also define slot, cell and foot.
+grid, dense, band  `grid.Grid`, `grid.DenseArrays` and `grid.Band`, which also define slot, cell and closest point.
 psi, slot          The arrays of ``dense``, (nz * ny * nx,): float32, mm; int32, -1 for voxels that are not in the band.
-cells, foot        As in the band, (n,) int64 and (n, 3) float32 mm; also with more rows, for cells that may enter.
+cells              As in the band, (n,) int64; also with more rows, for cells that may enter.
+closest_point      As ``to_closest`` of the band, (n, 3) float32 mm; also with more rows, for cells that may enter.
 front              (n,) bool, the slots that count.
 on, off            (m,) int32 or int64, the slots that the call is about; then the range is one of these rows.
 image              (nz * ny * nx,) float32, in any unit.

@@ -7,7 +7,7 @@ import numpy as np
 from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.grid import unravel, voxels_along
 from accelsurf.kernels.interpolate import band_rows, band_value_at, linear_band_value
-from accelsurf.kernels.march import OPEN, is_within_reach, length
+from accelsurf.kernels.march import OPEN, is_within_stencil, length
 from accelsurf.kernels.simd.cubic import cubic_rows
 
 #: The smallest distance that a cell may be given, as a part of the smallest spacing, so that psi has a sign.
@@ -17,30 +17,38 @@ MIN_DISTANCE = 1e-6
 @kernel(stage=Stage.BAND)
 def extent(cells, grid, out):
     """First voxel of some cells, and the one after the last, into ``out`` (2, 3) int64. Serial."""
-    low_y, low_x, high_y, high_x = grid.ny, grid.nx, -1, -1
+    low_y = grid.ny
+    low_x = grid.nx
+    high_y = -1
+    high_x = -1
     for s in range(cells.shape[0]):
         _, iy, ix = unravel(cells[s], grid)
         low_y, high_y = min(low_y, iy), max(high_y, iy)
         low_x, high_x = min(low_x, ix), max(high_x, ix)
     first, _, _ = unravel(cells[0], grid)
     last, _, _ = unravel(cells[-1], grid)
-    out[0, 0], out[0, 1], out[0, 2] = first, low_y, low_x
-    out[1, 0], out[1, 1], out[1, 2] = last + 1, high_y + 1, high_x + 1
+    out[0, 0] = first
+    out[0, 1] = low_y
+    out[0, 2] = low_x
+    out[1, 0] = last + 1
+    out[1, 1] = high_y + 1
+    out[1, 2] = high_x + 1
 
 
 @kernel(stage=Stage.BAND)
 def keep_mask(start, stop, psi, grid, known, half_width, keep):
-    """Mark in ``keep`` (n,) bool the slots whose foot is known, within ``half_width`` voxels and `is_within_reach`.
+    """Mark in ``keep`` (n,) bool the slots whose closest point is known, within ``half_width`` voxels and
+    `is_within_stencil`.
 
-    ``known`` = (cells, foot, state), a row for each slot, as in `march`.
+    ``known`` = (cells, closest point, state), a row for each slot, as in `march`.
     """
-    cells, foot, state = known
+    cells, closest_point, state = known
     for s in range(start, stop):
-        voxels = voxels_along(foot[s, 0], foot[s, 1], foot[s, 2], grid)
+        voxels = voxels_along(closest_point[s, 0], closest_point[s, 1], closest_point[s, 2], grid)
         keep[s] = (
             state[s] != OPEN
             and voxels <= half_width
-            and is_within_reach(psi, grid, cells[s], voxels)
+            and is_within_stencil(psi, grid, cells[s], voxels)
         )
 
 
@@ -76,7 +84,9 @@ def merged_order(cells, n_old, keep, entered):
 
 @kernel(stage=Stage.BAND)
 def gather_band(start, stop, dense_psi, grid, order, old, new):
-    """Fill the range of the ``new`` band from ``old`` (cells, foot) slots in ``order``; psi = sign x |foot|."""
+    """Fill the range of the ``new`` band from ``old`` (cells, closest point) slots in ``order``; psi = sign x
+    |closest_point|.
+    """
     shortest = MIN_DISTANCE * min(grid.hz, min(grid.hy, grid.hx))
     for s in range(np.uint64(start), np.uint64(stop)):
         source = np.uint64(order[s])
@@ -89,37 +99,47 @@ def gather_band(start, stop, dense_psi, grid, order, old, new):
 
 
 @kernel(stage=Stage.EXTENSION)
-def sample_at_feet(start, stop, slot, grid, band, front, values, out):
-    """Fields on the ``front`` of the new ``band``: their values at each foot, interpolated from the old slots.
+def sample_at_closest_points(start, stop, slot, grid, band, front, values, out):
+    """Fields on the ``front`` of the new ``band``: their values at each closest point, interpolated from the old slots.
 
     ``values`` (m, n_old) float32 belong to the old band and ``slot`` still maps to it; ``out`` is (m, n). A cell with
-    nothing known around its foot has its own old values, or 0 when it was not in the band.
+    nothing known around its closest point has its own old values, or 0 when it was not in the band.
     """
     m, n_old = values.shape
     flat = values.reshape(m * n_old)
     w = np.empty(24)
     rows = np.empty(16, np.int64)
     position = np.empty(3)
-    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
-    cells, foot = band.cells, band.to_closest
+    hz = 1.0 / grid.hz
+    hy = 1.0 / grid.hy
+    hx = 1.0 / grid.hx
+    cells, closest_point = band.cells, band.to_closest
     for s in range(np.uint64(start), np.uint64(stop)):
         if not front[s]:
             continue
         cell = cells[s]
         iz, iy, ix = unravel(cell, grid)
-        pz, py, px = iz + foot[s, 0] * hz, iy + foot[s, 1] * hy, ix + foot[s, 2] * hx
-        bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
+        pz = iz + closest_point[s, 0] * hz
+        py = iy + closest_point[s, 1] * hy
+        px = ix + closest_point[s, 2] * hx
+        bz = int(pz) - 1
+        by = int(py) - 1
+        bx = int(px) - 1
         inside = 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4
         if inside:
             at = (bz * grid.ny + by) * grid.nx + bx
             if band_rows(slot, n_old, at, grid.nx, grid.ny * grid.nx, rows):
-                uz, uy, ux = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
+                uz = np.float32(pz - bz)
+                uy = np.float32(py - by)
+                ux = np.float32(px - bx)
                 for field in range(m):
                     out[field, s] = cubic_rows(flat, rows, uz, uy, ux)
                     for k in range(16):
                         rows[k] += n_old
                 continue
-        position[0], position[1], position[2] = pz, py, px
+        position[0] = pz
+        position[1] = py
+        position[2] = px
         slot_before = slot[np.uint64(cell)]
         for field in range(m):
             if inside:
@@ -137,9 +157,9 @@ def sample_at_feet(start, stop, slot, grid, band, front, values, out):
 def outward_table(start, stop, slot, grid, band, front, off, table):
     """Find where the cells ``off`` the front (slots, int32) read the front's values, for `extend_outwards`.
 
-    Row i of ``table`` = (slots (m, 8) int32, shares (m, 8) float32) gets the slots of the cells around the foot of cell
-    ``off[i]`` that are on the front, and their weights in the linear interpolation there, with sum 1 (all 0 where none
-    is). A cell that does not count is the cell itself, with weight 0.
+    Row i of ``table`` = (slots (m, 8) int32, shares (m, 8) float32) gets the slots of the cells around the closest
+    point of cell ``off[i]`` that are on the front, and their weights in the linear interpolation there, with sum 1 (all
+    0 where none is). A cell that does not count is the cell itself, with weight 0.
     """
     slots, shares = table
     for row in range(np.uint64(start), np.uint64(stop)):
@@ -148,11 +168,17 @@ def outward_table(start, stop, slot, grid, band, front, off, table):
         pz = min(max(iz + band.to_closest[s, 0] / grid.hz, 0.0), grid.nz - 1.0)
         py = min(max(iy + band.to_closest[s, 1] / grid.hy, 0.0), grid.ny - 1.0)
         px = min(max(ix + band.to_closest[s, 2] / grid.hx, 0.0), grid.nx - 1.0)
-        iz, iy, ix = int(pz), int(py), int(px)
-        tz, ty, tx = pz - iz, py - iy, px - ix
+        iz = int(pz)
+        iy = int(py)
+        ix = int(px)
+        tz = pz - iz
+        ty = py - iy
+        tx = px - ix
         total = 0.0
         for corner in range(8):
-            i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+            i = corner >> 2
+            j = (corner >> 1) & 1
+            k = corner & 1
             share = (
                 (tz if i == 1 else 1.0 - tz)
                 * (ty if j == 1 else 1.0 - ty)
@@ -187,12 +213,12 @@ def extend_outwards(start, stop, off, slots, shares, values):
 
 @kernel(stage=Stage.EXTENSION)
 def quadratic_table(start, stop, slot, grid, band, row_of, off, across, table):
-    """Make an `outward_table` with the quadratic interpolation around the node that is nearest to each foot.
+    """Make an `outward_table` with the quadratic interpolation around the node that is nearest to each closest point.
 
     Of values in rows: ``row_of`` (n,) int32 has the row of a slot on the front, -1 for others.
     Row i of ``table`` = (rows (m, 10) uint32, shares (m, 10) float32, mirrored (m,) int8) gets that node, its six
-    neighbours and, for each pair of axes, the node diagonally towards the foot: all within 1.7 voxels of the surface.
-    With distances u >= 0 of the foot, F + sum [u (u + 1)/2 (F_+ - F) + u (u - 1)/2 (F_- - F)] +
+    neighbours and, for each pair of axes, the node diagonally towards the closest point: all within 1.7 voxels of the
+    surface. With distances u >= 0 of the closest point, F + sum [u (u + 1)/2 (F_+ - F) + u (u - 1)/2 (F_- - F)] +
     sum u_i u_j (F_ij - F_i - F_j + F). Beyond the border the values are those of the mirror image, with the other sign
     beyond the borders across axis ``across`` (-1: none); bit a of ``mirrored`` is set where one beyond a border across
     axis a counts. Where one of the ten is not on the front, the mean of those that are, by their weights in the linear
@@ -208,7 +234,7 @@ def quadratic_table(start, stop, slot, grid, band, row_of, off, across, table):
         cy, uy, ty, ay = nearest_node(iy + band.to_closest[s, 1] / grid.hy, grid.ny, grid.nx)
         cx, ux, tx, ax = nearest_node(ix + band.to_closest[s, 2] / grid.hx, grid.nx, 1)
         mirrored[row] = (tz * az == 0) + 2 * (ty * ay == 0) + 4 * (tx * ax == 0)
-        # Signs of the values towards the foot and away from it.
+        # Signs of the values towards the closest point and away from it.
         sz, oz = mirror_sign(tz, 0, across, grid.nz), mirror_sign(az, 0, across, grid.nz)
         sy, oy = mirror_sign(ty, 1, across, grid.ny), mirror_sign(ay, 1, across, grid.ny)
         sx, ox = mirror_sign(tx, 2, across, grid.nx), mirror_sign(ax, 2, across, grid.nx)
@@ -247,7 +273,9 @@ def put_linear(slot, row_of, c, axes, rows, shares, row):
     for k in range(10):
         shares[row, k] = 0.0
     for corner in range(8):
-        i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+        i = corner >> 2
+        j = (corner >> 1) & 1
+        k = corner & 1
         share = (
             (uz if i == 1 else 1.0 - uz)
             * (uy if j == 1 else 1.0 - uy)
@@ -274,7 +302,7 @@ def nearest_node(p, n, stride):
     """Nearest node to position ``p`` of an axis, as an offset in memory; the distance; the steps towards it and away.
 
     At the border a step beyond it is none: the mirror image of the node is the node. The border is half a voxel beyond
-    the last node; a foot further out is there.
+    the last node; a closest point further out is there.
     """
     p = min(max(p, -0.5), n - 0.5) if n > 1 else 0.0
     node = min(int(p + 0.5), n - 1)
@@ -389,7 +417,9 @@ def mark_front(psi, grid, row, marks):
     """Set ``marks`` (nx,) uint8 to 1 at the front cells of a row, to 0 at the others; in vectors."""
     iz, iy = row // grid.ny, row % grid.ny
     # Unsigned: an index that may be negative keeps the loops from running in vectors.
-    nx, start, unit = np.uint64(grid.nx), np.uint64(row * grid.nx), np.uint64(1)
+    nx = np.uint64(grid.nx)
+    start = np.uint64(row * grid.nx)
+    unit = np.uint64(1)
     plane = np.uint64(grid.ny) * nx
     # Beyond the border a row is its own neighbour.
     above = start - nx if iy > 0 else start

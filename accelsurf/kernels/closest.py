@@ -22,8 +22,9 @@ from accelsurf.kernels.simd.cubic import cubic
 
 
 @kernel
-def is_near_volume(grid, iz, iy, ix, foot, margin):
-    """Test if a foot lies within ``margin`` voxels of the outermost voxel centres: beyond, psi is only continued.
+def is_near_volume(grid, iz, iy, ix, closest_point, margin):
+    """Test if a closest point lies within ``margin`` voxels of the outermost voxel centres: beyond, psi is only
+    continued.
 
     Along axes of `THICK` slices it must not lie beyond at all: a voxel there is many of the others, and psi continued
     so far has a zero level of its own, which came into the volume far from the object.
@@ -32,36 +33,40 @@ def is_near_volume(grid, iz, iy, ix, foot, margin):
     mz = margin if grid.hz < thick else 1e-3
     my = margin if grid.hy < thick else 1e-3
     mx = margin if grid.hx < thick else 1e-3
-    lz, ly, lx = -(iz + mz) * grid.hz, -(iy + my) * grid.hy, -(ix + mx) * grid.hx
+    lz = -(iz + mz) * grid.hz
+    ly = -(iy + my) * grid.hy
+    lx = -(ix + mx) * grid.hx
     uz, uy = (grid.nz - 1.0 - iz + mz) * grid.hz, (grid.ny - 1.0 - iy + my) * grid.hy
     ux = (grid.nx - 1.0 - ix + mx) * grid.hx
-    z, y, x = foot[0], foot[1], foot[2]
+    z = closest_point[0]
+    y = closest_point[1]
+    x = closest_point[2]
     # Without branches: with them this took as long as all the rest of a closest point.
     return (lz <= z) & (z <= uz) & (ly <= y) & (y <= uy) & (lx <= x) & (x <= ux)
 
 
 @kernel(inlined=True)
-def is_between_signs(psi, grid, iz, iy, ix, foot):
-    """Test if psi changes its sign among the voxels around a foot.
+def is_between_signs(psi, grid, iz, iy, ix, closest_point):
+    """Test if psi changes its sign among the voxels around a closest point.
 
     Else no voxel is on the other side, and the zero level there is an overshoot of the interpolant, as between thick
     slices: a surface that the labels do not have. A smooth surface may pass a corner of a cube of voxels and change no
     sign there: the next voxels count too, along axes as fine as the finest.
     """
-    bz, by, bx = (
-        int(iz + foot[0] / grid.hz),
-        int(iy + foot[1] / grid.hy),
-        int(ix + foot[2] / grid.hx),
-    )
+    bz = int(iz + closest_point[0] / grid.hz)
+    by = int(iy + closest_point[1] / grid.hy)
+    bx = int(ix + closest_point[2] / grid.hx)
     inside = psi[np.uint64((iz * grid.ny + iy) * grid.nx + ix)] < 0.0
     # The voxel beyond the surface, if there is one: nearly always this ends it.
-    az = min(bz + 1, grid.nz - 1) if foot[0] > 0.0 else bz
-    ay = min(by + 1, grid.ny - 1) if foot[1] > 0.0 else by
-    ax = min(bx + 1, grid.nx - 1) if foot[2] > 0.0 else bx
+    az = min(bz + 1, grid.nz - 1) if closest_point[0] > 0.0 else bz
+    ay = min(by + 1, grid.ny - 1) if closest_point[1] > 0.0 else by
+    ax = min(bx + 1, grid.nx - 1) if closest_point[2] > 0.0 else bx
     if (psi[np.uint64((az * grid.ny + ay) * grid.nx + ax)] < 0.0) != inside:
         return True
     fine = 2.0 * min(grid.hz, min(grid.hy, grid.hx))
-    mz, my, mx = 1 if grid.hz < fine else 0, 1 if grid.hy < fine else 0, 1 if grid.hx < fine else 0
+    mz = 1 if grid.hz < fine else 0
+    my = 1 if grid.hy < fine else 0
+    mx = 1 if grid.hx < fine else 0
     for more in range(2):
         for az in range(max(bz - more * mz, 0), min(bz + 2 + more * mz, grid.nz)):
             for ay in range(max(by - more * my, 0), min(by + 2 + more * my, grid.ny)):
@@ -75,37 +80,53 @@ def is_between_signs(psi, grid, iz, iy, ix, foot):
 MAX_ITERATIONS = 6
 #: The iteration ends once a correction is below this many voxels: the first, which knows nothing of the
 #: curvature and leaves distance x curvature of it, and the later ones, which leave its square. Further than a voxel
-#: off, where the foot is only read from, the first may be larger in proportion to the distance.
+#: off, where the closest point is only read from, the first may be larger in proportion to the distance.
 FIRST_TOLERANCE = 0.015
 TOLERANCE = 0.05
 #: Smallest |grad psi|^2: below it the zero level of psi is not determined.
 MIN_SLOPE2 = 0.04
 #: Longest correction in one iteration, voxels: the interpolant is trusted only near the front.
 MAX_MOVE = 1.5
-#: Status of a foot in `closest_points`.
-ACTIVE, FOUND, LOST = 0.0, 1.0, 2.0
-#: Rows of the memory of `closest_points`, `BATCH` long each, one array for the compiler to see that they are apart:
-#: the foot; its status; the last correction along the level, its square and relaxation; the square of the first one;
-#: psi and its gradient at the foot; the value of psi where the surface lies, see `residues`; whether to limit the
-#: interpolant, see `limited`.
-FOOT, STATUS, LAST, SQUARE, RELAX, START, LEVEL, OFFSET, LIMITED = (
-    np.uint64(row * BATCH) for row in (0, 3, 4, 7, 8, 9, 10, 14, 15)
-)
+#: Status of a closest point in `closest_points`: it still moves.
+ACTIVE = 0.0
+#: It lies on the surface.
+FOUND = 1.0
+#: There is none, or it left the volume.
+LOST = 2.0
+# Rows of the memory of `closest_points`, `BATCH` long each, one array for the compiler to see that they are apart.
+#: Closest point, z, y, x.
+CLOSEST = np.uint64(0 * BATCH)
+#: Its status.
+STATUS = np.uint64(3 * BATCH)
+#: Last correction along the level, z, y, x.
+LAST = np.uint64(4 * BATCH)
+#: Square of the last correction.
+SQUARE = np.uint64(7 * BATCH)
+#: Relaxation.
+RELAX = np.uint64(8 * BATCH)
+#: Square of the first correction.
+START = np.uint64(9 * BATCH)
+#: Psi and its gradient at the closest point.
+LEVEL = np.uint64(10 * BATCH)
+#: Value of psi where the surface lies, see `residues`.
+OFFSET = np.uint64(14 * BATCH)
+#: Above 0: limit the interpolant, see `limited`.
+LIMITED = np.uint64(15 * BATCH)
 NEXT = np.uint64(BATCH)
 ROWS = 16
 
 
 @kernel
-def feet_memory():
-    """Memory for `closest_points`, and in it the feet (3, `BATCH`) and their status (`BATCH`,)."""
+def closest_point_memory():
+    """Memory for `closest_points`, and in it the closest points (3, `BATCH`) and their status (`BATCH`,)."""
     memory = np.zeros(ROWS * BATCH, np.float32)
     return memory, memory[: 3 * BATCH].reshape(3, BATCH), memory[3 * BATCH : 4 * BATCH]
 
 
 @kernel
 def nodes_memory():
-    """Memory for `levels_at`, `BATCH` columns each: the cell's index z, y, x; where its foot lies among the four nodes
-    of each axis; the first of these nodes in psi, -1 where they are not all well inside; a list of columns.
+    """Memory for `levels_at`, `BATCH` columns each: the cell's index z, y, x; where its closest point lies among the
+    four nodes of each axis; the first of these nodes in psi, -1 where they are not all well inside; a list of columns.
 
     `limited_levels_at` has the first nodes in the order of that list.
     """
@@ -119,13 +140,16 @@ def nodes_memory():
 
 @kernel
 def closest_points(count, psi, grid, cells, memory, w):
-    """Move the feet in ``memory``, mm from the first ``count`` of ``cells``, to the closest points of psi = 0.
+    """Move the closest points in ``memory``, mm from the first ``count`` of ``cells``, to the closest points of psi =
+    0.
 
     Chopp's two corrections at once: down the gradient to the zero level, -psi g/|g|^2, and along the level until the
-    cell lies on the normal, r - (r.g) g/|g|^2 with r the vector from the foot to the cell. The latter is too long by
+    cell lies on the normal, r - (r.g) g/|g|^2 with r the vector from the closest point to the cell. The latter is too
+    long by
     1 + distance x curvature, which two successive residues tell (secant): so it converges also further off than the
-    radius of curvature. ``memory`` (`ROWS` x `BATCH`,) float32 holds the feet, and then their status: FOUND where
-    one has converged; its row OFFSET, set before, is the value (mm) that stands for 0 above. ``w`` (24,) is scratch.
+    radius of curvature. ``memory`` (`ROWS` x `BATCH`,) float32 holds the closest points, and then their status: FOUND
+    where one has converged; its row OFFSET, set before, is the value (mm) that stands for 0 above. ``w`` (24,) is
+    scratch.
     """
     for i in range(count):
         memory[STATUS + np.uint64(i)] = ACTIVE
@@ -156,18 +180,18 @@ def places_of(count, grid, cells, nodes):
 
 @kernel
 def find_nodes(i, grid, nodes, memory):
-    """Find the nodes around the foot in column ``i`` of ``memory``, without a branch."""
+    """Find the nodes around the closest point in column ``i`` of ``memory``, without a branch."""
     place, inner, first, _ = nodes
-    pz = place[i] + memory[FOOT + i] * (1.0 / grid.hz)
-    py = place[i + NEXT] + memory[FOOT + NEXT + i] * (1.0 / grid.hy)
-    px = place[i + NEXT + NEXT] + memory[FOOT + NEXT + NEXT + i] * (1.0 / grid.hx)
+    pz = place[i] + memory[CLOSEST + i] * (1.0 / grid.hz)
+    py = place[i + NEXT] + memory[CLOSEST + NEXT + i] * (1.0 / grid.hy)
+    px = place[i + NEXT + NEXT] + memory[CLOSEST + NEXT + NEXT + i] * (1.0 / grid.hx)
     unit = np.int32(1)
-    bz, by, bx = np.int32(pz) - unit, np.int32(py) - unit, np.int32(px) - unit
-    inner[i], inner[i + NEXT], inner[i + NEXT + NEXT] = (
-        np.float32(pz - bz),
-        np.float32(py - by),
-        np.float32(px - bx),
-    )
+    bz = np.int32(pz) - unit
+    by = np.int32(py) - unit
+    bx = np.int32(px) - unit
+    inner[i] = np.float32(pz - bz)
+    inner[i + NEXT] = np.float32(py - by)
+    inner[i + NEXT + NEXT] = np.float32(px - bx)
     # Well inside the volume, without the cases that value_and_gradient is for.
     inside = (
         (0 <= bz)
@@ -193,12 +217,14 @@ def active_columns(count, memory, columns):
 
 @kernel
 def levels_at(count, psi, grid, nodes, memory, w):
-    """Psi and its gradient at the active feet of ``memory``; returns how many there are.
+    """Psi and its gradient at the active closest points of ``memory``; returns how many there are.
 
     ``nodes`` = `nodes_memory`, with the cells' indices.
     """
     place, inner, first, columns = nodes
-    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
+    hz = 1.0 / grid.hz
+    hy = 1.0 / grid.hy
+    hx = 1.0 / grid.hx
     sy, sz = grid.nx, grid.ny * grid.nx
     active = active_columns(count, memory, columns)
     if active == 0:
@@ -209,23 +235,25 @@ def levels_at(count, psi, grid, nodes, memory, w):
     for n in range(active):
         i = np.uint64(columns[n])
         if first[i] >= 0:
-            uz, uy, ux = inner[i], inner[i + NEXT], inner[i + NEXT + NEXT]
+            uz = inner[i]
+            uy = inner[i + NEXT]
+            ux = inner[i + NEXT + NEXT]
             level, gz, gy, gx = cubic(psi, first[i], sy, sz, uz, uy, ux)
-            gz, gy, gx = gz * hz, gy * hy, gx * hx
+            gz = gz * hz
+            gy = gy * hy
+            gx = gx * hx
         else:
             pz, py = (
-                place[i] + memory[FOOT + i] * hz,
-                place[i + NEXT] + memory[FOOT + NEXT + i] * hy,
+                place[i] + memory[CLOSEST + i] * hz,
+                place[i + NEXT] + memory[CLOSEST + NEXT + i] * hy,
             )
-            px = place[i + NEXT + NEXT] + memory[FOOT + NEXT + NEXT + i] * hx
+            px = place[i + NEXT + NEXT] + memory[CLOSEST + NEXT + NEXT + i] * hx
             level, gz, gy, gx = value_and_gradient(psi, grid, pz, py, px, w)
         at = LEVEL + i
-        memory[at], memory[at + NEXT], memory[at + NEXT + NEXT], memory[at + NEXT + NEXT + NEXT] = (
-            level,
-            gz,
-            gy,
-            gx,
-        )
+        memory[at] = level
+        memory[at + NEXT] = gz
+        memory[at + NEXT + NEXT] = gy
+        memory[at + NEXT + NEXT + NEXT] = gx
     return active
 
 
@@ -236,9 +264,9 @@ def limited_levels_at(count, psi, grid, nodes, memory, lines):
     active = active_columns(count, memory, columns)
     for n in range(active):
         i = np.uint64(columns[n])
-        pz = place[i] + memory[FOOT + i] / grid.hz
-        py = place[i + NEXT] + memory[FOOT + NEXT + i] / grid.hy
-        px = place[i + NEXT + NEXT] + memory[FOOT + NEXT + NEXT + i] / grid.hx
+        pz = place[i] + memory[CLOSEST + i] / grid.hz
+        py = place[i + NEXT] + memory[CLOSEST + NEXT + i] / grid.hy
+        px = place[i + NEXT + NEXT] + memory[CLOSEST + NEXT + NEXT + i] / grid.hx
         first[n] = enter_point(np.uint64(n), grid, pz, py, px, lines)
     limited_in_vectors(active, psi, grid, first, lines)
     for n in range(active):
@@ -251,24 +279,38 @@ def limited_levels_at(count, psi, grid, nodes, memory, lines):
 
 @kernel
 def correct(count, iteration, grid, memory):
-    """One correction of the active feet, see `closest_points`; all columns alike, so that it runs in vectors."""
-    hz, hy, hx = np.float32(1.0 / grid.hz), np.float32(1.0 / grid.hy), np.float32(1.0 / grid.hx)
-    zero, unit, quarter = np.float32(0.0), np.float32(1.0), np.float32(0.25)
-    active, found, lost = np.float32(ACTIVE), np.float32(FOUND), np.float32(LOST)
-    shortest, longest, tiny = np.float32(0.1), np.float32(4.0), np.float32(1e-30)
+    """One correction of the active closest points, see `closest_points`; all columns alike, to run in vectors."""
+    hz = np.float32(1.0 / grid.hz)
+    hy = np.float32(1.0 / grid.hy)
+    hx = np.float32(1.0 / grid.hx)
+    zero = np.float32(0.0)
+    unit = np.float32(1.0)
+    quarter = np.float32(0.25)
+    active = np.float32(ACTIVE)
+    found = np.float32(FOUND)
+    lost = np.float32(LOST)
+    shortest = np.float32(0.1)
+    longest = np.float32(4.0)
+    tiny = np.float32(1e-30)
     least, most = np.float32(MIN_SLOPE2), np.float32(MAX_MOVE)
     first, later = iteration == 0, iteration >= 2
     enough = np.float32(FIRST_TOLERANCE if first else TOLERANCE)
     for i in range(np.uint64(count)):
-        z, y, x = memory[FOOT + i], memory[FOOT + NEXT + i], memory[FOOT + NEXT + NEXT + i]
+        z = memory[CLOSEST + i]
+        y = memory[CLOSEST + NEXT + i]
+        x = memory[CLOSEST + NEXT + NEXT + i]
         v, gz = memory[LEVEL + i] - memory[OFFSET + i], memory[LEVEL + NEXT + i]
         gy, gx = memory[LEVEL + NEXT + NEXT + i], memory[LEVEL + NEXT + NEXT + NEXT + i]
         g2 = gz * gz + gy * gy + gx * gx
         inverse = unit / max(g2, tiny)
         along = (z * gz + y * gy + x * gx) * inverse
-        tz, ty, tx = along * gz - z, along * gy - y, along * gx - x
+        tz = along * gz - z
+        ty = along * gy - y
+        tx = along * gx - x
         t2 = tz * tz + ty * ty + tx * tx
-        before, relax, begun = memory[SQUARE + i], memory[RELAX + i], memory[START + i]
+        before = memory[SQUARE + i]
+        relax = memory[RELAX + i]
+        begun = memory[START + i]
         left = (
             tz * memory[LAST + i]
             + ty * memory[LAST + NEXT + i]
@@ -279,7 +321,9 @@ def correct(count, iteration, grid, memory):
         factor = unit if first else longer
         begun = t2 if first else begun
         down = v * inverse
-        dz, dy, dx = factor * tz - down * gz, factor * ty - down * gy, factor * tx - down * gx
+        dz = factor * tz - down * gz
+        dy = factor * ty - down * gy
+        dx = factor * tx - down * gx
         move = np.sqrt(dz * hz * dz * hz + dy * hy * dy * hy + dx * hx * dx * hx)
         scale = min(unit, most / max(move, tiny))
         distance = np.sqrt(z * hz * z * hz + y * hy * y * hy + x * hx * x * hx)
@@ -291,18 +335,20 @@ def correct(count, iteration, grid, memory):
         # Residues that do not fall.
         now = lost if later & (t2 > quarter * begun) else now
         scale = scale if (status == active) & (now != lost) else zero
-        memory[FOOT + i] = z + scale * dz
-        memory[FOOT + NEXT + i] = y + scale * dy
-        memory[FOOT + NEXT + NEXT + i] = x + scale * dx
-        memory[LAST + i], memory[LAST + NEXT + i], memory[LAST + NEXT + NEXT + i] = tz, ty, tx
+        memory[CLOSEST + i] = z + scale * dz
+        memory[CLOSEST + NEXT + i] = y + scale * dy
+        memory[CLOSEST + NEXT + NEXT + i] = x + scale * dx
+        memory[LAST + i] = tz
+        memory[LAST + NEXT + i] = ty
+        memory[LAST + NEXT + NEXT + i] = tx
         memory[SQUARE + i] = zero if move > most else t2
         memory[RELAX + i], memory[START + i] = factor, begun
         memory[STATUS + i] = now if status == active else status
 
 
 @kernel
-def crossing_point(psi, grid, cell, iz, iy, ix, near, foot):
-    """Foot of a cell beside the front from its linear edge crossings: the plane through the nearest per axis.
+def crossing_point(psi, grid, cell, iz, iy, ix, near, closest_point):
+    """Closest point of a cell beside the front from its linear edge crossings: the plane through the nearest per axis.
 
     ``near`` holds the 6-neighbours of the cell (-1 beyond the border). Returns the shortest single crossing
     (mm, an upper bound of the distance), or -1 when no neighbour lies on the other side.
@@ -322,24 +368,24 @@ def crossing_point(psi, grid, cell, iz, iy, ix, near, foot):
                 if d < best:
                     best = d
                     sign = 1.0 if side == 1 else -1.0
-        foot[axis] = 0.0
+        closest_point[axis] = 0.0
         if best < 1e29:
             best = max(best, 1e-6 * h)
             shortest = min(shortest, best)
             inverse += 1.0 / (best * best)
-            foot[axis] = sign / best
+            closest_point[axis] = sign / best
     if inverse == 0.0:
         return -1.0
     for axis in range(3):
-        foot[axis] /= inverse
+        closest_point[axis] /= inverse
     return shortest
 
 
-#: A cell takes another foot, of a neighbour or beyond a ridge, when that is closer by this many voxels.
+#: A cell takes another closest point, of a neighbour or beyond a ridge, when that is closer by this many voxels.
 MIN_GAIN = 0.02
 #: Psi may rise by this many voxels on the side that a ridge came from and has left: a step is half a voxel at most.
 PASSED = 0.25
-#: Shortest foot, voxels, whose direction is a normal.
+#: Shortest closest point, voxels, whose direction is a normal.
 MIN_LENGTH = 0.1
 
 
@@ -359,15 +405,13 @@ def sides_beyond(value, least, around):
     """The sides of a cell of psi = ``value`` beyond which a ridge may lie, a bit each; ``around`` = psi at them."""
     a, b, c, d, e, f = around
     sign = np.float32(-1.0) if value < np.float32(0.0) else np.float32(1.0)
-    value, a, b, c, d, e, f = (
-        sign * value,
-        sign * a,
-        sign * b,
-        sign * c,
-        sign * d,
-        sign * e,
-        sign * f,
-    )
+    value = sign * value
+    a = sign * a
+    b = sign * b
+    c = sign * c
+    d = sign * d
+    e = sign * e
+    f = sign * f
     sides = towards_ridge(value, a, b, least) | (towards_ridge(value, b, a, least) << np.int32(1))
     sides |= (towards_ridge(value, c, d, least) << np.int32(2)) | (
         towards_ridge(value, d, c, least) << np.int32(3)
@@ -380,17 +424,17 @@ def sides_beyond(value, least, around):
 
 @kernel
 def beyond_ridges(slots, slot, grid, band, residue, memory, out):
-    """Move guesses of the feet of ``slots`` to the surface beyond a ridge, where that has come closer.
+    """Move guesses of the closest points of ``slots`` to the surface beyond a ridge, where that has come closer.
 
-    A neighbour is beyond a ridge when its foot lay the other way (``band``: when psi was a distance); its
-    tangent plane, moved as psi has changed there, tells how far that surface is. In a thin plate the neighbour's foot
-    itself is too far off sideways to tell. ``memory`` and ``out`` as in `guesses.guess_feet`: the guess comes with the
-    neighbour's residue.
+    A neighbour is beyond a ridge when its closest point lay the other way (``band``: when psi was a distance); its
+    tangent plane, moved as psi has changed there, tells how far that surface is. In a thin plate the neighbour's
+    closest point itself is too far off sideways to tell. ``memory`` and ``out`` as in `guesses.guess_closest_points`:
+    the guess comes with the neighbour's residue.
     """
     # The first rows are psi at the cell and at its sides.
     rows, alone, sides = memory
     guesses, _, offset = out
-    foot, old = band.to_closest, band.psi
+    closest_point, old = band.to_closest, band.psi
     h = min(grid.hz, min(grid.hy, grid.hx))
     moved, strides = np.empty(3), np.zeros(33, np.int64)
     for side in range(6):
@@ -402,11 +446,13 @@ def beyond_ridges(slots, slot, grid, band, residue, memory, out):
             continue
         s = slots[i]
         cell = band.cells[s]
-        to_closest = foot[s]
+        to_closest = closest_point[s]
         inside = rows[i] < 0.0
         # So that psi counts away from the surface on either side of it.
         sign = -1.0 if inside else 1.0
-        z, y, x = guesses[0, i], guesses[1, i], guesses[2, i]
+        z = guesses[0, i]
+        y = guesses[1, i]
+        x = guesses[2, i]
         least = np.sqrt(z * z + y * y + x * x) - MIN_GAIN * h
         found, scale = -1, 0.0
         while left != 0:
@@ -417,9 +463,9 @@ def beyond_ridges(slots, slot, grid, band, residue, memory, out):
                 continue
             # Nearly always this ends it.
             if (
-                foot[other, 0] * to_closest[0]
-                + foot[other, 1] * to_closest[1]
-                + foot[other, 2] * to_closest[2]
+                closest_point[other, 0] * to_closest[0]
+                + closest_point[other, 1] * to_closest[1]
+                + closest_point[other, 2] * to_closest[2]
                 >= 0.0
             ):
                 continue
@@ -429,31 +475,45 @@ def beyond_ridges(slots, slot, grid, band, residue, memory, out):
             while bit >> side != 1:
                 side += 1
             oz, oy, ox = step_of(side, grid)
-            along = (oz * foot[other, 0] + oy * foot[other, 1] + ox * foot[other, 2]) / abs(
-                old[other]
-            )
+            along = (
+                oz * closest_point[other, 0]
+                + oy * closest_point[other, 1]
+                + ox * closest_point[other, 2]
+            ) / abs(old[other])
             d = sign * rows[(1 + side) * BATCH + i] + along
             if 0.0 < d < least:
-                least, found, scale = d, other, d / abs(old[other])
+                least = d
+                found = other
+                scale = d / abs(old[other])
         if found >= 0:
             for axis in range(3):
-                moved[axis] = scale * foot[found, axis]
+                moved[axis] = scale * closest_point[found, axis]
                 guesses[axis, i] = moved[axis]
             offset[i] = residue[found]
             iz, iy, ix = unravel(cell, grid)
             alone[i] = not is_near_volume(grid, iz, iy, ix, moved, 0.0)
 
 
-#: Rows of the memory of `guess_feet`, `BATCH` long each: psi at the cell and around it (-z, +z, -y, +y, -x, +x);
-#: the old psi; the old foot; the residue; the index z, y, x.
-PSI, OLD, OLD_FOOT, RESIDUE, PLACE = (np.uint64(row * BATCH) for row in (0, 7, 8, 11, 12))
+# Rows of the memory of `guess_closest_points`, `BATCH` long each.
+#: Psi at the cell and around it (-z, +z, -y, +y, -x, +x).
+PSI = np.uint64(0 * BATCH)
+#: Old psi.
+OLD = np.uint64(7 * BATCH)
+#: Old closest point, z, y, x.
+OLD_CLOSEST = np.uint64(8 * BATCH)
+#: Residue.
+RESIDUE = np.uint64(11 * BATCH)
+#: Index z, y, x.
+PLACE = np.uint64(12 * BATCH)
 
 GUESS_ROWS = 15
 
 
 @kernel
 def guess_memory():
-    """Memory for `guess_feet`: rows, and per cell whether it needs `first_guess`, and the sides of `sides_beyond`."""
+    """Memory for `guess_closest_points`: rows, and per cell whether it needs `first_guess`, and the sides of
+    `sides_beyond`.
+    """
     return (
         np.zeros(GUESS_ROWS * BATCH, np.float32),
         np.empty(BATCH, np.bool_),
@@ -462,8 +522,8 @@ def guess_memory():
 
 
 @kernel
-def first_guess(psi, grid, cell, iz, iy, ix, near, foot):
-    """Foot at -psi grad psi/|grad psi|^2, by central differences, one-sided towards the front at a ridge."""
+def first_guess(psi, grid, cell, iz, iy, ix, near, closest_point):
+    """Closest point at -psi grad psi/|grad psi|^2, by central differences, one-sided towards the front at a ridge."""
     centre = psi[cell]
     g2 = 0.0
     for axis in range(3):
@@ -477,7 +537,7 @@ def first_guess(psi, grid, cell, iz, iy, ix, near, foot):
             g = (centre - psi[a]) / h
         else:
             g = 0.0
-        foot[axis] = g
+        closest_point[axis] = g
         g2 += g * g
     if g2 < 0.5:
         g2 = 0.0
@@ -489,25 +549,25 @@ def first_guess(psi, grid, cell, iz, iy, ix, near, foot):
             g = 0.0
             if down > 0.0 or up > 0.0:
                 g = down / h if down >= up else -up / h
-            foot[axis] = g if centre >= 0.0 else -g
+            closest_point[axis] = g if centre >= 0.0 else -g
             g2 += g * g
     if g2 < 1e-6:
         return False
     for axis in range(3):
-        foot[axis] *= -centre / g2
+        closest_point[axis] *= -centre / g2
     return True
 
 
 @kernel
-def guess_feet(slots, dense, grid, band, guide, scratch, out):
-    """First guesses of the feet of ``slots``, at most `BATCH`.
+def guess_closest_points(slots, dense, grid, band, guide, scratch, out):
+    """First guesses of the closest points of ``slots``, at most `BATCH`.
 
     ``guide`` = (inner, residue (n,)). ``scratch`` = (near (6,), guess (3,), `guess_memory`).
     ``out`` = (guesses (3, `BATCH`), rows z, y, x, 0 where there is none; beside (`BATCH`,) bool; offset (`BATCH`,)
     float32), of which the first columns count, one for each slot. ``beside`` marks the cells with a neighbour on the
     other side of the surface, ``offset`` is the residue of the part of it that the guess is on. Where |psi| was above
     ``inner`` mm before the surface moved, centred differences would need cells beyond the band; where there is a
-    residue, they may lie across a ridge: the guess is the old foot, scaled by the change of psi.
+    residue, they may lie across a ridge: the guess is the old closest point, scaled by the change of psi.
     """
     near, guess, memory = scratch
     rows, alone, _ = memory
@@ -521,13 +581,17 @@ def guess_feet(slots, dense, grid, band, guide, scratch, out):
             iz, iy, ix = unravel(cell, grid)
             neighbours(cell, iz, iy, ix, grid, near)
             if not first_guess(dense.psi, grid, cell, iz, iy, ix, near, guess):
-                guess[0], guess[1], guess[2] = 0.0, 0.0, 0.0
-            guesses[0, i], guesses[1, i], guesses[2, i] = guess[0], guess[1], guess[2]
+                guess[0] = 0.0
+                guess[1] = 0.0
+                guess[2] = 0.0
+            guesses[0, i] = guess[0]
+            guesses[1, i] = guess[1]
+            guesses[2, i] = guess[2]
 
 
 @kernel
 def gather_around(slots, psi, grid, band, residue, rows):
-    """Fill ``rows`` with what is known of the cells of ``slots``.
+    """Fill ``rows`` with psi, closest points and residues of the cells of ``slots``.
 
     Beyond the border psi is as in the cell.
     """
@@ -546,16 +610,19 @@ def gather_around(slots, psi, grid, band, residue, rows):
         rows[at + np.uint64(5) * NEXT] = psi[here - np.uint64(1 if ix > 0 else 0)]
         rows[at + np.uint64(6) * NEXT] = psi[here + np.uint64(1 if ix < grid.nx - 1 else 0)]
         rows[OLD + i], rows[RESIDUE + i] = band.psi[s], residue[s]
-        at = OLD_FOOT + i
+        at = OLD_CLOSEST + i
         rows[at], rows[at + NEXT] = band.to_closest[s, 0], band.to_closest[s, 1]
         rows[at + NEXT + NEXT] = band.to_closest[s, 2]
         at = PLACE + i
-        rows[at], rows[at + NEXT], rows[at + NEXT + NEXT] = iz, iy, ix
+        rows[at] = iz
+        rows[at + NEXT] = iy
+        rows[at + NEXT + NEXT] = ix
 
 
 @kernel
 def guess_alike(grid, inner, memory, out):
-    """The guesses of `guess_feet` without ridges, the same arithmetic for all cells, so that it runs in vectors.
+    """The guesses of `guess_closest_points` without ridges, the same arithmetic for all cells, so that it runs in
+    vectors.
 
     Of all columns, whether they are used or not: what is left over from vectors may be rounded otherwise.
     ``memory`` = `guess_memory`; sets in it which cells are left to `first_guess`, at the border of the volume and where
@@ -563,17 +630,31 @@ def guess_alike(grid, inner, memory, out):
     """
     rows, alone, sides = memory
     guesses, beside, offset = out
-    gz, gy, gx = guesses[0], guesses[1], guesses[2]
-    hz, hy, hx = np.float32(grid.hz), np.float32(grid.hy), np.float32(grid.hx)
+    gz = guesses[0]
+    gy = guesses[1]
+    gx = guesses[2]
+    hz = np.float32(grid.hz)
+    hy = np.float32(grid.hy)
+    hx = np.float32(grid.hx)
     least = min(hz, min(hy, hx))
     shortest, inner = np.float32(MIN_LENGTH) * least, np.float32(inner)
-    pz, py, px = np.float32(0.5) / hz, np.float32(0.5) / hy, np.float32(0.5) / hx
-    zero, unit, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
-    mz, my, mx = np.float32(grid.nz - 1), np.float32(grid.ny - 1), np.float32(grid.nx - 1)
-    two, three, four = NEXT + NEXT, np.uint64(3) * NEXT, np.uint64(4) * NEXT
+    pz = np.float32(0.5) / hz
+    py = np.float32(0.5) / hy
+    px = np.float32(0.5) / hx
+    zero = np.float32(0.0)
+    unit = np.float32(1.0)
+    half = np.float32(0.5)
+    mz = np.float32(grid.nz - 1)
+    my = np.float32(grid.ny - 1)
+    mx = np.float32(grid.nx - 1)
+    two = NEXT + NEXT
+    three = np.uint64(3) * NEXT
+    four = np.uint64(4) * NEXT
     five, six = np.uint64(5) * NEXT, np.uint64(6) * NEXT
     for i in range(np.uint64(BATCH)):
-        value, old, residue = rows[PSI + i], rows[OLD + i], rows[RESIDUE + i]
+        value = rows[PSI + i]
+        old = rows[OLD + i]
+        residue = rows[RESIDUE + i]
         a, b = rows[PSI + NEXT + i], rows[PSI + two + i]
         c, d = rows[PSI + three + i], rows[PSI + four + i]
         e, f = rows[PSI + five + i], rows[PSI + six + i]
@@ -583,18 +664,20 @@ def guess_alike(grid, inner, memory, out):
         offset[i] = residue
         is_scaled = abs(old) > (inner if residue == zero else shortest)
         ratio = value / (old if is_scaled else unit)
-        z, y, x = (
-            ratio * rows[OLD_FOOT + i],
-            ratio * rows[OLD_FOOT + NEXT + i],
-            ratio * rows[OLD_FOOT + two + i],
-        )
+        z = ratio * rows[OLD_CLOSEST + i]
+        y = ratio * rows[OLD_CLOSEST + NEXT + i]
+        x = ratio * rows[OLD_CLOSEST + two + i]
         is_scaled = is_scaled & (abs(z) + abs(y) + abs(x) > zero)
-        dz, dy, dx = pz * (b - a), py * (d - c), px * (f - e)
+        dz = pz * (b - a)
+        dy = py * (d - c)
+        dx = px * (f - e)
         slope = dz * dz + dy * dy + dx * dx
         scale = -value / max(slope, half)
         gz[i], gy[i] = z if is_scaled else scale * dz, y if is_scaled else scale * dy
         gx[i] = x if is_scaled else scale * dx
-        iz, iy, ix = rows[PLACE + i], rows[PLACE + NEXT + i], rows[PLACE + two + i]
+        iz = rows[PLACE + i]
+        iy = rows[PLACE + NEXT + i]
+        ix = rows[PLACE + two + i]
         # Beyond the border psi is only continued, at the band's edge from where it is no distance.
         near = (-iz * hz <= z) & (z <= (mz - iz) * hz) & (-iy * hy <= y) & (y <= (my - iy) * hy)
         near = near & (-ix * hx <= x) & (x <= (mx - ix) * hx)

@@ -133,7 +133,7 @@ def flood_component(psi, grid, cell, inside, flood, near):
 
 
 @kernel
-def touching(points, dense, grid, corner, reach, width):
+def touching(points, dense, grid, corner, margin, width):
     """Points at most so far from the inside of another surface, and in its band.
 
     Parameters
@@ -146,7 +146,7 @@ def touching(points, dense, grid, corner, reach, width):
         Its grid.
     corner : ndarray (3,) float64
         Where that begins in the common one.
-    reach : float
+    margin : float
         Points beyond its border count as on it up to so many voxels, along each axis.
     width : float
         How far, mm.
@@ -161,18 +161,26 @@ def touching(points, dense, grid, corner, reach, width):
         1 - gap/width, at most 1; the gap is the other's psi, between voxels linear.
     """
     n = len(points)
-    near, slots, share = np.empty(n, np.int64), np.empty(n, np.int32), np.empty(n, np.float32)
-    last_z, last_y, last_x = grid.nz - 1.0, grid.ny - 1.0, grid.nx - 1.0
+    near = np.empty(n, np.int64)
+    slots = np.empty(n, np.int32)
+    share = np.empty(n, np.float32)
+    last_z = grid.nz - 1.0
+    last_y = grid.ny - 1.0
+    last_x = grid.nx - 1.0
     count = 0
     for i in range(n):
-        z, y, x = points[i, 0] - corner[0], points[i, 1] - corner[1], points[i, 2] - corner[2]
+        z = points[i, 0] - corner[0]
+        y = points[i, 1] - corner[1]
+        x = points[i, 2] - corner[2]
         if not (
-            -reach <= z <= last_z + reach
-            and -reach <= y <= last_y + reach
-            and -reach <= x <= last_x + reach
+            -margin <= z <= last_z + margin
+            and -margin <= y <= last_y + margin
+            and -margin <= x <= last_x + margin
         ):
             continue
-        z, y, x = min(max(z, 0.0), last_z), min(max(y, 0.0), last_y), min(max(x, 0.0), last_x)
+        z = min(max(z, 0.0), last_z)
+        y = min(max(y, 0.0), last_y)
+        x = min(max(x, 0.0), last_x)
         slot = dense.slot[
             (np.int64(np.rint(z)) * grid.ny + np.int64(np.rint(y))) * grid.nx + np.int64(np.rint(x))
         ]
@@ -181,7 +189,9 @@ def touching(points, dense, grid, corner, reach, width):
         gap = np.float32(linear_at(dense.psi, grid, z, y, x))
         part = np.float32(min(max(1.0 - gap / width, 0.0), 1.0))
         if part > 0:
-            near[count], slots[count], share[count] = i, slot, part
+            near[count] = i
+            slots[count] = slot
+            share[count] = part
             count += 1
     return near[:count].copy(), slots[:count].copy(), share[:count].copy()
 
@@ -205,7 +215,9 @@ def shared_cells(cells, grid, psi, other, shift):
     count = 0
     for i in range(len(cells)):
         iz, iy, ix = unravel(cells[i], grid)
-        jz, jy, jx = iz + shift[0], iy + shift[1], ix + shift[2]
+        jz = iz + shift[0]
+        jy = iy + shift[1]
+        jx = ix + shift[2]
         if 0 <= jz < other.nz and 0 <= jy < other.ny and 0 <= jx < other.nx:
             on[count], values[count] = i, psi[(jz * other.ny + jy) * other.nx + jx]
             count += 1

@@ -66,7 +66,9 @@ def axis_derivatives(psi, cell, i, n, stride, h):
 @kernel
 def is_at_border(iz, iy, ix, grid):
     """Test if a cell has a face on the volume's border; an axis with one slice has none."""
-    z, y, x = grid.nz - 1, grid.ny - 1, grid.nx - 1
+    z = grid.nz - 1
+    y = grid.ny - 1
+    x = grid.nx - 1
     return (
         (z > 0 and (iz == 0 or iz == z))
         or (y > 0 and (iy == 0 or iy == y))
@@ -119,7 +121,9 @@ def mirrored_curvatures(psi, cell, iz, iy, ix, grid):
     z0, z1 = plane if iz > 0 else 0, plane if iz < grid.nz - 1 else 0
     y0, y1 = grid.nx if iy > 0 else 0, grid.nx if iy < grid.ny - 1 else 0
     x0, x1 = 1 if ix > 0 else 0, 1 if ix < grid.nx - 1 else 0
-    hz, hy, hx = grid.hz, grid.hy, grid.hx
+    hz = grid.hz
+    hy = grid.hy
+    hx = grid.hx
     az, bz = (psi[cell] - psi[cell - z0]) / hz, (psi[cell + z1] - psi[cell]) / hz
     ay, by = (psi[cell] - psi[cell - y0]) / hy, (psi[cell + y1] - psi[cell]) / hy
     ax, bx = (psi[cell] - psi[cell - x0]) / hx, (psi[cell + x1] - psi[cell]) / hx
@@ -166,8 +170,9 @@ def mean_above_centre(psi, cell, iz, iy, ix, grid):
 
 
 @kernel
-def curvature_at_foot(mean, gauss, d, most):
-    """Curvature H of the surface at the foot of a cell at distance ``d`` whose level has H = ``mean``, K = ``gauss``.
+def curvature_at_closest_point(mean, gauss, d, most):
+    """Curvature H of the surface at the closest point of a cell at distance ``d`` whose level has H = ``mean``, K =
+    ``gauss``.
 
     The level through the cell is the surface moved by d along its normal, so its principal curvatures are
     k/(1 + d k); undone here: H = (H_d - 2 d K_d) / (1 - d H_d + d^2 K_d). Clipped to |H| <= ``most``.
@@ -252,7 +257,10 @@ def upwind_norms(start, stop, psi, grid, band, beta, front, out):
 #: Where rows of `BATCH` begin in a memory, and rows of `block_memory`. Unsigned: numba tests a signed index for being
 #: negative, and so the loop would not run in vectors.
 ROW = tuple(np.uint64(row * BATCH) for row in range(26))
-SLOPE, CURVATURES = ROW[19], ROW[22]
+#: Rows of the gradient, z, y, x.
+SLOPE = ROW[19]
+#: Rows of H and K.
+CURVATURES = ROW[22]
 
 
 @kernel
@@ -279,14 +287,16 @@ def gather_cross(first, count, psi, grid, cells, wanted, rows, well_inside):
         ):
             continue
         well_inside[i] = True
-        z, y, x = np.uint64(cell) - plane - plane, np.uint64(cell) - row - row, np.uint64(cell - 2)
+        z = np.uint64(cell) - plane - plane
+        y = np.uint64(cell) - row - row
+        x = np.uint64(cell - 2)
         for k in range(np.uint64(5)):
-            rows[k, i], rows[np.uint64(5) + k, i], rows[np.uint64(10) + k, i] = (
-                psi[z],
-                psi[y],
-                psi[x],
-            )
-            z, y, x = z + plane, y + row, x + np.uint64(1)
+            rows[k, i] = psi[z]
+            rows[np.uint64(5) + k, i] = psi[y]
+            rows[np.uint64(10) + k, i] = psi[x]
+            z = z + plane
+            y = y + row
+            x = x + np.uint64(1)
 
 
 @kernel
@@ -311,10 +321,24 @@ def upwind_square(far_below, below, here, above, far_above, per_mm, sign):
 @kernel
 def godunov_norms(count, grid, rows, sign, out):
     """`differences.godunov_norm` of ``count`` columns of `gather_cross`."""
-    pz, py, px = np.float32(1.0 / grid.hz), np.float32(1.0 / grid.hy), np.float32(1.0 / grid.hx)
-    z0, z1, z2, z3, z4 = rows[0], rows[1], rows[2], rows[3], rows[4]
-    y0, y1, y2, y3, y4 = rows[5], rows[6], rows[7], rows[8], rows[9]
-    x0, x1, x2, x3, x4 = rows[10], rows[11], rows[12], rows[13], rows[14]
+    pz = np.float32(1.0 / grid.hz)
+    py = np.float32(1.0 / grid.hy)
+    px = np.float32(1.0 / grid.hx)
+    z0 = rows[0]
+    z1 = rows[1]
+    z2 = rows[2]
+    z3 = rows[3]
+    z4 = rows[4]
+    y0 = rows[5]
+    y1 = rows[6]
+    y2 = rows[7]
+    y3 = rows[8]
+    y4 = rows[9]
+    x0 = rows[10]
+    x1 = rows[11]
+    x2 = rows[12]
+    x3 = rows[13]
+    x4 = rows[14]
     for i in range(np.uint64(count)):
         total = upwind_square(z0[i], z1[i], z2[i], z3[i], z4[i], pz, sign[i])
         total += upwind_square(y0[i], y1[i], y2[i], y3[i], y4[i], py, sign[i])
@@ -342,7 +366,9 @@ def gather_block(cell, iz, iy, ix, psi, grid, memory, i):
     """
     if not (0 < iz < grid.nz - 1 and 0 < iy < grid.ny - 1 and 0 < ix < grid.nx - 1):
         return False
-    i, at, unit = np.uint64(i), np.uint64(cell), np.uint64(1)
+    i = np.uint64(i)
+    at = np.uint64(cell)
+    unit = np.uint64(1)
     plane, row = np.uint64(grid.ny * grid.nx), np.uint64(grid.nx)
     below, above = at - plane, at + plane
     memory[i] = psi[at]
@@ -361,30 +387,40 @@ def gather_block(cell, iz, iy, ix, psi, grid, memory, i):
 @kernel
 def block_curvatures(grid, memory):
     """Gradient, curvatures and mean of all columns of `block_memory`, into its last rows."""
-    half, quarter, two = np.float32(0.5), np.float32(0.25), np.float32(2.0)
-    hz, hy, hx = np.float32(1.0 / grid.hz), np.float32(1.0 / grid.hy), np.float32(1.0 / grid.hx)
+    half = np.float32(0.5)
+    quarter = np.float32(0.25)
+    two = np.float32(2.0)
+    hz = np.float32(1.0 / grid.hz)
+    hy = np.float32(1.0 / grid.hy)
+    hx = np.float32(1.0 / grid.hx)
     part, huge = np.float32(1.0 / 24.0), np.float32(1e30)
     for i in range(np.uint64(BATCH)):
-        c, zm, zp = memory[i], memory[ROW[1] + i], memory[ROW[2] + i]
-        ym, yp, xm, xp = (
-            memory[ROW[3] + i],
-            memory[ROW[4] + i],
-            memory[ROW[5] + i],
-            memory[ROW[6] + i],
-        )
-        z, y, x = half * hz * (zp - zm), half * hy * (yp - ym), half * hx * (xp - xm)
+        c = memory[i]
+        zm = memory[ROW[1] + i]
+        zp = memory[ROW[2] + i]
+        ym = memory[ROW[3] + i]
+        yp = memory[ROW[4] + i]
+        xm = memory[ROW[5] + i]
+        xp = memory[ROW[6] + i]
+        z = half * hz * (zp - zm)
+        y = half * hy * (yp - ym)
+        x = half * hx * (xp - xm)
         zz = (zp - c) - (c - zm)
         yy = (yp - c) - (c - ym)
         xx = (xp - c) - (c - xm)
         memory[CURVATURES + ROW[2] + i] = part * (zz + yy + xx)
-        zz, yy, xx = hz * hz * zz, hy * hy * yy, hx * hx * xx
-        zy, zx, yx = (
-            mixed(memory, ROW[7] + i),
-            mixed(memory, ROW[11] + i),
-            mixed(memory, ROW[15] + i),
-        )
-        zy, zx, yx = quarter * hz * hy * zy, quarter * hz * hx * zx, quarter * hy * hx * yx
-        z2, y2, x2 = z * z, y * y, x * x
+        zz = hz * hz * zz
+        yy = hy * hy * yy
+        xx = hx * hx * xx
+        zy = mixed(memory, ROW[7] + i)
+        zx = mixed(memory, ROW[11] + i)
+        yx = mixed(memory, ROW[15] + i)
+        zy = quarter * hz * hy * zy
+        zx = quarter * hz * hx * zx
+        yx = quarter * hy * hx * yx
+        z2 = z * z
+        y2 = y * y
+        x2 = x * x
         g2 = z2 + y2 + x2
         # A bound that nothing exceeds: so the compiler cannot choose which of two products it rounds before their sum.
         apart = max(x * z * zx, -huge)
@@ -400,7 +436,9 @@ def block_curvatures(grid, memory):
         )
         has_slope = g2 >= np.float32(1e-8)
         inverse = np.float32(1.0) / (g2 if has_slope else np.float32(1.0))
-        memory[SLOPE + i], memory[SLOPE + ROW[1] + i], memory[SLOPE + ROW[2] + i] = z, y, x
+        memory[SLOPE + i] = z
+        memory[SLOPE + ROW[1] + i] = y
+        memory[SLOPE + ROW[2] + i] = x
         memory[CURVATURES + i] = mean * inverse * np.sqrt(inverse) if has_slope else np.float32(0.0)
         memory[CURVATURES + ROW[1] + i] = (
             (gauss + two * products) * inverse * inverse if has_slope else np.float32(0.0)

@@ -24,15 +24,15 @@ from accelsurf.kernels.closest import (
     FOUND,
     LIMITED,
     OFFSET,
+    closest_point_memory,
     closest_points,
     crossing_point,
-    feet_memory,
-    guess_feet,
+    guess_closest_points,
     guess_memory,
     is_near_volume,
 )
 from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
-from accelsurf.kernels.march import MARGIN, accept_foot
+from accelsurf.kernels.march import MARGIN, accept_closest_point
 from accelsurf.kernels.residues import known_point, nearest_slot
 
 #: A closest point carried as a field counts where its distance is d within this part; else that of one neighbour.
@@ -58,15 +58,19 @@ def cells_beside(start, stop, slot, grid, cells, psi, beside):
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def find_front_feet(start, stop, dense, grid, band, guide, on, foot):
-    """Feet of the slots ``on`` (m,), all beside the surface, into ``foot`` (n, 3); as `march.find_feet` does there.
+def find_front_closest_points(start, stop, dense, grid, band, guide, on, closest_point):
+    """Closest points of the slots ``on`` (m,), all beside the surface, into ``closest_point`` (n, 3); as
+    `march.find_closest_points` does there.
 
     ``guide`` = (inner, residue (n,), limited).
     """
     psi = dense.psi
-    near, guess, plane, w = np.empty(6, np.int64), np.empty(3), np.empty(3), np.empty(24)
+    near = np.empty(6, np.int64)
+    guess = np.empty(3)
+    plane = np.empty(3)
+    w = np.empty(24)
     scratch = near, guess, guess_memory()
-    memory, feet, status = feet_memory()
+    memory, points, status = closest_point_memory()
     inner, residue, limited = guide
     offset = memory[OFFSET : OFFSET + BATCH]
     memory[LIMITED : LIMITED + BATCH] = limited
@@ -74,19 +78,25 @@ def find_front_feet(start, stop, dense, grid, band, guide, on, foot):
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
         slots = on[first : first + count]
-        guess_feet(slots, dense, grid, band, (inner, residue), scratch, (feet, beside, offset))
+        guess_closest_points(
+            slots, dense, grid, band, (inner, residue), scratch, (points, beside, offset)
+        )
         for i in range(count):
             at[i] = band.cells[slots[i]]
         closest_points(count, psi, grid, at, memory, w)
         for i in range(count):
             s, cell = on[first + i], at[i]
             iz, iy, ix = unravel(cell, grid)
-            guess[0], guess[1], guess[2] = feet[0, i], feet[1, i], feet[2, i]
+            guess[0] = points[0, i]
+            guess[1] = points[1, i]
+            guess[2] = points[2, i]
             found = status[i] == FOUND and is_near_volume(grid, iz, iy, ix, guess, MARGIN)
             neighbours(cell, iz, iy, ix, grid, near)
             bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
-            accept_foot(psi[cell], grid, plane, bound, guess, found, 0.5)
-            foot[s, 0], foot[s, 1], foot[s, 2] = guess[0], guess[1], guess[2]
+            accept_closest_point(psi[cell], grid, plane, bound, guess, found, 0.5)
+            closest_point[s, 0] = guess[0]
+            closest_point[s, 1] = guess[1]
+            closest_point[s, 2] = guess[2]
 
 
 @kernel
@@ -128,8 +138,8 @@ def pop(keys, slots, size, cells):
 
 
 @kernel
-def carried_foot(s, d, grid, foot, up, weights):
-    """Foot of slot ``s`` at ``d`` mm: the closest point as an extended field, put at that distance.
+def extended_closest_point(s, d, grid, closest_point, up, weights):
+    """Closest point of slot ``s`` at ``d`` mm: the closest point as an extended field, put at that distance.
 
     Where its distance is another, as beside a ridge, that of the neighbour whose closest point is nearest.
     """
@@ -143,11 +153,9 @@ def carried_foot(s, d, grid, foot, up, weights):
         axis = k % 3
         sign = sides[axis] * (1 if k < 3 else 2)
         oz, oy, ox = step_of(2 * axis + 1, grid)
-        z, y, x = (
-            foot[slots[k], 0] + sign * oz,
-            foot[slots[k], 1] + sign * oy,
-            foot[slots[k], 2] + sign * ox,
-        )
+        z = closest_point[slots[k], 0] + sign * oz
+        y = closest_point[slots[k], 1] + sign * oy
+        x = closest_point[slots[k], 2] + sign * ox
         w = weights[k]
         mean = mean[0] + w * z, mean[1] + w * y, mean[2] + w * x
         length2 = z * z + y * y + x * x
@@ -157,36 +165,40 @@ def carried_foot(s, d, grid, foot, up, weights):
     if abs(length - d) > TRUSTED * d:
         mean, length = nearest, np.sqrt(best)
     scale = d / max(length, 1e-30)
-    foot[s, 0], foot[s, 1], foot[s, 2] = mean[0] * scale, mean[1] * scale, mean[2] * scale
+    closest_point[s, 0] = mean[0] * scale
+    closest_point[s, 1] = mean[1] * scale
+    closest_point[s, 2] = mean[2] * scale
 
 
 @kernel
 def accept(s, dense, grid, known, up, weights):
-    """Second-order distance and foot of slot ``s``, the nearest that is not accepted."""
-    cells, foot, distance, state = known
+    """Second-order distance and closest point of slot ``s``, the nearest that is not accepted."""
+    cells, closest_point, distance, state = known
     upwind_neighbours(cells[s], dense.slot, grid, known, 1e30, up)
     d = solve_distance(up, grid, True)
-    carried_foot(s, d, grid, foot, up, weights)
+    extended_closest_point(s, d, grid, closest_point, up, weights)
     distance[s] = -d if dense.psi[cells[s]] < 0.0 else d
     state[s] = ACCEPTED
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def march_outwards(dense, grid, known, heap, counts, front, half_width):
-    """Distances and feet outwards from the slots ``front`` (m,), up to ``half_width`` voxels; serial.
+    """Distances and closest points outwards from the slots ``front`` (m,), up to ``half_width`` voxels; serial.
 
-    ``known`` = (cells, foot (n, 3), distance (n,) float64, state (n,) int8), with room for more slots than n.
+    ``known`` = (cells, closest point (n, 3), distance (n,) float64, state (n,) int8), with room for more slots than n.
     ``distance`` (mm) has the sign of psi; ``state`` is ACCEPTED at ``front`` and FAR elsewhere. Cells that are met
     enter as slots from n on, in ``dense.slot`` too. ``heap`` = (keys float64, slots int64) of `insert`. ``counts``
     (3,) int64 = n, entries of the heap, slots of the front that have been handed on. Returns whether the march has
     ended; else it wants more room and goes on from where it is.
     """
     slot = dense.slot
-    cells, foot, distance, state = known
+    cells, closest_point, distance, state = known
     keys, slots = heap
     near, weights = np.empty(6, np.int64), np.empty(6)
     up = np.empty(6, np.int64), np.empty(3, np.int64), np.empty((4, 3))
-    n, size, begun = counts[0], counts[1], counts[2]
+    n = counts[0]
+    size = counts[1]
+    begun = counts[2]
     ended = True
     while begun < front.shape[0] or size > 0:
         if n + 6 > cells.shape[0] or size + 6 > keys.shape[0]:
@@ -203,7 +215,10 @@ def march_outwards(dense, grid, known, heap, counts, front, half_width):
             accept(s, dense, grid, known, up, weights)
         # Beyond the band a cell hands on nothing but is read: where the spacings differ a neighbour nearer in mm may
         # lie further off in voxels, and without it the distance would be that along a detour.
-        if voxels_along(foot[s, 0], foot[s, 1], foot[s, 2], grid) > half_width:
+        if (
+            voxels_along(closest_point[s, 0], closest_point[s, 1], closest_point[s, 2], grid)
+            > half_width
+        ):
             continue
         cell = cells[s]
         iz, iy, ix = unravel(cell, grid)
@@ -213,7 +228,9 @@ def march_outwards(dense, grid, known, heap, counts, front, half_width):
                 continue
             other = slot[near[side]]
             if other < 0:
-                other, cells[n], state[n] = n, near[side], FAR
+                other = n
+                cells[n] = near[side]
+                state[n] = FAR
                 slot[near[side]] = n
                 n += 1
             if state[other] != FAR and state[other] != TRIAL:
@@ -223,16 +240,19 @@ def march_outwards(dense, grid, known, heap, counts, front, half_width):
                 insert(keys, slots, size, d, other, cells)
                 size += 1
                 distance[other], state[other] = d, TRIAL
-    counts[0], counts[1], counts[2] = n, size, begun
+    counts[0] = n
+    counts[1] = size
+    counts[2] = begun
     return ended
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def front_residues(start, stop, slot, grid, band, motion, beside, out):
-    """Residue of every cell that is not ``beside`` (n,) the surface: that of the cell nearest its foot, if that is.
+    """Residue of every cell that is not ``beside`` (n,) the surface: that of the cell nearest its closest point, if
+    that is.
 
-    ``out`` (n,) as `residues.own_residues` has filled it. Feet of the march err as its distances do: only those of the
-    cells beside the surface lie on it. ``motion`` = (velocity (n, 3), dt).
+    ``out`` (n,) as `residues.own_residues` has filled it. Closest points of the march err as its distances do: only
+    those of the cells beside the surface lie on it. ``motion`` = (velocity (n, 3), dt).
     """
     for s in range(start, stop):
         if beside[s]:
@@ -269,8 +289,8 @@ def order_of(distance):
 def upwind_table(start, stop, slot, grid, known, off, table):
     """Find the upwind neighbours that the slots ``off`` (m,) read an extended field's values from, and the weights.
 
-    ``known`` = (cells, foot, distance (mm, signed), state) of the band. ``table`` = (slots (m, 6) int32, shares (m, 6)
-    float32, 0 where none is read).
+    ``known`` = (cells, closest point, distance (mm, signed), state) of the band. ``table`` = (slots (m, 6) int32,
+    shares (m, 6) float32, 0 where none is read).
     """
     slots, shares = table
     up = np.empty(6, np.int64), np.empty(3, np.int64), np.empty((4, 3))
@@ -289,12 +309,14 @@ def upwind_table(start, stop, slot, grid, known, off, table):
 
 @kernel(stage=Stage.EXTENSION)
 def carry_outwards(off, slots, shares, values):
-    """Overwrite ``values`` (n,) at the slots ``off`` (m,), in this order, by what `upwind_table` has for them; serial.
+    """Overwrite ``values`` (n,) at the slots ``off`` (m,), in this order, by the means of `upwind_table`; serial.
 
     No value leaves the range of those that it comes from: a difference of second order would.
     """
     for row in range(off.shape[0]):
-        value, low, high = np.float32(0.0), np.float32(np.inf), np.float32(-np.inf)
+        value = np.float32(0.0)
+        low = np.float32(np.inf)
+        high = np.float32(-np.inf)
         for k in range(6):
             share = shares[row, k]
             if share != 0.0:
@@ -304,8 +326,12 @@ def carry_outwards(off, slots, shares, values):
         values[off[row]] = min(max(value, low), high) if low <= high else np.float32(0.0)
 
 
-#: State of a slot in a march: not reached; with a first estimate; accepted.
-FAR, TRIAL, ACCEPTED = 0, 1, 2
+#: State of a slot in a march: not reached yet.
+FAR = 0
+#: With a first estimate.
+TRIAL = 1
+#: Accepted: its distance is final.
+ACCEPTED = 2
 #: The neighbour beyond a neighbour counts where both have their closest points on the same piece of surface: then
 #: |p_1 - p_2|^2 + (d_1 - d_2)^2 = h^2 on a plane, and it may be at most this many h^2.
 SAME_SHEET = 1.5
@@ -314,12 +340,12 @@ MAX_ACROSS = 0.98
 
 
 @kernel
-def offset_of(foot, slot, other, grid, axis, sign):
+def offset_of(closest_point, slot, other, grid, axis, sign):
     """Squared distance (mm2) of the closest points of two slots, ``other`` a voxel further along ``axis``."""
     total = 0.0
     for a in range(3):
         h = grid.hz if a == 0 else (grid.hy if a == 1 else grid.hx)
-        d = foot[other, a] - foot[slot, a] + (sign * h if a == axis else 0.0)
+        d = closest_point[other, a] - closest_point[slot, a] + (sign * h if a == axis else 0.0)
         total += d * d
     return total
 
@@ -328,26 +354,39 @@ def offset_of(foot, slot, other, grid, axis, sign):
 def upwind_neighbours(cell, slot, grid, known, furthest, up):
     """The accepted neighbours of a cell from which its distance follows, per axis.
 
-    ``known`` = (cells, foot, distance (mm, signed), state); only those nearer than ``furthest`` mm count. ``up`` =
-    (slots (6,) int64: per axis the nearer of the two neighbours (-1: none) and the next beyond it (-1: first order);
-    sides (3,): -1, 1; terms (4, 3): d_1, t, e and the slope across a border, see `slope_across`).
+    ``known`` = (cells, closest point, distance (mm, signed), state); only those nearer than ``furthest`` mm count.
+    ``up`` = (slots (6,) int64: per axis the nearer of the two neighbours (-1: none) and the next beyond it (-1: first
+    order); sides (3,): -1, 1; terms (4, 3): d_1, t, e and the slope across a border, see `slope_across`).
     """
-    _, foot, distance, state = known
+    _, closest_point, distance, state = known
     slots, sides, terms = up
     iz, iy, ix = unravel(cell, grid)
     nearest = -1
     for axis in range(3):
-        h, n, stride = grid.hz, grid.nz, grid.ny * grid.nx
+        h = grid.hz
+        n = grid.nz
+        stride = grid.ny * grid.nx
         at = iz
         if axis == 1:
-            h, n, stride, at = grid.hy, grid.ny, grid.nx, iy
+            h = grid.hy
+            n = grid.ny
+            stride = grid.nx
+            at = iy
         elif axis == 2:
-            h, n, stride, at = grid.hx, grid.nx, 1, ix
-        slots[axis], slots[3 + axis], terms[0, axis], terms[3, axis] = -1, -1, 1e30, 0.0
+            h = grid.hx
+            n = grid.nx
+            stride = 1
+            at = ix
+        slots[axis] = -1
+        slots[3 + axis] = -1
+        terms[0, axis] = 1e30
+        terms[3, axis] = 0.0
         for sign in (-1, 1):
             s = slot[cell + sign * stride] if 0 <= at + sign < n else -1
             if s >= 0 and state[s] == ACCEPTED and abs(distance[s]) < min(furthest, terms[0, axis]):
-                slots[axis], sides[axis], terms[0, axis] = s, sign, abs(distance[s])
+                slots[axis] = s
+                sides[axis] = sign
+                terms[0, axis] = abs(distance[s])
         s, sign = slots[axis], sides[axis]
         if s < 0:
             continue
@@ -363,7 +402,8 @@ def upwind_neighbours(cell, slot, grid, known, furthest, up):
             rise = terms[0, axis] - d
             if (
                 rise >= 0.0
-                and offset_of(foot, s, other, grid, axis, sign) + rise * rise <= SAME_SHEET * h * h
+                and offset_of(closest_point, s, other, grid, axis, sign) + rise * rise
+                <= SAME_SHEET * h * h
             ):
                 slots[3 + axis] = other
                 terms[1, axis], terms[2, axis] = (4.0 * terms[0, axis] - d) / 3.0, 2.0 * h / 3.0
@@ -386,7 +426,7 @@ def slope_across(index, grid, known, nearest, up):
     Where the closest points lie beyond a border there is no neighbour to take the distance from: psi is continued
     straight, its slope across the border being that of the nearest neighbour.
     """
-    _, foot, distance, _ = known
+    _, closest_point, distance, _ = known
     slots, _, terms = up
     s = slots[nearest]
     d = abs(distance[s])
@@ -399,10 +439,17 @@ def slope_across(index, grid, known, nearest, up):
             else ((grid.ny, index[1]) if axis == 1 else (grid.nx, index[2]))
         )
         out = -1.0 if at == 0 else 1.0
-        if n > 1 and (at == 0 or at == n - 1) and axis != nearest and out * foot[s, axis] > 0.0:
-            # A neighbour further in is not what the distance comes from.
-            slots[axis], slots[3 + axis], terms[0, axis] = -1, -1, 1e30
-            terms[3, axis] = min(abs(foot[s, axis]) / d, MAX_ACROSS)
+        if (
+            n > 1
+            and (at == 0 or at == n - 1)
+            and axis != nearest
+            and out * closest_point[s, axis] > 0.0
+        ):
+            # The distance does not come from a neighbour further in.
+            slots[axis] = -1
+            slots[3 + axis] = -1
+            terms[0, axis] = 1e30
+            terms[3, axis] = min(abs(closest_point[s, axis]) / d, MAX_ACROSS)
 
 
 @kernel
@@ -422,7 +469,10 @@ def solve_distance(up, grid, second):
         most = min(most, terms[0, axis] + h)
     limit, furthest = 1e29, 0.0
     while furthest >= 0.0:
-        a, b, c, furthest = 0.0, 0.0, 0.0, -1.0
+        a = 0.0
+        b = 0.0
+        c = 0.0
+        furthest = -1.0
         for axis in range(3):
             d = terms[0, axis]
             if slots[axis] < 0 or d >= limit:
@@ -430,7 +480,10 @@ def solve_distance(up, grid, second):
             h = grid.hz if axis == 0 else (grid.hy if axis == 1 else grid.hx)
             t, e = (terms[1, axis], terms[2, axis]) if second else (d, h)
             w = 1.0 / (e * e)
-            a, b, c, furthest = a + w, b + w * t, c + w * t * t, max(furthest, d)
+            a = a + w
+            b = b + w * t
+            c = c + w * t * t
+            furthest = max(furthest, d)
         disc = b * b - a * (c - rest)
         if furthest >= 0.0 and disc >= 0.0 and b + np.sqrt(disc) > a * furthest:
             return min((b + np.sqrt(disc)) / a, most)
@@ -473,13 +526,27 @@ def upwind_weights(d, up, weights):
 def estimate(cell, slot, grid, distance, state):
     """First-order distance (mm) of a cell from its accepted neighbours, of which there is one at least."""
     iz, iy, ix = unravel(cell, grid)
-    d0, w0, d1, w1, d2, w2 = 1e30, 0.0, 1e30, 0.0, 1e30, 0.0
+    d0 = 1e30
+    w0 = 0.0
+    d1 = 1e30
+    w1 = 0.0
+    d2 = 1e30
+    w2 = 0.0
     for axis in range(3):
-        h, n, stride, at = grid.hz, grid.nz, grid.ny * grid.nx, iz
+        h = grid.hz
+        n = grid.nz
+        stride = grid.ny * grid.nx
+        at = iz
         if axis == 1:
-            h, n, stride, at = grid.hy, grid.ny, grid.nx, iy
+            h = grid.hy
+            n = grid.ny
+            stride = grid.nx
+            at = iy
         elif axis == 2:
-            h, n, stride, at = grid.hx, grid.nx, 1, ix
+            h = grid.hx
+            n = grid.nx
+            stride = 1
+            at = ix
         d, w = 1e30, 1.0 / (h * h)
         for sign in (-1, 1):
             s = slot[cell + sign * stride] if 0 <= at + sign < n else -1
@@ -494,13 +561,19 @@ def estimate(cell, slot, grid, distance, state):
             d2, w2 = d, w
     # (d - d0)^2 w0 + (d - d1)^2 w1 + ... = 1, measured from d0, with as many terms as are nearer than d.
     best = 1.0 / np.sqrt(w0)
-    a, b, c = w0, 0.0, -1.0
+    a = w0
+    b = 0.0
+    c = -1.0
     if d1 - d0 < best:
         u = d1 - d0
-        a, b, c = a + w1, b + w1 * u, c + w1 * u * u
+        a = a + w1
+        b = b + w1 * u
+        c = c + w1 * u * u
         best = (b + np.sqrt(max(b * b - a * c, 0.0))) / a
         if d2 - d0 < best:
             u = d2 - d0
-            a, b, c = a + w2, b + w2 * u, c + w2 * u * u
+            a = a + w2
+            b = b + w2 * u
+            c = c + w2 * u * u
             best = (b + np.sqrt(max(b * b - a * c, 0.0))) / a
     return d0 + best

@@ -34,7 +34,10 @@ def hll_flux(left, right, stiffness, out):
     Harten, Lax and van Leer with the slowest and the fastest wave of both sides; into a void a wave runs at V + 2 c.
     Without pressure these are the two velocities themselves: apart they leave a void, together they merge.
     """
-    rl, vl, rr, vr = left[0], left[1], right[0], right[1]
+    rl = left[0]
+    vl = left[1]
+    rr = right[0]
+    vr = right[1]
     cl, cr = np.sqrt(stiffness * rl), np.sqrt(stiffness * rr)
     if rr <= 0.0:
         slow, fast = vl - cl, vl + 2.0 * cl
@@ -61,8 +64,8 @@ def load_line(flat, where, axis, limits, line):
     """Copy a line of the raveled fluid (4, cells) as (rho, V_n, V_t, V_s) into ``line`` (4, count + 4).
 
     ``where``: first cell, stride, count; ``limits``: stiffness, dry. Two cells beyond either end repeat the last one:
-    what reaches the border flows out. Where rho is at most ``dry`` there is no velocity. Returns the first and one past
-    the last cell where something may flow, as indices of the line.
+    mass that reaches the border flows out. Where rho is at most ``dry`` there is no velocity. Returns the first and one
+    past the last cell where something may flow, as indices of the line.
     """
     base, stride, count = where
     stiffness, dry = limits
@@ -102,10 +105,10 @@ def evolved_faces(line, i, ratio, stiffness, low, high):
         for q in range(4):
             low[q] = high[q] = line[q, i]
         return
-    push = -change * (v * dv + stiffness * drho)
+    impulse = -change * (v * dv + stiffness * drho)
     turn, bend = -change * v * (high[2] - low[2]), -change * v * (high[3] - low[3])
     low[0], high[0] = low[0] + gain, high[0] + gain
-    low[1], high[1] = low[1] + push, high[1] + push
+    low[1], high[1] = low[1] + impulse, high[1] + impulse
     low[2], high[2] = low[2] + turn, high[2] + turn
     low[3], high[3] = low[3] + bend, high[3] + bend
 
@@ -229,18 +232,16 @@ def fastest_waves(first, last, fluid, limits, out):
 @kernel
 def corners_around(grid, pz, py, px, cells, shares):
     """Cells (8,) around a point, in voxels, and their ``shares`` (8,) in linear interpolation."""
-    pz, py, px = (
-        min(max(pz, 0.0), grid.nz - 1.0),
-        min(max(py, 0.0), grid.ny - 1.0),
-        min(max(px, 0.0), grid.nx - 1.0),
-    )
-    z, y, x = (
-        min(int(pz), max(grid.nz - 2, 0)),
-        min(int(py), max(grid.ny - 2, 0)),
-        min(int(px), max(grid.nx - 2, 0)),
-    )
+    pz = min(max(pz, 0.0), grid.nz - 1.0)
+    py = min(max(py, 0.0), grid.ny - 1.0)
+    px = min(max(px, 0.0), grid.nx - 1.0)
+    z = min(int(pz), max(grid.nz - 2, 0))
+    y = min(int(py), max(grid.ny - 2, 0))
+    x = min(int(px), max(grid.nx - 2, 0))
     for corner in range(8):
-        i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+        i = corner >> 2
+        j = (corner >> 1) & 1
+        k = corner & 1
         share = (pz - z if i == 1 else 1.0 - (pz - z)) * (py - y if j == 1 else 1.0 - (py - y))
         share *= px - x if k == 1 else 1.0 - (px - x)
         shares[corner] = share
@@ -253,12 +254,12 @@ def point_across(s, sample, grid, band, layer):
     """Weight and place (z, y, x), in voxels, of a ``sample`` of the mean across the surface at cell ``s``."""
     _, normal, width, shift = layer
     iz, iy, ix = unravel(band.cells[s], grid)
-    foot, n = band.to_closest[s], normal[s]
+    closest_point, n = band.to_closest[s], normal[s]
     along = (2.0 * sample + 1.0) / SAMPLES - 1.0
     away = along * width / max(voxels_along(n[0], n[1], n[2], grid), 1e-30)
-    pz = iz + (foot[0] + shift[s, 0] + away * n[0]) / grid.hz
-    py = iy + (foot[1] + shift[s, 1] + away * n[1]) / grid.hy
-    px = ix + (foot[2] + shift[s, 2] + away * n[2]) / grid.hx
+    pz = iz + (closest_point[0] + shift[s, 0] + away * n[0]) / grid.hz
+    py = iy + (closest_point[1] + shift[s, 1] + away * n[1]) / grid.hy
+    px = ix + (closest_point[2] + shift[s, 2] + away * n[2]) / grid.hx
     return bump(abs(along)) / SAMPLES, pz, py, px
 
 
@@ -275,7 +276,9 @@ def means_across(start, stop, fluid, grid, band, layer, out):
         Cells that are measured, the others get 0; normal; width, voxels; shift of the points, mm.
     """
     flat = fluid.reshape(4, -1)
-    total, cells, shares = np.empty(4), np.empty(8, np.int64), np.empty(8)
+    total = np.empty(4)
+    cells = np.empty(8, np.int64)
+    shares = np.empty(8)
     for s in range(start, stop):
         out[s, :] = 0.0
         if not layer[0][s]:
@@ -294,7 +297,7 @@ def means_across(start, stop, fluid, grid, band, layer, out):
 
 
 @kernel(stage=Stage.FLOW)
-def spread_across(start, stop, slot, grid, band, layer, values, out):
+def extend_across(start, stop, slot, grid, band, layer, values, out):
     """Add ``values`` (n, 3) of the cells to the band cells across the surface, into ``out`` (n, 3): by one thread.
 
     The adjoint of `means_across`: where values are area x force/(rho x voxel), the accelerations that come out work on
@@ -321,12 +324,17 @@ def probe_inside(start, stop, fluid, grid, band, normal, depths, out):
     cells, shares = np.empty(8, np.int64), np.empty(8)
     for s in range(start, stop):
         iz, iy, ix = unravel(band.cells[s], grid)
-        foot, n = band.to_closest[s], normal[s]
+        closest_point, n = band.to_closest[s], normal[s]
         mm = 1.0 / max(voxels_along(n[0], n[1], n[2], grid), 1e-30)
         for d in range(2):
             away = depths[d] * mm
-            pz, py = iz + (foot[0] + away * n[0]) / grid.hz, iy + (foot[1] + away * n[1]) / grid.hy
-            corners_around(grid, pz, py, ix + (foot[2] + away * n[2]) / grid.hx, cells, shares)
+            pz, py = (
+                iz + (closest_point[0] + away * n[0]) / grid.hz,
+                iy + (closest_point[1] + away * n[1]) / grid.hy,
+            )
+            corners_around(
+                grid, pz, py, ix + (closest_point[2] + away * n[2]) / grid.hx, cells, shares
+            )
             for q in range(4):
                 value = 0.0
                 for corner in range(8):
@@ -337,19 +345,23 @@ def probe_inside(start, stop, fluid, grid, band, normal, depths, out):
 
 
 @kernel(stage=Stage.FLOW)
-def push_layer(start, stop, fluid, grid, cells, push, limit):
-    """Accelerate the fluid in place: V += ``push`` (n, 3), mm per unit time, in the band's ``cells`` (n,).
+def accelerate_layer(start, stop, fluid, grid, cells, impulse, limit):
+    """Accelerate the fluid in place: V += ``impulse`` (n, 3), mm per unit time, in the band's ``cells`` (n,).
 
     Where |V| is then above ``limit``, voxels per unit time, it becomes that; cells without a push stay as they are.
     """
     flat = fluid.reshape(4, -1)
     for s in range(start, stop):
-        z, y, x = push[s]
+        z, y, x = impulse[s]
         if z == 0.0 and y == 0.0 and x == 0.0:
             continue
         cell = cells[s]
         rho = np.float64(flat[0, cell])
-        z, y, x = flat[1, cell] + rho * z, flat[2, cell] + rho * y, flat[3, cell] + rho * x
+        z = flat[1, cell] + rho * z
+        y = flat[2, cell] + rho * y
+        x = flat[3, cell] + rho * x
         rate = voxels_along(z, y, x, grid)
         factor = limit * rho / rate if rate > limit * rho else 1.0
-        flat[1, cell], flat[2, cell], flat[3, cell] = factor * z, factor * y, factor * x
+        flat[1, cell] = factor * z
+        flat[2, cell] = factor * y
+        flat[3, cell] = factor * x

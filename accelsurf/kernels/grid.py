@@ -34,8 +34,7 @@ class Band(NamedTuple):
     """Narrow band: cells in raster order, with what is known about each.
 
     ``cells`` (n,) int64 raveled index; ``psi`` (n,) float32 signed distance, mm; ``to_closest`` (n, 3) float32
-    vector (z, y, x) in mm from the cell to its closest point on the surface. In `accelsurf.kernels` the *foot* of a
-    cell is this closest point, as the foot of a perpendicular.
+    vector (z, y, x) in mm from the cell to its closest point on the surface.
     """
 
     cells: np.ndarray

@@ -18,7 +18,8 @@ from accelsurf.kernels.simd.cubic import cubic
 def place_on_axis(p, n):
     """First of the four nodes, or of all ``n``, around position ``p`` (voxels) on an axis, and the place among them.
 
-    ``p`` beyond the axis is clamped to its ends. Returns (base, u, beyond), where ``beyond`` is what was clamped.
+    ``p`` beyond the axis is clamped to its ends. Returns (base, u, beyond), where ``beyond`` is the distance that was
+    clamped.
     """
     clamped = min(max(p, 0.0), n - 1.0)
     base = min(max(int(np.floor(clamped)) - 1, 0), max(n - 4, 0))
@@ -28,7 +29,9 @@ def place_on_axis(p, n):
 @kernel(inlined=True)
 def four_weights(u):
     """Weights of four nodes at the place ``u`` from the first: of the value, then of the derivative per voxel."""
-    a, b, c = u - 1.0, u - 2.0, u - 3.0
+    a = u - 1.0
+    b = u - 2.0
+    c = u - 3.0
     return (
         -a * b * c / 6.0,
         u * b * c / 2.0,
@@ -46,7 +49,7 @@ def axis_weights(p, n, w, o):
     """Weights of the nodes ``base .. base + count - 1`` for position ``p`` (voxels) on an axis of ``n`` nodes.
 
     ``w[o:o+4]`` get the weights of the value, ``w[o+4:o+8]`` those of the derivative per voxel. ``p`` beyond the
-    axis is clamped to its ends; the returned ``beyond`` is what was clamped, for a linear continuation.
+    axis is clamped to its ends; the returned ``beyond`` is the distance that was clamped, for a linear continuation.
     Returns (base, count, beyond).
     """
     base, u, beyond = place_on_axis(p, n)
@@ -165,7 +168,10 @@ def value_at(array, grid, pz, py, px, w):
 def linear_cell(array, at, dy, dz, tz, ty, tx):
     """Linear interpolation among node ``at`` and the next along z, y (strides ``dz``, ``dy``) and x."""
     # Unsigned: a signed index is tested for being negative at every read.
-    at, dy, dz, dx = np.uint64(at), np.uint64(dy), np.uint64(dz), np.uint64(1)
+    at = np.uint64(at)
+    dy = np.uint64(dy)
+    dz = np.uint64(dz)
+    dx = np.uint64(1)
     a, b = (
         array[at] + tx * (array[at + dx] - array[at]),
         array[at + dy] + tx * (array[at + dy + dx] - array[at + dy]),
@@ -185,8 +191,12 @@ def linear_at(array, grid, pz, py, px):
     pz = min(max(pz, 0.0), grid.nz - 1.0)
     py = min(max(py, 0.0), grid.ny - 1.0)
     px = min(max(px, 0.0), grid.nx - 1.0)
-    iz, iy, ix = int(pz), int(py), int(px)
-    tz, ty, tx = pz - iz, py - iy, px - ix
+    iz = int(pz)
+    iy = int(py)
+    ix = int(px)
+    tz = pz - iz
+    ty = py - iy
+    tx = px - ix
     dz = grid.ny * grid.nx if iz < grid.nz - 1 else 0
     dy = grid.nx if iy < grid.ny - 1 else 0
     dx = 1 if ix < grid.nx - 1 else 0
@@ -207,17 +217,22 @@ def band_rows(slot, n_slots, at, sy, sz, rows):
     """
     odd = np.int32(0)
     # Unsigned: a signed index is tested for being negative at every read.
-    a, sy, sz = np.uint64(at), np.uint64(sy), np.uint64(sz)
+    a = np.uint64(at)
+    sy = np.uint64(sy)
+    sz = np.uint64(sz)
     three = np.uint64(3)
     for i in range(np.uint64(4)):
-        b, c, d = a + sy, a + sy + sy, a + three * sy
-        first_a, first_b, first_c, first_d = slot[a], slot[b], slot[c], slot[d]
-        last_a, last_b, last_c, last_d = (
-            slot[a + three],
-            slot[b + three],
-            slot[c + three],
-            slot[d + three],
-        )
+        b = a + sy
+        c = a + sy + sy
+        d = a + three * sy
+        first_a = slot[a]
+        first_b = slot[b]
+        first_c = slot[c]
+        first_d = slot[d]
+        last_a = slot[a + three]
+        last_b = slot[b + three]
+        last_c = slot[c + three]
+        last_d = slot[d + three]
         a += sz
         # -1 is no slot: a negative first or a last that is not three further leaves bits.
         odd |= (first_a | first_b | first_c | first_d) & np.int32(-0x80000000)
@@ -270,7 +285,9 @@ def linear_band_value(values, slot, n_slots, grid, position, first=0):
     pz = min(max(position[0], 0.0), grid.nz - 1.0)
     py = min(max(position[1], 0.0), grid.ny - 1.0)
     px = min(max(position[2], 0.0), grid.nx - 1.0)
-    iz, iy, ix = int(pz), int(py), int(px)
+    iz = int(pz)
+    iy = int(py)
+    ix = int(px)
     at = (iz * grid.ny + iy) * grid.nx + ix
     dz = grid.ny * grid.nx if iz < grid.nz - 1 else 0
     dy, dx = grid.nx if iy < grid.ny - 1 else 0, 1 if ix < grid.nx - 1 else 0
@@ -297,13 +314,21 @@ def linear_band_value(values, slot, n_slots, grid, position, first=0):
 #: Second differences at the two inner nodes of a line may differ by this part of the spacing, and none may be larger
 #: than the smaller of the two (minmod) by more. Across a ridge they differ by up to 2.
 MAX_CHANGE = 0.25
-#: Rows of the memory of `limited_in_vectors`, `BATCH` long each, one array for the compiler to see that they are apart:
-#: the place of a point among the four nodes of each axis, z, y, x, and what lies beyond the border; the weights of a
-#: value and of a slope along these axes; four nodes of a line; of the four lines of a plane the values and slopes along
-#: x; of the four planes the values and slopes along x and y; psi and its gradient per mm, z, y, x.
-INNER, BEYOND, WEIGHTS, NODES, LINES, PLANES, LEVELS = (
-    np.uint64(row * BATCH) for row in (0, 3, 6, 30, 34, 42, 54)
-)
+# Rows of the memory of `limited_in_vectors`, `BATCH` long each, one array for the compiler to see that they are apart.
+#: Place of a point among the four nodes of each axis, z, y, x.
+INNER = np.uint64(0 * BATCH)
+#: Distance beyond the border, z, y, x.
+BEYOND = np.uint64(3 * BATCH)
+#: Weights of a value and of a slope along these axes.
+WEIGHTS = np.uint64(6 * BATCH)
+#: Four nodes of a line.
+NODES = np.uint64(30 * BATCH)
+#: Values and slopes along x of the four lines of a plane.
+LINES = np.uint64(34 * BATCH)
+#: Values and slopes along x and y of the four planes.
+PLANES = np.uint64(42 * BATCH)
+#: Psi and its gradient per mm, z, y, x.
+LEVELS = np.uint64(54 * BATCH)
 ROWS = 58
 #: Entry k: from a row of that memory to the k-th after it.
 ON = tuple(np.uint64(row * BATCH) for row in range(9))
@@ -327,7 +352,9 @@ def limited_in_vectors(count, psi, grid, first, memory):
     `limited_memory`, say where among the nodes the points are, and the row LEVELS and those after it get psi and its
     gradient per mm, z, y, x. A point gets the same bits in any column: vectors round nothing of this otherwise.
     """
-    nz, ny, nx = min(grid.nz, 4), min(grid.ny, 4), min(grid.nx, 4)
+    nz = min(grid.nz, 4)
+    ny = min(grid.ny, 4)
+    nx = min(grid.nx, 4)
     weights_in_vectors(count, grid.nz, INNER, WEIGHTS, memory)
     weights_in_vectors(count, grid.ny, INNER + ON[1], WEIGHTS + ON[8], memory)
     weights_in_vectors(count, grid.nx, INNER + ON[2], WEIGHTS + ON[8] + ON[8], memory)
@@ -366,19 +393,15 @@ def weights_in_vectors(count, n, at, to, memory):
         return
     for i in range(np.uint64(count)):
         w0, w1, w2, w3, s0, s1, s2, s3 = four_weights(memory[at + i])
-        memory[to + i], memory[to + ON[1] + i], memory[to + ON[2] + i], memory[to + ON[3] + i] = (
-            w0,
-            w1,
-            w2,
-            w3,
-        )
+        memory[to + i] = w0
+        memory[to + ON[1] + i] = w1
+        memory[to + ON[2] + i] = w2
+        memory[to + ON[3] + i] = w3
         slopes = to + ON[4] + i
-        memory[slopes], memory[slopes + ON[1]], memory[slopes + ON[2]], memory[slopes + ON[3]] = (
-            s0,
-            s1,
-            s2,
-            s3,
-        )
+        memory[slopes] = s0
+        memory[slopes + ON[1]] = s1
+        memory[slopes + ON[2]] = s2
+        memory[slopes + ON[3]] = s3
 
 
 @kernel
@@ -398,7 +421,7 @@ def load_nodes(count, length, psi, first, shift, memory):
 
 @kernel(inlined=True)
 def bends(a, b, c, d, most):
-    """Replacement of the outer nodes of a line a, b, c, d: whether a is, d is, both by parabolas, what each gets added.
+    """Replacement of the outer nodes of a line a, b, c, d: whether a is, d is, both by parabolas, the addition to each.
 
     The second differences at b and c are limited to ``most`` more or less than the smaller of them, 0 where their
     signs differ: an outer node is replaced by the parabola through the other three, or by the line through the inner
@@ -414,7 +437,7 @@ def bends(a, b, c, d, most):
 
 @kernel(inlined=True)
 def bent(replaced, parabola, more, a, b, c, d):
-    """The node a of a line ``a, b, c, d``, or what it is ``replaced`` by, see `bends`."""
+    """The node a of a line ``a, b, c, d``, or its replacement where ``replaced``, see `bends`."""
     node = 2.0 * b - c + more
     node = node + (b - 2.0 * c + d) if parabola else node
     return node if replaced else a
@@ -460,7 +483,7 @@ def limited_line(memory, at, weights, most):
 def slope_along(memory, at, weights, limited):
     """A slope across a line from those at its nodes, ``limited`` as `limited_line` has limited the values there.
 
-    The slopes of what was added to the values are 0.
+    The slopes of the additions are 0.
     """
     new_a, new_d, parabola = limited
     a, b, c, d = four_nodes(memory, at)
@@ -485,7 +508,9 @@ def lines_along_y(count, plane, most, memory):
         value, gy, limited = limited_line(memory, LINES + i, weights + i, most)
         gx = slope_along(memory, LINES + ON[4] + i, weights + i, limited)
         at = PLANES + plane + i
-        memory[at], memory[at + ON[4]], memory[at + ON[8]] = value, gx, gy
+        memory[at] = value
+        memory[at + ON[4]] = gx
+        memory[at + ON[8]] = gy
 
 
 @kernel

@@ -1,10 +1,10 @@
 """Marching of closest points: distance, band membership and extension from the front outwards.
 
-Every cell has the vector to its closest point on the surface (its foot). Most get it from the cubic interpolant
-at once; the others, and the cells that enter, adopt the foot of a neighbour that has a closer one and refine it, as in
-vector distance transforms, round by round until nothing changes: every round reads the last one only, so it runs in
-several threads and gives the same bytes for any number of them. A field is extended by its value at the foot, so
-grad F . grad psi = 0.
+Every cell has the vector to its closest point on the surface. Most get it from the cubic interpolant
+at once; the others, and the cells that enter, adopt the closest point of a neighbour that has a closer one and refine
+it, as in vector distance transforms, round by round until nothing changes: every round reads the last one only, so it
+runs in several threads and gives the same bytes for any number of them. A field is extended by its value at the closest
+point, so grad F . grad psi = 0.
 """
 
 from __future__ import annotations
@@ -19,34 +19,38 @@ from accelsurf.kernels.closest import (
     NEXT,
     OFFSET,
     PLACE,
+    closest_point_memory,
     closest_points,
     crossing_point,
-    feet_memory,
-    guess_feet,
+    guess_closest_points,
     guess_memory,
     is_between_signs,
     is_near_volume,
 )
 from accelsurf.kernels.grid import BATCH, is_thick, neighbours, step_of, unravel, voxels_along
 
-#: State of a slot's foot: not known yet; known; known, and a neighbour is not in the band.
-OPEN, FROZEN, EDGE = 0, 1, 2
-#: A foot may lie this many voxels beyond the border; a surface further out has left the volume.
+#: State of a slot's closest point: not known yet.
+OPEN = 0
+#: Known.
+FROZEN = 1
+#: Known, and a neighbour is not in the band.
+EDGE = 2
+#: A closest point may lie this many voxels beyond the border; a surface further out has left the volume.
 MARGIN = 1.0
 #: A cell enters when it is at most this much beyond the band, voxels, by its neighbour's tangent plane.
 SLACK = 0.1
 #: Along each axis of a grid of thick slices the band extends so many voxels from a change of the sign.
-REACH = 3
+STENCIL_WIDTH = 3
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def find_feet(start, stop, dense, grid, band, guide, foot, state):
-    """Foot of every cell of the range from psi as it is; ``state`` becomes OPEN where it is not found.
+def find_closest_points(start, stop, dense, grid, band, guide, closest_point, state):
+    """Closest point of every cell of the range from psi as it is; ``state`` becomes OPEN where it is not found.
 
     Cells beside the front always find one: the closest point of the interpolant, or, where that fails or
     lies beyond the nearest edge crossing (voxel-sized features), the linear plane through the crossings.
-    ``band`` is the band when psi was last a distance; ``guide`` = (inner, residue (n,), limited): see `guess_feet`,
-    `residues` and `limited`. ``to_closest`` (n, 3) float32 and ``state`` (n,) int8 are written.
+    ``band`` is the band when psi was last a distance; ``guide`` = (inner, residue (n,), limited): see
+    `guess_closest_points`, `residues` and `limited`. ``to_closest`` (n, 3) float32 and ``state`` (n,) int8 are written.
     """
     psi = dense.psi
     near = np.empty(6, np.int64)
@@ -55,7 +59,7 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
     w = np.empty(24)
     scratch = near, guess, guess_memory()
     place = scratch[2][0][PLACE:]
-    memory, feet, status = feet_memory()
+    memory, points, status = closest_point_memory()
     inner, residue, limited = guide
     offset = memory[OFFSET : OFFSET + BATCH]
     memory[LIMITED : LIMITED + BATCH] = limited
@@ -63,8 +67,8 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
     within, around = np.empty(BATCH, np.bool_), np.empty(BATCH, np.bool_)
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
-        guess_feet(
-            slots[:count], dense, grid, band, (inner, residue), scratch, (feet, beside, offset)
+        guess_closest_points(
+            slots[:count], dense, grid, band, (inner, residue), scratch, (points, beside, offset)
         )
         slots += BATCH
         closest_points(count, psi, grid, band.cells[first:stop], memory, w)
@@ -73,48 +77,57 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
             s = first + i
             cell = band.cells[s]
             n = np.uint64(i)
-            iz, iy, ix = (
-                np.int64(place[n]),
-                np.int64(place[n + NEXT]),
-                np.int64(place[n + NEXT + NEXT]),
-            )
-            guess[0], guess[1], guess[2] = feet[0, i], feet[1, i], feet[2, i]
+            iz = np.int64(place[n])
+            iy = np.int64(place[n + NEXT])
+            ix = np.int64(place[n + NEXT + NEXT])
+            guess[0] = points[0, i]
+            guess[1] = points[1, i]
+            guess[2] = points[2, i]
             found = status[i] == FOUND and around[i]
             bound = -1.0
             if beside[i]:
                 neighbours(cell, iz, iy, ix, grid, near)
                 bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
             # Beyond the border psi is only continued, and so is its jump to +-gamma.
-            state[s] = accept_foot(
+            state[s] = accept_closest_point(
                 psi[cell], grid, plane, bound, guess, found, 0.5 if within[i] else 0.9
             )
             if within[i] and not beside[i] and state[s] == FROZEN:
                 if not is_between_signs(psi, grid, iz, iy, ix, guess):
                     state[s] = OPEN
-            foot[s, 0], foot[s, 1], foot[s, 2] = guess[0], guess[1], guess[2]
+            closest_point[s, 0] = guess[0]
+            closest_point[s, 1] = guess[1]
+            closest_point[s, 2] = guess[2]
 
 
 @kernel
-def check_volume(grid, place, feet, within, around):
-    """Test if the feet of a batch lie ``within`` the volume, and within `MARGIN` ``around`` it, (`BATCH`,) bool.
+def check_volume(grid, place, points, within, around):
+    """Test if the closest points of a batch lie ``within`` the volume, and within `MARGIN` ``around`` it, (`BATCH`,)
+    bool.
 
-    ``place`` and ``feet`` hold rows z, y, x of the cells' indices and of the feet (mm), one after the other. Of all
-    columns alike, so that it runs in vectors.
+    ``place`` and ``points`` hold rows z, y, x of the cells' indices and of the closest points (mm), one after the
+    other. Of all columns alike, so that it runs in vectors.
     """
     for i in range(np.uint64(BATCH)):
-        iz, iy, ix = place[i], place[i + NEXT], place[i + NEXT + NEXT]
-        foot = np.float64(feet[i]), np.float64(feet[i + NEXT]), np.float64(feet[i + NEXT + NEXT])
-        inside = is_near_volume(grid, iz, iy, ix, foot, 0.0)
+        iz = place[i]
+        iy = place[i + NEXT]
+        ix = place[i + NEXT + NEXT]
+        closest_point = (
+            np.float64(points[i]),
+            np.float64(points[i + NEXT]),
+            np.float64(points[i + NEXT + NEXT]),
+        )
+        inside = is_near_volume(grid, iz, iy, ix, closest_point, 0.0)
         within[i] = inside
-        around[i] = inside | is_near_volume(grid, iz, iy, ix, foot, MARGIN)
+        around[i] = inside | is_near_volume(grid, iz, iy, ix, closest_point, MARGIN)
 
 
 @kernel
-def accept_foot(value, grid, plane, bound, guess, found, least):
-    """Decide if a foot, ``found`` at ``guess``, is accepted for a cell with psi = ``value``: FROZEN or OPEN.
+def accept_closest_point(value, grid, plane, bound, guess, found, least):
+    """Decide if a closest point, ``found`` at ``guess``, is accepted for a cell with psi = ``value``: FROZEN or OPEN.
 
-    A foot at less than ``least`` of the distance by psi is not on the surface. Where an edge crossing, ``bound`` mm off
-    (-1: there is none), lies closer, the foot of its ``plane`` is put there.
+    A closest point at less than ``least`` of the distance by psi is not on the surface. Where an edge crossing,
+    ``bound`` mm off (-1: there is none), lies closer, the closest point of its ``plane`` is put there.
     """
     h = min(grid.hz, min(grid.hy, grid.hx))
     distance = np.sqrt(guess[0] * guess[0] + guess[1] * guess[1] + guess[2] * guess[2])
@@ -134,10 +147,11 @@ def length(v, s):
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def classify_feet(start, stop, dense, grid, cells, foot, state, reviewed):
-    """Compare each cell's foot with those of its neighbours, reading ``state`` (n,) and writing ``reviewed`` (n,) int8.
+def classify_closest_points(start, stop, dense, grid, cells, closest_point, state, reviewed):
+    """Compare each cell's closest point with those of its neighbours, reading ``state`` (n,) and writing ``reviewed``
+    (n,) int8.
 
-    OPEN when a neighbour's foot is closer; EDGE when a neighbour is not in the band (the march starts here).
+    OPEN when a neighbour's closest point is closer; EDGE when a neighbour is not in the band (the march starts here).
     """
     near = np.empty(6, np.int64)
     h = min(grid.hz, min(grid.hy, grid.hx))
@@ -148,7 +162,7 @@ def classify_feet(start, stop, dense, grid, cells, foot, state, reviewed):
         cell = cells[s]
         iz, iy, ix = unravel(cell, grid)
         neighbours(cell, iz, iy, ix, grid, near)
-        bound = length(foot, s) - MIN_GAIN * h
+        bound = length(closest_point, s) - MIN_GAIN * h
         least = bound * bound if bound > 0.0 else -1.0
         for side in range(6):
             if near[side] < 0:
@@ -159,7 +173,9 @@ def classify_feet(start, stop, dense, grid, cells, foot, state, reviewed):
             elif state[np.uint64(slot)] != OPEN:
                 other = np.uint64(slot)
                 oz, oy, ox = step_of(side, grid)
-                cz, cy, cx = foot[other, 0] + oz, foot[other, 1] + oy, foot[other, 2] + ox
+                cz = closest_point[other, 0] + oz
+                cy = closest_point[other, 1] + oy
+                cx = closest_point[other, 2] + ox
                 if cz * cz + cy * cy + cx * cx < least:
                     reviewed[s] = OPEN
                     break
@@ -182,42 +198,50 @@ def grown_rows(array):
 
 
 @kernel
-def tangent_foot(foot, via, grid, cz, cy, cx, out):
-    """Foot (into ``out``) of a cell whose neighbour ``via`` has the foot (cz, cy, cx) from the cell.
+def tangent_closest_point(closest_point, via, grid, cz, cy, cx, out):
+    """Closest point (into ``out``) of a cell whose neighbour ``via`` has the closest point (cz, cy, cx) from the cell.
 
     The point where the neighbour's tangent plane is closest: exact on a plane, and as good a guess as psi's slope
-    gives. The neighbour's own foot where that neighbour is too close to the surface to tell its normal.
+    gives. The neighbour's own closest point where that neighbour is too close to the surface to tell its normal.
     Returns its length in voxels.
     """
-    fz, fy, fx = foot[via, 0], foot[via, 1], foot[via, 2]
+    fz = closest_point[via, 0]
+    fy = closest_point[via, 1]
+    fx = closest_point[via, 2]
     length2 = fz * fz + fy * fy + fx * fx
     h = min(grid.hz, min(grid.hy, grid.hx))
     if length2 > 0.1 * h * h:
         along = (cz * fz + cy * fy + cx * fx) / length2
-        cz, cy, cx = along * fz, along * fy, along * fx
-    out[0], out[1], out[2] = cz, cy, cx
+        cz = along * fz
+        cy = along * fy
+        cx = along * fx
+    out[0] = cz
+    out[1] = cy
+    out[2] = cx
     return voxels_along(cz, cy, cx, grid)
 
 
 @kernel
-def is_within_reach(psi, grid, cell, voxels):
-    """Test if a cell with a foot of so many ``voxels`` belongs to the band on thick slices; on other grids all do.
+def is_within_stencil(psi, grid, cell, voxels):
+    """Test if a cell with a closest point ``voxels`` off belongs to the band on thick slices; on other grids all
+    do.
 
-    Where the spacings differ so much a foot may be long in voxels while the surface is near across the slices. So psi
-    must change its sign within `REACH` voxels: what is interpolated at the surface and beside it reads no others.
+    Where the spacings differ so much a closest point may be long in voxels while the surface is near across the slices.
+    So psi must change its sign within `STENCIL_WIDTH` voxels: interpolation at the surface and beside it reads
+    no others.
     """
-    if voxels <= REACH or not is_thick(grid):
+    if voxels <= STENCIL_WIDTH or not is_thick(grid):
         return True
     iz, iy, ix = unravel(cell, grid)
     inside = psi[np.uint64(cell)] < 0.0
-    for step in range(2 * REACH + 1):
+    for step in range(2 * STENCIL_WIDTH + 1):
         # The nearest slices first: 0, 1, -1, 2 ...
         az = iz + (step + 1) // 2 * (2 * (step % 2) - 1)
         if az < 0 or az >= grid.nz:
             continue
-        for ay in range(max(iy - REACH, 0), min(iy + REACH + 1, grid.ny)):
+        for ay in range(max(iy - STENCIL_WIDTH, 0), min(iy + STENCIL_WIDTH + 1, grid.ny)):
             row = (az * grid.ny + ay) * grid.nx
-            for ax in range(max(ix - REACH, 0), min(ix + REACH + 1, grid.nx)):
+            for ax in range(max(ix - STENCIL_WIDTH, 0), min(ix + STENCIL_WIDTH + 1, grid.nx)):
                 if (psi[np.uint64(row + ax)] < 0.0) != inside:
                     return True
     return False
@@ -225,19 +249,26 @@ def is_within_reach(psi, grid, cell, voxels):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def wake_neighbours(start, stop, dense, grid, known, sources, half_width, entering):
-    """Mark the neighbours in the band of the slots ``sources`` (m,), whose feet are new or at its edge, as active.
+    """Mark the neighbours in the band of the slots ``sources`` (m,), whose closest points are new or at its edge, as
+    active.
 
-    They may get a closer foot. A neighbour that is not in the band shall enter it when the tangent plane at the
-    source's foot is within ``half_width`` voxels (and `SLACK`) of it: ``entering`` (m,) uint8 gets a bit for its side.
-    ``known`` = (cells, foot, state, active bool), a row for each slot, of which ``active`` is written.
+    They may get a closer closest point. A neighbour that is not in the band shall enter it when the tangent plane at
+    the source's closest point is within ``half_width`` voxels (and `SLACK`) of it: ``entering`` (m,) uint8 gets a bit
+    for its side. ``known`` = (cells, closest point, state, active bool), a row for each slot, of which ``active`` is
+    written.
     """
-    cells, foot, _, active = known
+    cells, closest_point, _, active = known
     near = np.empty(6, np.int64)
     guess = np.empty(3)
     for row in range(np.uint64(start), np.uint64(stop)):
         entering[row] = 0
         source = np.uint64(sources[row])
-        if voxels_along(foot[source, 0], foot[source, 1], foot[source, 2], grid) > half_width:
+        if (
+            voxels_along(
+                closest_point[source, 0], closest_point[source, 1], closest_point[source, 2], grid
+            )
+            > half_width
+        ):
             continue
         cell = cells[source]
         iz, iy, ix = unravel(cell, grid)
@@ -252,9 +283,11 @@ def wake_neighbours(start, stop, dense, grid, known, sources, half_width, enteri
                 active[np.uint64(other)] = True
                 continue
             oz, oy, ox = step_of(side, grid)
-            cz, cy, cx = foot[source, 0] - oz, foot[source, 1] - oy, foot[source, 2] - ox
-            voxels = tangent_foot(foot, source, grid, cz, cy, cx, guess)
-            if voxels <= half_width + SLACK and is_within_reach(
+            cz = closest_point[source, 0] - oz
+            cy = closest_point[source, 1] - oy
+            cx = closest_point[source, 2] - ox
+            voxels = tangent_closest_point(closest_point, source, grid, cz, cy, cx, guess)
+            if voxels <= half_width + SLACK and is_within_stencil(
                 dense.psi, grid, near[side], voxels
             ):
                 sides |= 1 << side
@@ -270,8 +303,8 @@ def enter_neighbours(slot, grid, known, n, sources, entering):
     """
     done, n = enter_some(slot, grid, known, n, sources, entering, 0)
     while done < sources.shape[0]:
-        cells, foot, state, active = known
-        known = grown(cells), grown_rows(foot), grown(state), grown(active)
+        cells, closest_point, state, active = known
+        known = grown(cells), grown_rows(closest_point), grown(state), grown(active)
         done, n = enter_some(slot, grid, known, n, sources, entering, done)
     return known, n
 
@@ -298,7 +331,9 @@ def enter_some(slot, grid, known, n, sources, entering, first):
             at = cell + steps[side // 2] * (side % 2 * 2 - 1)
             # Another source may have let it in.
             if slot[at] < 0:
-                cells[n], state[n], active[n] = at, OPEN, True
+                cells[n] = at
+                state[n] = OPEN
+                active[n] = True
                 slot[at] = n
                 n += 1
     return sources.shape[0], n
@@ -322,10 +357,11 @@ def take_active(open_slots, n, total, active):
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def sort_changes(on, changed, was_open, refined_later):
-    """The slots ``on`` (m,) that have ``changed``, and those of them that were open: their first feet. Serial.
+def sort_changes(on, changed, was_open, refine_later):
+    """The slots ``on`` (m,) that have ``changed``, and those of them that were open: their first closest points.
+    Serial.
 
-    The others of them are marked in ``refined_later`` (n,) bool.
+    The others of them are marked in ``refine_later`` (n,) bool.
     """
     sources, first = np.empty(on.shape[0], np.int64), np.empty(on.shape[0], np.int64)
     count, n_first = 0, 0
@@ -334,21 +370,22 @@ def sort_changes(on, changed, was_open, refined_later):
         sources[count], first[n_first] = s, s
         count += np.int64(changed[row])
         n_first += np.int64(changed[row] & was_open[row])
-        refined_later[s] |= changed[row] & ~was_open[row]
+        refine_later[s] |= changed[row] & ~was_open[row]
     return sources[:count], first[:n_first]
 
 
 @kernel(inlined=True)
-def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
-    """The neighbour's foot that is closest to slot ``s``, when closer than its own by `MIN_GAIN`, into ``out``.
+def closer_point_of_neighbour(s, dense, grid, cells, closest_point, state, near, out):
+    """The neighbour's closest point that is closest to slot ``s``, when closer than its own by `MIN_GAIN`, into
+    ``out``.
 
     Returns the neighbour's slot, -1 where there is none.
     """
     h = min(grid.hz, min(grid.hy, grid.hx))
-    # Squares of distances: -1 where nothing can be closer. An open slot has no foot yet.
+    # Squares of distances: -1 where nothing can be closer. An open slot has no closest point yet.
     least = 1e30
     if state[s] != OPEN:
-        bound = length(foot, s) - MIN_GAIN * h
+        bound = length(closest_point, s) - MIN_GAIN * h
         least = bound * bound if bound > 0.0 else -1.0
     found = -1
     cell = cells[s]
@@ -360,56 +397,66 @@ def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
             continue
         other = np.uint64(slot)
         oz, oy, ox = step_of(side, grid)
-        cz, cy, cx = foot[other, 0] + oz, foot[other, 1] + oy, foot[other, 2] + ox
+        cz = closest_point[other, 0] + oz
+        cy = closest_point[other, 1] + oy
+        cx = closest_point[other, 2] + ox
         d = cz * cz + cy * cy + cx * cx
         if d < least:
             least, found = d, slot
-            out[0], out[1], out[2] = cz, cy, cx
+            out[0] = cz
+            out[1] = cy
+            out[2] = cx
     return found
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def propagate_feet(start, stop, dense, grid, known, on, out):
-    """One round: each of the slots ``on`` (m,) looks for a closer foot among its neighbours'.
+def propagate_closest_points(start, stop, dense, grid, known, on, out):
+    """One round: each of the slots ``on`` (m,) looks for a closer closest point among its neighbours'.
 
-    Reads ``known`` = (cells, foot, state, residue) and writes ``out`` = (better (m, 3), changed (m,), offset (m,)), for
-    `update_feet`. A foot comes with its residue.
+    Reads ``known`` = (cells, closest point, state, residue) and writes ``out`` = (better (m, 3), changed (m,), offset
+    (m,)), for `update_closest_points`. A closest point comes with its residue.
     """
-    cells, foot, state, residue = known
+    cells, closest_point, state, residue = known
     better, changed, offset = out
     near = np.empty(6, np.int64)
     guess = np.empty(3)
     for row in range(np.uint64(start), np.uint64(stop)):
-        donor = nearer_neighbour_foot(
-            np.uint64(on[row]), dense, grid, cells, foot, state, near, guess
+        donor = closer_point_of_neighbour(
+            np.uint64(on[row]), dense, grid, cells, closest_point, state, near, guess
         )
         changed[row] = donor >= 0
         offset[row] = residue[np.uint64(donor)] if donor >= 0 else 0.0
-        better[row, 0], better[row, 1], better[row, 2] = guess[0], guess[1], guess[2]
+        better[row, 0] = guess[0]
+        better[row, 1] = guess[1]
+        better[row, 2] = guess[2]
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def update_feet(start, stop, on, found, known):
-    """Enter in ``known`` = (foot, state, residue) what a round of `propagate_feet` has ``found``, its ``out``."""
+def update_closest_points(start, stop, on, found, known):
+    """Enter in ``known`` = (closest point, state, residue) what a round of `propagate_closest_points` has ``found``,
+    its ``out``.
+    """
     better, changed, offset = found
-    foot, state, residue = known
+    closest_point, state, residue = known
     for row in range(start, stop):
         if changed[row]:
             s = on[row]
-            foot[s, 0], foot[s, 1], foot[s, 2] = better[row, 0], better[row, 1], better[row, 2]
+            closest_point[s, 0] = better[row, 0]
+            closest_point[s, 1] = better[row, 1]
+            closest_point[s, 2] = better[row, 2]
             state[s], residue[s] = FROZEN, offset[row]
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def refine_feet(start, stop, psi, grid, cells, on, foot, guide):
-    """Move the feet of the slots ``on`` (m,), adopted from neighbours, to their own closest points.
+def refine_closest_points(start, stop, psi, grid, cells, on, closest_point, guide):
+    """Move the closest points of the slots ``on`` (m,), adopted from neighbours, to their own closest points.
 
-    ``guide`` = (residue, limited), see `find_feet`. A foot that does not get shorter, further off than the radius of
-    curvature, stays.
+    ``guide`` = (residue, limited), see `find_closest_points`. A closest point that does not get shorter, further off
+    than the radius of curvature, stays.
     """
     out = np.empty(3)
     w = np.empty(24)
-    memory, feet, status = feet_memory()
+    memory, points, status = closest_point_memory()
     at = np.empty(BATCH, np.int64)
     residue, limited = guide
     memory[LIMITED : LIMITED + BATCH] = limited
@@ -419,13 +466,19 @@ def refine_feet(start, stop, psi, grid, cells, on, foot, guide):
             s = on[first + i]
             at[i] = cells[s]
             memory[OFFSET + np.uint64(i)] = residue[s]
-            feet[0, i], feet[1, i], feet[2, i] = foot[s, 0], foot[s, 1], foot[s, 2]
+            points[0, i] = closest_point[s, 0]
+            points[1, i] = closest_point[s, 1]
+            points[2, i] = closest_point[s, 2]
         closest_points(count, psi, grid, at, memory, w)
         for i in range(count):
             s = on[first + i]
             iz, iy, ix = unravel(at[i], grid)
-            out[0], out[1], out[2] = feet[0, i], feet[1, i], feet[2, i]
+            out[0] = points[0, i]
+            out[1] = points[1, i]
+            out[2] = points[2, i]
             d = np.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
-            shorter = status[i] == FOUND and d <= length(foot, s) * (1.0 + 1e-3)
+            shorter = status[i] == FOUND and d <= length(closest_point, s) * (1.0 + 1e-3)
             if shorter and is_near_volume(grid, iz, iy, ix, out, MARGIN):
-                foot[s, 0], foot[s, 1], foot[s, 2] = out[0], out[1], out[2]
+                closest_point[s, 0] = out[0]
+                closest_point[s, 1] = out[1]
+                closest_point[s, 2] = out[2]

@@ -13,7 +13,7 @@ from accelsurf.kernels.simd.cubic import cubic_value
 
 @kernel(stage=Stage.ENERGY)
 def sample_image(start, stop, image, grid, band, front, out):
-    """Cubic interpolation of a raveled dense image at the foot of every front cell (0 elsewhere)."""
+    """Cubic interpolation of a raveled dense image at the closest point of every front cell (0 elsewhere)."""
     w = np.empty(24)
     for s in range(np.uint64(start), np.uint64(stop)):
         out[s] = 0.0
@@ -22,11 +22,15 @@ def sample_image(start, stop, image, grid, band, front, out):
             pz = iz + band.to_closest[s, 0] / grid.hz
             py = iy + band.to_closest[s, 1] / grid.hy
             px = ix + band.to_closest[s, 2] / grid.hx
-            bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
+            bz = int(pz) - 1
+            by = int(py) - 1
+            bx = int(px) - 1
             # Well inside the volume, without the cases and the slopes of value_at.
             if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
                 at = (bz * grid.ny + by) * grid.nx + bx
-                uz, uy, ux = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
+                uz = np.float32(pz - bz)
+                uy = np.float32(py - by)
+                ux = np.float32(px - bx)
                 out[s] = cubic_value(image, at, grid.nx, grid.ny * grid.nx, uz, uy, ux)
             else:
                 out[s] = value_at(image, grid, pz, py, px, w)
@@ -34,7 +38,7 @@ def sample_image(start, stop, image, grid, band, front, out):
 
 @kernel(stage=Stage.ENERGY)
 def mean_across(start, stop, psi, image, band, front, settings, out):
-    """Mean of a I^2 + b I + c across the surface at the foot of every front cell (0 elsewhere).
+    """Mean of a I^2 + b I + c across the surface at the closest point of every front cell (0 elsewhere).
 
     Weighted by the smeared delta function (1 + cos(pi s/epsilon))/(2 epsilon) of the region sums, and by the
     area 1 + s H of the level at distance s, at five points along the normal, the raveled dense image I
@@ -43,7 +47,9 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
     """
     grid, epsilon, polynomial, curvature = settings
     a, b, c = polynomial
-    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
+    hz = 1.0 / grid.hz
+    hy = 1.0 / grid.hy
+    hx = 1.0 / grid.hx
     row, plane = grid.nx, grid.ny * grid.nx
     # A little more, for rounding.
     extent = 2.0 / 3.0 * epsilon + 1e-6
@@ -53,24 +59,30 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
             continue
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
-        nz, ny, nx = (
-            band.to_closest[s, 0] * hz,
-            band.to_closest[s, 1] * hy,
-            band.to_closest[s, 2] * hx,
-        )
+        nz = band.to_closest[s, 0] * hz
+        ny = band.to_closest[s, 1] * hy
+        nx = band.to_closest[s, 2] * hx
         # Counted from the cell: so the same rounding on every box that contains it.
-        fz, fy, fx = nz, ny, nx
-        pz, py, px = iz + nz, iy + ny, ix + nx
+        fz = nz
+        fy = ny
+        fx = nx
+        pz = iz + nz
+        py = iy + ny
+        px = ix + nx
         norm = np.sqrt(nz * nz + ny * ny + nx * nx)
         outward = -1.0 if band.psi[s] > 0.0 else 1.0
         if norm < 0.01:
             gz, gy, gx = gradient(psi, cell, iz, iy, ix, grid)
-            nz, ny, nx = gz * hz, gy * hy, gx * hx
+            nz = gz * hz
+            ny = gy * hy
+            nx = gx * hx
             norm = max(np.sqrt(nz * nz + ny * ny + nx * nx), 1e-12)
             outward = 1.0
         # Voxels along the normal to mm, times the curvature.
         unit = 1.0 / norm
-        nz, ny, nx = nz * unit, ny * unit, nx * unit
+        nz = nz * unit
+        ny = ny * unit
+        nx = nx * unit
         mm = np.sqrt((nz * grid.hz) ** 2 + (ny * grid.hy) ** 2 + (nx * grid.hx) ** 2)
         area_growth = outward * mm * curvature[s]
         inside = extent <= pz < grid.nz - 1 - extent and extent <= py < grid.ny - 1 - extent
@@ -80,11 +92,17 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
             u = m * epsilon / 3.0
             share = 1.0 / 3.0 if m == 0 else (0.25 if abs(m) == 1 else 1.0 / 12.0)
             share *= 1.0 + min(max(u * area_growth, -0.5), 0.5)
-            qz, qy, qx = fz + u * nz, fy + u * ny, fx + u * nx
+            qz = fz + u * nz
+            qy = fy + u * ny
+            qx = fx + u * nx
             if inside:
-                jz, jy, jx = np.floor(qz), np.floor(qy), np.floor(qx)
+                jz = np.floor(qz)
+                jy = np.floor(qy)
+                jx = np.floor(qx)
                 at = ((iz + int(jz)) * grid.ny + iy + int(jy)) * row + ix + int(jx)
-                tz, ty, tx = np.float32(qz - jz), np.float32(qy - jy), np.float32(qx - jx)
+                tz = np.float32(qz - jz)
+                ty = np.float32(qy - jy)
+                tx = np.float32(qx - jx)
                 value = linear_cell(image, at, row, plane, tz, ty, tx)
             else:
                 value = linear_at(image, grid, iz + qz, iy + qy, ix + qx)
@@ -154,11 +172,9 @@ def diffusion_stage(start, stop, on, table, grid, stages, weights, out):
     """
     mu, rate, nu = weights
     old, older = stages
-    pz, py, px = (
-        np.float32(1.0 / grid.hz**2),
-        np.float32(1.0 / grid.hy**2),
-        np.float32(1.0 / grid.hx**2),
-    )
+    pz = np.float32(1.0 / grid.hz**2)
+    py = np.float32(1.0 / grid.hy**2)
+    px = np.float32(1.0 / grid.hx**2)
     for row in range(np.uint64(start), np.uint64(stop)):
         s = on[row]
         here = old[s]

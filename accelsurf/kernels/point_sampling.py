@@ -51,22 +51,26 @@ def resample_shifted(start, stop, array, grid, first, target, out):
 def outward_normals(start, stop, psi, grid, band, front, out):
     """Unit normal grad psi/|grad psi| (z, y, x) of every front cell by centred differences; 0 elsewhere.
 
-    psi is a distance, so the normal at the cell is that at its foot. 0 too where psi has no slope.
+    psi is a distance, so the normal at the cell is that at its closest point. 0 too where psi has no slope.
     """
     for s in range(start, stop):
-        nz, ny, nx = 0.0, 0.0, 0.0
+        nz = 0.0
+        ny = 0.0
+        nx = 0.0
         if front[s]:
             cell = band.cells[s]
             iz, iy, ix = unravel(cell, grid)
             nz, ny, nx = gradient(psi, cell, iz, iy, ix, grid)
         norm = np.sqrt(nz * nz + ny * ny + nx * nx)
         scale = 1.0 / norm if norm > 1e-12 else 0.0
-        out[s, 0], out[s, 1], out[s, 2] = nz * scale, ny * scale, nx * scale
+        out[s, 0] = nz * scale
+        out[s, 1] = ny * scale
+        out[s, 2] = nx * scale
 
 
 @kernel(stage=Stage.ENERGY)
 def value_and_slope(start, stop, image, grid, band, normals, front, out):
-    """Value (out[:, 0]) and slope grad I . n per mm (out[:, 1]) of an image at the foot of every front cell.
+    """Value (out[:, 0]) and slope grad I . n per mm (out[:, 1]) of an image at the closest point of every front cell.
 
     Both from the cubic interpolant of the raveled dense ``image``, at the nearest place within the volume; 0 elsewhere.
     ``normals`` (n, 3) float32 from `outward_normals`.

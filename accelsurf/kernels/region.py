@@ -10,7 +10,7 @@ from accelsurf.kernels.differences import (
     ROW,
     block_curvatures,
     block_memory,
-    curvature_at_foot,
+    curvature_at_closest_point,
     curvatures,
     gather_block,
     gradient,
@@ -50,7 +50,9 @@ def fraction_below_plane(psi, gz, gy, gx, grid):
     # A direction along a face has m = 0, where the formula is 0/0: this much tilt has no visible effect, and
     # shares a face that lies exactly between two voxels among them.
     least = 1e-4 * (a + b + c)
-    a, b, c = max(a, least), max(b, least), max(c, least)
+    a = max(a, least)
+    b = max(b, least)
+    c = max(c, least)
     total = a + b + c
     s = 0.5 * total - psi
     if s <= 0.0:
@@ -98,8 +100,8 @@ def measure_band(start, stop, psi, grid, band, within, out):
         Distance from the surface, voxels, up to which curvature is measured.
     out : (ndarray (n,), ndarray (n,), ndarray (n,), ndarray (n,))
         Written, fraction, area, curvature and variation: share of the voxel inside; surface in it, mm2; H of the
-        surface at its foot, 1/mm, limited to what the grid resolves, 2/min(h), and 0 further than ``within`` off; the
-        same with psi mirrored at the border, the first variation of the area in the volume.
+        surface at its closest point, 1/mm, limited to what the grid resolves, 2/min(h), and 0 further than ``within``
+        off; the same with psi mirrored at the border, the first variation of the area in the volume.
     """
     fraction, area, curvature, variation = out
     diagonal = 0.51 * np.sqrt(grid.hz**2 + grid.hy**2 + grid.hx**2)
@@ -123,16 +125,16 @@ def measure_band(start, stop, psi, grid, band, within, out):
                 band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid
             )
             if abs(d) > diagonal and voxels > max(within, AREA_WIDTH):
-                fraction[s], area[s], curvature[s], variation[s] = (
-                    1.0 if d < 0.0 else 0.0,
-                    0.0,
-                    0.0,
-                    0.0,
-                )
+                fraction[s] = 1.0 if d < 0.0 else 0.0
+                area[s] = 0.0
+                curvature[s] = 0.0
+                variation[s] = 0.0
                 continue
             iz, iy, ix = unravel(band.cells[s], grid)
             if gather_block(band.cells[s], iz, iy, ix, psi, grid, memory, count):
-                which[count], distance[count], measured[count] = s, d, voxels
+                which[count] = s
+                distance[count] = d
+                measured[count] = voxels
                 count += 1
             else:
                 gz, gy, gx = gradient(psi, band.cells[s], iz, iy, ix, grid)
@@ -156,7 +158,9 @@ def measure_band(start, stop, psi, grid, band, within, out):
         measures_alike(grid, distance, memory, (within, most), measured)
         for i in range(count):
             s, d = which[i], distance[i]
-            gz, gy, gx = slope[0, i], slope[1, i], slope[2, i]
+            gz = slope[0, i]
+            gy = slope[1, i]
+            gx = slope[2, i]
             fraction[s] = share_inside(grid, d, shape[2, i], gz, gy, gx, diagonal)
             area[s], curvature[s] = measured[2 * BATCH + i], measured[3 * BATCH + i]
             if measured[i] <= MIN_DIRECTION:
@@ -174,7 +178,7 @@ def measures(grid, d, voxels, level, within, diagonal, most):
     """
     gz, gy, gx, mean, gauss, above = level
     fraction = share_inside(grid, d, above, gz, gy, gx, diagonal)
-    curvature = curvature_at_foot(mean, gauss, d, most) if voxels <= within else 0.0
+    curvature = curvature_at_closest_point(mean, gauss, d, most) if voxels <= within else 0.0
     return fraction, smeared_area(d, voxels, gz, gy, gx, gauss, grid, AREA_WIDTH), curvature
 
 
@@ -197,7 +201,9 @@ def measures_alike(grid, distance, memory, limits, measured):
     within, most = limits
     for i in range(np.uint64(BATCH)):
         # The width by a row: divided by what does not change it would be rounded otherwise than in `smeared_area`.
-        d, voxels, width = distance[i], measured[i], measured[ROW[1] + i]
+        d = distance[i]
+        voxels = measured[i]
+        width = measured[ROW[1] + i]
         mean, gauss = memory[CURVATURES + i], memory[CURVATURES + ROW[1] + i]
         # Nothing is divided by 0, also where the result is not used.
         mm = max(abs(d) / max(voxels, MIN_DIRECTION), 1e-30)
@@ -223,18 +229,20 @@ def wide_areas(start, stop, psi, grid, band, width, out):
     """Area (mm2) of the surface at every slot, smeared over ``width`` voxels to either side, into ``out`` (n,).
 
     Parts of the surface, a few voxels long, are measured the better the wider the layer. Where it would reach
-    the outermost voxels it is narrower, down to `AREA_WIDTH`: the same for all cells of a foot.
+    the outermost voxels it is narrower, down to `AREA_WIDTH`: the same for all cells of a closest point.
     """
     for s in range(start, stop):
-        foot = band.to_closest[s]
-        voxels = voxels_along(foot[0], foot[1], foot[2], grid)
+        closest_point = band.to_closest[s]
+        voxels = voxels_along(closest_point[0], closest_point[1], closest_point[2], grid)
         out[s] = 0.0
         if voxels < width:
             iz, iy, ix = unravel(band.cells[s], grid)
             gz, gy, gx = gradient(psi, band.cells[s], iz, iy, ix, grid)
             _, gauss = curvatures(psi, band.cells[s], iz, iy, ix, grid)
             along = max(voxels_along(gz, gy, gx, grid), 1e-6)
-            fz, fy, fx = foot[0] / grid.hz, foot[1] / grid.hy, foot[2] / grid.hx
+            fz = closest_point[0] / grid.hz
+            fy = closest_point[1] / grid.hy
+            fx = closest_point[2] / grid.hx
             room = room_to_border(
                 iz + fz, grid.nz, fz / voxels if voxels > 0.01 else gz / (grid.hz * along)
             )

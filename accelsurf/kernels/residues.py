@@ -1,4 +1,4 @@
-"""Residues: what the interpolant of psi is at points known to lie on the surface, where it ought to be 0.
+"""Residues: the interpolant of psi at points known to lie on the surface, where it ought to be 0.
 
 The cubic of four nodes is off in fourth order on a smooth surface, by up to 0.1 voxel where its nodes lie on both sides
 of a ridge of the distance, and always to the same side: a redistancing that looked for the value 0 would swell what is
@@ -22,8 +22,8 @@ from accelsurf.kernels.interpolate import (
 )
 from accelsurf.kernels.simd.cubic import cubic_value
 
-#: Smallest residue that counts, voxels; larger ones count by what they exceed it. So feet that disagree come together
-#: by this much in a redistancing.
+#: Smallest residue that counts, voxels; larger ones count by what they exceed it. So closest points that disagree come
+#: together by this much in a redistancing.
 MIN_RESIDUE = 3e-4
 #: Largest residue, voxels. What is more counts less, and nothing from twice as much on: large residues are of noise, or
 #: of points that are not on the surface any more.
@@ -33,7 +33,7 @@ MAX_RESIDUE = 0.1
 #: is as large as along the finest axis.
 MAX_LIMITED = 0.05
 #: Distance from the surface, voxels, within which cells have a residue of their own. Others have that of the cell
-#: nearest their foot: their feet then lie on the same surface as those beside it.
+#: nearest their closest point: their closest points then lie on the same surface as those beside it.
 OWN_RESIDUE = 1.0
 #: From this ratio of the spacings on most of the surface lies between two slices with no cell so near: cells that find
 #: none there keep a residue of their own.
@@ -42,7 +42,7 @@ VERY_THICK = 16.0
 
 @kernel
 def known_point(s, grid, band, motion):
-    """Foot of slot ``s`` after ``motion`` = (velocity (n, 3), dt): index coordinates z, y, x."""
+    """Closest point of slot ``s`` after ``motion`` = (velocity (n, 3), dt): index coordinates z, y, x."""
     velocity, dt = motion
     iz, iy, ix = unravel(band.cells[s], grid)
     return (
@@ -55,11 +55,9 @@ def known_point(s, grid, band, motion):
 @kernel
 def has_own_residue(s, grid, band):
     """Test if slot ``s`` is within `OWN_RESIDUE` of the surface."""
-    fz, fy, fx = (
-        band.to_closest[s, 0] / grid.hz,
-        band.to_closest[s, 1] / grid.hy,
-        band.to_closest[s, 2] / grid.hx,
-    )
+    fz = band.to_closest[s, 0] / grid.hz
+    fy = band.to_closest[s, 1] / grid.hy
+    fx = band.to_closest[s, 2] / grid.hx
     return fz * fz + fy * fy + fx * fx <= OWN_RESIDUE * OWN_RESIDUE
 
 
@@ -83,9 +81,11 @@ def nearest_slot(slot, grid, pz, py, px):
 
 @kernel
 def is_at_surface(psi, grid, pz, py, px):
-    """Test if psi has both signs around an index position: what has lost its inside must not be held in place."""
+    """Test if psi has both signs around an index position: a piece without inside must not be held in place."""
     inside = 0
-    iz, iy, ix = np.int64(np.floor(pz)), np.int64(np.floor(py)), np.int64(np.floor(px))
+    iz = np.int64(np.floor(pz))
+    iy = np.int64(np.floor(py))
+    ix = np.int64(np.floor(px))
     if 0 <= iz < grid.nz - 1 and 0 <= iy < grid.ny - 1 and 0 <= ix < grid.nx - 1:
         a = (iz * grid.ny + iy) * grid.nx + ix
         b = a + grid.ny * grid.nx
@@ -107,7 +107,9 @@ def largest_residue(psi, grid, point, memory):
     first[0] = enter_point(np.uint64(0), grid, *point, lines)
     limited_in_vectors(1, psi, grid, first, lines)
     level, gz, gy, gx = four_nodes(lines, LEVELS)
-    z, y, x = grid.hz * gz, grid.hy * gy, grid.hx * gx
+    z = grid.hz * gz
+    y = grid.hy * gy
+    x = grid.hx * gx
     voxel = np.sqrt((z * z + y * y + x * x) / max(gz * gz + gy * gy + gx * gx, 1e-30))
     return MAX_RESIDUE * (
         voxel if abs(level) <= MAX_LIMITED * voxel else min(grid.hz, min(grid.hy, grid.hx))
@@ -118,7 +120,7 @@ def largest_residue(psi, grid, point, memory):
 def own_residues(start, stop, psi, grid, band, motion, out):
     """Residue (mm) of every cell within `OWN_RESIDUE`; 0 elsewhere, and beside no surface.
 
-    On slices as thick as `VERY_THICK` every cell has one whose foot is well inside the volume.
+    On slices as thick as `VERY_THICK` every cell has one whose closest point is well inside the volume.
     ``psi`` is a distance and ``band`` its band, or psi has moved since, by ``motion`` = (velocity (n, 3), dt).
     ``out`` = (residue (n,) float32, near (n,) bool): whether the cell is so near.
     """
@@ -136,12 +138,14 @@ def own_residues(start, stop, psi, grid, band, motion, out):
     sy, sz = grid.nx, grid.ny * grid.nx
     for s in range(np.uint64(start), np.uint64(stop)):
         residue[s] = 0.0
-        # The length of the foot, when psi was a distance.
+        # The length of the closest point, when psi was a distance.
         near[s] = abs(band.psi[s]) <= furthest and has_own_residue(s, grid, band)
         if not near[s] and not thick:
             continue
         pz, py, px = known_point(s, grid, band, motion)
-        bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
+        bz = int(pz) - 1
+        by = int(py) - 1
+        bx = int(px) - 1
         # Well inside the volume, without the cases and the slopes of value_and_gradient.
         if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
             at = (bz * grid.ny + by) * grid.nx + bx
@@ -164,7 +168,7 @@ def own_residues(start, stop, psi, grid, band, motion, out):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def distant_residues(start, stop, slot, grid, band, motion, out):
-    """Residue of every cell beyond `OWN_RESIDUE`: that of the cell nearest its foot, where that is within.
+    """Residue of every cell beyond `OWN_RESIDUE`: that of the cell nearest its closest point, where that is within.
 
     ``out`` as `own_residues` has filled it.
     """
@@ -198,7 +202,7 @@ def mark_below(start, stop, slot, grid, cells, flipped, marked):
 
 @kernel(stage=Stage.BAND)
 def drop_residues(start, stop, slot, grid, band, flipped, out):
-    """Set to 0 the residues in ``out`` (n,) of the cells whose foot is beside a flipped slot.
+    """Set to 0 the residues in ``out`` (n,) of the cells whose closest point is beside a flipped slot.
 
     ``flipped`` = ((n,) bool, `mark_below`'s marks (n,) bool).
     """

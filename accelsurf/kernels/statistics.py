@@ -70,7 +70,9 @@ def displacement_sums(first_block, last_block, grid, band, area, before, limits,
     cells, old = before
     far, beyond = limits
     for block in range(first_block, last_block):
-        whole, moved, apart = 0.0, 0.0, 0.0
+        whole = 0.0
+        moved = 0.0
+        apart = 0.0
         first, last = block * BLOCK, min((block + 1) * BLOCK, area.shape[0])
         at = rank_of(cells, band.cells[first])
         for s in range(first, last):
@@ -80,7 +82,9 @@ def displacement_sums(first_block, last_block, grid, band, area, before, limits,
                 at += 1
             way = beyond
             if at < cells.shape[0] and cells[at] == band.cells[s]:
-                z, y, x = band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2]
+                z = band.to_closest[s, 0]
+                y = band.to_closest[s, 1]
+                x = band.to_closest[s, 2]
                 length2 = max(np.float64(z) * z + np.float64(y) * y + np.float64(x) * x, 1e-300)
                 way = (
                     abs(np.float64(band.psi[s]) - old[at])
@@ -90,7 +94,9 @@ def displacement_sums(first_block, last_block, grid, band, area, before, limits,
             whole += area[s]
             moved += area[s] * way
             apart += area[s] if way > far else 0.0
-        sums[block, 0], sums[block, 1], sums[block, 2] = whole, moved, apart
+        sums[block, 0] = whole
+        sums[block, 1] = moved
+        sums[block, 2] = apart
 
 
 @kernel

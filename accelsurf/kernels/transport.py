@@ -77,7 +77,10 @@ def four_fields_at(values, slot, first, sy, sz, w, out):
     vector, each in the order of `band_vector_at`. False where a node is not in the band.
     """
     n = values.shape[0]
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    a = 0.0
+    b = 0.0
+    c = 0.0
+    d = 0.0
     for i in range(4):
         for j in range(4):
             at = first + i * sz + j * sy
@@ -91,7 +94,10 @@ def four_fields_at(values, slot, first, sy, sz, w, out):
                 b += weight * values[row, 1]
                 c += weight * values[row, 2]
                 d += weight * values[row, 3]
-    out[0], out[1], out[2], out[3] = a, b, c, d
+    out[0] = a
+    out[1] = b
+    out[2] = c
+    out[3] = d
     return True
 
 
@@ -104,10 +110,14 @@ def linear_band_vector(values, slot, grid, position, out):
     pz = min(max(position[0], 0.0), grid.nz - 1.0)
     py = min(max(position[1], 0.0), grid.ny - 1.0)
     px = min(max(position[2], 0.0), grid.nx - 1.0)
-    iz, iy, ix = int(np.floor(pz)), int(np.floor(py)), int(np.floor(px))
+    iz = int(np.floor(pz))
+    iy = int(np.floor(py))
+    ix = int(np.floor(px))
     weight = 0.0
     for corner in range(8):
-        i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+        i = corner >> 2
+        j = (corner >> 1) & 1
+        k = corner & 1
         share = (pz - iz if i == 1 else 1.0 - (pz - iz)) * (py - iy if j == 1 else 1.0 - (py - iy))
         share *= px - ix if k == 1 else 1.0 - (px - ix)
         if share <= 1e-6:
@@ -197,7 +207,9 @@ def advect_psi(start, stop, dense, grid, band, velocity, dt, out):
     for s in range(start, stop):
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
-        target[0], target[1], target[2] = iz, iy, ix
+        target[0] = iz
+        target[1] = iy
+        target[2] = ix
         departure_point(velocity, dense.slot, grid, target, dt, (w, v), at)
         if has_stencil(dense.slot, grid, at, w):
             out[s], _, _, _ = value_and_gradient(dense.psi, grid, at[0], at[1], at[2], w)
@@ -209,7 +221,9 @@ def advect_psi(start, stop, dense, grid, band, velocity, dt, out):
 
 @kernel
 def outward(psi, band, s, cell, iz, iy, ix, grid):
-    """Outward unit normal at the foot of slot ``s``: away from the foot where that is well off the cell."""
+    """Outward unit normal at the closest point of slot ``s``: away from the closest point where that is well off the
+    cell.
+    """
     d = band.psi[s]
     if abs(d) > 0.5 * min(grid.hz, min(grid.hy, grid.hx)):
         return -band.to_closest[s, 0] / d, -band.to_closest[s, 1] / d, -band.to_closest[s, 2] / d
@@ -220,12 +234,14 @@ def outward(psi, band, s, cell, iz, iy, ix, grid):
 
 @kernel(stage=Stage.FLOW)
 def normals(start, stop, psi, grid, band, out):
-    """Inward unit normal N at the foot of every cell, into ``out`` (n, 3)."""
+    """Inward unit normal N at the closest point of every cell, into ``out`` (n, 3)."""
     for s in range(start, stop):
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
         nz, ny, nx = outward(psi, band, s, cell, iz, iy, ix, grid)
-        out[s, 0], out[s, 1], out[s, 2] = -nz, -ny, -nx
+        out[s, 0] = -nz
+        out[s, 1] = -ny
+        out[s, 2] = -nx
 
 
 @kernel
@@ -293,7 +309,9 @@ def surface_gradient(start, stop, slot, grid, cells, front, field, out):
     g = np.empty(3)
     values, normal = field
     for s in range(start, stop):
-        out[s, 0], out[s, 1], out[s, 2] = 0.0, 0.0, 0.0
+        out[s, 0] = 0.0
+        out[s, 1] = 0.0
+        out[s, 2] = 0.0
         if not front[s]:
             continue
         cell = cells[s]
@@ -312,8 +330,8 @@ def advect_fields(start, stop, slot, grid, band, motion, values, out):
     """Fields (n, m) of the new ``band`` advected from the old one, which ``slot`` still maps to.
 
     ``motion`` = (velocity (n_old, 3 or more), dt, limited). Each cell gets the values at the point of the old surface
-    that moved to its foot, the fields from column ``limited`` on within `LIMIT` of the values around that point. A
-    cell with nothing known there has its own old values, or 0 when it was not in the band.
+    that moved to its closest point, the fields from column ``limited`` on within `LIMIT` of the values around that
+    point. A cell with nothing known there has its own old values, or 0 when it was not in the band.
     """
     w = np.empty(24)
     target = np.empty(3)
@@ -345,7 +363,7 @@ def advect_fields(start, stop, slot, grid, band, motion, values, out):
 
 @kernel(stage=Stage.EXTENSION)
 def fields_between(start, stop, coarse, band, grid, place, fields, out):
-    """Fields (m, n) at the feet of a ``band`` on another grid: linear there over the band cells around.
+    """Fields (m, n) at the closest points of a ``band`` on another grid: linear there over the band cells around.
 
     ``coarse`` = (slot, grid) of the level of the values; ``place`` (2, 3) takes an index position of the
     band's ``grid`` to one of it: factor and addition. ``fields`` = (values (m, n_old) float32, fill values (m,) for

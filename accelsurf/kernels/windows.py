@@ -47,7 +47,9 @@ def scatter(cells, weight, image, grid, nodes, counts, totals):
     the order of the sums is that of the cells.
     """
     row, plane = nodes.nx, nodes.ny * nodes.nx
-    dz, dy, dx = plane if nodes.nz > 1 else 0, row if nodes.ny > 1 else 0, 1 if nodes.nx > 1 else 0
+    dz = plane if nodes.nz > 1 else 0
+    dy = row if nodes.ny > 1 else 0
+    dx = 1 if nodes.nx > 1 else 0
     for s in range(cells.shape[0]):
         if weight[s] == 0.0:
             continue
@@ -105,9 +107,13 @@ def two_means(start, stop, count, total, count_in, total_in, least, out):
     less the squares are about two means than about one. All are 0 where a part ``least`` of the window or less lies on
     one side.
     """
-    first, second, gain = out[0], out[1], out[2]
+    first = out[0]
+    second = out[1]
+    gain = out[2]
     for i in range(start, stop):
-        first[i], second[i], gain[i] = 0.0, 0.0, 0.0
+        first[i] = 0.0
+        second[i] = 0.0
+        gain[i] = 0.0
         n1, n2 = count_in[i], count[i] - count_in[i]
         if n1 > least * count[i] and n2 > least * count[i]:
             f1, f2 = total_in[i] / n1, (total[i] - total_in[i]) / n2
@@ -117,9 +123,11 @@ def two_means(start, stop, count, total, count_in, total_in, least, out):
 
 @kernel(stage=Stage.ENERGY)
 def read_nodes(start, stop, grid, band, front, nodes, fields, out):
-    """Two raveled ``fields`` of nodes at the foot of every front cell, into ``out`` (n, 2); 0 elsewhere."""
+    """Two raveled ``fields`` of nodes at the closest point of every front cell, into ``out`` (n, 2); 0 elsewhere."""
     row, plane = nodes.nx, nodes.ny * nodes.nx
-    dz, dy, dx = plane if nodes.nz > 1 else 0, row if nodes.ny > 1 else 0, 1 if nodes.nx > 1 else 0
+    dz = plane if nodes.nz > 1 else 0
+    dy = row if nodes.ny > 1 else 0
+    dx = 1 if nodes.nx > 1 else 0
     first, second = fields
     for s in range(start, stop):
         out[s, 0], out[s, 1] = 0.0, 0.0
@@ -143,7 +151,8 @@ def read_nodes(start, stop, grid, band, front, nodes, fields, out):
 
 @kernel
 def lattice_weights(index, shift, n, stride, count, w):
-    """First of the three nodes of an axis around the point that a foot moves to, and their weights into ``w`` (3,).
+    """First of the three nodes of an axis around the point that a closest point moves to, and their weights into ``w``
+    (3,).
 
     The point is ``shift`` voxels from the cell ``index`` of ``n``; beyond the border it is at the border. ``stride``
     voxels lie between the ``count`` nodes. Their middle is that of the volume: mirrored, it has the mirrored lattice.
@@ -154,33 +163,38 @@ def lattice_weights(index, shift, n, stride, count, w):
     place = 0.5 * (count - 1) + min(max(index + shift - middle, -middle), middle) / stride
     nearest = int(place + 0.5)
     t = place - nearest
-    w[0], w[1], w[2] = 0.5 * (0.5 - t) ** 2, 0.75 - t * t, 0.5 * (0.5 + t) ** 2
+    w[0] = 0.5 * (0.5 - t) ** 2
+    w[1] = 0.75 - t * t
+    w[2] = 0.5 * (0.5 + t) ** 2
     return nearest - 1
 
 
 @kernel(stage=Stage.FLOW)
 def deposit(grid, band, mass, motion, stride, lattice):
-    """Add the ``mass`` (n,) of every cell to the ``lattice`` (mz, my, mx), at the point that its foot moves to. Serial.
+    """Add the ``mass`` (n,) of every cell to the ``lattice`` (mz, my, mx), at the point that its closest point moves
+    to. Serial.
 
     ``motion`` = (velocity (n, 3), dt); ``stride`` (3,) voxels between nodes. A mass is shared by the nodes around its
-    point, see `lattice_weights`: what is added is what there was.
+    point, see `lattice_weights`: the sum is that of the masses.
     """
     velocity, dt = motion
     mz, my, mx = lattice.shape
-    wz, wy, wx = np.empty(3), np.empty(3), np.empty(3)
+    wz = np.empty(3)
+    wy = np.empty(3)
+    wx = np.empty(3)
     for s in range(mass.size):
         if mass[s] <= 0.0:
             continue
-        foot = band.to_closest[s]
+        closest_point = band.to_closest[s]
         iz, iy, ix = unravel(band.cells[s], grid)
         az = lattice_weights(
-            iz, (foot[0] + dt * velocity[s, 0]) / grid.hz, grid.nz, stride[0], mz, wz
+            iz, (closest_point[0] + dt * velocity[s, 0]) / grid.hz, grid.nz, stride[0], mz, wz
         )
         ay = lattice_weights(
-            iy, (foot[1] + dt * velocity[s, 1]) / grid.hy, grid.ny, stride[1], my, wy
+            iy, (closest_point[1] + dt * velocity[s, 1]) / grid.hy, grid.ny, stride[1], my, wy
         )
         ax = lattice_weights(
-            ix, (foot[2] + dt * velocity[s, 2]) / grid.hx, grid.nx, stride[2], mx, wx
+            ix, (closest_point[2] + dt * velocity[s, 2]) / grid.hx, grid.nx, stride[2], mx, wx
         )
         for i in range(3):
             for j in range(3):
@@ -191,15 +205,17 @@ def deposit(grid, band, mass, motion, stride, lattice):
 
 @kernel(stage=Stage.FLOW)
 def lattice_factors(start, stop, grid, band, lattice, stride, out):
-    """Mean of the ``lattice`` (mz, my, mx) around the foot of every cell, with the weights of `deposit`."""
+    """Mean of the ``lattice`` (mz, my, mx) around the closest point of every cell, with the weights of `deposit`."""
     mz, my, mx = lattice.shape
-    wz, wy, wx = np.empty(3), np.empty(3), np.empty(3)
+    wz = np.empty(3)
+    wy = np.empty(3)
+    wx = np.empty(3)
     for s in range(start, stop):
-        foot = band.to_closest[s]
+        closest_point = band.to_closest[s]
         iz, iy, ix = unravel(band.cells[s], grid)
-        az = lattice_weights(iz, foot[0] / grid.hz, grid.nz, stride[0], mz, wz)
-        ay = lattice_weights(iy, foot[1] / grid.hy, grid.ny, stride[1], my, wy)
-        ax = lattice_weights(ix, foot[2] / grid.hx, grid.nx, stride[2], mx, wx)
+        az = lattice_weights(iz, closest_point[0] / grid.hz, grid.nz, stride[0], mz, wz)
+        ay = lattice_weights(iy, closest_point[1] / grid.hy, grid.ny, stride[1], my, wy)
+        ax = lattice_weights(ix, closest_point[2] / grid.hx, grid.nx, stride[2], mx, wx)
         total = 0.0
         for i in range(3):
             for j in range(3):
@@ -211,7 +227,7 @@ def lattice_factors(start, stop, grid, band, lattice, stride, out):
 
 @kernel(stage=Stage.FLOW)
 def border_outflow(start, stop, grid, cells, motion, out):
-    """Part of what is in every cell that flows out through the border in a step, V dt/h; below 0: that flows in.
+    """Part of the content of every cell that flows out through the border in a step, V dt/h; below 0: that flows in.
 
     ``motion`` = (velocity (n, 3), dt). 0 for cells off the border, and along axes of one voxel.
     """

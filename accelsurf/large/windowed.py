@@ -40,7 +40,7 @@ from accelsurf.starts.objects import ObjectStart
 MAX_STREAMED = 1 << 31
 #: Growth of a window where it was left, in extents of it; less where the memory is too small for that.
 GROWTH = 1.0
-#: Levels for which a first window has room, where their number is chosen by the start.
+#: Levels for which a first window has room, where their number is selected by the start.
 _FIRST_LEVELS = 3
 #: Margin, voxels, around the voxels of a region of interest: a result ends half a voxel beyond the region.
 _AROUND_REGION = 2

@@ -49,14 +49,23 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
     if known_residues is not None:
         residue[:n] = known_residues
     parallel(
-        march.find_feet, n, dense, grid, surface.band, (inner, residue, limited), to_closest, found
+        march.find_closest_points,
+        n,
+        dense,
+        grid,
+        surface.band,
+        (inner, residue, limited),
+        to_closest,
+        found,
     )
-    parallel(march.classify_feet, n, dense, grid, surface.band.cells, to_closest, found, state)
+    parallel(
+        march.classify_closest_points, n, dense, grid, surface.band.cells, to_closest, found, state
+    )
     open_slots, sources = (
         np.flatnonzero(state[:n] == march.OPEN),
         np.flatnonzero(state[:n] == march.EDGE),
     )
-    active, refined_later = np.zeros(room, np.bool_), np.zeros(room, np.bool_)
+    active, refine_later = np.zeros(room, np.bool_), np.zeros(room, np.bool_)
     active[open_slots] = True
     size = n
     for _ in range(MAX_ROUNDS):
@@ -68,7 +77,7 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
         )
         if cells.size > residue.size:
             more = cells.size - residue.size
-            residue, refined_later = np.pad(residue, (0, more)), np.pad(refined_later, (0, more))
+            residue, refine_later = np.pad(residue, (0, more)), np.pad(refine_later, (0, more))
         active_slots = surface.workers.serial(march.take_active, open_slots, n, size, active)
         if active_slots.size == 0:
             break
@@ -79,16 +88,29 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
             np.empty(active_slots.size, np.float32),
         )
         rows = cells, to_closest, state, residue
-        parallel(march.propagate_feet, active_slots.size, dense, grid, rows, active_slots, nearer)
         parallel(
-            march.update_feet, active_slots.size, active_slots, nearer, (to_closest, state, residue)
+            march.propagate_closest_points,
+            active_slots.size,
+            dense,
+            grid,
+            rows,
+            active_slots,
+            nearer,
         )
-        # The first closest point of a cell is refined at once, as neighbours take it over; the others at the end.
+        parallel(
+            march.update_closest_points,
+            active_slots.size,
+            active_slots,
+            nearer,
+            (to_closest, state, residue),
+        )
+        # The first closest point of a cell is moved to its own at once, as neighbours take it over; the others at the
+        # end.
         sources, first = surface.workers.serial(
-            march.sort_changes, active_slots, changed, was_open, refined_later
+            march.sort_changes, active_slots, changed, was_open, refine_later
         )
         parallel(
-            march.refine_feet,
+            march.refine_closest_points,
             first.size,
             dense.psi,
             grid,
@@ -97,9 +119,16 @@ def find_closest_points(surface: NarrowBand) -> ClosestPoints:
             to_closest,
             (residue, limited),
         )
-    later = np.flatnonzero(refined_later[:size])
+    later = np.flatnonzero(refine_later[:size])
     parallel(
-        march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited)
+        march.refine_closest_points,
+        later.size,
+        dense.psi,
+        grid,
+        cells,
+        later,
+        to_closest,
+        (residue, limited),
     )
     return ClosestPoints(cells, to_closest, state, size)
 

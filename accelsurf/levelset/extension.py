@@ -140,7 +140,7 @@ def sampled(
     values = np.stack([np.asarray(field, np.float32) for field in fields])
     out = np.empty((len(fields), new.cells.size), np.float32)
     surface.workers.parallel(
-        band_kernels.sample_at_feet,
+        band_kernels.sample_at_closest_points,
         new.cells.size,
         surface.dense.slot,
         surface.grid,

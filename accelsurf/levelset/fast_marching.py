@@ -73,7 +73,7 @@ def _find_closest_beside(surface: NarrowBand, front: np.ndarray, to_closest: np.
     residue, limited = np.zeros(n, np.float32) if known is None else known.copy(), known is None
     start = inner_distance(surface), residue, limited
     parallel(
-        fast_marching.find_front_feet,
+        fast_marching.find_front_closest_points,
         front.size,
         dense,
         grid,
@@ -92,7 +92,7 @@ def _find_closest_beside(surface: NarrowBand, front: np.ndarray, to_closest: np.
             np.empty(on.size, np.float32),
         )
         parallel(
-            march.propagate_feet,
+            march.propagate_closest_points,
             on.size,
             dense,
             grid,
@@ -100,13 +100,20 @@ def _find_closest_beside(surface: NarrowBand, front: np.ndarray, to_closest: np.
             on,
             nearer,
         )
-        parallel(march.update_feet, on.size, on, nearer, (closest, state, residue))
+        parallel(march.update_closest_points, on.size, on, nearer, (closest, state, residue))
         changed = on[nearer[1]]
         if changed.size == 0:
             break
         psi, guide = dense.psi, (residue, limited)
         parallel(
-            march.refine_feet, changed.size, psi, grid, surface.band.cells, changed, closest, guide
+            march.refine_closest_points,
+            changed.size,
+            psi,
+            grid,
+            surface.band.cells,
+            changed,
+            closest,
+            guide,
         )
 
 

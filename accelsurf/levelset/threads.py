@@ -18,7 +18,7 @@ from accelsurf.kernels.grid import BATCH, BLOCK
 #: Slots of a range are a multiple of this: vectors and their batches are the same for any ranges.
 GRAIN = 4 * BATCH
 #: Seconds of one thread from which on a call is shared out: to wake a thread and hand the Python lock back and forth
-#: takes about 80 microseconds. And the seconds that a range is worth.
+#: takes about 80 microseconds. And the seconds that a range is worth. Timed in benchmarks/notes/speed.md.
 SHARED_FROM = 200e-6
 SHORTEST = 60e-6
 

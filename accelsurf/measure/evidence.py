@@ -32,8 +32,8 @@ STEP = 1.5
 SAMPLES = 20_000
 NORMAL_SIGMA = 1.0
 #: HALF_EDGE: an edge of this many times the noise counts as half. HALF_MODEL: the outside counts half as another
-#: tissue where its values are farther from the object's median than the inside, by this many deviations of the object.
-#: LIKE: the outside counts as the same tissue within this many deviations.
+#: region where its values are farther from the object's median than the inside, by this many deviations of the object.
+#: LIKE: the outside counts as the same region within this many deviations.
 HALF_EDGE = 3.0
 HALF_MODEL = 1.5
 LIKE = 2.5

@@ -40,9 +40,9 @@ SIGMA = 1.5
 MIN_CONTRAST = 0.05
 #: The shell is moved to the edge that it finds, so often at most, or until it moves by less, in voxels.
 PASSES = 3
-AT_REST = 0.05
+STILL = 0.05
 #: Beyond so much noise or variation, in parts of the contrast, there is no edge to measure by.
-MAX_DOUBT = 2.0
+MAX_UNCERTAINTY = 2.0
 #: Shares are smoothed for the surface f = 1/2 by a Gaussian of this sigma, pixels: in an image without noise, and so
 #: much more where the noise is as strong as the contrast. Then again by twice that.
 SMOOTH = 0.7
@@ -297,14 +297,14 @@ def edge_measures(
         before, found = found, float(geometry.voxel_volume * (sums.core + sums.shares))
         layer = geometry.voxel_volume * sums.voxels / (2.0 * SHELL)
         shift = (found - before) / layer
-        if abs(shift) < AT_REST:
+        if abs(shift) < STILL:
             break
         moved += shift * sums.extents / sums.voxels
     mean = sums.contrast / sums.voxels
     noise = noise_of(image)
     contrast = abs(levels.inside - levels.beside)
     deviation = float(np.sqrt(max(sums.squares / sums.voxels - mean**2, 0.0)))
-    if found <= 0 or noise > MAX_DOUBT * contrast or deviation > MAX_DOUBT * abs(mean):
+    if found <= 0 or noise > MAX_UNCERTAINTY * contrast or deviation > MAX_UNCERTAINTY * abs(mean):
         return None
     at = Geometry(
         psi.shape, spacing, tuple(geometry.index_to_world(corner_of(box))), geometry.direction

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 #: Radius of a correction (object's radii), Dice of the objects before and after it, and how sure the model was of the
 #: opposite, where no click has corrected a result.
-USUAL = {"correction": 0.37, "unchanged": 0.77, "surprise": 0.3}
+USUAL = {"correction": 0.37, "unchanged": 0.77, "disagreement": 0.3}
 #: Largest probability of an ambiguous result: no measure of it tells which object was meant.
 UNSURE = 0.45
 #: The file with the models of the probability.
@@ -50,7 +50,7 @@ class Quality(NamedTuple):
         calibrated stands in docs/explanation/quality.md.
     next_click : (x, y, z) or None
         World mm (LPS): the most uncertain place, where to click next.
-    next_doubt : float
+    next_uncertainty : float
         Uncertainty there, 0 to 1.
     rim_fraction : float
         Share of the object's voxels that lie next to its surface.
@@ -80,15 +80,15 @@ class Quality(NamedTuple):
         Volume at the end over that of the start.
     late_growth : float
         Relative change of the volume over the last 20 steps.
-    level_overlap, size_spread, correction, unchanged, taken, surprise : float or None
+    level_overlap, size_spread, correction, unchanged, taken, disagreement : float or None
         How sure the model of the clicks is: ``overlap``, ``spread``, ``correction``, ``unchanged``, ``taken`` and
-        ``surprise`` of `accelsurf.clicks.model.confidence.Confidence`; None without one.
+        ``disagreement`` of `accelsurf.clicks.model.confidence.Confidence`; None without one.
     unlike_learned : float or None
         Share of the object, without the voxels next to its surface, whose values lie further than 2.5 standard
         deviations from the mean of those that it was learned from; None where no model was learned once.
     leaked : bool
         Whether it grew beyond ``max_volume``.
-    rests : tuple of Plateau
+    plateaus : tuple of Plateau
         Plateaus of the front before it broke through.
     warnings : tuple of str
         Reasons for uncertainty, each with a command to try next.
@@ -105,7 +105,7 @@ class Quality(NamedTuple):
 
     probability: float
     next_click: tuple[float, float, float] | None
-    next_doubt: float
+    next_uncertainty: float
     rim_fraction: float
     border_fraction: float
     contrast: float
@@ -124,10 +124,10 @@ class Quality(NamedTuple):
     correction: float | None
     unchanged: float | None
     taken: float | None
-    surprise: float | None
+    disagreement: float | None
     unlike_learned: float | None
     leaked: bool
-    rests: tuple[Plateau, ...]
+    plateaus: tuple[Plateau, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     answers: tuple[Answer, ...] = ()
@@ -178,7 +178,7 @@ def history_features(found: Quality) -> dict[str, float]:
     return {
         "correction": math.log(min(max(correction, 0.03), 5.0)),
         "unchanged": _log_odds(unchanged),
-        "surprise": USUAL["surprise"] if found.surprise is None else found.surprise,
+        "surprise": USUAL["disagreement"] if found.disagreement is None else found.disagreement,
     }
 
 

@@ -178,7 +178,7 @@ def measured(seen: Judged) -> Quality:
     return Quality(
         probability=0.0,
         next_click=None if place is None else _world(geometry, place),
-        next_doubt=uncertainty,
+        next_uncertainty=uncertainty,
         rim_fraction=_rim_fraction(inside),
         border_fraction=_border_fraction(inside, spacing),
         **_along_surface(found),
@@ -191,7 +191,7 @@ def measured(seen: Judged) -> Quality:
         **_by_clicks(seen.confidence),
         unlike_learned=unlike,
         leaked=seen.stop.reason == "leaked",
-        rests=tuple(seen.plateaus),
+        plateaus=tuple(seen.plateaus),
         warnings=(),
         notes=(),
     )
@@ -212,10 +212,13 @@ def _along_surface(found: Evidence | None) -> dict[str, Any]:
 
 def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
     """The measures by the model of the clicks; without one they are None."""
-    overlap, spread, correction, unchanged, taken, surprise, answers, is_ambiguous = confidence or (
-        *(None,) * 6,
-        (),
-        False,
+    overlap, spread, correction, unchanged, taken, disagreement, answers, is_ambiguous = (
+        confidence
+        or (
+            *(None,) * 6,
+            (),
+            False,
+        )
     )
     return {
         "level_overlap": overlap,
@@ -223,7 +226,7 @@ def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
         "correction": correction,
         "unchanged": unchanged,
         "taken": taken,
-        "surprise": surprise,
+        "disagreement": disagreement,
         "answers": answers,
         "is_ambiguous": is_ambiguous,
     }
@@ -337,7 +340,7 @@ def _warnings(
     found: Quality, stop: Stop, last: float, inside: Mask, geometry: Geometry, unclear: str
 ) -> list[str]:
     """Return the warnings, each with one command to try where one is known to help."""
-    warnings, at_rest = [], "; try --stop-at-rest" if found.rests else ""
+    warnings, at_rest = [], "; try --stop-at-rest" if found.plateaus else ""
     if unclear:
         warnings.append(f"ambiguous: {unclear}")
     if found.leaked:
@@ -347,10 +350,12 @@ def _warnings(
     if is_doubtful and found.next_click is not None:
         # No place is named: a click where the surface has the least evidence was found to help in few cases. A run
         # without clicks is seldom mended by one, and mostly by clicks from the first step on.
-        sure = found.likely
+        likelihood = found.likely
         at_fault = "or --outside where it is most wrong"
         tried = at_fault if found.beyond_clicks is not None else "at the object in place of --start"
-        warnings.append(f"doubt: probably not right ({why(found)}; {sure}); try --inside {tried}")
+        warnings.append(
+            f"doubt: probably not right ({why(found)}; {likelihood}); try --inside {tried}"
+        )
     if found.next_click is None and stop.reason not in ("vanished", "filled"):
         tried = f"; try --inside ball:{_larger_ball(inside, geometry)}" if inside.any() else ""
         warnings.append(
@@ -372,7 +377,7 @@ def _larger_ball(inside: Mask, geometry: Geometry) -> str:
 
 def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
     notes = []
-    for plateau in found.rests:
+    for plateau in found.plateaus:
         if last > MIN_BURST * plateau.volume_mm3:
             then, now = (volume_text(mm3, geometry.unit) for mm3 in (plateau.volume_mm3, last))
             notes.append(

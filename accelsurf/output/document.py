@@ -204,15 +204,20 @@ def describe_intervals(intervals: Intervals | None) -> dict[str, list[float] | N
     return {key: interval and list(interval) for key, interval in intervals._asdict().items()}
 
 
+#: Keys of the report whose names differ from the attributes: files that users have keep theirs.
+_QUALITY_KEYS = {"plateaus": "rests", "next_uncertainty": "next_doubt", "disagreement": "surprise"}
+
+
 def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
     """Return the part of the report about the quality of an object; None for several, which have their own."""
     if quality is None:
         return None
-    plateaus = [{**note._asdict(), "place": list(note.place)} for note in quality.rests]
+    plateaus = [{**note._asdict(), "place": list(note.place)} for note in quality.plateaus]
     place = None if quality.next_click is None else list(quality.next_click)
     lists = {"rests": plateaus, "warnings": list(quality.warnings), "notes": list(quality.notes)}
     answers = [answer._asdict() for answer in quality.answers]
-    return {**quality._asdict(), "next_click": place, **lists, "answers": answers}
+    values = {_QUALITY_KEYS.get(key, key): value for key, value in quality._asdict().items()}
+    return {**values, "next_click": place, **lists, "answers": answers}
 
 
 def describe_object(segmented: SegmentedObject) -> dict[str, Any]:

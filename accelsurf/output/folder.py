@@ -344,7 +344,7 @@ def _mesh_names(config: RunConfig, shape: Shape) -> dict[str, str]:
 
 
 def keeps_state(config: RunConfig) -> bool:
-    """Test if the state of a run is written, from which it can be refined, and the settings that repeat it.
+    """Test if the state of a run is written, from which it can be corrected, and the settings that repeat it.
 
     Examples
     --------

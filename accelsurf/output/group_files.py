@@ -24,7 +24,7 @@ from accelsurf.output.document import describe_object, describe_window
 from accelsurf.output.folder import name_of
 
 _RECORD = "record.npz"
-_DRAFT = ".draft-"
+_STAGING = ".draft-"
 #: Names of a group's folder, of one that was not complete when its process was killed, and of a mesh.
 _FOLDER = re.compile(r"group-[0-9]+-[0-9a-f]{16}|\.draft-[a-z0-9_]{8}")
 _MESH = r"[^/\\]+_(surface|contour)_{id}\.[a-z0-9.]+"
@@ -111,7 +111,7 @@ def write_group(
         When a mesh cannot be written; OSError when something else cannot.
     """
     objects = result.objects
-    facts = {key: getattr(result, key) for key in ("energy", "resolved_settings", "warnings")}
+    description = {key: getattr(result, key) for key in ("energy", "resolved_settings", "warnings")}
     with _staged(folder) as staged:
         record = GroupRecord(
             (),
@@ -123,7 +123,7 @@ def write_group(
             np.asarray(result.high, np.int64),
             [segmented.stop for segmented in objects],
             [_write_meshes(staged, segmented, names, space) for segmented in objects],
-            _plain({**facts, "window": describe_window(result.window)}),
+            _plain({**description, "window": describe_window(result.window)}),
             [np.packbits(segmented.labels) for segmented in objects],
         )
         states.write_state(staged / _RECORD, record, TYPES)
@@ -180,7 +180,7 @@ def not_of_groups(work: Path) -> list[Path]:
 
 
 def _is_of_a_group(path: Path) -> bool:
-    if path.parent.name.startswith(_DRAFT) and is_staging(Path(path.name)):
+    if path.parent.name.startswith(_STAGING) and is_staging(Path(path.name)):
         return True  # of a mesh that was being written
     return _FILE.fullmatch(path.name) is not None and path.is_file() and not path.is_symlink()
 
@@ -191,7 +191,7 @@ def _staged(folder: Path) -> Iterator[Path]:
 
     An unreadable group of that name is removed.
     """
-    staged = Path(tempfile.mkdtemp(prefix=_DRAFT, dir=folder.parent))
+    staged = Path(tempfile.mkdtemp(prefix=_STAGING, dir=folder.parent))
     try:
         yield staged
         sync(staged)

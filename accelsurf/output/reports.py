@@ -122,7 +122,7 @@ class Report:
 
     @property
     def state(self) -> ListedFile | None:
-        """The state that a result can be refined from, if it has one."""
+        """The state that a result can be corrected from, if it has one."""
         if self.document is None or self.document["status"] == "failed":
             return None
         return next((file for file in self.listed if file.kind == "state"), None)
@@ -249,10 +249,10 @@ def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
     wanted = config.model_dump(mode="json")
     corrections = wanted.pop("refine")
     free = {*_WITHOUT_EFFECT, *(key for key in _OPEN if key not in config.model_fields_set)}
-    refined = written.get("refine") or []
+    corrections_written = written.get("refine") or []
     return (
-        isinstance(refined, list)
-        and refined[: len(corrections)] == corrections
+        isinstance(corrections_written, list)
+        and corrections_written[: len(corrections)] == corrections
         and all(
             written.get(key, _plain(default_of(key))) == value
             for key, value in wanted.items()

@@ -24,7 +24,15 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms.recipe_files import checked, read_recipe
-from accelsurf.phantoms.recipes import MAX_VOXELS, Count, NotNegative, Positive, Real, Seed
+from accelsurf.phantoms.recipes import (
+    MAX_VOXELS,
+    Count,
+    NotNegative,
+    Positive,
+    Real,
+    Seed,
+    centred_axis,
+)
 
 Motion = Literal[
     "translation",
@@ -363,10 +371,8 @@ class MovingPhantom(ImageSequence):
     def _axes(self, body: Body, offset: Floats) -> tuple[Floats, ...]:
         """Coordinates x, y, z of points ``offset`` from the voxels' centres, from the body's centre on."""
         recipe = self.recipe
-        axes = [
-            (np.arange(n) - (n - 1) / 2) * h + o - c
-            for n, h, o, c in zip(recipe.shape, recipe.spacing, offset, body.center, strict=True)
-        ]
+        centred = [centred_axis(n, h) for n, h in zip(recipe.shape, recipe.spacing, strict=True)]
+        axes = [axis + o - c for axis, o, c in zip(centred, offset, body.center, strict=True)]
         if recipe.is_flat:
             axes[2] = np.zeros(1)
         return tuple(axes)

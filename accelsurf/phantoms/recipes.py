@@ -303,12 +303,15 @@ def distance_at(recipe: Recipe, xyz: ArrayLike) -> Floats:
     return recipe.solid.distance(local[..., 0], local[..., 1], local[..., 2])
 
 
+def centred_axis(count: int, spacing: float) -> Floats:
+    """Return the voxel centres along an axis, (count,) mm from its middle."""
+    return (np.arange(count, dtype=np.float64) - (count - 1) / 2) * spacing
+
+
 def _voxel_centres(recipe: Recipe) -> Iterator[tuple[slice, tuple[Floats, Floats, Floats]]]:
     """Runs of slices, and their voxel centres relative to the object's middle, as arrays that broadcast to them."""
-    x, y, z = (
-        (np.arange(n, dtype=np.float64) - (n - 1) / 2) * h - c
-        for n, h, c in zip(recipe.shape, recipe.spacing, recipe.center, strict=True)
-    )
+    centred = [centred_axis(n, h) for n, h in zip(recipe.shape, recipe.spacing, strict=True)]
+    x, y, z = (axis - c for axis, c in zip(centred, recipe.center, strict=True))
     for planes in slabs((len(z), len(y), len(x))):
         yield planes, (x.reshape(1, 1, -1), y.reshape(1, -1, 1), z[planes].reshape(-1, 1, 1))
 
@@ -337,10 +340,8 @@ def _degraded(image: NDArray[np.float32], recipe: Recipe) -> NDArray[np.float32]
         phases = np.random.Generator(np.random.PCG64([recipe.seed, 1])).uniform(
             0.0, 2.0 * math.pi, 3
         )
-        x, y, z = (
-            np.sin(math.pi * (np.arange(n) + 0.5) / n + phase)
-            for n, phase in zip(recipe.shape, phases, strict=True)
-        )
+        angles = [math.pi * (np.arange(n) + 0.5) / n for n in recipe.shape]
+        x, y, z = (np.sin(angle + phase) for angle, phase in zip(angles, phases, strict=True))
         field = (x.reshape(1, 1, -1) + y.reshape(1, -1, 1) + z.reshape(-1, 1, 1)) / 3
         image *= (1.0 + recipe.bias * field).astype(np.float32)
     if recipe.noise:

@@ -21,7 +21,7 @@ from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms.motions import MovingPhantom, SequenceRecipe, TruthRow, motion_from
 from accelsurf.phantoms.recipe_files import checked
-from accelsurf.phantoms.recipes import NotNegative, Positive, Real
+from accelsurf.phantoms.recipes import NotNegative, Positive, Real, centred_axis
 
 Tissue = Literal["shell", "wall", "cell"]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -94,11 +94,8 @@ class TissueRecipe(SequenceRecipe):
 
     def material(self, time: float) -> Material:
         """The material at a time, in frames from the first."""
-        nx, ny, nz = self.shape
-        axes = [
-            (np.arange(n) - (n - 1) / 2) * h - way * time
-            for n, h, way in zip((nx, ny, nz), self.spacing, self.travel, strict=True)
-        ]
+        centred = [centred_axis(n, h) for n, h in zip(self.shape, self.spacing, strict=True)]
+        axes = [axis - way * time for axis, way in zip(centred, self.travel, strict=True)]
         z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
         return _TISSUES[self.tissue](self, np.stack((x, y, z)), time)
 
@@ -173,12 +170,12 @@ class TissuePhantom(ImageSequence):
     def _channels(self, number: int) -> list[Volume]:
         recipe, material = self.recipe, self.recipe.material(number)
         strength = np.where(material.bright, recipe.inside, recipe.outside)
+        spacing = self.geometry.spacing
         sigma = [
-            recipe.grain / h if n > 1 else 0.0
-            for h, n in zip(self.geometry.spacing, strength.shape, strict=True)
+            recipe.grain / h if n > 1 else 0.0 for h, n in zip(spacing, strength.shape, strict=True)
         ]
-        even = ndimage.gaussian_filter(strength, sigma, mode="nearest")
-        values = (1.0 - recipe.speckle) * even
+        smooth = ndimage.gaussian_filter(strength, sigma, mode="nearest")
+        values = (1.0 - recipe.speckle) * smooth
         if recipe.speckle:
             values = values + recipe.speckle * self._speckle(number, material, strength, sigma)
         return [Volume(values.astype(np.float32), self.geometry)]

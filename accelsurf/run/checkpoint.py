@@ -17,10 +17,10 @@ from accelsurf.evolution.records import StepFields, StepRecord, Stop
 from accelsurf.evolution.state import (
     Checkpoint,
     EnergyBudget,
-    FoundRest,
+    FoundPlateau,
     LoopState,
     LowestState,
-    RestWatch,
+    PlateauWatch,
     Slowest,
 )
 from accelsurf.flows import EnergyRates
@@ -125,14 +125,14 @@ TYPES: dict[str, type] = {
         CheckpointHeader,
         EnergyBudget,
         EnergyRates,
-        FoundRest,
+        FoundPlateau,
         GrowthState,
         Level,
         LevelSummary,
         LoopState,
         LowestState,
         ObjectCheckpoint,
-        RestWatch,
+        PlateauWatch,
         RunCheckpoint,
         SavedRun,
         Slowest,
@@ -243,9 +243,11 @@ def refuse_another_run(
     path: str | Path,
     header: CheckpointHeader,
     here: CheckpointHeader,
-    what: str = "another image or start",
+    difference: str = "another image or start",
 ) -> None:
-    """Refuse a state that is not of the run with header ``here``: its settings that differ are named, else ``what``.
+    """Refuse a state that is not of the run with header ``here``.
+
+    Its settings that differ are named, else ``difference``.
 
     Raises
     ------
@@ -260,9 +262,10 @@ def refuse_another_run(
     if other:
         key = other[0]
         more = f" and {len(other) - 1} more" if len(other) > 1 else ""
-        what = f"other settings: {key} was {shown(there.get(key))}, is {shown(here.settings[key])}{more}"
+        difference = f"other settings: {key} was {shown(there.get(key))}, is {shown(here.settings[key])}{more}"
     raise InputError(
-        f"{path}: a checkpoint of {what}", "give those of the run that wrote it, or begin anew"
+        f"{path}: a checkpoint of {difference}",
+        "give those of the run that wrote it, or begin anew",
     )
 
 

@@ -373,7 +373,7 @@ class ImageContext:
     def sums_of_background(self, channel: int, kind: str, summing: Summing) -> NDArray[np.float64]:
         """Sums of a channel over the background that likelihood learns from; ``kind`` is their name.
 
-        Unless voxels of the background are given, they are everything's less the foreground's: the same,
+        Unless voxels of the background are given, they are the whole's less the foreground's: the same,
         wherever the image ends beyond the foreground.
         """
         training, image = self._trained_on(*_NO_SAMPLE), self.images[channel]
@@ -382,8 +382,8 @@ class ImageContext:
                 sums = sums_by_plane(image, summing, training.background)
             else:
                 whole = self.whole_sums(channel, self.spacing, kind, summing)
-                everything = sums_by_plane(image, summing) if whole is None else whole
-                sums = everything - sums_by_plane(image, summing, training.foreground)
+                of_whole = sums_by_plane(image, summing) if whole is None else whole
+                sums = of_whole - sums_by_plane(image, summing, training.foreground)
             self._background[channel, kind] = sums
         return self._background[channel, kind]
 

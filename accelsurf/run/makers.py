@@ -50,7 +50,7 @@ from accelsurf.flows import (
     Sobolev,
 )
 from accelsurf.grid.geometry import axis_steps
-from accelsurf.image.noise import area_against_noise, noise_of
+from accelsurf.image.noise import area_for_noise, noise_of
 from accelsurf.image.smoothing import gradient_magnitude
 from accelsurf.run.image_context import TermInputs
 from accelsurf.settings import budgets
@@ -135,7 +135,7 @@ def chan_vese(inputs: TermInputs) -> Made:
     epsilon = inputs.number("epsilon", inputs.config.epsilon)
     context, channel = inputs.context, inputs.channel
     elsewhere = context.moments_elsewhere(channel)
-    by_noise = area_against_noise(
+    by_noise = area_for_noise(
         context.once(noise_of, channel), context.images[channel].shape, context.spacing
     )
     area = inputs.number("area", by_noise)
@@ -215,11 +215,11 @@ def likelihood(inputs: TermInputs) -> Made:
             image, inputs.alpha, learned, epsilon, parzen, elsewhere, whole
         ), used
     least = context.once(least_variance, channel)
-    everything = _moments_of_whole(inputs)
+    of_whole = _moments_of_whole(inputs)
     if update == "yes":
         moments = context.moments_elsewhere(channel)
         return GaussianLikelihood(
-            image, inputs.alpha, None, epsilon, moments, everything, least
+            image, inputs.alpha, None, epsilon, moments, of_whole, least
         ), used
     # Outliers of a sample of the object are no part of it; the background is of many kinds, which all count.
     inside = robust_gaussian_of(context.sample(channel), least)
@@ -230,7 +230,7 @@ def likelihood(inputs: TermInputs) -> Made:
     for name, (mean, variance) in (("inside", inside), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
     return GaussianLikelihood(
-        image, inputs.alpha, TwoGaussians(inside, other), epsilon, whole=everything
+        image, inputs.alpha, TwoGaussians(inside, other), epsilon, whole=of_whole
     ), used
 
 

@@ -331,7 +331,7 @@ def _name_of_start(config: RunConfig, given: Mapping[str, NDArray[np.float32]]) 
 
 
 def _start_within(
-    psi: NDArray[np.float32], distance: NDArray[np.float32] | None, config: RunConfig, what: str
+    psi: NDArray[np.float32], distance: NDArray[np.float32] | None, config: RunConfig, start: str
 ) -> NDArray[np.float32]:
     """The start within region and mask, of which a part must remain."""
     where = "the region of interest"
@@ -340,10 +340,10 @@ def _start_within(
         where = "the mask" if config.roi is None else "the mask and the region of interest"
     inside = psi < 0
     if not inside.any():
-        raise InputError(f"start {shown(what)}: lies outside of {where}", "start within it")
+        raise InputError(f"start {shown(start)}: lies outside of {where}", "start within it")
     if inside.all():
         raise InputError(
-            f"start {shown(what)}: covers all of {where}", "leave some background outside"
+            f"start {shown(start)}: covers all of {where}", "leave some background outside"
         )
     return np.ascontiguousarray(psi)
 

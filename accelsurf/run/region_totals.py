@@ -12,7 +12,7 @@ from accelsurf.grid.boxes import Box
 
 
 class RegionTotals:
-    """Sums of an image over an object and over everything, by channel and kind.
+    """Sums of an image over an object and over the whole, by channel and kind.
 
     They are made once from the whole image, on demand; after that a change of the object in a box changes them by the
     voxels of the box. Rounding of these changes is part of the state, so that a run that goes on has the same bytes.

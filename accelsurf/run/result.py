@@ -20,7 +20,7 @@ from scipy import ndimage
 from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.evolution.state import FoundRest
+from accelsurf.evolution.state import FoundPlateau
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Clicks
@@ -353,9 +353,9 @@ class Result:
 
     def __repr__(self) -> str:
         size = " x ".join(str(n) for n in self.geometry.size)
-        what = f"{len(self.objects)} objects" if self.has_ids else "1 object"
+        content = f"{len(self.objects)} objects" if self.has_ids else "1 object"
         volume = size_text(self.volume_mm3, self.geometry.unit, 3)
-        return f"Result({what}, {volume}, {self.stop.reason}, {size} voxels)"
+        return f"Result({content}, {volume}, {self.stop.reason}, {size} voxels)"
 
     def _repr_html_(self) -> str:
         """A slice with the outlines of the objects, and the repr, for notebooks."""
@@ -628,11 +628,16 @@ def _common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
     return common
 
 
-def plateaus_of(found: Sequence[FoundRest], prepared: PreprocessedInput) -> tuple[Plateau, ...]:
+def plateaus_of(found: Sequence[FoundPlateau], prepared: PreprocessedInput) -> tuple[Plateau, ...]:
     """Return the plateaus of an object, with their places in the world."""
     return tuple(
-        Plateau(rest.step, rest.volume_mm3, rest.left_at, _place_of(rest, prepared.geometry))
-        for rest in found
+        Plateau(
+            found_plateau.step,
+            found_plateau.volume_mm3,
+            found_plateau.left_at,
+            _place_of(found_plateau, prepared.geometry),
+        )
+        for found_plateau in found
     )
 
 
@@ -643,11 +648,11 @@ def plateaus_on_whole(plateaus: Sequence[Plateau], window: Window) -> tuple[Plat
     )
 
 
-def _place_of(rest: FoundRest, geometry: Geometry) -> tuple[float, float, float]:
-    """Return the world place (x, y, z), mm, of the middle of a voxel of a rest's level."""
-    grid = pyramid.levels(geometry.shape, geometry.spacing, rest.level + 1)[rest.level]
+def _place_of(plateau: FoundPlateau, geometry: Geometry) -> tuple[float, float, float]:
+    """Return the world place (x, y, z), mm, of the middle of a voxel of a plateau's level."""
+    grid = pyramid.levels(geometry.shape, geometry.spacing, plateau.level + 1)[plateau.level]
     middle = [
-        f + i * width for f, i, width in zip(grid.first, rest.place, grid.factors, strict=True)
+        f + i * width for f, i, width in zip(grid.first, plateau.place, grid.factors, strict=True)
     ]
     x, y, z = (float(v) for v in geometry.index_to_world(middle))
     return x, y, z

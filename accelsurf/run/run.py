@@ -325,10 +325,10 @@ class Run:
         """The levels so far, coarsest first."""
         return [*self.level_summaries, self._ensemble.summary(self.grid)]
 
-    def _warn(self, what: str, then: str) -> None:
+    def _warn(self, event: str, then: str) -> None:
         size = " x ".join(str(n) for n in reversed(self.grid.shape))
         self.level_warnings.append(
-            f"level {self.grid.number} ({size} voxels): {what}; the run {then} on the next finer level"
+            f"level {self.grid.number} ({size} voxels): {event}; the run {then} on the next finer level"
         )
 
     # -- edits ---------------------------------------------------------------------------------------------

@@ -140,13 +140,13 @@ def energy_maker(
     if energy is None or isinstance(energy, str):
         return functools.partial(make_energy, settings)
     if (levels > 1 or has_ids) and not is_maker(energy):
-        what = (
+        subject = (
             f"levels: {levels} was given, expected 1"
             if levels > 1
             else "objects: several were given"
         )
         raise UsageError(
-            f"{what}: the energy has one image, and each {'level' if levels > 1 else 'object'} needs its own",
+            f"{subject}: the energy has one image, and each {'level' if levels > 1 else 'object'} needs its own",
             "give a class or function that makes the energy of (image, spacing), or levels=1 and one object",
         )
     return functools.partial(own_energy, energy, settings)

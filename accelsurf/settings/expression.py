@@ -184,13 +184,13 @@ class Reader(NamedTuple):
             found[key] = self._value(text, f"{key} of {name}", known[key], value)
         return found
 
-    def _value(self, text: str, what: str, kind: Number | Word, value: str) -> Value:
+    def _value(self, text: str, subject: str, kind: Number | Word, value: str) -> Value:
         if value in kind.words:
             return value
         if isinstance(kind, Word):
             raise self.error(
                 text,
-                f"{kind.expected} for {what}, not '{shown(value)}'",
+                f"{kind.expected} for {subject}, not '{shown(value)}'",
                 did_you_mean(value, kind.words),
             )
         percent = kind.percent and value.endswith("%")
@@ -203,11 +203,11 @@ class Reader(NamedTuple):
         ) or not math.isfinite(number):
             guess = did_you_mean(value, kind.words)
             raise self.error(
-                text, f"{kind.expected} for {what}, not '{shown(value or 'nothing')}'", guess
+                text, f"{kind.expected} for {subject}, not '{shown(value or 'nothing')}'", guess
             )
         if number != 0 and not self.smallest <= abs(number) <= self.largest:
             raise self.error(
-                text, f"0 or a number of size {self.smallest:g} to {self.largest:g} for {what}"
+                text, f"0 or a number of size {self.smallest:g} to {self.largest:g} for {subject}"
             )
         return value if percent or half else number
 

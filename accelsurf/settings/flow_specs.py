@@ -33,7 +33,7 @@ class FlowSpec(Spec):
     voxel_bytes: int = 0
 
 
-#: The flow is chosen when the image is known, of the next two (`accelsurf.run.setup`).
+#: The flow is selected when the image is known, of the next two (`accelsurf.run.setup`).
 AUTO = "auto"
 MOMENTUM = "constant-density"
 DESCENT = "gradient"
@@ -164,7 +164,7 @@ class FlowText(Written):
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The settings that are numbers; words stand for values chosen when the run begins."""
+        """The settings that are numbers; words stand for values selected when the run begins."""
         return {key: value for key, value in self.settings.items() if isinstance(value, float)}
 
     def with_setting(self, key: str, value: str) -> FlowText:

@@ -216,13 +216,13 @@ def default_color(label: int) -> Color:
     return red, green, blue
 
 
-def parse_ids(text: str, what: str, example: str) -> IdRanges:
+def parse_ids(text: str, source: str, example: str) -> IdRanges:
     """Read ids and ranges of ids, separated by commas.
 
     Parameters
     ----------
     text : str
-    what, example : str
+    source, example : str
         Where it was given, and a valid text, for the message.
 
     Raises
@@ -244,7 +244,7 @@ def parse_ids(text: str, what: str, example: str) -> IdRanges:
             and int(first) <= int(last or first)
         ):
             raise UsageError(
-                f"{what}: {shown(part)!r} is no label, expected whole numbers and ranges",
+                f"{source}: {shown(part)!r} is no label, expected whole numbers and ranges",
                 f"as in {example}",
             )
         ids.append((int(first), int(last or first)))

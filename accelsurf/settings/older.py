@@ -26,7 +26,7 @@ _MOVED: dict[str, tuple[str, Any]] = {
 def modern(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of a file as they are written now; settings of the present version stay as they are.
 
-    A setting that had no effect on the flow is left out, as is one with its default. A flow that was to be chosen is
+    A setting that had no effect on the flow is left out, as is one with its default. A flow that was to be selected is
     the one with momentum if a setting of it was given.
 
     Parameters

@@ -26,7 +26,7 @@ SLOPE_NEAR = 2.5
 #: Part of the mean variance of a feature that is added to each: few voxels tell little.
 RIDGE = 1e-2
 #: Largest logarithm of odds: nothing is surer.
-SURE = 4.0
+MAX_SCORE = 4.0
 #: Fewest voxels on a side that can be learned from.
 MIN_VOXELS = 8
 
@@ -81,7 +81,7 @@ class Appearance(NamedTuple):
         found = ((squares @ near + self.weights[:count, None].astype(np.float32)) * near).sum(
             axis=0
         ) + self.offset
-        return np.asarray(np.clip(found, -SURE, SURE)).reshape(features.shape[1:])
+        return np.asarray(np.clip(found, -MAX_SCORE, MAX_SCORE)).reshape(features.shape[1:])
 
 
 def appearance_of(image: Volume, surface: SurfacePiece) -> Appearance | None:

@@ -20,9 +20,9 @@ from accelsurf.track.evidence import FACTOR, Profile, volume_in_grid
 from accelsurf.track.frame_run import Measured
 from accelsurf.track.image_motion import LIKE
 from accelsurf.track.momentum import SurfaceMomentum, Triple
-from accelsurf.track.records import CarriedMesh, SurfacePiece, TrackedObject
+from accelsurf.track.records import SurfacePiece, TrackedMesh, TrackedObject
 
-#: A new mesh is made where the volume of a carried one differs from that of its surface by more than this part, or
+#: A new mesh is made where the volume of a moved one differs from that of its surface by more than this part, or
 #: where more than this part of its triangles has turned over.
 MAX_DIFFERENCE = 0.05
 #: A part or a cavity of at most this number of voxels is below the grid's resolution: momentum may lose it.
@@ -33,9 +33,9 @@ LOST = "lost"
 
 
 class MeshCarrier:
-    """The mesh of one object, carried along with the points that are attached to its momentum.
+    """The mesh of one object, which moves with the points that are attached to its momentum.
 
-    A new mesh begins, and with it a new generation, where the topology changes, triangles turn over, or the carried
+    A new mesh begins, and with it a new generation, where the topology changes, triangles turn over, or the moved
     mesh does not describe the surface any more.
     """
 
@@ -45,7 +45,7 @@ class MeshCarrier:
         self._faces = np.array(faces, np.int64).reshape(-1, 3)
         self._topology, self._generation = tuple(topology), int(generation)
 
-    def in_frame(self, momentum: SurfaceMomentum, geometry: Geometry) -> CarriedMesh | None:
+    def in_frame(self, momentum: SurfaceMomentum, geometry: Geometry) -> TrackedMesh | None:
         """The mesh now, in an image of more than one slice; None where nothing of the object lies in the grid."""
         piece = momentum.piece
         if geometry.slice_axis is not None or not piece.has_inside or (piece.psi < 0).all():
@@ -62,10 +62,10 @@ class MeshCarrier:
             self._faces, self._topology = made.faces.astype(np.int64), topology
             self._generation += 1
             points = momentum.points
-        return CarriedMesh(points, self._faces, self._generation)
+        return TrackedMesh(points, self._faces, self._generation)
 
     def _describes(self, points: NDArray[np.float64], volume: float) -> bool:
-        """Test if the carried points are still a mesh of the surface."""
+        """Test if the moved points are still a mesh of the surface."""
         mesh = surface_mesh.Surface(points, self._faces.astype(np.int32))
         return abs(mesh.volume - volume) <= MAX_DIFFERENCE * abs(volume)
 
@@ -97,7 +97,7 @@ class Whole(NamedTuple):
 
 
 class Trust(NamedTuple):
-    """Facts of an object whose surface was given.
+    """Description of an object whose surface was given.
 
     ``profile`` across it; its connected ``parts``; its ``depth``, mm: twice volume over area, the thickness of a wall
     or two thirds of the radius of a ball; ``is_run``, whether the energy of runs holds it in that frame; ``appearance``
@@ -182,7 +182,7 @@ class Followed:
         self.whole_profile, self.whole_mm3 = whole.profile, max(whole.volume_mm3, self.volume_mm3)
 
     def note_given(self, trust: Trust | None) -> None:
-        """Note the facts of the object that its given surface shows."""
+        """Note the description of the object that its given surface shows."""
         self.trust = trust
 
     def note_motion(self, innovation: float, variance: float, likeness: float) -> None:
@@ -233,7 +233,7 @@ class Followed:
         return 0.0 if self.trust is None or self.trust.is_run else self.trust.depth
 
     def inherit(self, parent: Followed) -> None:
-        """Take over the facts of the object that this was a part of."""
+        """Take over the description of the object that this was a part of."""
         if parent.trust is not None and not parent.trust.is_run:
             self.trust = parent.trust._replace(
                 parts=1, depth=2.0 * self.volume_mm3 / max(self.area_mm2, 1e-300)

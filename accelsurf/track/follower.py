@@ -31,7 +31,7 @@ from accelsurf.track.frame_run import (
     following_settings,
     measure,
     measured_piece,
-    settled,
+    recognised,
 )
 from accelsurf.track.image_motion import LIKE, image_motion
 from accelsurf.track.momentum import Gains, SurfaceMomentum, Triple
@@ -91,7 +91,7 @@ class Follower:
     energy : Energy or callable, optional
         One of the user's own.
     meshes : bool
-        Whether meshes are carried along.
+        Whether meshes move with the momentum.
     """
 
     def __init__(
@@ -136,21 +136,21 @@ class Follower:
         starts = [ObjectStart(id, *piece) for id, piece in given.items()]
         step = min(self._geometry.steps)
         trust = {}
-        holding = set(given)
+        moving_ids = set(given)
         for steps in TRIED_STEPS:
-            if holding:
+            if moving_ids:
                 run = self._run.replace(max_steps=min(steps, self._run.max_steps))
                 found = measure(arrival.channels, starts, run, self._energy)
                 left = {
                     id: mean_square(piece, found[id].surface, step) for id, piece in given.items()
                 }
-                holding &= {id for id, square in left.items() if square <= ROUNDING * step**2}
+                moving_ids &= {id for id, square in left.items() if square <= ROUNDING * step**2}
         for followed in [followed for followed in self.objects if followed.id in given]:
-            piece, holds = given[followed.id], followed.id in holding
+            piece, holds = given[followed.id], followed.id in moving_ids
             depth = 2.0 * followed.volume_mm3 / max(followed.area_mm2, 1e-300)
             appearance = None if holds else appearance_of(arrival.channels[0], piece)
             if appearance is not None:
-                again = settled(
+                again = recognised(
                     self._at_rest(piece, depth).moved_surface(0.0),
                     appearance,
                     arrival.channels[0],
@@ -301,8 +301,10 @@ class Follower:
                 found[followed.id] = measured_piece(predicted[followed.id], self._geometry)
                 continue
             prior = followed.prior(MIN_PRIOR_DEVIATION * min(self._geometry.steps) ** 2)
-            carried = followed.momentum.moved_surface(arrival.duration)
-            found[followed.id] = settled(carried, followed.appearance, arrival.channels[0], prior)
+            predicted = followed.momentum.moved_surface(arrival.duration)
+            found[followed.id] = recognised(
+                predicted, followed.appearance, arrival.channels[0], prior
+            )
         if then:
             occupied = [
                 measured.surface for measured in found.values() if measured.surface.psi.size
@@ -317,10 +319,10 @@ class Follower:
         clicked = {followed.object for followed in arrival.refinements if followed.kind == "clicks"}
         image, duration = arrival.channels[0], arrival.duration
         for followed in self.objects:
-            sure = bool(clicked & {None, followed.id})
+            is_of_this_object = bool(clicked & {None, followed.id})
             others = [other.surface for id, other in found.items() if id != followed.id]
             # Where the surface that a run finds is not the object, the one that goes with the image still may be.
-            corrects = sure or followed.is_run or followed.appearance is not None
+            corrects = is_of_this_object or followed.is_run or followed.appearance is not None
             moves = corrects and followed.goes_with_image and predicted[followed.id].has_inside
             for is_run in (True, False) if moves else (corrects,):
                 shown = found.get(followed.id, NOTHING)
@@ -329,14 +331,14 @@ class Follower:
                 if not shown.surface.psi.size:
                     continue
                 now = profile(image, shown.surface, others)
-                if not sure and not self._is_shown(
+                if not is_of_this_object and not self._is_shown(
                     followed, shown, now, predicted[followed.id], not is_run
                 ):
                     continue
                 if is_run:
                     followed.momentum.correct(self._largest(shown).surface, duration, self._gains)
                     followed.note_corrected()
-                if not sure and not followed.is_run:
+                if not is_of_this_object and not followed.is_run:
                     shown = shown._replace(quality=followed.chance(now))
                 followed.note_seen(shown, now, arrival.time, self._geometry)
                 self._identities.see(followed.id, arrival.number)

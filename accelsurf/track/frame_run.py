@@ -279,7 +279,9 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
     return False
 
 
-def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior: float) -> Measured:
+def recognised(
+    predicted: MovedSurface, appearance: Appearance, image: Volume, prior: float
+) -> Measured:
     """Run a surface in a frame, by an appearance, from the momentum that it has; the chance of its result is even.
 
     The energy is U = int_inside (prior psi_0 - odds) dx + alpha A, psi_0 where it begins. The surface has constant
@@ -287,7 +289,7 @@ def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior:
 
     Parameters
     ----------
-    carried : MovedSurface
+    predicted : MovedSurface
         Moved in place.
     appearance : Appearance
     image : Volume
@@ -295,7 +297,7 @@ def settled(carried: MovedSurface, appearance: Appearance, image: Volume, prior:
     prior : float
         Weight of the distance from where it begins, 1/mm.
     """
-    boxed, speed = carried
+    boxed, speed = predicted
     surface, h = boxed.surface, min(image.geometry.steps)
     evidence = functools.partial(appearance.evidence, image)
     odds = (evidence if boxed.halving is None else boxed.halving.on_coarse(evidence))(
@@ -319,7 +321,7 @@ def _measures(piece: SurfacePiece, surface: LevelSet, quality: float) -> Measure
 
 
 def measured_start(start: ObjectStart, geometry: Geometry) -> Measured:
-    """Measure an object whose voxels are given: nothing of it is in doubt."""
+    """Measure an object whose voxels are given: nothing of it is uncertain."""
     surface = LevelSet(start.psi, geometry.spacing, BAND)
     # The distance to the surface through the voxels' faces, on the same side in every voxel.
     least = np.float32(SIDE * min(geometry.steps))

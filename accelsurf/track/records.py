@@ -52,7 +52,7 @@ class SurfacePiece(NamedTuple):
         return box_at(self.corner, self.psi.shape)
 
 
-class CarriedMesh(NamedTuple):
+class TrackedMesh(NamedTuple):
     """A mesh whose vertices are the same material points in every frame in which the object is seen without a break.
 
     ``vertices`` (n, 3), world mm (LPS); ``faces`` (m, 3), outward; ``generation`` counts the meshes of the object:
@@ -86,7 +86,7 @@ class TrackedObject:
         Whether the frame showed it; otherwise the prediction stands uncorrected.
     quality : float
         Chance that the surface is good in this frame, as `accelsurf.measure.quality`; 0 where it is not seen.
-    mesh : CarriedMesh or None
+    mesh : TrackedMesh or None
         With correspondence, where that was asked for.
     """
 
@@ -99,7 +99,7 @@ class TrackedObject:
     centroid: tuple[float, float, float]
     seen: bool
     quality: float
-    mesh: CarriedMesh | None = None
+    mesh: TrackedMesh | None = None
 
 
 @dataclass(frozen=True, eq=False)

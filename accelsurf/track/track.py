@@ -155,7 +155,7 @@ class Tracking:
     objects : str, Volume or ndarray, optional
         First voxels of several objects, as for `accelsurf.segment_objects`.
     meshes : bool
-        Whether meshes are carried along: `TrackedObject.mesh`.
+        Whether meshes move with the momentum: `TrackedObject.mesh`.
     on_step : callable, optional
         Called with each `StepRecord` of the first frame and the id of its object; a true value ends the tracking.
     checkpoint_to : path-like, optional

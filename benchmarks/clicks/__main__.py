@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from benchmarks.clicks.folds import NAMES
 from benchmarks.clicks.games import KINDS, play, variants
 from benchmarks.clicks.methods import TUNED_CLICKS, Method, named
-from benchmarks.clicks.objects import ClickObject, chosen, load, size_factor
+from benchmarks.clicks.objects import ClickObject, load, selected, size_factor
 from benchmarks.clicks.pictures import Album
 from benchmarks.clicks.store import Store, brief, key_of
 from benchmarks.peers.measure import MissingError, scans_folder, set_threads
@@ -116,7 +116,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     try:
         options.methods, options.objects = (
             named(options.methods),
-            chosen(options.folds, options.objects),
+            selected(options.folds, options.objects),
         )
     except ValueError as wrong:
         parser.error(str(wrong))
@@ -128,16 +128,16 @@ def _names(text: str) -> list[str]:
 
 
 def tasks(method: Method, store: Store, options: argparse.Namespace) -> Iterator[Task]:
-    """Games of a method, by the command line; folds without chosen settings are said and left out."""
+    """Games of a method, by the command line; folds without selected settings are said and left out."""
     kinds = [kind for kind in options.games if kind != "size" or method.takes_size]
-    chosen_by_fold: dict[str, dict[str, Any] | None] = {}
+    selected_by_fold: dict[str, dict[str, Any] | None] = {}
     for which in options.objects:
         if options.grid:
             yield from (
                 Task(which, "plain", settings, TUNED_CLICKS, False) for settings in method.grid
             )
             continue
-        if which.fold not in chosen_by_fold:
+        if which.fold not in selected_by_fold:
             found = method.settings(store, which.fold)
             if found is None and not options.default:
                 print(
@@ -145,10 +145,10 @@ def tasks(method: Method, store: Store, options: argparse.Namespace) -> Iterator
                     f"{method.name}, or --default",
                     flush=True,
                 )
-            chosen_by_fold[which.fold] = (
+            selected_by_fold[which.fold] = (
                 method.default if found is None and options.default else found
             )
-        settings = chosen_by_fold[which.fold]
+        settings = selected_by_fold[which.fold]
         if settings is not None:
             yield from (
                 Task(which, variant, settings, options.clicks) for variant in variants(kinds)

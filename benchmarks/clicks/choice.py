@@ -1,4 +1,4 @@
-"""The rule by which objects are chosen from the scans; `python -m benchmarks.clicks.choice` writes ``objects.json``.
+"""The rule by which objects are selected from the scans; `python -m benchmarks.clicks.choice` writes ``objects.json``.
 
 1. Candidates are the labels of a reference that have a name a person would say, and groups of them; nuclei by number;
    of one label in many parts (vessels) its parts. A candidate has at least 300 voxels, a vessel 1,000.
@@ -172,7 +172,7 @@ FORMER = (
 
 
 class Candidate(NamedTuple):
-    """An object that may be chosen, its number of voxels, and the strength of its edge (infinite: not asked)."""
+    """An object that may be selected, its number of voxels, and the strength of its edge (infinite: not asked)."""
 
     object: ClickObject
     size: int
@@ -239,7 +239,7 @@ def spread(found: Sequence[Candidate], most: int) -> list[Candidate]:
 
 
 def of_scan(name: str, folder: Path | None) -> list[ClickObject]:
-    """Objects of a scan: those chosen, and those of the former list that are not."""
+    """Objects of a scan: those selected, and those of the former list that are not."""
     by_threshold = [
         ClickObject(which, name, (), THRESHOLDS[which].family)
         for which in THRESHOLDS
@@ -256,7 +256,7 @@ def of_scan(name: str, folder: Path | None) -> list[ClickObject]:
     rest = [
         each.object for each in every if each.object.name in FORMER and each.object not in taken
     ]
-    return taken + [replace(each, chosen=False) for each in rest]
+    return taken + [replace(each, selected=False) for each in rest]
 
 
 def main() -> int:
@@ -264,7 +264,7 @@ def main() -> int:
     folder = Path(os.environ["ACCELSURF_VOLUMES"])
     found = [each for fold in FOLDS for name in fold.scans for each in of_scan(name, folder)]
     TABLE.write_text(written(found))
-    print(f"written: {TABLE}, {sum(each.chosen for each in found)} chosen")
+    print(f"written: {TABLE}, {sum(each.selected for each in found)} chosen")
     return 0
 
 

@@ -64,9 +64,13 @@ def nearest_seed(values, seeds, offsets, lengths, weight, squared):
         if done[here]:
             continue
         done[here] = True
-        z, y, x = here // (ny * nx), here // nx % ny, here % nx
+        z = here // (ny * nx)
+        y = here // nx % ny
+        x = here % nx
         for n in range(offsets.shape[0]):
-            c, b, a = z + offsets[n, 0], y + offsets[n, 1], x + offsets[n, 2]
+            c = z + offsets[n, 0]
+            b = y + offsets[n, 1]
+            a = x + offsets[n, 2]
             if c < 0 or b < 0 or a < 0 or c >= nz or b >= ny or a >= nx:
                 continue
             there = (c * ny + b) * nx + a

@@ -61,7 +61,7 @@ class CroppedSession:
         ``reach`` and what the solver takes; with ``implied`` what the clicks imply of the voxels around them
         (`benchmarks.clicks.implied`) counts as said.
     cap : int
-        Voxels above which the crop is coarsened.
+        Voxels above which the crop is restricted.
     drawn : Box, optional
         The box that a person drew around the object: the crop is this box and a voxel more, and that voxel is outside.
     whole : bool
@@ -77,7 +77,10 @@ class CroppedSession:
         drawn: Box | None = None,
         whole: bool = False,
     ) -> None:
-        self.image, self.solver, self.settings, self.cap = image, solver, settings, cap
+        self.image = image
+        self.solver = solver
+        self.settings = settings
+        self.cap = cap
         self.drawn, self.whole = drawn, whole
         self.clicks: list[PersonClick] = []
 
@@ -175,7 +178,7 @@ def made(
         1.4826 * float(np.median(np.abs(inside - middle))), floor, 1e-3 * float(np.ptp(part)), 1e-20
     )
     values = np.clip((part - middle) / np.float32(spread), -WINDOW, WINDOW)
-    coarse = coarsened_seeds(seeds, steps)
+    coarse = restricted_seeds(seeds, steps)
     faces = (
         outer_faces(clicks, geometry, box, margin) if drawn is None else faces_beyond(drawn, box)
     )
@@ -221,7 +224,7 @@ def faces_beyond(drawn: Box, box: Box) -> list[tuple[int, int]]:
     return sorted(face for face, beyond in ends if beyond)
 
 
-def coarsened_seeds(seeds: NDArray[np.uint8], steps: tuple[int, int, int]) -> NDArray[np.uint8]:
+def restricted_seeds(seeds: NDArray[np.uint8], steps: tuple[int, int, int]) -> NDArray[np.uint8]:
     """Seeds of blocks: none is lost; a block with seeds of both sides gets neither."""
     sides = []
     for side in (INSIDE, OUTSIDE):

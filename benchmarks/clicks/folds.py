@@ -1,8 +1,8 @@
 """The folds: which scans are reported together, and what of the others may be tuned on.
 
 Scans that may show one body, or that one microscope took of one specimen, are in one fold. A setting that is reported
-on a fold is chosen on the objects of the other folds alone. Phantoms are a fold of their own: it is reported, and
-nothing is chosen on it.
+on a fold is selected on the objects of the other folds alone. Phantoms are a fold of their own: it is reported, and
+nothing is selected on it.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def fold_of_scan(scan: str) -> str:
 
 
 def tuned_on(fold: str) -> tuple[str, ...]:
-    """Names of the folds on which settings for ``fold`` are chosen.
+    """Names of the folds on which settings for ``fold`` are selected.
 
     Examples
     --------

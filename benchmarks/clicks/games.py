@@ -59,7 +59,7 @@ class Hints(NamedTuple):
 class Session(Protocol):
     """One object being segmented: knows the scan, takes clicks, gives the labels so far on the whole grid.
 
-    Its attribute ``sureness``, if it has one, is its probability (0 to 1) that the labels are good, or None. Its method
+    Its attribute ``confidence``, if any, is its probability (0 to 1) that the labels are good, or None. Its method
     ``other_answers``, if it has one, returns labels that a person may choose in place of those after the first click;
     ``take`` goes on from one of them, by its number.
     """
@@ -117,7 +117,7 @@ def play(
     Returns
     -------
     dict
-        ``clicks``: for each the side, the voxel, the radius (mm), ``dice`` after it, the `surfaces`, ``sureness``,
+        ``clicks``: for each the side, the voxel, the radius (mm), ``dice`` after it, the `surfaces`, ``confidence``,
         ``wall_s`` and ``cpu_s``, and ``error`` where the segmenter refused it (the labels before stand); of the first,
         where the segmenter has other answers, ``best_of_answers``: the Dice of the best of all. ``answer`` in place of
         side, voxel and radius where another answer was taken, of the game ``answers``: by a person who sees that its
@@ -145,7 +145,7 @@ def play(
             found = np.zeros_like(truth) if labels is None else labels
         record |= {"wall_s": time.perf_counter() - wall, "cpu_s": _cpu_seconds() - cpu}
         labels, better = within(found, scene.region), None
-        record |= {"dice": dice(labels, truth), "sureness": getattr(session, "sureness", None)}
+        record |= {"dice": dice(labels, truth), "sureness": getattr(session, "confidence", None)}
         if number == 0 and (others := getattr(session, "other_answers", None)) is not None:
             dices = [dice(within(other, scene.region), truth) for other in others()]
             record["best_of_answers"] = max(record["dice"], *dices, 0.0)
@@ -367,12 +367,12 @@ def confidence(games: Sequence[dict[str, Any]]) -> Confidence:
         for click in game["clicks"]
         if click.get("sureness") is not None
     ]
-    said = [dice_now for dice_now, sure in rows if sure >= SAID]
-    failed = [sure for dice_now, sure in rows if dice_now < FAILED]
+    said = [dice_now for dice_now, probability in rows if probability >= SAID]
+    failed = [probability for dice_now, probability in rows if dice_now < FAILED]
     return Confidence(
         len(rows),
         sum(value >= GOOD for value in said) / len(said) if said else None,
-        sum(sure >= SAID for sure in failed) / len(failed) if failed else None,
+        sum(probability >= SAID for probability in failed) / len(failed) if failed else None,
     )
 
 
@@ -395,7 +395,7 @@ def seconds(games: Sequence[dict[str, Any]]) -> dict[str, float | None]:
 
 
 def score(games: Sequence[dict[str, Any]]) -> float:
-    """What settings are chosen by: the mean Dice over clicks 1, 2, 3 and 5 and over the objects."""
+    """What settings are selected by: the mean Dice over clicks 1, 2, 3 and 5 and over the objects."""
     values = [
         value for game in games for n in BUDGETS[:4] if (value := dice_after(game, n)) is not None
     ]

@@ -47,8 +47,8 @@ def implied(images: Sequence[Image], spacing: Spacing, clicks: Clicks, within: B
     for click in clicks.clicks:
         if overlap(click.box, within):
             more = (WIDER - 1.0) * half_width(click.mask, spacing, clicks.shape)
-            against = [other for other in clicks.clicks if other.side != click.side]
-            out += _implied_by(images, spacing, click, against, more, clicks.shape, within)
+            opposite = [other for other in clicks.clicks if other.side != click.side]
+            out += _implied_by(images, spacing, click, opposite, more, clicks.shape, within)
     return out
 
 
@@ -78,7 +78,7 @@ def half_width(mask: Mask, spacing: Spacing, shape: Sequence[int]) -> float:
     found = float(
         ndimage.distance_transform_edt(coarse, sampling=np.multiply(spacing, steps)).max()
     )
-    # A thin stroke fills no block of a coarsened box.
+    # A thin stroke fills no block of a restricted box.
     return max(found, min(h for h, n in zip(spacing, shape, strict=True) if n > 1))
 
 
@@ -86,14 +86,14 @@ def _implied_by(
     images: Sequence[Image],
     spacing: Spacing,
     click: Click,
-    against: Sequence[Click],
+    opposite: Sequence[Click],
     more: float,
     shape: tuple[int, int, int],
     within: Box,
 ) -> list[Click]:
     """Find what one click implies within ``more`` mm of it, as a list of one or of none.
 
-    The clicks ``against`` say the opposite; ``shape`` is the grid's, ``within`` the box to stay in.
+    The clicks ``opposite`` say the opposite; ``shape`` is the grid's, ``within`` the box to stay in.
     """
     margin = [int(more / h) if n > 1 else 0 for h, n in zip(spacing, shape, strict=True)]
     if not any(margin):
@@ -101,7 +101,7 @@ def _implied_by(
     box = common(widened(click.box, shape, margin), within)
     # An opposite click may be nearer though it lies beyond that box, no farther than a margin.
     larger = common(widened(box, shape, margin), within)
-    near = [other for other in against if overlap(other.box, larger)]
+    near = [other for other in opposite if overlap(other.box, larger)]
     seen = larger if near else box
     steps = coarsening([s.stop - s.start for s in seen], spacing, MOST)
     alike = _looks_alike(images, click, seen, steps)

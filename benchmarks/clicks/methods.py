@@ -10,11 +10,11 @@ from accelsurf.image.volume import Volume
 from benchmarks.clicks.domain import CroppedSession
 from benchmarks.clicks.folds import tuned_on
 from benchmarks.clicks.games import Hints, Segmenter, Session, score
-from benchmarks.clicks.objects import ClickObject, chosen
+from benchmarks.clicks.objects import ClickObject, selected
 from benchmarks.clicks.peers import PEERS, ClickPeer
 from benchmarks.clicks.store import Store, key_of
 
-#: Clicks that are spent on each object when settings are chosen.
+#: Clicks that are spent on each object when settings are selected.
 TUNED_CLICKS = 5
 
 
@@ -46,17 +46,17 @@ class Method:
 
     @property
     def default(self) -> dict[str, Any]:
-        """Settings while none are chosen: the last of the grid."""
+        """Settings while none are selected: the last of the grid."""
         return self.grid[-1]
 
     def settings(self, store: Store, fold: str) -> dict[str, Any] | None:
         """Best settings on the other folds than ``fold``; None while a game of the grid on one of them is missing.
 
-        Games of a grid need `TUNED_CLICKS` clicks. Phantoms are never chosen on.
+        Games of a grid need `TUNED_CLICKS` clicks. Phantoms are never selected on.
         """
         if len(self.grid) == 1:
             return self.grid[0]
-        others = chosen(tuned_on(fold))
+        others = selected(tuned_on(fold))
         scores: list[float] = []
         for settings in self.grid:
             games = [game for each in others if (game := tuned(store, each, settings)) is not None]
@@ -67,7 +67,7 @@ class Method:
 
 
 def tuned(store: Store, which: ClickObject, settings: dict[str, Any]) -> dict[str, Any] | None:
-    """A game that settings are chosen by, if it was played."""
+    """A game that settings are selected by, if it was played."""
     return store.get(key_of(which.name, "plain", settings), TUNED_CLICKS)
 
 

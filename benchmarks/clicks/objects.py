@@ -37,7 +37,7 @@ class ClickObject:
     """One object: a short name, the scan's file without its ending, and the labels of the reference that make it.
 
     ``labels``: none for all above 0, or for an object by thresholds or a phantom. ``part``: of the connected parts of
-    the labels the one of this rank by size, 0 for all together. ``chosen``: the rule took it.
+    the labels the one of this rank by size, 0 for all together. ``selected``: the rule took it.
     """
 
     name: str
@@ -45,7 +45,7 @@ class ClickObject:
     labels: tuple[int, ...] = ()
     family: str = "other"
     part: int = 0
-    chosen: bool = True
+    selected: bool = True
 
     @property
     def fold(self) -> str:
@@ -80,7 +80,7 @@ def written(found: Sequence[ClickObject]) -> str:
             "labels": list(each.labels),
             "family": each.family,
             **({"part": each.part} if each.part else {}),
-            **({} if each.chosen else {"chosen": False}),
+            **({} if each.selected else {"chosen": False}),
         }
         for each in found
     ]
@@ -92,7 +92,7 @@ def size_factor(which: ClickObject) -> float:
     return SIZE_FACTORS[objects().index(which) % 2]
 
 
-def chosen(folds: Collection[str] = (), names: Iterable[str] = ()) -> list[ClickObject]:
+def selected(folds: Collection[str] = (), names: Iterable[str] = ()) -> list[ClickObject]:
     """The objects of some folds (none: of all), or of those the ones that are named, in order.
 
     Raises
@@ -102,7 +102,7 @@ def chosen(folds: Collection[str] = (), names: Iterable[str] = ()) -> list[Click
 
     Examples
     --------
-    >>> [each.name for each in chosen(["3"], ["aorta-mra"])]
+    >>> [each.name for each in selected(["3"], ["aorta-mra"])]
     ['aorta-mra']
     """
     for fold in folds:
@@ -115,7 +115,7 @@ def chosen(folds: Collection[str] = (), names: Iterable[str] = ()) -> list[Click
         raise ValueError(
             f"{min(unknown)}: no such object; there are {', '.join(each.name for each in held)}"
         )
-    return [each for each in held if (each.name in named if named else each.chosen)]
+    return [each for each in held if (each.name in named if named else each.selected)]
 
 
 @lru_cache(maxsize=2)

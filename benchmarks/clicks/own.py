@@ -21,7 +21,7 @@ from benchmarks.clicks.person import Mask, PersonClick, voxels_of
 
 def segmenter(name: str) -> Segmenter:
     """Our methods by name."""
-    return {"accelsurf": Refined, "accelsurf-rerun": Rerun, "accelsurf-start": StartAlone}[name]
+    return {"accelsurf": Corrected, "accelsurf-rerun": Rerun, "accelsurf-start": StartAlone}[name]
 
 
 def text_of(click: PersonClick, image: Volume) -> str:
@@ -66,18 +66,18 @@ class Rerun:
     def __init__(self, image: Volume, hints: Hints) -> None:
         self.image, self.options = image, options_of(hints)
         self.texts: dict[str, list[str]] = {"inside": [], "outside": []}
-        self.sureness: float | None = None
+        self.confidence: float | None = None
 
     def click(self, click: PersonClick) -> Mask:
         """Labels after one click more."""
         self.texts[click.side].append(text_of(click, self.image))
         given = {side: tuple(texts) for side, texts in self.texts.items()}
         result = segment(self.image, config=RunConfig(**given, **self.options))
-        self.sureness = sureness(result)
+        self.confidence = confidence(result)
         return np.asarray(result.labels > 0)
 
 
-class Refined:
+class Corrected:
     """`accelsurf segment` at the first click, `accelsurf refine` at every later one."""
 
     def __init__(self, image: Volume, hints: Hints) -> None:
@@ -85,9 +85,9 @@ class Refined:
         self.result: Any = None
 
     @property
-    def sureness(self) -> float | None:
+    def confidence(self) -> float | None:
         """Probability, by the program, that the labels are good."""
-        return sureness(self.result)
+        return confidence(self.result)
 
     def click(self, click: PersonClick) -> Mask:
         """Labels after one click more."""
@@ -103,7 +103,7 @@ class Refined:
         return np.asarray(self.result.labels > 0)
 
 
-def sureness(result: Any) -> float | None:
+def confidence(result: Any) -> float | None:
     """Probability, by the program, that a result is good; None without a result, or for several objects."""
     quality = None if result is None else result.quality
     return None if quality is None else float(quality.probability)

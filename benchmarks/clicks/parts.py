@@ -25,7 +25,7 @@ import numpy as np
 from accelsurf.clicks.model.network import Layer, Network, networks
 from benchmarks.clicks.folds import PHANTOMS
 from benchmarks.clicks.games import play, summary
-from benchmarks.clicks.objects import chosen, load
+from benchmarks.clicks.objects import load, selected
 from benchmarks.clicks.own import StartAlone
 from benchmarks.clicks.store import Store, key_of
 from benchmarks.clicks.tables import PAGE, collected, of_scans
@@ -96,7 +96,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--volumes", type=Path, default=scans_folder())
     parser.add_argument("--render", action="store_true", help="play nothing")
     options = parser.parse_args(arguments)
-    objects = [each for each in chosen() if each.fold != PHANTOMS]
+    objects = [each for each in selected() if each.fold != PHANTOMS]
     stores = {
         part: Store(RESULTS / "parts", re.sub(r"\W+", "-", part))
         for part in (*GROUPS, AROUND, BOUNDARY)

@@ -29,7 +29,7 @@ REACHES = (2.0, 4.0)
 
 @dataclass(frozen=True)
 class ClickPeer:
-    """A method: its solver, the settings that are tried, and the voxels above which its crop is coarsened."""
+    """A method: its solver, the settings that are tried, and the voxels above which its crop is restricted."""
 
     name: str
     solver: Solver
@@ -128,10 +128,10 @@ def unary(
 
 def classifier(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
     """A forest's probability, smoothed by one voxel, above a half and connected to an inside click."""
-    sure = ndimage.gaussian_filter(
+    smoothed = ndimage.gaussian_filter(
         probability(domain, settings["position"]), [1.0 / h for h in domain.spacing]
     )
-    return np.where(connected(sure > 0.5, domain.seeds), 0.5, -0.5)
+    return np.where(connected(smoothed > 0.5, domain.seeds), 0.5, -0.5)
 
 
 def threshold(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
@@ -169,7 +169,7 @@ def neighbours(
     return offsets, np.sqrt(((offsets * np.array(spacing)) ** 2).sum(axis=1)).astype(np.float32)
 
 
-#: By name. Those that solve large systems are coarsened sooner.
+#: By name. Those that solve large systems are restricted sooner.
 def with_implied(grid: list[dict[str, Any]], **best: Any) -> list[dict[str, Any]]:
     """A grid and its best setting once more, with what accelsurf takes clicks to imply beside the clicks."""
     return [*grid, {**best, "implied": 1}]

@@ -123,7 +123,9 @@ def _longest_way(flat: Mask) -> NDArray[np.int64]:
     pixels = np.argwhere(skeletonize(flat))
     number = np.full(flat.shape, -1)
     number[tuple(pixels.T)] = np.arange(len(pixels))
-    starts, stops, lengths = [], [], []
+    starts = []
+    stops = []
+    lengths = []
     for step in ((0, 1), (1, 0), (1, 1), (1, -1)):
         there = pixels + step
         held = np.flatnonzero(((there >= 0) & (there < flat.shape)).all(axis=1))

@@ -46,13 +46,13 @@ class Store:
 
     def __init__(self, folder: Path, method: str) -> None:
         self.path = folder / f"{PREFIX}{method}.json"
-        self.facts: dict[str, Any] = {"method": method, "games": {}}
+        self.results: dict[str, Any] = {"method": method, "games": {}}
         if self.path.is_file():
-            self.facts = json.loads(self.path.read_text())
+            self.results = json.loads(self.path.read_text())
 
     def played(self, key: str) -> dict[str, Any] | None:
         """A game with all clicks that were played."""
-        game: dict[str, Any] | None = self.facts["games"].get(key)
+        game: dict[str, Any] | None = self.results["games"].get(key)
         return game
 
     def get(self, key: str, clicks: int) -> dict[str, Any] | None:
@@ -67,18 +67,18 @@ class Store:
 
     def put(self, key: str, game: Mapping[str, Any]) -> None:
         """Keep a game, and write the file: whole, or not at all."""
-        self.facts["games"][key] = rounded(game)
-        draft = self.path.with_suffix(f".{os.getpid()}.draft")
+        self.results["games"][key] = rounded(game)
+        staged = self.path.with_suffix(f".{os.getpid()}.draft")
         lines = ",\n".join(
-            f"{json.dumps(k)}: {json.dumps(v)}" for k, v in sorted(self.facts["games"].items())
+            f"{json.dumps(k)}: {json.dumps(v)}" for k, v in sorted(self.results["games"].items())
         )
-        head = json.dumps({k: v for k, v in self.facts.items() if k != "games"})[:-1]
-        draft.write_text(f'{head}, "games": {{\n{lines}\n}}}}\n')
-        draft.replace(self.path)
+        head = json.dumps({k: v for k, v in self.results.items() if k != "games"})[:-1]
+        staged.write_text(f'{head}, "games": {{\n{lines}\n}}}}\n')
+        staged.replace(self.path)
 
     def forget(self, keys: set[str]) -> None:
         """Leave out games that are to be played again."""
-        self.facts["games"] = {k: v for k, v in self.facts["games"].items() if k not in keys}
+        self.results["games"] = {k: v for k, v in self.results["games"].items() if k not in keys}
 
 
 def brief(game: Mapping[str, Any]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from benchmarks.clicks.games import (
     variants,
 )
 from benchmarks.clicks.methods import METHODS, OWN
-from benchmarks.clicks.objects import ClickObject, chosen
+from benchmarks.clicks.objects import ClickObject, selected
 from benchmarks.clicks.store import Store, key_of
 from benchmarks.figures.common import COLOURS, plain
 from benchmarks.pages import head_of, put_table, row_of
@@ -44,7 +44,7 @@ KINDS = {
 CHALLENGES = {"cvpr": "first a point", "cvpr-box": "first a box and a point in it"}
 #: Goals: medians of the Dice over the scans' folds after so many exact clicks; of each fold after five.
 WANTED, WANTED_IN_FOLD = {1: 0.68, 2: 0.79, 3: 0.83, 5: 0.87, 10: 0.90}, 0.75
-#: What a row is of in which the person has chosen among up to three answers to the first click.
+#: What a row is of in which the person has selected among up to three answers to the first click.
 BEST_OF_ANSWERS = "best of its answers (one more decision of the person)"
 Games = Mapping[str, Mapping[str, dict[str, Any]]]
 
@@ -62,7 +62,7 @@ def write(folder: Path, page: Path | None) -> list[Path]:
         if games[kind]
     }
     goals = goals_of(figures.get("plain", {}))
-    facts = plain(
+    results = plain(
         {
             "machine": machine(),
             "settings": settings,
@@ -72,7 +72,7 @@ def write(folder: Path, page: Path | None) -> list[Path]:
         }
     )
     target = folder / "clicks.json"
-    target.write_text(json.dumps(facts, indent=1) + "\n")
+    target.write_text(json.dumps(results, indent=1) + "\n")
     text = text_of(figures, fields, games["plain"], goals, settings)
     tables = folder / "clicks.md"
     tables.write_text(text)
@@ -82,7 +82,7 @@ def write(folder: Path, page: Path | None) -> list[Path]:
 
 
 def settings_of(folder: Path) -> dict[str, dict[str, tuple[dict[str, Any], bool]]]:
-    """Method -> fold -> settings that its games have there, and whether they were chosen on the other folds."""
+    """Method -> fold -> settings that its games have there, and whether they were selected on the other folds."""
     out: dict[str, dict[str, tuple[dict[str, Any], bool]]] = {}
     for name, method in METHODS.items():
         store = Store(folder, name)
@@ -97,7 +97,7 @@ def collected(folder: Path, kind: str) -> dict[str, dict[str, dict[str, Any]]]:
     """Method -> object and variant -> game, of the methods that played all objects of the scans' folds."""
     asked = {
         f"{which.name} {variant}"
-        for which in chosen()
+        for which in selected()
         if which.fold != PHANTOMS
         for variant in variants([kind])
     }
@@ -112,7 +112,7 @@ def every_game(folder: Path, kind: str) -> dict[str, dict[str, dict[str, Any]]]:
         store = Store(folder, name)
         keys = {
             f"{which.name} {variant}": key_of(which.name, variant, settings[name][which.fold][0])
-            for which in chosen()
+            for which in selected()
             for variant in variants([kind])
         }
         out[name] = {
@@ -125,7 +125,7 @@ def of_objects(
     games: Mapping[str, dict[str, Any]], fits: Callable[[ClickObject], bool]
 ) -> dict[str, dict[str, Any]]:
     """Games of the objects that fit."""
-    names = {which.name for which in chosen() if fits(which)}
+    names = {which.name for which in selected() if fits(which)}
     return {key: game for key, game in games.items() if key.split()[0] in names}
 
 
@@ -272,9 +272,9 @@ def text_of(
     lines += ["", "## Settings", "", *head_of(("method", "fold left out", "settings"))]
     for name, by_fold in settings.items():
         said: dict[str, list[str]] = {}
-        for fold, (held, was_chosen) in by_fold.items():
+        for fold, (held, was_selected) in by_fold.items():
             words = ", ".join(f"{k} {v:g}" for k, v in held.items())
-            said.setdefault(words if was_chosen else f"{words} (default)", []).append(fold)
+            said.setdefault(words if was_selected else f"{words} (default)", []).append(fold)
         lines += [row_of((name, ", ".join(folds), words)) for words, folds in said.items() if words]
     return "\n".join(lines) + "\n"
 
@@ -392,7 +392,7 @@ def object_rows(methods: Games) -> list[str]:
         "best peer, Dice 5",
     )
     lines = head_of(head)
-    for which in chosen():
+    for which in selected():
         key = f"{which.name} plain"
         game = methods.get("accelsurf", {}).get(key)
         peers = {
@@ -439,7 +439,7 @@ def flat(folder: Path) -> list[dict[str, Any]]:
             "cpu_s": [click["cpu_s"] for click in games[key]["clicks"]],
         }
         for name, games in every_game(folder, "plain").items()
-        for which in chosen()
+        for which in selected()
         if (key := f"{which.name} plain") in games
     ]
 
@@ -467,7 +467,9 @@ def picture(folder: Path, figures: Mapping[str, Any]) -> list[Path]:
             if part not in found:
                 continue
             # A method has one colour in all panels.
-            i, is_ours, dice = list(METHODS).index(name), name in OWN, found[part]["dice"]
+            i = list(METHODS).index(name)
+            is_ours = name in OWN
+            dice = found[part]["dice"]
             axis.plot(
                 list(dice),
                 list(dice.values()),

@@ -74,7 +74,7 @@ def run(task: Task) -> dict[str, Any]:
     result: Result = segment(image, config=RunConfig(**settings))
     seconds = time.perf_counter() - began
     labels = result.labels.astype(bool)
-    facts: dict[str, Any] = {
+    record: dict[str, Any] = {
         "name": task.name,
         "dice": dice(labels, truth),
         "corner_dice": corner_dice(labels, truth),
@@ -89,8 +89,8 @@ def run(task: Task) -> dict[str, Any]:
     }
     if labels.any():
         pair = (Volume.from_array(array.astype(np.uint8), 1.0) for array in (labels, truth))
-        facts["hausdorff_mm"] = evaluate(*pair).hausdorff_mm
-    return facts
+        record["hausdorff_mm"] = evaluate(*pair).hausdorff_mm
+    return record
 
 
 def run_all(
@@ -99,10 +99,10 @@ def run_all(
     """Run tasks side by side, in order; ``on_done`` is called with each result."""
     results = []
     with ProcessPoolExecutor(min(PROCESSES, os.cpu_count() or 1)) as pool:
-        for facts in pool.map(run, tasks):
-            results.append(facts)
+        for record in pool.map(run, tasks):
+            results.append(record)
             if on_done is not None:
-                on_done(facts)
+                on_done(record)
     return results
 
 
@@ -111,7 +111,7 @@ def agreement(labels: list[np.ndarray]) -> list[float]:
     return [dice(a, b) for a, b in itertools.combinations(labels, 2)]
 
 
-def write(output: Path, name: str, facts: dict[str, Any]) -> None:
+def write(output: Path, name: str, record: dict[str, Any]) -> None:
     """Write the figures of a figure as JSON; arrays stay out."""
     document = {
         "figure": name,
@@ -120,7 +120,7 @@ def write(output: Path, name: str, facts: dict[str, Any]) -> None:
             "cores": os.cpu_count(),
             "python": platform.python_version(),
         },
-        **facts,
+        **record,
     }
     path = output / f"{name}.json"
     path.write_text(json.dumps(plain(document), indent=1) + "\n")

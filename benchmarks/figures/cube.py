@@ -64,7 +64,7 @@ def cube(output: Path) -> None:
     results = run_all(tasks, tell)
     table = []
     for name in FLOWS:
-        runs = [facts for facts in results if facts["name"][0] == name]
+        runs = [record for record in results if record["name"][0] == name]
         table.append(summary(name, runs))
         print(row(table[-1]))
     limits = {"found_from_dice": FOUND, "good_from_dice": GOOD}
@@ -78,7 +78,7 @@ def cube(output: Path) -> None:
 
 def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """One line of the table."""
-    dices = [facts["dice"] for facts in runs]
+    dices = [record["dice"] for record in runs]
     return {
         "flow": name,
         "found": sum(value >= FOUND for value in dices),
@@ -86,12 +86,12 @@ def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
         "of": len(runs),
         "dice_median": float(np.median(dices)),
         "dice_least": min(dices),
-        "corner_dice_median": float(np.median([facts["corner_dice"] for facts in runs])),
-        "agreement_least": float(np.nanmin(agreement([facts["labels"] for facts in runs]))),
-        "energy_median": float(np.median([facts["energy"] for facts in runs])),
-        "steps_median": float(np.median([facts["steps"] for facts in runs])),
-        "converged": sum(facts["stop"] == "converged" for facts in runs),
-        "cells_visited_median": float(np.median([facts["cells_visited"] for facts in runs])),
+        "corner_dice_median": float(np.median([record["corner_dice"] for record in runs])),
+        "agreement_least": float(np.nanmin(agreement([record["labels"] for record in runs]))),
+        "energy_median": float(np.median([record["energy"] for record in runs])),
+        "steps_median": float(np.median([record["steps"] for record in runs])),
+        "converged": sum(record["stop"] == "converged" for record in runs),
+        "cells_visited_median": float(np.median([record["cells_visited"] for record in runs])),
     }
 
 
@@ -111,12 +111,12 @@ def draw(output: Path, results: list[dict[str, Any]]) -> None:
     figure = plt.figure(figsize=(3.4 * len(PICTURED), 7.2))
     for column, name in enumerate(PICTURED):
         runs = sorted(
-            (facts for facts in results if facts["name"][0] == name),
-            key=lambda facts: facts["dice"],
+            (record for record in results if record["name"][0] == name),
+            key=lambda record: record["dice"],
         )
         axis = figure.add_subplot(2, len(PICTURED), column + 1)
-        show(axis, image, truth, [facts["labels"] for facts in runs], ["#0072B2"] * len(runs))
-        found = sum(facts["dice"] >= FOUND for facts in runs)
+        show(axis, image, truth, [record["labels"] for record in runs], ["#0072B2"] * len(runs))
+        found = sum(record["dice"] >= FOUND for record in runs)
         axis.set_title(f"{name}\nfound by {found} of {len(runs)}", fontsize=9)
         below = figure.add_subplot(2, len(PICTURED), len(PICTURED) + column + 1, projection="3d")
         surface_plot(below, runs[len(runs) // 2])
@@ -128,9 +128,9 @@ def draw(output: Path, results: list[dict[str, Any]]) -> None:
     )
 
 
-def surface_plot(axis: Any, facts: dict[str, Any]) -> None:
+def surface_plot(axis: Any, record: dict[str, Any]) -> None:
     """Shaded mesh of a run."""
-    labels = facts["labels"]
+    labels = record["labels"]
     if labels.any():
         psi = 0.5 - labels.astype(np.float32)
         mesh = extract(psi, Volume.from_array(labels.astype(np.uint8), 1.0).geometry)
@@ -147,4 +147,4 @@ def surface_plot(axis: Any, facts: dict[str, Any]) -> None:
     for bounds in (axis.set_xlim, axis.set_ylim, axis.set_zlim):
         bounds(0, SIZE)
     axis.set_axis_off()
-    axis.set_title(f"Dice {facts['dice']:.3f}", fontsize=9)
+    axis.set_title(f"Dice {record['dice']:.3f}", fontsize=9)

@@ -40,10 +40,10 @@ def square(output: Path) -> None:
     results = run_all(tasks, tell)
     truth, image = make(SQUARE)
     figure, axes = plt.subplots(1, len(rows), figsize=(3.2 * len(rows), 3.7))
-    for axis, facts in zip(axes, results, strict=True):
-        show(axis, image, truth, [facts["labels"]])
-        figures = f"Dice {facts['dice']:.3f}, at corners {facts['corner_dice']:.3f}"
-        axis.set_title(f"{facts['name'][0]}\n{figures}", fontsize=9)
+    for axis, record in zip(axes, results, strict=True):
+        show(axis, image, truth, [record["labels"]])
+        figures = f"Dice {record['dice']:.3f}, at corners {record['corner_dice']:.3f}"
+        axis.set_title(f"{record['name'][0]}\n{figures}", fontsize=9)
     save(figure, output, "square", "Noisy square, start around it (dashed: truth)")
     write(output, "square", {"shape": SQUARE, "start": STARTS["around"], "runs": results})
 
@@ -70,15 +70,13 @@ def three(output: Path, name: str, changes: dict[str, Any], title: str) -> None:
         for start, where in STARTS.items()
     ]
     results = run_all(tasks, tell)
-    labels = [facts["labels"] for facts in results]
+    labels = [record["labels"] for record in results]
     pairs = agreement(labels)
     truth, image = make(RECTANGLE)
     figure, axes = plt.subplots(1, 4, figsize=(13, 3.7))
-    for axis, facts, colour in zip(axes, results, COLOURS, strict=False):
-        show(axis, image, truth, [facts["labels"]], [colour])
-        title = (
-            f"{facts['name'][0]}: Dice {facts['dice']:.3f}\n{facts['steps']} steps, {facts['stop']}"
-        )
+    for axis, record, colour in zip(axes, results, COLOURS, strict=False):
+        show(axis, image, truth, [record["labels"]], [colour])
+        title = f"{record['name'][0]}: Dice {record['dice']:.3f}\n{record['steps']} steps, {record['stop']}"
         axis.set_title(title, fontsize=9)
     show(axes[3], image, truth, labels, COLOURS)
     axes[3].set_title(
@@ -93,12 +91,12 @@ def three(output: Path, name: str, changes: dict[str, Any], title: str) -> None:
     )
 
 
-def tell(facts: dict[str, Any]) -> None:
+def tell(record: dict[str, Any]) -> None:
     """Print a run as it ends."""
-    name = " / ".join(str(part) for part in facts["name"])
+    name = " / ".join(str(part) for part in record["name"])
     print(
-        f"{name:60s} Dice {facts['dice']:.3f} corners {facts['corner_dice']:.3f} "
-        f"steps {facts['steps']:4d} {facts['stop']}, {facts['seconds']:.1f} s",
+        f"{name:60s} Dice {record['dice']:.3f} corners {record['corner_dice']:.3f} "
+        f"steps {record['steps']:4d} {record['stop']}, {record['seconds']:.1f} s",
         flush=True,
     )
 

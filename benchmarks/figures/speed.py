@@ -60,17 +60,19 @@ def history(
     evolution = Evolution(
         surface, energy, SolverSetup(flow, StepLimits(0.5, 95.0), restart=Restart()), steps
     )
-    energies, cells, seconds = [], [0], [0.0]
+    energies = []
+    cells = [0]
+    seconds = [0.0]
     for step in evolution:
         energies.append(step.record.potential)
         cells.append(cells[-1] + step.record.cells_visited)
         seconds.append(seconds[-1] + step.record.seconds)
-        if settled(energies) or energies[-1] <= enough:
+        if is_steady(energies) or energies[-1] <= enough:
             break
     return {"energy": np.array(energies), "cells": np.array(cells), "seconds": np.array(seconds)}
 
 
-def settled(energies: list[float]) -> bool:
+def is_steady(energies: list[float]) -> bool:
     """Whether the last half of the steps, 30 at least, won less than a thousandth of all that was won."""
     half = len(energies) // 2
     won = energies[0] - min(energies)

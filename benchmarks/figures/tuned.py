@@ -1,8 +1,8 @@
 """`tuned`: every flow with its settings tuned, over seeds, noise levels and starts.
 
 The comparison that a fair reader asks for: descent gets an area weight, presmoothing and the same diffusion, Sobolev
-its length, momentum its blend, each chosen on the truth (which favours all alike) as the best mean Dice over all images
-and starts of one noise level. (Descent suffers from redistancing in programs that move the surface by it; here a
+its length, momentum its blend, each selected on the truth (which favours all alike) as the best mean Dice over all
+images and starts of one noise level. (Descent suffers from redistancing in programs that move the surface by it; here a
 hundred redistances move it by a thousandth of a voxel, so their interval is nothing to tune.)
 """
 
@@ -57,7 +57,7 @@ def tuned(output: Path) -> None:
         groups = [
             [r for r in results if r["name"][:3] == (flow, level, setting)] for setting in grid
         ]
-        means = [float(np.mean([facts["dice"] for facts in group])) for group in groups]
+        means = [float(np.mean([record["dice"] for record in group])) for group in groups]
         for kind, at in (("plain", 0), ("tuned", int(np.argmax(means)))):
             table.append(
                 {
@@ -90,19 +90,19 @@ def choices(grid: dict[str, list[Any]]) -> list[dict[str, Any]]:
 def figures(group: list[dict[str, Any]]) -> dict[str, Any]:
     """Figures of the runs of one setting and noise level."""
     by_seed: dict[int, list[np.ndarray]] = {}
-    for facts in group:
-        by_seed.setdefault(facts["name"][3], []).append(facts["labels"])
-    distances = [facts["hausdorff_mm"] for facts in group if facts["hausdorff_mm"] is not None]
+    for record in group:
+        by_seed.setdefault(record["name"][3], []).append(record["labels"])
+    distances = [record["hausdorff_mm"] for record in group if record["hausdorff_mm"] is not None]
     return {
-        "dice_mean": float(np.mean([facts["dice"] for facts in group])),
-        "dice_least": min(facts["dice"] for facts in group),
-        "corner_dice_mean": float(np.mean([facts["corner_dice"] for facts in group])),
+        "dice_mean": float(np.mean([record["dice"] for record in group])),
+        "dice_least": min(record["dice"] for record in group),
+        "corner_dice_mean": float(np.mean([record["corner_dice"] for record in group])),
         "hausdorff_median_mm": float(np.median(distances)) if distances else None,
         "agreement_mean": float(
             np.nanmean([value for labels in by_seed.values() for value in agreement(labels)])
         ),
-        "steps_median": float(np.median([facts["steps"] for facts in group])),
-        "cells_visited_median": float(np.median([facts["cells_visited"] for facts in group])),
+        "steps_median": float(np.median([record["steps"] for record in group])),
+        "cells_visited_median": float(np.median([record["cells_visited"] for record in group])),
     }
 
 

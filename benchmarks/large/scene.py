@@ -108,7 +108,9 @@ def _cells(
 ) -> tuple[Floats, Floats, Floats, NDArray[np.int64]]:
     """Centres, semi-axes, rotations and touching pairs of cells."""
     mean = float(np.clip(size / PER_CELL_RADIUS, MIN_CELL, MAX_CELL))
-    centres, axes, rotations = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
+    centres = np.empty((count, 3))
+    axes = np.empty((count, 3))
+    rotations = np.empty((count, 3, 3))
     pairs = []
     for number in range(count):
         axes[number] = mean * (SEMI_AXES[0] + (SEMI_AXES[1] - SEMI_AXES[0]) * chance.random(3))

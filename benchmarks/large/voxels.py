@@ -91,7 +91,9 @@ def _range(low, high, first, count):
 def _capsule(out, first, capsule, within):
     """Lower distances to that of one capsule, where it is less than ``within``."""
     az, ay, ax, bz, by, bx, radius = capsule
-    dz, dy, dx = bz - az, by - ay, bx - ax
+    dz = bz - az
+    dy = by - ay
+    dx = bx - ax
     square = max(dz * dz + dy * dy + dx * dx, 1e-30)
     wide = radius + within
     z0, z1 = _range(min(az, bz) - wide, max(az, bz) + wide, first[0], out.shape[0])
@@ -104,7 +106,9 @@ def _capsule(out, first, capsule, within):
             for x in range(x0, x1):
                 px = x + first[2] - ax
                 share = min(max((pz * dz + py * dy + px * dx) / square, 0.0), 1.0)
-                ez, ey, ex = pz - share * dz, py - share * dy, px - share * dx
+                ez = pz - share * dz
+                ey = py - share * dy
+                ex = px - share * dx
                 squared = ez * ez + ey * ey + ex * ex
                 if squared < wide * wide:
                     distance = np.float32(np.sqrt(squared) - radius)

@@ -76,7 +76,7 @@ class VectorSobolev(Sobolev):
         inner = surface.front(1.0)
         surface.extend_outwards(speed, inner)
         cfl_dt = self.cfl_dt(voxel_rates(surface, inner, speed)[inner], surface, limits)
-        dt = self.resting_dt(now, speed, min(cfl_dt, limits.dt_max))
+        dt = self.stiffness_dt(now, speed, min(cfl_dt, limits.dt_max))
         if not np.isfinite(dt):
             return StepPlan.none(surface)
         return self.remember(descent_plan(now, speed, dt, limits, cfl_dt))
@@ -138,10 +138,10 @@ def run(task: Task) -> dict[str, Any]:
         image = ndimage.gaussian_filter(image, SMOOTHED, mode="nearest")
     balls = drawn_balls(task.seed) if task.remedy == "starts" else [ball]
     began = time.process_time()
-    tries = [to_rest(task, landscape, image, ball) for ball in balls]
+    tries = [to_convergence(task, landscape, image, ball) for ball in balls]
     if task.remedy == "grown":
         grown = LevelSet(tries[0].surface.psi - GROWN, (1.0, 1.0, 1.0))
-        tries = [to_rest(task, landscape, image, grown)]
+        tries = [to_convergence(task, landscape, image, grown)]
     seconds = time.process_time() - began
     evolution = min(tries, key=lambda done: done.history[-1].potential)
     assert evolution.stop is not None
@@ -173,7 +173,7 @@ def run(task: Task) -> dict[str, Any]:
     return figures
 
 
-def to_rest(
+def to_convergence(
     task: Task, landscape: Landscape, image: np.ndarray, start: Ball | LevelSet
 ) -> Evolution:
     """Run a surface to rest; returns the run, which has the surface."""

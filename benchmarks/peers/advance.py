@@ -43,8 +43,8 @@ def advance(options: Options) -> dict[str, Any]:
         found[name] |= {"search": searches[name]} if name in searches else {}
     jobs = {(name, n): partial(work, n) for name, work in works.items() for n in THREADS}
     times = in_turn(jobs, dict.fromkeys(jobs, options.repeats))
-    for name, facts in found.items():
-        facts["threads"] = {str(n): times[name, n].to_dict() for n in THREADS}
+    for name, results in found.items():
+        results["threads"] = {str(n): times[name, n].to_dict() for n in THREADS}
     # The sum of the surface's voxels over the way: what the ball gains.
     swept = 4.0 / 3.0 * np.pi * (last**3 - first**3)
     return {
@@ -88,20 +88,20 @@ def advance(options: Options) -> dict[str, Any]:
     }
 
 
-def _seconds(facts: dict[str, Any], threads: int) -> float:
-    return float(facts["threads"][str(threads)]["median_s"])
+def _seconds(results: dict[str, Any], threads: int) -> float:
+    return float(results["threads"][str(threads)]["median_s"])
 
 
 def _compared(found: dict[str, dict[str, Any]], swept: float) -> dict[str, Any]:
     """Pairs and goals, each with as many threads on both sides."""
     own, peers = (
         found["accelsurf"],
-        {name: facts for name, facts in found.items() if name != "accelsurf"},
+        {name: results for name, results in found.items() if name != "accelsurf"},
     )
     pairs, goals = [], []
     for n in THREADS:
         many = f"{n} thread{'s' * (n > 1)}"
-        ratios = {name: _seconds(facts, n) / _seconds(own, n) for name, facts in peers.items()}
+        ratios = {name: _seconds(results, n) / _seconds(own, n) for name, results in peers.items()}
         pairs += [
             {"pair": f"{name} / accelsurf, {many}", "ratio": ratio}
             for name, ratio in ratios.items()
@@ -113,7 +113,7 @@ def _compared(found: dict[str, dict[str, Any]], swept: float) -> dict[str, Any]:
                 min(ratios.values(), default=None),
             )
         )
-    least = min((facts["rms_error"] for facts in peers.values()), default=None)
+    least = min((results["rms_error"] for results in peers.values()), default=None)
     share = None if least is None else own["rms_error"] / least
     goals.append(goal("radius error (rms) over the best filter's", 1.0, share, "<=", ""))
     per_voxel = 1e9 * _seconds(own, 1) / swept

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.clicks.kernels.arrival import Tissue
+from accelsurf.clicks.kernels.arrival import Appearance
 from accelsurf.clicks.model.fronts import times_from
 from accelsurf.levelset import LevelSet
 from benchmarks.peers.measure import (
@@ -120,9 +120,11 @@ def arrivals(options: Options) -> list[dict[str, Any]]:
     middle = (side // 2,) * 3
     exact = np.sqrt(sum((axis - side // 2) ** 2 for axis in np.ogrid[:side, :side, :side]))
     image = np.zeros(exact.shape, np.float32)
-    tissue = Tissue(np.zeros(1), np.ones(1), np.ones(1), np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0]))
+    appearance = Appearance(
+        np.zeros(1), np.ones(1), np.ones(1), np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+    )
     works: dict[str, Any] = {
-        "accelsurf": lambda: times_from(exact == 0, image, (1.0, 1.0, 1.0), tissue)
+        "accelsurf": lambda: times_from(exact == 0, image, (1.0, 1.0, 1.0), appearance)
     }
     if importlib.util.find_spec("eikonalfm") is None:
         options.say("eikonalfm: skipped, it is not installed (pip install eikonalfm)")

@@ -19,15 +19,15 @@ def memory(options: Options) -> dict[str, Any]:
     sides = (32, 48) if options.quick else (128, 256, 384, 512)
     lines = []
     for side in sides:
-        hold, _ = peak("hold", side)
+        image_alone, _ = peak("hold", side)
         run, cells = peak("run", side)
         lines.append(
             {
                 "side": side,
-                "hold_bytes": hold,
+                "hold_bytes": image_alone,
                 "run_bytes": run,
                 "band_cells": cells,
-                "bytes_per_voxel": (run - hold) / side**3,
+                "bytes_per_voxel": (run - image_alone) / side**3,
             }
         )
         print(

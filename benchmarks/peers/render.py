@@ -72,7 +72,9 @@ def reached(entry: dict[str, Any]) -> bool | None:
 
 def verdict(entry: dict[str, Any]) -> str:
     """Yes, or no and by how much short."""
-    done, got, wanted = reached(entry), entry["measured"], entry["wanted"]
+    done = reached(entry)
+    got = entry["measured"]
+    wanted = entry["wanted"]
     if done is None:
         return "not measured"
     if done:

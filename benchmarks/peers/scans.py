@@ -24,7 +24,7 @@ MARGIN, LARGE = 20, 2_000_000
 #: Bins of the histograms of `best_window`.
 BINS = 256
 #: How many of the best settings of half the resolution are tried at the whole.
-CARRIED = 2
+TRANSFERRED = 2
 
 
 class Window(NamedTuple):
@@ -134,10 +134,11 @@ def search_peer(
     trials = search(lambda s: run_on(first, s), coarse, peer.fine, share * seconds)
     if small is None:
         return trials
-    carried = [
-        {**t.settings, "iterations": 2 * t.settings["iterations"]} for t in ranked(trials)[:CARRIED]
+    transferred = [
+        {**t.settings, "iterations": 2 * t.settings["iterations"]}
+        for t in ranked(trials)[:TRANSFERRED]
     ]
-    return search(lambda s: run_on(whole, s), carried, None, (1 - share) * seconds)
+    return search(lambda s: run_on(whole, s), transferred, None, (1 - share) * seconds)
 
 
 def sigmas(settings: Mapping[str, Any]) -> tuple[float, ...]:

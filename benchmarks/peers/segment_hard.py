@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-from benchmarks.peers.contest import report, reporter
+from benchmarks.peers.comparison import report, reporter
 from benchmarks.peers.hard_programs import OWN, PROGRAMS, Program, missing
 from benchmarks.peers.hard_works import WORKS, Work
 from benchmarks.peers.measure import Options, Trial, best, goal, in_turn, search, set_threads, table
@@ -21,7 +21,11 @@ def segment_hard(options: Options) -> dict[str, Any]:
     set_threads(options.threads)
     warnings.filterwarnings("ignore", "The probability range is outside")
     side, seeds = (40, SEEDS[:2]) if options.quick else (96, SEEDS)
-    cases, goals, pairs, tables, bars = {}, [], [], [], []
+    cases = {}
+    goals = []
+    pairs = []
+    tables = []
+    bars = []
     for name in WORKS:
         works = [WORKS[name](seed, side) for seed in seeds]
         programs = [program for program in PROGRAMS[name] if _there(program, options)]

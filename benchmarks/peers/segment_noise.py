@@ -11,11 +11,11 @@ import numpy as np
 from accelsurf.api.segment import segment
 from accelsurf.measure.metrics import dice
 from benchmarks.peers.baselines import BASELINES
-from benchmarks.peers.contest import (
-    CARRIED,
+from benchmarks.peers.comparison import (
     LEVEL,
     OWN,
     SEARCH_S,
+    TRANSFERRED,
     available,
     judge,
     level,
@@ -47,10 +47,10 @@ def segment_noise(options: Options) -> dict[str, Any]:
     """Cubes in noise of their contrast: every program's best, the library call alone timed."""
     set_threads(options.threads)
     sides = (32, 40) if options.quick else (96, 128)
-    carried: dict[str, list[Trial]] = {}
+    transferred: dict[str, list[Trial]] = {}
     cases = []
     for i, side in enumerate(sides):
-        cases.append(noise_case(side, options, carried, SEARCH_S[min(i, 1)]))
+        cases.append(noise_case(side, options, transferred, SEARCH_S[min(i, 1)]))
     goals: list[dict[str, Any]] = []
     pairs: list[dict[str, Any]] = []
     tables = []
@@ -74,9 +74,9 @@ def segment_noise(options: Options) -> dict[str, Any]:
 
 
 def noise_case(
-    side: int, options: Options, carried: dict[str, list[Trial]], limit_s: float
+    side: int, options: Options, transferred: dict[str, list[Trial]], limit_s: float
 ) -> dict[str, Any]:
-    """One size: search, then timing in turn. ``carried`` brings the settings of a smaller size, and takes these."""
+    """One size: search, then timing in turn. ``transferred`` brings the settings of a smaller size, and takes these."""
     image, truth, start, distance = noisy_cube(side)
     segment(image, start=start, threads=options.threads, max_steps=3)  # compile
 
@@ -98,19 +98,19 @@ def noise_case(
     for name, (coarse, fine) in grids.items():
         if name in kept:
             coarse, fine = [kept[name]], None
-        elif name in carried:
+        elif name in transferred:
             # Both sizes have the same noise: the best of the smaller one, iterations grown with the side.
-            coarse, fine = from_smaller(carried[name], side), None
+            coarse, fine = from_smaller(transferred[name], side), None
         say = reporter(name, options)
         trials[name] = search(
             lambda s, c=calls[name]: dice(c(s), truth), coarse, fine, limit_s, say
         )
         report(name, best(trials[name]))
-    carried |= {
-        name: [scaled_trial(t, 96 / side) for t in ranked(ts)[:CARRIED]]
+    transferred |= {
+        name: [scaled_trial(t, 96 / side) for t in ranked(ts)[:TRANSFERRED]]
         for name, ts in trials.items()
     }
-    carried[OWN] += [scaled_trial(t, 96 / side) for t in level(trials)]
+    transferred[OWN] += [scaled_trial(t, 96 / side) for t in level(trials)]
     programs = time_best(trials, calls, options)
     return {"side": side, "start": start, "programs": programs}
 

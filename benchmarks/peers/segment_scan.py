@@ -14,10 +14,10 @@ import numpy as np
 from accelsurf import io
 from accelsurf.measure.metrics import dice
 from benchmarks.peers.baselines import BASELINES
-from benchmarks.peers.contest import (
-    CARRIED,
+from benchmarks.peers.comparison import (
     OWN,
     SEARCH_S,
+    TRANSFERRED,
     available,
     judge,
     program_table,
@@ -259,7 +259,7 @@ def small_search(
     first = search(
         run_on(quarter), grid[:1] if options.quick else grid, None, 0.5 * SEARCH_S[0], say
     )
-    candidates = [doubled(t.settings) for t in ranked(first)[: 3 * CARRIED]]
+    candidates = [doubled(t.settings) for t in ranked(first)[: 3 * TRANSFERRED]]
     fine = {} if options.quick or "iterations" not in candidates[0] else {"iterations": (0.5, 1.6)}
     trials = search(run_on(half), candidates, fine, SEARCH_S[0], say)
     report(f"{peer.name} at half resolution", best(trials))
@@ -268,7 +268,7 @@ def small_search(
             f"{peer.name}: Dice {best(trials).dice:.3f} at half the resolution, not run at the whole"
         )
         return []
-    return [doubled(t.settings) for t in ranked(trials)[: 1 if options.quick else CARRIED]]
+    return [doubled(t.settings) for t in ranked(trials)[: 1 if options.quick else TRANSFERRED]]
 
 
 def doubled(settings: Mapping[str, Any]) -> dict[str, Any]:

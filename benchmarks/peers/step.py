@@ -115,7 +115,9 @@ def profile(psi: np.ndarray, image: np.ndarray, count: int, ns: float) -> dict[s
     workers = Workers(1)
     clock = Clock(workers)
     made = evolution(psi, image, count, workers=workers)
-    seconds, cells, half = 0.0, 0, count // 2
+    seconds = 0.0
+    cells = 0
+    half = count // 2
     for taken in made:
         if taken.record.step + 1 == half:
             clock.reset()

@@ -39,7 +39,11 @@ def threads(options: Options) -> dict[str, Any]:
         image, _, start, _ = noisy_cube(32 if options.quick else 128)
         cube = RunConfig(start=start, presmooth=1.0)
         works["noisy cube instead"] = lambda n: segment_on(image, cube.replace(threads=n))
-    goals, pairs, rows, more, found = [], [], [], [], {}
+    goals = []
+    pairs = []
+    rows = []
+    more = []
+    found = {}
     for name, work in works.items():
         work(2)  # compile
         runs = one_and_two(work, options.repeats)
@@ -134,8 +138,8 @@ def one_and_two(
 def by_part(found: dict[str, Any]) -> list[tuple[Any, ...]]:
     """Seconds of each stage (of each kernel where the package keeps no record), on 1 and 2 threads; the first runs'."""
     rows = []
-    for name, facts in found.items():
-        one, two = (facts["runs"][n][0]["parts"] for n in ("1", "2"))
+    for name, results in found.items():
+        one, two = (results["runs"][n][0]["parts"] for n in ("1", "2"))
         for part, seconds in sorted(one.items(), key=lambda item: -item[1])[:12]:
             other = two.get(part, 0.0)
             rows.append((name, part, seconds, other, seconds / other if other > 0 else None))
@@ -149,7 +153,7 @@ def advance_on(count: int, options: Options) -> dict[str, Any]:
     with Workers(count) as workers:
         clock = Clock(workers)
         seconds, psi = timed(lambda: grow(start, last - first, workers))
-        return facts_of(seconds, clock, (psi < 0).astype(np.uint8))
+        return results_of(seconds, clock, (psi < 0).astype(np.uint8))
 
 
 def segment_on(volume: Any, config: RunConfig) -> dict[str, Any]:
@@ -167,10 +171,10 @@ def segment_on(volume: Any, config: RunConfig) -> dict[str, Any]:
         return clock, result_of(run).labels
 
     seconds, (clock, labels) = timed(work)
-    return facts_of(seconds, clock, labels)
+    return results_of(seconds, clock, labels)
 
 
-def facts_of(seconds: float, clock: Clock, labels: np.ndarray) -> dict[str, Any]:
+def results_of(seconds: float, clock: Clock, labels: np.ndarray) -> dict[str, Any]:
     """What the result has of a run."""
     parts = clock.stages or dict(clock.kernels)
     return {

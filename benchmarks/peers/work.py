@@ -39,7 +39,9 @@ def noisy_cube(side: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray, str, n
     noise = np.random.default_rng(seed).normal(0.0, 1.0, truth.shape)
     image = (truth + noise).astype(np.float32)
     middle, part = 0.5 * (side - 1), side / 96
-    x, y, z = middle + 9 * part, middle - 6 * part, middle + 3 * part
+    x = middle + 9 * part
+    y = middle - 6 * part
+    z = middle + 3 * part
     radius = 8 * part
     return image, truth, f"ball:{x:g},{y:g},{z:g},{radius:g}vox", ball(side, radius, (z, y, x))
 

@@ -69,7 +69,9 @@ class Person:
         self.env["XDG_STATE_HOME"] = str(
             folder.absolute()
         )  # the list of recent images of who runs this stays as it is
-        self._scale, self._file, self.actions = scale, folder / "window.json", 0
+        self._scale = scale
+        self._file = folder / "window.json"
+        self.actions = 0
         self._height = size[1] / scale
         self.began = time.monotonic()
         self._log = open(folder / "window.log", "w+")
@@ -141,14 +143,16 @@ class Person:
                 panels = self.now()["widgets"]["panels"]
                 # The wheel over the panels scrolls them and changes no list and no number in them.
                 beyond = place[1] - high if place[1] >= high else low - place[1]
-                self.turn_wheel(panels, 5 if place[1] >= high else 4, 1 + int(beyond // NOTCH))
-                before, place, turns = place, self._at_rest(name), turns + 1
+                self.scroll(panels, 5 if place[1] >= high else 4, 1 + int(beyond // NOTCH))
+                before = place
+                place = self._at_rest(name)
+                turns = turns + 1
                 if place == before:  # it lies beside what the wheel moves
                     self.actions -= 1
                     break
         self.click(place)
 
-    def turn_wheel(self, place: Sequence[float], button: int, notches: int) -> None:
+    def scroll(self, place: Sequence[float], button: int, notches: int) -> None:
         """Turn the wheel: up is 4, down 5."""
         self.actions += 1
         x, y = self._pixel(place)
@@ -168,7 +172,9 @@ class Person:
 
     def _at_rest(self, name: str) -> Any:
         """Where something is, once two states of the window that were written one after the other agree."""
-        before, place, asked = None, None, time.time()
+        before = None
+        place = None
+        asked = time.time()
         while place is None or place != before:
             before = place
             seen = self.until(

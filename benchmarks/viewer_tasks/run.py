@@ -6,10 +6,10 @@ Usage: python -m benchmarks.viewer_tasks.run VOLUMES_FOLDER [TASK ...] [-o bench
 The command is ``accelsurf view -o FOLDER`` and nothing else. A simulated person chooses the scan among the recent
 images, knows the object from a reference, as somebody does who knows anatomy, and acts as one could: the wheel brings
 the thickest place of the object into sight, a press there and a drag until the outline has the right size, strokes
-(five for each object at most) where the object that fits least is wrong most. Then STL is chosen beside *Save*, and
+(five for each object at most) where the object that fits least is wrong most. Then STL is selected beside *Save*, and
 *Save* is clicked; the table of statistics in the folder has the volumes. Then run.toml is run by ``accelsurf segment``,
 which must make the same bytes. Scans are public: see benchmarks/README.md; the three nuclei that touch are a phantom.
-An earlier version, in which STL could not be chosen by the mouse, gets it by --words.
+An earlier version, in which STL could not be selected by the mouse, gets it by --words.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def do_task(
 
 
 def save_stl(person: Person) -> None:
-    """Choose STL, where it is not chosen by the command, and save all."""
+    """Choose STL, where it is not selected by the command, and save all."""
     if "format of the mesh" in person.now()["widgets"]:
         person.choose("format of the mesh", "stl")
         person.until(lambda now: now["state"]["mesh"] == "stl", 20)
@@ -218,7 +218,7 @@ def show(person: Person, world: np.ndarray) -> None:
     slope, first = wanted
     notches = round(first + slope * float(world[2])) + 1 - now
     if notches:
-        person.turn_wheel(
+        person.scroll(
             seen["tiles"]["axial"]["middle"], 4 if (notches > 0) == (slope > 0) else 5, abs(notches)
         )
         person.until(
@@ -271,7 +271,7 @@ def correct(person: Person, worst: dict[str, Any]) -> float:
     ):
         person.click(
             person.now()["object_rows"][worst["object"]]
-        )  # strokes are for the row that is chosen
+        )  # strokes are for the row that is selected
     show(person, np.array(worst["world"]))
     use(person, "Inside" if worst["side"] == "inside" else "Outside")
     x, y = person.pixel("axial", worst["world"])

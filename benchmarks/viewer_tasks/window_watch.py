@@ -66,16 +66,18 @@ def items() -> dict[str, list[int]]:
 
 def write_whole(path: Path, said: dict[str, Any]) -> None:
     """Write a file of JSON, all or nothing."""
-    draft = path.with_suffix(".draft")
-    draft.write_text(json.dumps(said, default=str))
-    os.replace(draft, path)
+    staged = path.with_suffix(".draft")
+    staged.write_text(json.dumps(said, default=str))
+    os.replace(staged, path)
 
 
 class WindowWatch:
     """Says where the parts of a window are, what it shows, and where its surface is wrong."""
 
     def __init__(self, main: Any, state_file: Path, truth: list[Any]) -> None:
-        self._main, self._file, self._truth = main, state_file, truth
+        self._main = main
+        self._file = state_file
+        self._truth = truth
         self._wanted = state_file.with_suffix(".judge")
         self._verdict: dict[str, Any] = {}
         self._frames: list[float] = []

@@ -16,7 +16,7 @@ from scipy import ndimage
 from accelsurf.image.volume import Volume
 from accelsurf.starts.objects import ObjectStart
 from benchmarks import benchmark, defaults, real_scans, turns
-from benchmarks.peers import baselines, contest, hard_works, objects, programs, render, scans
+from benchmarks.peers import baselines, comparison, hard_works, objects, programs, render, scans
 from benchmarks.peers.advance import grow, sparse_field
 from benchmarks.peers.clock import Clock
 from benchmarks.peers.measure import (
@@ -104,9 +104,9 @@ def test_a_peer_that_is_not_installed_is_skipped_with_a_message(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     absent = programs.Peer("gone", "no_such_module_here", "no-such", programs.c3d, [])
-    monkeypatch.setattr(contest, "PEERS", {"gone": absent})
+    monkeypatch.setattr(comparison, "PEERS", {"gone": absent})
     options = Options()
-    assert contest.available(options) == [] and contest.available(options) == []
+    assert comparison.available(options) == [] and comparison.available(options) == []
     assert options.messages == ["gone: skipped, no-such is not installed (pip install no-such)"]
 
 
@@ -352,6 +352,6 @@ def test_a_tree_does_each_work_and_a_commit_that_is_not_there_is_one_line() -> N
 
 @pytest.mark.parametrize(("study", "entries"), [(defaults, "rows"), (real_scans, "cases")])
 def test_the_table_of_a_page_is_that_of_its_json(study: Any, entries: str) -> None:
-    found = json.loads(study.FACTS.read_text())[entries]
+    found = json.loads(study.RESULTS_FILE.read_text())[entries]
     table = study.text_of(found.values() if study is defaults else found)
     assert len(table) > 500 and table.strip() in study.PAGE.read_text()

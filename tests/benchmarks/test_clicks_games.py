@@ -13,7 +13,7 @@ from accelsurf.errors import UsageError
 from accelsurf.image.volume import Volume
 from benchmarks.clicks import __main__ as program
 from benchmarks.clicks import games, methods, objects, peers, tables
-from benchmarks.clicks.domain import CroppedSession, coarsened_seeds, crop, outer_faces
+from benchmarks.clicks.domain import CroppedSession, crop, outer_faces, restricted_seeds
 from benchmarks.clicks.games import Hints, play, summary
 from benchmarks.clicks.measures import surfaces
 from benchmarks.clicks.objects import ClickObject, Scene
@@ -161,10 +161,10 @@ def test_distances_are_in_mm_and_in_voxels_of_the_same_volume() -> None:
 def test_the_probability_of_the_method_is_kept() -> None:
     image, truth = ball_scan()
 
-    class Sure(Painter):
-        sureness = 0.75
+    class Confident(Painter):
+        confidence = 0.75
 
-    assert play(Sure, Scene(image, truth), 1)["clicks"][0]["sureness"] == 0.75
+    assert play(Confident, Scene(image, truth), 1)["clicks"][0]["sureness"] == 0.75
     assert play(Painter, Scene(image, truth), 1)["clicks"][0]["sureness"] is None
 
 
@@ -280,7 +280,7 @@ def test_folds_without_chosen_settings_are_left_out_or_played_with_the_default(
     assert program.main([*call, "--default"]) == 0
     # The default is the last of the grid.
     assert set(small) == {3.0}
-    assert {key.split("/")[0] for key in Store(tmp_path, "made-up").facts["games"]} == {"c"}
+    assert {key.split("/")[0] for key in Store(tmp_path, "made-up").description["games"]} == {"c"}
 
 
 def test_a_game_with_more_clicks_serves_for_fewer_and_not_the_other_way(tmp_path: Path) -> None:
@@ -382,11 +382,11 @@ def test_coarse_grids_lose_no_seed() -> None:
     seeds = np.zeros((1, 7, 4), np.uint8)
     seeds[0, 6, 3], seeds[0, 0, 0] = 1, 2
     assert (
-        coarsened_seeds(seeds, (1, 3, 2))[0, 2, 1] == 1
-        and coarsened_seeds(seeds, (1, 3, 2))[0, 0, 0] == 2
+        restricted_seeds(seeds, (1, 3, 2))[0, 2, 1] == 1
+        and restricted_seeds(seeds, (1, 3, 2))[0, 0, 0] == 2
     )
     seeds[0, 1, 1] = 1
-    assert coarsened_seeds(seeds, (1, 3, 2))[0, 0, 0] == 0
+    assert restricted_seeds(seeds, (1, 3, 2))[0, 0, 0] == 0
 
 
 def test_the_shortest_path_goes_around_a_wall() -> None:
@@ -462,8 +462,8 @@ def test_tables_and_picture_are_made_of_the_games(
         "| liver | 1 | organs | 0.800 | 0.900 | 0.900 | 0.950 |  | 2 | 0.900 (watershed) |" in text
     )
     assert (tmp_path / "clicks.md").read_text() in text
-    facts = json.loads((tmp_path / "clicks.json").read_text())
-    assert facts["figures"]["plain"]["watershed"]["all"]["noc"]["0.85"] == 4.5
+    description = json.loads((tmp_path / "clicks.json").read_text())
+    assert description["figures"]["plain"]["watershed"]["all"]["noc"]["0.85"] == 4.5
     assert [path.name for path in written] == ["clicks.json", "clicks.md", "page.md", "clicks.png"]
     assert written[-1].stat().st_size > 5000
     rows = tables.flat(tmp_path)

@@ -29,29 +29,29 @@ def test_each_scan_is_in_one_fold_and_a_fold_sees_the_others_only() -> None:
 
 
 def test_the_table_keeps_to_the_rule() -> None:
-    every, chosen = objects.objects(), objects.chosen()
+    every, selected = objects.objects(), objects.selected()
     assert len({which.name for which in every}) == len(every)
     assert {which.family for which in every} <= set(folds.FAMILIES)
-    counts = Counter(which.volume for which in chosen)
+    counts = Counter(which.volume for which in selected)
     assert set(counts) == {*SCANS, objects.PHANTOM}
     assert max(counts[scan] for scan in SCANS) <= choice.MOST and counts[objects.PHANTOM] == 12
     assert all(counts[scan] <= choice.MOST_PARTS for scan in choice.PARTS)
     # No fold is without objects, and each family but lesions and cells can be tuned on for every fold.
     for fold in folds.FOLDS:
-        families = {which.family for which in objects.chosen(folds.tuned_on(fold.name))}
+        families = {which.family for which in objects.selected(folds.tuned_on(fold.name))}
         assert families >= {"organs", "bones", "brain", "vessels", "nuclei", "other"}
     # Objects that the first version had can be named.
-    assert len(objects.chosen(names=choice.FORMER)) == len(choice.FORMER) == 33
-    factors = [objects.size_factor(which) for which in chosen]
+    assert len(objects.selected(names=choice.FORMER)) == len(choice.FORMER) == 33
+    factors = [objects.size_factor(which) for which in selected]
     assert 0.4 < factors.count(1.25) / len(factors) < 0.6
 
 
 def test_objects_and_folds_that_do_not_exist_are_refused() -> None:
     with pytest.raises(ValueError, match="no such object"):
-        objects.chosen(["2"], ["liver"])
+        objects.selected(["2"], ["liver"])
     with pytest.raises(ValueError, match="no such fold"):
-        objects.chosen(["seven"])
-    assert [which.name for which in objects.chosen(["1"], ["spleen", "liver"])] == [
+        objects.selected(["seven"])
+    assert [which.name for which in objects.selected(["1"], ["spleen", "liver"])] == [
         "liver",
         "spleen",
     ]
@@ -159,7 +159,7 @@ def test_a_slab_of_a_scan_is_what_is_compared(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(objects, "_labels", lambda path: (values == 0).astype(int))
     monkeypatch.setattr(objects, "scan", lambda folder, name: Path("folder") / name)
     objects.load.cache_clear()
-    scene = objects.load(objects.chosen(names=["aorta-mra"])[0], Path("folder"))
+    scene = objects.load(objects.selected(names=["aorta-mra"])[0], Path("folder"))
     objects.load.cache_clear()
     assert scene.region == (slice(9, 24), slice(84, 178), slice(56, 95))
     assert scene.truth[scene.region].all() and scene.truth.sum() == 15 * 94 * 39

@@ -77,10 +77,10 @@ def test_strokes_are_typed_as_paths_and_boxes_in_voxels() -> None:
     box, pen = ball_voxels(stroke, image.geometry)
     assert read.box == box and (read.mask == pen).all()
     # With the box the ball that touches is no part of the object.
-    session = own.Refined(image, Hints(box=drawn_box(truth)))
+    session = own.Corrected(image, Hints(box=drawn_box(truth)))
     labels = session.click(PersonClick("inside", (9, 11, 11), (11.0, 11.0, 9.0), 3.0))
     assert not (labels & (np.arange(36) > 17)).any() and (labels & truth).sum() > 0.9 * truth.sum()
-    assert session.sureness is not None and 0.0 <= session.sureness <= 1.0
+    assert session.confidence is not None and 0.0 <= session.confidence <= 1.0
 
 
 def test_a_stated_size_reaches_the_program(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,11 +31,15 @@ def test_edges_of_a_box_count_as_corners_in_3d() -> None:
 
 def test_a_run_reports_its_figures_and_json_leaves_arrays_out(tmp_path: Path) -> None:
     shape = common.box((1, 32, 32), (0, 8, 8), (1, 24, 24), 0.1, 3)
-    facts = common.run(
+    description = common.run(
         common.Task(("a", 1), shape, {"start": "ball:16,16,0,5vox", "max_steps": 100})
     )
-    assert facts["dice"] > 0.95 and facts["hausdorff_mm"] < 3 and facts["cells_visited"] > 1000
-    common.write(tmp_path, "one", {"runs": [facts], "bad": float("nan")})
+    assert (
+        description["dice"] > 0.95
+        and description["hausdorff_mm"] < 3
+        and description["cells_visited"] > 1000
+    )
+    common.write(tmp_path, "one", {"runs": [description], "bad": float("nan")})
     document = json.loads((tmp_path / "one.json").read_text())
     assert document["bad"] is None and "labels" not in document["runs"][0]
     assert document["runs"][0]["name"] == ["a", 1]
@@ -65,7 +69,7 @@ def test_steps_to_one_percent_of_the_gap() -> None:
     assert (entry["steps"], entry["cells_visited"], entry["seconds"]) == (2, 20, 2.0)
     assert speed.line("gradient", 32, 3, run, 0.5)["steps"] is None
     falling = list(10.0 * 0.8 ** np.arange(80))
-    assert not speed.settled(falling[:40]) and speed.settled(falling)
+    assert not speed.is_steady(falling[:40]) and speed.is_steady(falling)
 
 
 def test_the_plain_settings_come_first() -> None:

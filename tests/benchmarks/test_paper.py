@@ -46,7 +46,7 @@ def test_the_vector_form_keeps_a_third_of_a_translation(length: float) -> None:
     assert factor == pytest.approx(1 / 3 + 2 / 3 / (1 + 6 * (length / 10.0) ** 2), rel=0.03)
 
 
-def test_a_run_reports_its_rest() -> None:
+def test_a_run_reports_its_plateau() -> None:
     figures = run(Task("several phases", "several phases", "inside", "descent", 0))
     assert figures["stop"] == "converged" and figures["seconds"] > 0
     assert figures["dice"] < 0.2 and figures["later_dice"] == pytest.approx(

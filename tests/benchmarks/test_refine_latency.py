@@ -16,10 +16,10 @@ def test_each_click_is_measured_by_part(tmp_path, monkeypatch):
         )
         == 0
     )
-    facts = json.loads((tmp_path / refine.NAME).read_text())
-    first, later = facts["clicks"]
+    description = json.loads((tmp_path / refine.NAME).read_text())
+    first, later = description["clicks"]
     assert (first["click"], later["click"]) == (1, 2)
-    for row in facts["clicks"]:
+    for row in description["clicks"]:
         assert sum(row["parts"].values()) == pytest.approx(row["cpu_s"], rel=0.05, abs=0.01)
         assert row["wall_s"] > 0
     model = (
@@ -37,7 +37,7 @@ def test_each_click_is_measured_by_part(tmp_path, monkeypatch):
     for part in (*model, "region", "steps"):
         assert later["parts"][part] > 0, part
     assert 0 < later["first_step_s"] <= later["wall_s"]
-    page = refine.page_of(facts)
+    page = refine.page_of(description)
     assert "| phantoms, later | 1 |" in page and f"| two_balls | 2 | {later['side']} |" in page
 
 

@@ -247,7 +247,7 @@ def test_several_objects_have_the_least_of_their_qualities(inline, scans, tmp_pa
     )
 
 
-def test_the_page_shows_every_case_by_doubt_and_runs_no_script(inline, scans, tmp_path):
+def test_the_page_shows_every_case_by_uncertainty_and_runs_no_script(inline, scans, tmp_path):
     names = {"a": "a&b <i>", "b": "x' y", "c": "100%"}
     if sys.platform == "win32":
         pytest.skip("no such names there")
@@ -261,10 +261,10 @@ def test_the_page_shows_every_case_by_doubt_and_runs_no_script(inline, scans, tm
     assert "flow:" not in page and "<th>likely to be good" in page
     assert "<script" not in page and "a&amp;b i" in page and "a&b" not in page
     rows = table(tmp_path / "out")
-    by_doubt = sorted(("x' y", "100%"), key=lambda name: float(rows[name]["probability"]))
+    by_uncertainty = sorted(("x' y", "100%"), key=lambda name: float(rows[name]["probability"]))
     places = [
         page.index(f"<h2>{text}</h2>")
-        for text in ("a&amp;b i", *(n.replace("'", "&#x27;") for n in by_doubt))
+        for text in ("a&amp;b i", *(n.replace("'", "&#x27;") for n in by_uncertainty))
     ]
     assert places == sorted(places)
     assert (
@@ -301,7 +301,7 @@ def test_an_error_that_nobody_expects_ends_its_case_only(
     assert (one["status"], one["exit_code"]) == ("failed", code)
 
 
-def test_strict_makes_doubts_failures(inline, scans, tmp_path):
+def test_strict_makes_warnings_failures(inline, scans, tmp_path):
     words = (scans / "a.nii.gz", "-o", tmp_path / "out", *START, "--max-steps", "1")
     assert run(*words) == 0 and table(tmp_path / "out")["a"]["reason"] == "max-steps"
     assert run(*words, "--strict", "--overwrite") == 9

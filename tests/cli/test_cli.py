@@ -740,11 +740,13 @@ def test_write_that_fails_half_way_is_reported(scans, tmp_path, capsys, monkeypa
 def test_synth_evaluate(tmp_path, capsys):
     assert run("synth", "ball_small", "-o", tmp_path, "--seed", 3) == 0
     assert "ball_small_truth.nii.gz" in capsys.readouterr().out
-    facts = json.loads((tmp_path / "ball_small.json").read_text())
-    assert facts["recipe"]["seed"] == 3 and facts["volume_mm3"] > 0
+    description = json.loads((tmp_path / "ball_small.json").read_text())
+    assert description["recipe"]["seed"] == 3 and description["volume_mm3"] > 0
     assert run("synth", "ball_small", "-o", tmp_path) == 7
     assert run("synth", "ball_small", "-o", tmp_path, "--seed", 3, "--overwrite") == 0
-    assert json.loads((tmp_path / "ball_small.json").read_text())["outputs"] == facts["outputs"]
+    assert (
+        json.loads((tmp_path / "ball_small.json").read_text())["outputs"] == description["outputs"]
+    )
     assert run("synth", "bal_small", "-o", tmp_path) == 2
     truth = tmp_path / "ball_small_truth.nii.gz"
     capsys.readouterr()
@@ -771,12 +773,14 @@ def test_evaluate_refuses_other_grids(scans, tmp_path, capsys):
 
 def test_info(capsys):
     assert run("info", "--json") == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert {"gradient", "flowable-mass"} < set(facts["flows"]) and "chan-vese" in facts["energies"]
-    assert {"ball", "box", "label", "threshold", "center"} <= set(facts["starts"])
-    assert "interrupted" in facts["stop_reasons"] and facts["exit_codes"]["130"]
-    assert set(facts["config_schema"]["properties"]) == set(RunConfig.model_fields)
-    assert facts["versions"]["numpy"] == np.__version__
+    description = json.loads(capsys.readouterr().out)
+    assert {"gradient", "flowable-mass"} < set(description["flows"]) and "chan-vese" in description[
+        "energies"
+    ]
+    assert {"ball", "box", "label", "threshold", "center"} <= set(description["starts"])
+    assert "interrupted" in description["stop_reasons"] and description["exit_codes"]["130"]
+    assert set(description["config_schema"]["properties"]) == set(RunConfig.model_fields)
+    assert description["versions"]["numpy"] == np.__version__
     assert run("info", "settings") == 0
     assert "max_steps" in capsys.readouterr().out
 

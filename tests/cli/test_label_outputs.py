@@ -134,11 +134,11 @@ def test_figures_of_each_object(scan, tmp_path):
     assert run(scan, tmp_path, "--name", "9=right ball") == 0
     with (tmp_path / "a_statistics.csv").open() as file:
         rows = list(csv.DictReader(file))
-    facts = json.loads((tmp_path / "a_statistics.json").read_text())["objects"]
+    description = json.loads((tmp_path / "a_statistics.json").read_text())["objects"]
     assert [row["name"] for row in rows] == ["object 2", "right ball"] and [
-        one["id"] for one in facts
+        one["id"] for one in description
     ] == [2, 9]
-    for row, one, at in zip(rows, facts, (12, 32), strict=True):
+    for row, one, at in zip(rows, description, (12, 32), strict=True):
         assert (
             float(row["volume_mm3"])
             == one["volume_mm3"]

@@ -28,7 +28,12 @@ MODULES = {
     "parts", [(), ("load",), ("load", "start", "evolve", "mesh", "write"), ("evolve", "write")]
 )
 @pytest.mark.parametrize(
-    "names", [(), ("find_feet", "kick"), ("find_feet", "classify_feet", "kick", "not_known_here")]
+    "names",
+    [
+        (),
+        ("find_closest_points", "kick"),
+        ("find_closest_points", "classify_closest_points", "kick", "not_known_here"),
+    ],
 )
 def test_stages_add_up_to_the_total(parts, names):
     rng = np.random.default_rng(len(parts) + len(names))
@@ -38,7 +43,9 @@ def test_stages_add_up_to_the_total(parts, names):
     assert sum(value for _, value in stages) == pytest.approx(60)
     assert len({stage for stage, _ in stages}) == len(stages)
     found = dict(stages)
-    closest_points = sum(spent_in.get(name, 0) for name in ("find_feet", "classify_feet"))
+    closest_points = sum(
+        spent_in.get(name, 0) for name in ("find_closest_points", "classify_closest_points")
+    )
     assert found.get("other kernels", 0) == spent_in.get("not_known_here", 0)
     assert found.get("closest points", 0) == pytest.approx(closest_points)
     if "evolve" in parts:

@@ -8,7 +8,7 @@ import pytest
 from accelsurf import cli, io
 from accelsurf.image.volume import Volume
 from accelsurf.settings.wording import volume_text
-from tests.evolution.test_rests import LEAK, joined_balls
+from tests.evolution.test_plateaus import LEAK, joined_balls
 from tests.support.part_and_whole import part_and_whole
 
 SHAPE = (24, 40, 40)
@@ -104,7 +104,7 @@ def test_an_empty_result_names_what_was_seen_before_the_first_step(
 
 
 @pytest.mark.slow
-def test_a_rest_is_reported_and_a_run_that_ends_there_has_its_volume(tmp_path):
+def test_a_plateau_is_reported_and_a_run_that_ends_there_has_its_volume(tmp_path):
     path, words = tmp_path / "balls.nii.gz", []
     io.write(Volume.from_array(joined_balls()[0].astype(np.float32)), path)
     for key in ("start", "energy", "smoothness"):
@@ -115,7 +115,7 @@ def test_a_rest_is_reported_and_a_run_that_ends_there_has_its_volume(tmp_path):
     (rest,) = leaked["quality"]["rests"]
     assert "rest1" not in [one["kind"] for one in leaked["outputs"]]
     assert run(path, *words, "--stop-at-rest") == 0
-    rested = report(path)
-    assert rested["stop"]["reason"] == "rested" and rested["quality"]["rests"] == [rest]
-    assert rested["volume_mm3"] == pytest.approx(rest["volume_mm3"], rel=0.02)
-    assert leaked["volume_mm3"] > 1.8 * rested["volume_mm3"]
+    at_plateau = report(path)
+    assert at_plateau["stop"]["reason"] == "rested" and at_plateau["quality"]["rests"] == [rest]
+    assert at_plateau["volume_mm3"] == pytest.approx(rest["volume_mm3"], rel=0.02)
+    assert leaked["volume_mm3"] > 1.8 * at_plateau["volume_mm3"]

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from accelsurf.image.noise import WEIGHT, area_against_noise, noise_of
+from accelsurf.image.noise import WEIGHT, area_for_noise, noise_of
 
 
 def objects(shape, seed, noise):
@@ -54,6 +54,6 @@ def test_the_order_and_direction_of_the_axes_do_not_count(shape):
 
 
 def test_the_weight_is_that_of_the_smallest_step():
-    assert area_against_noise(1.0, (9, 9, 9), (3.0, 1.0, 2.0)) == WEIGHT
+    assert area_for_noise(1.0, (9, 9, 9), (3.0, 1.0, 2.0)) == WEIGHT
     # In one slice its thickness is no step.
-    assert area_against_noise(0.5, (1, 9, 9), (0.1, 2.0, 3.0)) == WEIGHT * 0.5
+    assert area_for_noise(0.5, (1, 9, 9), (0.1, 2.0, 3.0)) == WEIGHT * 0.5

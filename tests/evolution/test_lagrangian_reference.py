@@ -77,7 +77,7 @@ def test_spheroid_of_constant_density_against_the_table() -> None:
     for model in ("constant-density", "general"):
         curves = solve(ellipse(0.8, 1.0, 64, revolved=True), well, Law(model), times)
         for t, curve in zip(times, curves, strict=True):
-            true, fine = exact.SPHEROID[t], curve.refined(16384)
+            true, fine = exact.SPHEROID[t], curve.resampled(16384)
             kinetic = 0.5 * curve.surface_integral(curve.speed() ** 2)
             assert fine.points.max(axis=0) == pytest.approx((true.equator, true.pole), abs=2e-7)
             assert curve.content == pytest.approx(true.volume, abs=2e-7)
@@ -120,8 +120,10 @@ def test_flowable_mass_without_area_weight_is_ill_posed() -> None:
     rate: by |f| sqrt(w/(alpha rho)), about, for the shortest waves.
     """
     p, small, f, t, m = parameter(128), 1e-9, -0.5, 2.0, 25
-    circle, wave, against = (np.stack([np.cos(i * p), np.sin(i * p)], axis=1) for i in (1, m, -m))
-    start = Curve(circle + small * (wave + against))
+    circle, wave, opposite_wave = (
+        np.stack([np.cos(i * p), np.sin(i * p)], axis=1) for i in (1, m, -m)
+    )
+    start = Curve(circle + small * (wave + opposite_wave))
     start = Curve(start.points, density=1.0 / start.geometry().stretch)
     modes = {}
     for alpha in (0.0, 0.2):
@@ -170,7 +172,7 @@ def test_twice_the_points_give_the_same_curve(model: str) -> None:
     law = Law(model, alpha=0.03, diffusion=0.02 if model == "constant-density" else 0.0)
     curves = [solve(ellipse(0.9, 0.75, n, (0.05, -0.05)), lopsided, law, TIMES) for n in (96, 192)]
     for one, other in zip(*curves, strict=True):
-        assert np.abs(one.refined(512).points - other.refined(512).points).max() < 1e-6
+        assert np.abs(one.resampled(512).points - other.resampled(512).points).max() < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -216,7 +218,7 @@ def test_a_capillary_wave_swings_as_it_must() -> None:
         assert y @ np.cos(2 * x) / 32 == pytest.approx(
             height * jinc(math.sqrt(4 * alpha) * 2 * t), abs=1e-3 * height
         )
-    assert np.abs(curve.refined(512).points[:, 1]).max() < height
+    assert np.abs(curve.resampled(512).points[:, 1]).max() < height
 
 
 @pytest.mark.parametrize("revolved", [False, True])
@@ -240,7 +242,7 @@ def test_series_and_measures() -> None:
     assert (ball.size, ball.content) == pytest.approx(
         (4 * np.pi * 0.81, 4 / 3 * np.pi * 0.729), rel=1e-12
     )
-    fine = plane.refined(512)
+    fine = plane.resampled(512)
     np.testing.assert_allclose(fine.points, ellipse(0.9, 0.7, 512).points, atol=1e-12)
     torus = ellipse(0.2, 0.2, 64, (0.8, 0.0), revolved=True)
     assert (torus.size, torus.content) == pytest.approx(

@@ -45,7 +45,7 @@ def test_converged(flow):
     assert check_level_set(evolution.surface) == []
 
 
-def test_max_steps_and_the_ledger():
+def test_max_steps_and_the_energy_budget():
     evolution = Evolution(
         ball(4), ChanVese(smooth_image()), SolverSetup(ConstantDensity(), rule=StopRule()), 7
     )
@@ -143,7 +143,7 @@ def test_stalled():
 
 
 @pytest.mark.parametrize("flow", [Gradient, ConstantDensity, FlowableMass])
-def test_short_steps_are_no_rest(flow):
+def test_short_steps_are_no_plateau(flow):
     """A diffusion that makes the steps a thousand and more times too short: the surface has not moved, nor arrived."""
     stop = run(
         Evolution(
@@ -167,7 +167,7 @@ def test_short_steps_are_no_rest(flow):
     assert all(20 < row.cfl_dt / row.dt < 200 for row in evolution.history[:-1])
 
 
-def test_a_small_part_on_its_way_is_no_rest():
+def test_a_small_part_on_its_way_is_no_plateau():
     """A ball at rest, and a rod of a fiftieth of its area that grows out of it to voxel 45."""
     z, y, x = np.indices((40, 40, 50)) - np.array([19.5, 19.5, 18.5])[:, None, None, None]
     r = np.sqrt(z**2 + y**2 + x**2)
@@ -198,18 +198,18 @@ def test_restart_when_the_potential_rises_after_travel():
     assert at, "the surface overshoots the object, so the potential must rise"
     first = at[0]
     assert rows[first].potential > rows[first - 1].potential
-    assert sum(row.motion_voxels for row in rows[:first]) >= Restart().travel
+    assert sum(row.motion_voxels for row in rows[:first]) >= Restart().distance
     assert rows[first].kinetic == 0
     # Without travel enough it waits; without a rule it never comes.
     assert not any(row.restarted for row in restarts(None))
-    later = [row.step for row in restarts(Restart(travel=1000.0)) if row.restarted]
+    later = [row.step for row in restarts(Restart(distance=1000.0)) if row.restarted]
     assert later == []
 
 
 def test_restart_converges_where_plain_friction_oscillates():
     """A quadratic well: 3/t friction lets the energy decay like a power, restart makes it fall faster."""
     energies = []
-    for restart in (None, Restart(travel=1.0, steps=5)):
+    for restart in (None, Restart(distance=1.0, steps=5)):
         evolution = Evolution(
             ball(5),
             ChanVese(smooth_image(), means=(1.0, 0.0)),
@@ -253,7 +253,7 @@ def test_a_surface_at_a_sharp_edge_does_not_flicker(flow, steps, epsilon):
 
 
 @pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev])
-def test_the_strongest_force_is_remembered_in_mm_when_the_grid_changes(flow):
+def test_the_strongest_force_is_stored_in_mm_when_the_grid_changes(flow):
     coarse = LevelSet(np.asarray(2.0 * radius() - 14), (2.0, 2.0, 2.0))
     made = flow()
     made.start(coarse)
@@ -337,7 +337,7 @@ class Level(Gradient):
         return plan._replace(energy_rates=plan.energy_rates._replace(kinetic=self.kinetic))
 
 
-def test_a_level_kinetic_energy_is_no_rest():
+def test_a_level_kinetic_energy_is_no_plateau():
     reasons = []
     for kinetic in (0.0, 50.0):
         flow = Level()

@@ -137,12 +137,12 @@ def test_an_interrupted_run_stays_where_it_was():
 
 
 def test_objects_beside_it_make_a_rise_no_error():
-    class Pushed(Misled):
+    class Accelerated(Misled):
         is_disturbed = True
 
     evolution = Evolution(
         LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)),
-        Pushed(radius() - 6.0),
+        Accelerated(radius() - 6.0),
         SolverSetup(Gradient(), rule=StopRule()),
         12,
     )

@@ -66,7 +66,7 @@ def test_the_same_surface_for_less(cube, flow):
     assert cost(two) < cost(one) and cost(two, 1) < 0.3 * cost(one)
 
 
-def test_one_ledger(cube):
+def test_one_energy_budget(cube):
     steps = []
     result = segment(cube.image, levels=2, on_step=steps.append, **START)
     history = result.history

@@ -76,8 +76,14 @@ def coasting(
         now += step.record.dt
         near = surface.front(1.0)
         _, row, column = np.unravel_index(surface.band.cells[near], surface.shape)
-        foot = surface.band.to_closest[near]
-        yield now, np.stack([(column + 0.5) * h + foot[:, 2], (row + 0.5) * h + foot[:, 1]], axis=1)
+        closest_point = surface.band.to_closest[near]
+        yield (
+            now,
+            np.stack(
+                [(column + 0.5) * h + closest_point[:, 2], (row + 0.5) * h + closest_point[:, 1]],
+                axis=1,
+            ),
+        )
 
 
 @pytest.mark.parametrize(

@@ -155,7 +155,7 @@ def test_rates_are_in_voxels_along_the_normal():
     surface = sphere(n=40, spacing=(3.0, 1.0, 1.0), r=9.0)
     front = surface.front()
     rates = voxel_rates(surface, front, np.full(surface.size, -2.0, np.float32))
-    off = np.abs(surface.band.psi) > 0.2  # where the direction to the foot is well known
+    off = np.abs(surface.band.psi) > 0.2  # where the direction to the closest point is well known
     z, y, x = (np.array(np.unravel_index(surface.band.cells, surface.shape)) - 19.5) * np.array(
         [[3.0], [1.0], [1.0]]
     )

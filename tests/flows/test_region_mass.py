@@ -197,10 +197,10 @@ def shells(
         volume, squares = 4.0 / 3.0 * math.pi * r[-1] ** 3, 0.5 * part * rho.sum()
         inner = 2.0 * gravity * volume * rho**2
         outer = max(4.0 * (force(float(r[-1])) + gravity * squares), 0.0)
-        push = np.zeros(count + 1)
-        push[1:-1] = np.diff(inner) / part
-        push[-1] = (outer - inner[-1]) / (0.5 * part)
-        return np.concatenate([v, -4.0 * math.pi * r**2 * push - 3.0 / t * v])
+        impulse = np.zeros(count + 1)
+        impulse[1:-1] = np.diff(inner) / part
+        impulse[-1] = (outer - inner[-1]) / (0.5 * part)
+        return np.concatenate([v, -4.0 * math.pi * r**2 * impulse - 3.0 / t * v])
 
     solved = solve_ivp(
         rates,
@@ -327,8 +327,8 @@ def transported(n: int, sign: float = 1.0, t_end: float = 0.8) -> tuple[float, f
     exact = gaussian(scale)
     kinetic = np.array([row.kinetic for row in rows])
     cells = surface.front(1.0)
-    feet = on.points.reshape(3, -1)[:, surface.band.cells].T + surface.band.to_closest
-    off = np.abs(np.linalg.norm(feet[cells] / scale, axis=1) - 0.5).max() / on.spacing[0]
+    closest_points = on.points.reshape(3, -1)[:, surface.band.cells].T + surface.band.to_closest
+    off = np.abs(np.linalg.norm(closest_points[cells] / scale, axis=1) - 0.5).max() / on.spacing[0]
     return (
         float(np.abs(flow.fluid[0] - exact).sum() / exact.sum()),
         float(np.ptp(kinetic) / kinetic[0]),

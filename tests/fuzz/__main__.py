@@ -46,7 +46,7 @@ def main() -> int:
     limits = Limits(options.seconds, int(options.limit * (1 << 30)))
     if options.replay:
         return _replay(options.replay, limits)
-    inputs = corpus.chosen_seeds(options.kind)
+    inputs = corpus.seeds_of_name(options.kind)
     if not inputs:
         parser.error(
             f"no such kind; there are {', '.join(sorted({given.kind for given in corpus.seeds()}))}"

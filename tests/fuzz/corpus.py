@@ -37,7 +37,7 @@ def seeds() -> tuple[Input, ...]:
         )
 
 
-def chosen_seeds(kinds: Iterable[str] = ()) -> tuple[Input, ...]:
+def seeds_of_name(kinds: Iterable[str] = ()) -> tuple[Input, ...]:
     """The valid inputs of some kinds; of all without any."""
     wanted = set(kinds)
     return tuple(given for given in seeds() if not wanted or given.kind in wanted)
@@ -52,20 +52,20 @@ def input_of(seed: int, number: int, among: tuple[Input, ...] = ()) -> Input:
     is_image = "image" in kinds and rng.random() < 0.3
     kind = "image" if is_image else kinds[int(rng.integers(len(kinds)))]
     some = [given for given in among if given.kind == kind]
-    chosen = some[int(rng.integers(len(some)))]
-    others = [given.content for given in some if given.suffix == chosen.suffix]
-    content = chosen.content
+    selected = some[int(rng.integers(len(some)))]
+    others = [given.content for given in some if given.suffix == selected.suffix]
+    content = selected.content
     # A packed chunk is the input itself; of a packed file rather what is in it.
     if (inner := _unpacked(content)) is not None and rng.random() < (
         0.2 if kind == "zarr" else 0.8
     ):
         unpacked = [found for other in others if (found := _unpacked(other)) is not None]
-        inner = mutators.mutated(inner, chosen.mode, rng, unpacked)
-        return chosen._replace(content=gzip.compress(inner, 1, mtime=0))
-    content = mutators.mutated(content, chosen.mode, rng, others)
-    if chosen.suffix == ".png" and rng.random() < 0.8:
+        inner = mutators.mutated(inner, selected.mode, rng, unpacked)
+        return selected._replace(content=gzip.compress(inner, 1, mtime=0))
+    content = mutators.mutated(content, selected.mode, rng, others)
+    if selected.suffix == ".png" and rng.random() < 0.8:
         content = _png_with_checksums(content)
-    return chosen._replace(content=content)
+    return selected._replace(content=content)
 
 
 def _unpacked(content: bytes) -> bytes | None:

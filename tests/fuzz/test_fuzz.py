@@ -160,7 +160,7 @@ def test_archives_stay_archives_when_a_member_is_mutated(seed):
 @pytest.mark.parametrize("number", range(40))
 def test_a_saved_input_is_judged_again_as_it_was(tmp_path, number):
     kinds = ("zarr", "dicom", "frames", "image", "labels")
-    given = corpus.input_of(SEED, number, corpus.chosen_seeds(kinds))
+    given = corpus.input_of(SEED, number, corpus.seeds_of_name(kinds))
     result = workers.Judged(number, verdict.Verdict("wrong", ""), 0.0)
     saved = main.saved_input(result, given, argparse.Namespace(output=tmp_path, seed=SEED))
     again = main.replayed(tmp_path / saved["input"])

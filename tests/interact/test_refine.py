@@ -533,7 +533,7 @@ def model_of(images, clicks, previous=None):
     )
 
 
-def going_on(images, clicks):
+def continued(images, clicks):
     """The model of some clicks, as corrections go on from it."""
     made = model_of(images, clicks)
     return LocalModel(made, SPACING, lambda clicks, before: model_of(images, clicks.clicks, before))
@@ -557,7 +557,7 @@ def test_the_model_click_by_click_is_the_model_of_all_clicks(image):
     """F and the model's object are those of all clicks at once, to the last byte."""
     images = first_run(image, "seeded").state.prepared.images
     clicks = [ball("inside", (12, 14, 14), 3.0, SHAPE, SPACING)]
-    local = going_on(images, clicks)
+    local = continued(images, clicks)
     places = (
         ("outside", (12, 14, 20)),
         ("inside", (12, 14, 48)),
@@ -589,7 +589,7 @@ def test_what_a_click_leaves_of_others_keeps_what_they_have_said(image):
         row("outside", (12, 14, 30)),
         row("inside", (12, 14, 46), 3),
     )
-    local = going_on(images, rows)
+    local = continued(images, rows)
     before = local.state
     for taker in (
         row("outside", (12, 14, 48), 2),
@@ -601,7 +601,7 @@ def test_what_a_click_leaves_of_others_keeps_what_they_have_said(image):
         assert len(local.state.clicks) == len(rows) + (taker.mask.size == 2)
         far = far_from([(12, 14, 48)], 15.0)
         assert np.array_equal(was[far], now[far])
-        again = going_on(images, rows)
+        again = continued(images, rows)
         again.add(taker)
         assert field_and_object(again.state) == field_and_object(local.state)
         local.undo(change)

@@ -110,12 +110,12 @@ def is_whole(found):
 
 def named_as_unfinished(folder):
     """Test if readers and writers refuse an unfinished set, without any change, and say what to do."""
-    before = everything(folder)
+    before = folder_contents(folder)
     for refused in (lambda: refuse_unfinished(folder), lambda: write_new(folder)):
         with pytest.raises(OutputError, match="scan: is unfinished") as said:
             refused()
         assert "--overwrite" in said.value.hint
-    assert is_unfinished(folder, "scan") and everything(folder) == before
+    assert is_unfinished(folder, "scan") and folder_contents(folder) == before
     return True
 
 
@@ -406,7 +406,7 @@ NAMES = [
 ]
 
 
-def everything(folder):
+def folder_contents(folder):
     """All files below a folder by name, links as what they say."""
     return {
         str(path.relative_to(folder)): os.readlink(path)
@@ -442,7 +442,7 @@ def test_nothing_in_an_output_folder_orders_a_move_or_a_deletion(plant, seed, tm
     )
     name = draw.choice(NAMES)
     plant(folder / name, elsewhere, given)
-    before = everything(tmp_path)
+    before = folder_contents(tmp_path)
     with pytest.warns(AccelsurfWarning, match="not from a run of yours") as said:
         assert recover(folder) == []
     assert len(said) == 1 and name in str(said[0].message)
@@ -452,7 +452,7 @@ def test_nothing_in_an_output_folder_orders_a_move_or_a_deletion(plant, seed, tm
         (files.staging / "b").write_bytes(b"2")
         (files.staging / "c").write_bytes(b"3")
         files.commit(last="c")
-    after = everything(tmp_path)
+    after = folder_contents(tmp_path)
     assert {key: after.pop(f"data/{key}") for key in ("new.txt", "b", "c")} == {
         "new.txt": b"1",
         "b": b"2",
@@ -487,13 +487,13 @@ def test_a_link_in_place_of_a_staging_folder_is_not_followed(part, tmp_path):
     (tmp_path / "elsewhere" / "scan_seg.nii").write_bytes(b"mine")
     (staging / part).rename(tmp_path / "kept")
     (staging / part).symlink_to(tmp_path / "elsewhere")
-    before = everything(tmp_path / "elsewhere")
+    before = folder_contents(tmp_path / "elsewhere")
     with pytest.warns(AccelsurfWarning, match="not from a run of yours"):
         assert recover(folder) == []
     with pytest.warns(AccelsurfWarning):  # names it; nothing in it is used
         write_new(folder)
     assert content(folder).items() >= AFTER.items() - {("other.txt", b"")}
-    assert everything(tmp_path / "elsewhere") == before and (staging / part).is_symlink()
+    assert folder_contents(tmp_path / "elsewhere") == before and (staging / part).is_symlink()
 
 
 def test_a_copy_of_a_folder_with_a_killed_run_is_not_that_folder(tmp_path):
@@ -513,7 +513,7 @@ def test_a_staging_folder_of_another_user_or_of_another_set_is_left_alone(tmp_pa
     folder = staging.parent
     renamed = folder / staging.name.replace(".scan.", ".other.")
     staging.rename(renamed)
-    before = everything(folder)
+    before = folder_contents(folder)
     with pytest.warns(AccelsurfWarning, match="not from a run of yours"):
         assert recover(folder) == [] and not is_unfinished(folder, "other")
     renamed.rename(staging)
@@ -521,7 +521,7 @@ def test_a_staging_folder_of_another_user_or_of_another_set_is_left_alone(tmp_pa
         patch.setenv("XDG_STATE_HOME", str(tmp_path / "other state"))
         with pytest.warns(AccelsurfWarning, match="not from a run of yours"):
             assert recover(folder) == []
-    assert recover(folder) == [staging] and len(everything(folder)) == len(before)
+    assert recover(folder) == [staging] and len(folder_contents(folder)) == len(before)
 
 
 #: What stands in the place of the key.

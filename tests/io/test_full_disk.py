@@ -76,14 +76,16 @@ def test_a_mesh_that_was_cut_short_does_not_replace_the_old_one(suffix, tmp_path
     assert path.read_bytes() == b"old" and [name.name for name in tmp_path.iterdir()] == [path.name]
 
 
-def test_a_draft_that_differs_is_refused_without_an_error_of_the_system(tmp_path, monkeypatch):
+def test_a_staging_file_that_differs_is_refused_without_an_error_of_the_system(
+    tmp_path, monkeypatch
+):
     path = tmp_path / "labels.nii"
     new = volume(".nii")
     real = FORMAT_FUNCTIONS["nii"]()
 
-    def write(volume, draft):
-        real.write(volume, draft)
-        with draft.open("r+b") as file:
+    def write(volume, staged):
+        real.write(volume, staged)
+        with staged.open("r+b") as file:
             file.seek(400)
             file.write(b"?" if volume.array.ravel()[48] != ord("?") else b"!")
 

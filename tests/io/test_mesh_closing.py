@@ -118,13 +118,15 @@ def test_small_triangles_stay_in_a_mesh_with_edges_near_the_tolerance():
 def test_doubled_triangles_count_once(share, turned, kind, seed):
     rng = np.random.default_rng(seed)
     points, triangles = ball(6.0, (3.0, -5.0, 1.0))
-    chosen = {
+    selected = {
         "one": rng.integers(0, len(triangles), 1),
         "patch": np.flatnonzero((triangles == triangles[seed, 0]).any(axis=1)),
         "scattered": rng.choice(len(triangles), 40, replace=False),
         "all": np.arange(len(triangles)),
     }[share]
-    copies = np.roll(triangles[chosen], seed, axis=1)[:, :: -1 if turned and share != "all" else 1]
+    copies = np.roll(triangles[selected], seed, axis=1)[
+        :, :: -1 if turned and share != "all" else 1
+    ]
     order = rng.permutation(len(triangles) + len(copies))
     corners, numbers = soup(points, np.concatenate([triangles, copies])[order])
     if kind is not None:

@@ -14,26 +14,28 @@ SPACING = (3.0, 1.0, 0.7)
 
 
 def scattered(shape, seed, share=0.6):
-    """A band of some of the voxels with random feet: (lattice, band, present)."""
+    """A band of some of the voxels with random closest points: (lattice, band, present)."""
     rng = np.random.default_rng(seed)
     present = rng.random(shape) < share
     cells = np.flatnonzero(present)
-    foot = (rng.uniform(-1, 1, (cells.size, 3)) * SPACING).astype(np.float32)
+    closest_point = (rng.uniform(-1, 1, (cells.size, 3)) * SPACING).astype(np.float32)
     if shape[0] == 1:
-        foot[:, 0] = 0
+        closest_point[:, 0] = 0
     sign = np.where(rng.random(cells.size) < 0.5, -1, 1)
-    psi = (np.linalg.norm(foot, axis=1) * sign).astype(np.float32)
+    psi = (np.linalg.norm(closest_point, axis=1) * sign).astype(np.float32)
     dense = DenseArrays(np.full(present.size, 9, np.float32), np.full(present.size, -1, np.int32))
     dense.psi[cells], dense.slot[cells] = psi, np.arange(cells.size)
-    return dense, Band(cells, psi, foot), present
+    return dense, Band(cells, psi, closest_point), present
 
 
 def test_keep_mask_drops_the_unknown_and_the_far():
-    foot = np.array([(2.9, 0, 0), (3.1, 0, 0), (0, 0.99, 0), (0, 0, 0.71), (0, 0, 0)], np.float32)
+    closest_point = np.array(
+        [(2.9, 0, 0), (3.1, 0, 0), (0, 0.99, 0), (0, 0, 0.71), (0, 0, 0)], np.float32
+    )
     state = np.array([FROZEN, FROZEN, EDGE, FROZEN, OPEN], np.int8)
     keep, psi = np.ones(5, bool), np.ones(5, np.float32)
     grid = reference.grid_of((5, 1, 1), SPACING)
-    band_kernels.keep_mask(0, 5, psi, grid, (np.arange(5), foot, state), 1.0, keep)
+    band_kernels.keep_mask(0, 5, psi, grid, (np.arange(5), closest_point, state), 1.0, keep)
     np.testing.assert_array_equal(keep, [True, False, True, False, False])
 
 
@@ -49,9 +51,9 @@ def test_front_mask_is_the_part_within_a_width():
 @pytest.mark.parametrize("seed", range(5))
 def test_merged_order_is_raster_order(seed):
     rng = np.random.default_rng(seed)
-    chosen = rng.permutation(200)[:90]
+    selected = rng.permutation(200)[:90]
     n_old = int(rng.integers(0, 90))
-    old, new = np.sort(chosen[:n_old]), chosen[n_old:]
+    old, new = np.sort(selected[:n_old]), selected[n_old:]
     cells = np.concatenate([old, new])
     keep = rng.random(cells.size) < 0.6
     entered = n_old + np.flatnonzero(keep[n_old:])
@@ -79,11 +81,13 @@ def test_gather_keeps_signs_and_never_gives_zero():
     assert new.psi[4] != 0
 
 
-def sampled_by_the_reference(shape, present, values, cells, foot, old_slot):
-    """What `sample_at_feet` should give: cubic where all nodes are ``present``, else linear, else the own value."""
+def sampled_by_the_reference(shape, present, values, cells, closest_point, old_slot):
+    """What `sample_at_closest_points` should give: cubic where all nodes are ``present``, else linear, else the own
+    value.
+    """
     on_grid = np.zeros(shape, np.float32)
     on_grid[present] = values
-    at = np.stack(np.unravel_index(cells, shape), axis=1) + foot.astype(float) / SPACING
+    at = np.stack(np.unravel_index(cells, shape), axis=1) + closest_point.astype(float) / SPACING
     want, ways = np.empty(cells.size), []
     for s, cell in enumerate(cells):
         if reference.has_stencil(present, at[s]):
@@ -101,7 +105,7 @@ def sampled_by_the_reference(shape, present, values, cells, foot, old_slot):
 @pytest.mark.parametrize("fields", [1, 3])
 @pytest.mark.parametrize("share", [0.3, 0.8, 0.99, 1.0])
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 4, 5)])
-def test_fields_are_sampled_at_the_feet(shape, share, fields):
+def test_fields_are_sampled_at_the_closest_points(shape, share, fields):
     """Cubic in a full band; the known of the eight elsewhere; the own value where none is known.
 
     As after a march: the new band has cells that the old one had not, the slot map holds slots of cells that have come
@@ -115,18 +119,20 @@ def test_fields_are_sampled_at_the_feet(shape, share, fields):
     entered = rng.permutation(np.flatnonzero(~present))
     dense.slot[entered] = n_old + np.arange(entered.size)
     cells = np.sort(np.concatenate([old.cells[rng.random(n_old) < 0.9], entered]))
-    foot = (rng.uniform(-1, 1, (cells.size, 3)) * SPACING).astype(np.float32)
-    foot[::7] = 0  # on nodes
+    closest_point = (rng.uniform(-1, 1, (cells.size, 3)) * SPACING).astype(np.float32)
+    closest_point[::7] = 0  # on nodes
     if shape[0] == 1:
-        foot[:, 0] = 0
-    new = Band(cells, np.linalg.norm(foot, axis=1).astype(np.float32), foot)
+        closest_point[:, 0] = 0
+    new = Band(cells, np.linalg.norm(closest_point, axis=1).astype(np.float32), closest_point)
     out = np.full((fields, cells.size), np.nan, np.float32)
     front = rng.random(cells.size) < 0.9
-    band_kernels.sample_at_feet(
+    band_kernels.sample_at_closest_points(
         0, cells.size, dense.slot, reference.grid_of(shape, SPACING), new, front, values, out
     )
     for field in range(fields):
-        want, ways = sampled_by_the_reference(shape, present, values[field], cells, foot, old_slot)
+        want, ways = sampled_by_the_reference(
+            shape, present, values[field], cells, closest_point, old_slot
+        )
         np.testing.assert_allclose(out[field, front], want[front], rtol=0, atol=2e-5)
         assert np.isnan(out[field, ~front]).all()
     if min(shape) > 4:
@@ -143,15 +149,17 @@ def test_fields_sampled_are_the_same_bytes_alone_and_together_and_in_any_range()
     values = np.random.default_rng(7).standard_normal((3, n)).astype(np.float32)
     whole, parts = np.full((3, n), np.nan, np.float32), np.full((3, n), np.nan, np.float32)
     front = np.ones(n, np.bool_)
-    band_kernels.sample_at_feet(0, n, dense.slot, grid, band, front, values, whole)
+    band_kernels.sample_at_closest_points(0, n, dense.slot, grid, band, front, values, whole)
     assert np.isfinite(whole).all()
     for start, stop in ((0, 1), (1, 200), (200, n - 3), (n - 3, n)):
-        band_kernels.sample_at_feet(start, stop, dense.slot, grid, band, front, values, parts)
+        band_kernels.sample_at_closest_points(
+            start, stop, dense.slot, grid, band, front, values, parts
+        )
         assert np.isfinite(parts[:, start:stop]).all() and np.isnan(parts[:, stop:]).all()
     np.testing.assert_array_equal(parts, whole)
     for field in range(3):
         alone = np.empty((1, n), np.float32)
-        band_kernels.sample_at_feet(
+        band_kernels.sample_at_closest_points(
             0, n, dense.slot, grid, band, front, values[field : field + 1], alone
         )
         np.testing.assert_array_equal(alone[0], whole[field])
@@ -211,13 +219,15 @@ def quadratic_table(dense, grid, band, front, across=-1):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (9, 1, 9)])
 def test_quadratic_extension_is_exact_for_quadratics_away_from_the_border(shape):
-    """In a complete band where one cell after the other is off the front, and the ten nodes around its foot are not."""
+    """In a complete band where one cell after the other is off the front, and the ten nodes around its closest point
+    are not.
+    """
     rng, last = np.random.default_rng(16), np.array(shape) - 1.0
-    foot = rng.uniform(-2.4, 2.4, (int(np.prod(shape)), 3)) * SPACING * (last > 0)
-    dense, band = reference.whole_band(np.ones(shape), foot)
-    front = np.ones(foot.shape[0], bool)
+    closest_point = rng.uniform(-2.4, 2.4, (int(np.prod(shape)), 3)) * SPACING * (last > 0)
+    dense, band = reference.whole_band(np.ones(shape), closest_point)
+    front = np.ones(closest_point.shape[0], bool)
     index = np.argwhere(np.ones(shape, bool))
-    at = index + foot / SPACING
+    at = index + closest_point / SPACING
     a, b = (
         rng.standard_normal((3, 3)) * np.outer(last > 0, last > 0),
         rng.standard_normal(3) * (last > 0),
@@ -252,9 +262,9 @@ def test_quadratic_extension_at_the_border_is_that_of_the_mirrored_whole(axis, a
     """A part of the front is missing (``share``), as in the mirror; a component through it changes sign."""
     rng, shape = np.random.default_rng(18), [5, 6, 7]
     index = np.argwhere(np.ones(shape, bool))
-    foot = rng.uniform(-1.4, 1.4, (len(index), 3))
+    closest_point = rng.uniform(-1.4, 1.4, (len(index), 3))
     # Up to the face, half a voxel beyond the centres.
-    foot = np.clip(index + foot, -0.5, np.array(shape) - 0.5) - index
+    closest_point = np.clip(index + closest_point, -0.5, np.array(shape) - 0.5) - index
     front = rng.random(len(index)) < 0.7 * share
     values = rng.standard_normal(len(index)).astype(np.float32)
     sign = -1.0 if axis == across else 1.0
@@ -267,10 +277,13 @@ def test_quadratic_extension_at_the_border_is_that_of_the_mirrored_whole(axis, a
 
     turn = np.where(np.arange(3) == axis, -1.0, 1.0)
     wide = [n * (2 if a == axis else 1) for a, n in enumerate(shape)]
-    whole = (doubled(foot, turn) * SPACING, doubled(front, 1) != 0, doubled(values, sign))
+    whole = (doubled(closest_point, turn) * SPACING, doubled(front, 1) != 0, doubled(values, sign))
     found = []
-    for size, feet, on, field in ((shape, foot * SPACING, front, values), (wide, *whole)):
-        dense, band = reference.whole_band(np.ones(size), feet)
+    for size, closest_points, on, field in (
+        (shape, closest_point * SPACING, front, values),
+        (wide, *whole),
+    ):
+        dense, band = reference.whole_band(np.ones(size), closest_points)
         off, slots, shares = quadratic_table(
             dense, reference.grid_of(size, SPACING), band, on.ravel(), across
         )

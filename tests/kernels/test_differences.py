@@ -139,7 +139,7 @@ def test_signs_and_sizes_on_balls_and_cylinders():
     assert gauss == pytest.approx(0, abs=1e-9)
 
 
-def test_curvature_at_foot_undoes_the_distance():
+def test_curvature_at_closest_point_undoes_the_distance():
     """Of a level d off a surface of principal curvatures k: k/(1 + d k) each. Reference: from d to d = 0 and back."""
     rng = np.random.default_rng(2)
     for _ in range(200):
@@ -149,7 +149,7 @@ def test_curvature_at_foot_undoes_the_distance():
         level = k / (1 + d * k)
         # (1 - d l1)(1 - d l2), which is 1/((1 + d k1)(1 + d k2)), is what must not be too small.
         want = k.sum() if (1 - d * level).prod() > 0.2 else level.sum()
-        got = differences.curvature_at_foot(level.sum(), level.prod(), d, 2.0)
+        got = differences.curvature_at_closest_point(level.sum(), level.prod(), d, 2.0)
         assert got == pytest.approx(np.clip(want, -2, 2), rel=1e-9, abs=1e-12)
 
 
@@ -165,8 +165,8 @@ def test_curvature_at_foot_undoes_the_distance():
         (9.0, 0.0, 0.0, 1.5),
     ],
 )
-def test_curvature_at_foot_of_known_surfaces(mean, gauss, d, want):
-    assert differences.curvature_at_foot(mean, gauss, d, 1.5) == pytest.approx(want)
+def test_curvature_at_closest_point_of_known_surfaces(mean, gauss, d, want):
+    assert differences.curvature_at_closest_point(mean, gauss, d, 1.5) == pytest.approx(want)
 
 
 def test_minmod():

@@ -52,11 +52,13 @@ def test_distances_and_fields_are_those_of_the_plain_march(name: str) -> None:
     plain = PlainMarch(psi < 0, (grid.hz, grid.hy, grid.hx), start, surface.half_width)
     surface.extend_outwards(field, front)
     inner = 0
-    for c, d, foot, value in zip(band.cells, band.psi, band.to_closest, field, strict=True):
+    for c, d, closest_point, value in zip(
+        band.cells, band.psi, band.to_closest, field, strict=True
+    ):
         at = tuple(int(i) for i in np.unravel_index(c, psi.shape))
         known = plain.known[at]
         assert abs(d) == pytest.approx(known[0], abs=1e-5)
-        assert foot == pytest.approx(known[1], abs=1e-4)
+        assert closest_point == pytest.approx(known[1], abs=1e-4)
         assert value == pytest.approx(known[2], abs=2e-4)
         inner += at not in start
     assert inner > 30
@@ -64,7 +66,7 @@ def test_distances_and_fields_are_those_of_the_plain_march(name: str) -> None:
 
 @pytest.mark.slow
 def test_distances_agree_with_closest_points_passed_on_in_order() -> None:
-    """The other ordered march of the tests, each foot polished: both are distances, to the order of each."""
+    """The other ordered march of the tests, each closest point polished: both are distances, to the order of each."""
     psi = ball((24, 24, 24), (1, 1, 1), 8.0)
     surface = LevelSet(psi, (1, 1, 1), extension="fast-marching")
     band, grid = surface.band, surface.grid
@@ -72,11 +74,18 @@ def test_distances_agree_with_closest_points_passed_on_in_order() -> None:
     state = np.where(near, march.FROZEN, march.OPEN).astype(np.int8)
     known = reference.march_in_order(grid, band.cells, band.to_closest, state, surface.half_width)
     on = np.array([i for i, c in enumerate(band.cells) if int(c) in known])
-    feet = np.array([known.get(int(c), np.zeros(3)) for c in band.cells], np.float32)
-    march.refine_feet(
-        0, on.size, surface.dense.psi, grid, band.cells, on, feet, (np.zeros(feet.shape[0]), False)
+    closest_points = np.array([known.get(int(c), np.zeros(3)) for c in band.cells], np.float32)
+    march.refine_closest_points(
+        0,
+        on.size,
+        surface.dense.psi,
+        grid,
+        band.cells,
+        on,
+        closest_points,
+        (np.zeros(closest_points.shape[0]), False),
     )
-    apart = np.abs(np.linalg.norm(feet[on], axis=1) - np.abs(band.psi[on]))
+    apart = np.abs(np.linalg.norm(closest_points[on], axis=1) - np.abs(band.psi[on]))
     assert on.size > 0.95 * band.cells.size
     assert np.median(apart) < 0.005 and np.percentile(apart, 99) < 0.04
 
@@ -104,7 +113,7 @@ def test_a_march_that_runs_out_of_room_goes_on() -> None:
     psi = ball((12, 12, 12), (1, 1, 1), 3.2)
     surface = LevelSet(psi, (1, 1, 1), 2.0, extension="fast-marching")
     near = reference.front_cells(psi).ravel()[surface.band.cells]
-    cells, psi_of, feet = (array[near] for array in surface.band)
+    cells, psi_of, closest_points = (array[near] for array in surface.band)
     results = []
     for more in (5000, 7):
         dense = surface.dense._replace(slot=np.full(psi.size, -1, np.int32))
@@ -112,7 +121,12 @@ def test_a_march_that_runs_out_of_room_goes_on() -> None:
         dense.slot[cells] = np.arange(n)
         known = [
             np.concatenate([a, np.zeros((7, *a.shape[1:]), a.dtype)])
-            for a in (cells, feet, psi_of.astype(np.float64), np.full(n, ACCEPTED, np.int8))
+            for a in (
+                cells,
+                closest_points,
+                psi_of.astype(np.float64),
+                np.full(n, ACCEPTED, np.int8),
+            )
         ]
         heap, counts, calls = [np.empty(7), np.empty(7, np.int64)], np.array([n, 0, 0]), 0
         run, where = fast_marching.march_outwards, (dense, Grid(12, 12, 12, 1.0, 1.0, 1.0))

@@ -114,7 +114,7 @@ def test_what_is_spread_across_works_what_the_means_say() -> None:
     )
     spread = np.zeros((surface.size, 3))
     there = surface.dense.slot, surface.grid, surface.band
-    surface.workers.serial(kernels.spread_across, 0, surface.size, *there, layer, values, spread)
+    surface.workers.serial(kernels.extend_across, 0, surface.size, *there, layer, values, spread)
     momentum = fluid.reshape(4, -1)[1:, surface.band.cells].T
     one = float((momentum * spread).sum())
     other = float((means[:, :1] * means[:, 1:] * values)[where].sum())
@@ -138,10 +138,10 @@ def test_a_mean_of_an_even_fluid_is_the_fluid() -> None:
 
 def test_a_push_is_limited_in_voxels() -> None:
     surface, fluid = surface_on(), random_fluid()
-    push = np.zeros((surface.size, 3))
-    push[::2] = (0.5, 4.0, -3.0)
+    impulse = np.zeros((surface.size, 3))
+    impulse[::2] = (0.5, 4.0, -3.0)
     out = fluid.copy()
-    kernels.push_layer(0, surface.size, out, surface.grid, surface.band.cells, push, 2.0)
+    kernels.accelerate_layer(0, surface.size, out, surface.grid, surface.band.cells, impulse, 2.0)
     rho = fluid.reshape(4, -1)[0, surface.band.cells].astype(float)
     velocity = np.divide(
         out.reshape(4, -1)[1:, surface.band.cells], rho, out=np.zeros((3, rho.size)), where=rho > 0

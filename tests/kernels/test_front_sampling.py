@@ -13,13 +13,18 @@ SHAPES = [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 4, 5)]
 
 
 def scene(shape, seed):
-    """A whole band with random feet (mm), some beyond the border, a front mask, an image."""
+    """A whole band with random closest points (mm), some beyond the border, a front mask, an image."""
     rng = np.random.default_rng(seed)
-    foot = rng.uniform(-1.2, 1.2, (int(np.prod(shape)), 3)) * SPACING
+    closest_point = rng.uniform(-1.2, 1.2, (int(np.prod(shape)), 3)) * SPACING
     if shape[0] == 1:
-        foot[:, 0] = 0
-    dense, band = reference.whole_band(reference.smooth_noise(shape, seed + 1), foot)
-    return dense, band, rng.random(len(foot)) < 0.7, reference.smooth_noise(shape, seed + 2)
+        closest_point[:, 0] = 0
+    dense, band = reference.whole_band(reference.smooth_noise(shape, seed + 1), closest_point)
+    return (
+        dense,
+        band,
+        rng.random(len(closest_point)) < 0.7,
+        reference.smooth_noise(shape, seed + 2),
+    )
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -51,8 +56,10 @@ def test_value_and_slope_are_the_interpolants_held_at_the_border(shape):
     out = np.full((front.size, 2), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
     point_sampling.value_and_slope(0, front.size, image.ravel(), grid, band, normals, front, out)
-    feet = np.argwhere(np.ones(shape, bool)) + band.to_closest.astype(float) / SPACING
-    value, gradient = reference.interpolate(image, np.clip(feet, 0, np.array(shape) - 1.0))
+    closest_points = np.argwhere(np.ones(shape, bool)) + band.to_closest.astype(float) / SPACING
+    value, gradient = reference.interpolate(
+        image, np.clip(closest_points, 0, np.array(shape) - 1.0)
+    )
     slope = (gradient / SPACING * normals).sum(axis=1)
     np.testing.assert_allclose(out[front], np.stack([value, slope], axis=1)[front], atol=5e-5)
     assert not out[~front].any()

@@ -42,11 +42,11 @@ def test_the_mirrored_volume_has_the_mirrored_lattice(shape):
     grid, band, stride, lattice, rng = scene(shape, 2)
     mass, rest = rng.random(band.cells.size), (np.zeros((band.cells.size, 3), np.float32), 0.0)
     windows.deposit(grid, band, mass, rest, stride, lattice)
-    feet = band.to_closest.reshape(*shape, 3)
+    closest_points = band.to_closest.reshape(*shape, 3)
     for axis in range(3):
         sign = np.where(np.arange(3) == axis, -1.0, 1.0)
         _, turned = reference.whole_band(
-            np.ones(shape), (np.flip(feet, axis) * sign).reshape(-1, 3)
+            np.ones(shape), (np.flip(closest_points, axis) * sign).reshape(-1, 3)
         )
         other = np.zeros_like(lattice)
         mirrored = np.ascontiguousarray(np.flip(mass.reshape(shape), axis)).ravel()

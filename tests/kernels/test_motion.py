@@ -14,29 +14,31 @@ SHAPES = [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 4, 5)]
 
 
 def scene(shape, seed, reach=1.2):
-    """A whole band with random feet (mm), some of them beyond the border, a front mask and an image."""
+    """A whole band with random closest points (mm), some of them beyond the border, a front mask and an image."""
     rng = np.random.default_rng(seed)
-    foot = rng.uniform(-reach, reach, (int(np.prod(shape)), 3)) * SPACING
+    closest_point = rng.uniform(-reach, reach, (int(np.prod(shape)), 3)) * SPACING
     if shape[0] == 1:
-        foot[:, 0] = 0
-    psi = np.linalg.norm(foot, axis=1) * np.where(rng.random(len(foot)) < 0.5, -1, 1)
-    dense, band = reference.whole_band(psi.reshape(shape), foot)
-    front = rng.random(len(foot)) < 0.7
+        closest_point[:, 0] = 0
+    psi = np.linalg.norm(closest_point, axis=1) * np.where(
+        rng.random(len(closest_point)) < 0.5, -1, 1
+    )
+    dense, band = reference.whole_band(psi.reshape(shape), closest_point)
+    front = rng.random(len(closest_point)) < 0.7
     return dense, band, front, reference.smooth_noise(shape, seed + 1)
 
 
-def feet_in_voxels(shape, band):
+def closest_in_voxels(shape, band):
     return np.argwhere(np.ones(shape, bool)) + band.to_closest.astype(float) / SPACING
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_image_is_sampled_at_the_feet_and_held_at_the_border(shape):
+def test_image_is_sampled_at_the_closest_points_and_held_at_the_border(shape):
     _, band, front, image = scene(shape, 1)
     out = np.full(image.size, np.nan, np.float32)
     motion.sample_image(
         0, image.size, image.ravel(), reference.grid_of(shape, SPACING), band, front, out
     )
-    at = np.clip(feet_in_voxels(shape, band), 0, np.array(shape) - 1.0)
+    at = np.clip(closest_in_voxels(shape, band), 0, np.array(shape) - 1.0)
     want, _ = reference.interpolate(image, at)
     np.testing.assert_allclose(out[front], want[front], atol=2e-5)
     assert not out[~front].any()
@@ -59,8 +61,8 @@ def test_mean_across_is_taken_along_the_normal(shape):
     way /= np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
     s = np.arange(-2, 3) * epsilon / 3
     delta = 1 + np.cos(np.pi * s / epsilon)
-    samples = [reference.linear(image, feet_in_voxels(shape, band) + u * way) for u in s]
-    # Towards the foot is outwards for a cell inside; s in mm times H is how much the level's area grows.
+    samples = [reference.linear(image, closest_in_voxels(shape, band) + u * way) for u in s]
+    # Towards the closest point is outwards for a cell inside; s in mm times H is how much the level's area grows.
     outwards = np.where(on | (band.psi <= 0), 1, -1)
     mm = np.linalg.norm(way * SPACING, axis=1)
     area = 1 + np.clip(s[:, None] * (outwards * mm * curvature), -0.5, 0.5)
@@ -69,14 +71,14 @@ def test_mean_across_is_taken_along_the_normal(shape):
     assert not out[~front].any()
 
 
-def test_mean_across_a_linear_image_is_its_value_at_the_foot():
+def test_mean_across_a_linear_image_is_its_value_at_the_closest_point():
     shape = (11, 12, 13)
     z, y, x = np.indices(shape)
     image = (2 * z - y + 0.5 * x).astype(np.float32)
     psi = (x - 6.2).astype(np.float32)
-    foot = np.zeros((*shape, 3))
-    foot[..., 2] = -psi
-    dense, band = reference.whole_band(psi, foot)
+    closest_point = np.zeros((*shape, 3))
+    closest_point[..., 2] = -psi
+    dense, band = reference.whole_band(psi, closest_point)
     inner = np.zeros(shape, bool)
     inner[3:-3, 3:-3, 4:-4] = True
     out = np.empty(image.size, np.float32)
@@ -234,8 +236,8 @@ def test_rates_are_voxels_along_the_normal():
         [(1, 0, 0), (0, 1, 0), (0, 0, -1), (1, 1, 0) / np.sqrt(2), (0.48, 0.6, 0.64)]
     )
     distance = np.array([2.0, -1.0, 0.3, 1e-6, -1.5])
-    foot = (-distance[:, None] * normals).astype(np.float32)
-    band = Band(np.arange(5), distance.astype(np.float32), foot)
+    closest_point = (-distance[:, None] * normals).astype(np.float32)
+    band = Band(np.arange(5), distance.astype(np.float32), closest_point)
     beta = np.array([1.0, -2.0, 3.0, 4.0, -5.0], np.float32)
     front, out = np.array([True, True, True, True, True]), np.empty(5, np.float32)
     motion.voxel_rates(0, 5, reference.grid_of((5, 1, 1), SPACING), band, front, beta, out)

@@ -88,7 +88,7 @@ def test_smeared_area_changes_by_a_quarter_at_most_however_curved(gauss):
 
 
 def test_smeared_area_beside_the_surface_takes_its_normal_from_the_gradient():
-    """Where the foot is too short to tell one; the length of the gradient does not matter."""
+    """Where the closest point is too short to tell one; the length of the gradient does not matter."""
     grid, n = reference.grid_of((5, 5, 5), SPACING), np.array((0.3, -0.7, 0.65))
     n /= np.linalg.norm(n)
     per_mm = np.linalg.norm(n / SPACING)
@@ -107,9 +107,9 @@ def unwritten(n):
     )
 
 
-def all_measured(psi, spacing, foot, within):
+def all_measured(psi, spacing, closest_point, within):
     """(part, area, bend, variation) by `measure_band` of a whole band."""
-    dense, band = reference.whole_band(psi, foot)
+    dense, band = reference.whole_band(psi, closest_point)
     out = unwritten(band.cells.size)
     grid = reference.grid_of(np.shape(psi), spacing)
     region.measure_band(0, band.cells.size, dense.psi, grid, band, within, out)
@@ -117,13 +117,13 @@ def all_measured(psi, spacing, foot, within):
     return out
 
 
-def measured(psi, spacing, foot, within):
+def measured(psi, spacing, closest_point, within):
     """(part, area, bend) by `measure_band` of a whole band."""
-    return all_measured(psi, spacing, foot, within)[:3]
+    return all_measured(psi, spacing, closest_point, within)[:3]
 
 
 def down_the_gradient(psi, spacing):
-    """(feet (n, 3) at psi off each voxel down its gradient, that gradient)."""
+    """(closest points (n, 3) at psi off each voxel down its gradient, that gradient)."""
     gradient = reference.derivatives(psi, spacing)[0].reshape(-1, 3)
     norm = np.linalg.norm(gradient, axis=1, keepdims=True)
     return -np.reshape(psi, (-1, 1)) * gradient / np.maximum(norm, 1e-12), gradient
@@ -139,15 +139,15 @@ MEASURED = [(7, 9, 8), (1, 9, 12), (3, 4, 5), (2, 5, 6), (5, 1, 6)]
 def test_measured_curvature_and_variation_as_the_reference(shape, within):
     """The variation differs by what the level's H does when psi is mirrored at the border."""
     psi = (0.8 * reference.smooth_noise(shape, 2, 2.0)).astype(np.float32)
-    foot, gradient = down_the_gradient(psi, SPACING)
-    _, _, bend, variation = all_measured(psi, SPACING, foot, within)
+    closest_point, gradient = down_the_gradient(psi, SPACING)
+    _, _, bend, variation = all_measured(psi, SPACING, closest_point, within)
     want = reference.surface_curvature(psi, SPACING).ravel()
     k = reference.principal_curvatures(psi, SPACING).reshape(-1, 2)
     mirrored = reference.principal_curvatures(psi, SPACING, mirrored=True).reshape(-1, 2)
     mirrored_slope = np.linalg.norm(
         reference.derivatives(psi, SPACING, mirrored=True)[0].reshape(-1, 3), axis=1
     )
-    voxels = np.linalg.norm(foot.astype(np.float32).astype(float) / SPACING, axis=1)
+    voxels = np.linalg.norm(closest_point.astype(np.float32).astype(float) / SPACING, axis=1)
     near, steep = voxels <= within, np.linalg.norm(gradient, axis=1) > 0.1
     assert (near & steep).sum() > 8
     # The reference divides by 1 - d k of each curvature, which is ill conditioned beside the centre of curvature.
@@ -167,22 +167,24 @@ def test_measured_curvature_and_variation_as_the_reference(shape, within):
 @pytest.mark.parametrize("shape", MEASURED)
 def test_the_area_s_variation_is_the_curvature_but_at_the_border(shape):
     psi = (0.8 * reference.smooth_noise(shape, 2, 2.0)).astype(np.float32)
-    foot, _ = down_the_gradient(psi, SPACING)
-    _, _, bend, variation = (one.reshape(shape) for one in all_measured(psi, SPACING, foot, 9.0))
+    closest_point, _ = down_the_gradient(psi, SPACING)
+    _, _, bend, variation = (
+        one.reshape(shape) for one in all_measured(psi, SPACING, closest_point, 9.0)
+    )
     inside = tuple(slice(1, -1) if n > 1 else slice(None) for n in shape)
     np.testing.assert_array_equal(variation[inside], bend[inside])
     assert (variation != bend).any()
 
 
-def test_measured_curvature_of_a_ball_is_that_at_the_foot():
+def test_measured_curvature_of_a_ball_is_that_at_the_closest_point():
     """The same 2/r two voxels inside and two outside."""
     shape, spacing, radius = (25, 25, 13), (1.0, 1.0, 2.0), 8.0
     z, y, x = reference.coordinates(
         shape, spacing, (np.array(shape) - 1) / 2 * spacing + (0.1, -0.2, 0.15)
     )
     psi = np.sqrt(z**2 + y**2 + x**2) - radius
-    foot = -(psi / (psi + radius))[..., None] * np.stack([z, y, x], axis=-1)
-    _, _, bend = measured(psi, spacing, foot, 2.5)
+    closest_point = -(psi / (psi + radius))[..., None] * np.stack([z, y, x], axis=-1)
+    _, _, bend = measured(psi, spacing, closest_point, 2.5)
     front = (np.abs(psi) < 2).ravel()
     assert np.abs(bend[front] * radius / 2 - 1).max() < 0.12
     assert bend[front].mean() == pytest.approx(2 / radius, rel=0.02)
@@ -197,8 +199,8 @@ def test_measured_curvature_of_a_ball_is_that_at_the_foot():
 def test_measured_shares_and_areas_as_the_reference(shape, spacing, within):
     """Of rough surfaces, whatever the distance within which the curvature is asked for."""
     psi = reference.smooth_noise(shape, 3, 1.2)
-    foot, gradient = down_the_gradient(psi, spacing)
-    part, area, _ = measured(psi, spacing, foot, within)
+    closest_point, gradient = down_the_gradient(psi, spacing)
+    part, area, _ = measured(psi, spacing, closest_point, within)
     steep = np.linalg.norm(gradient, axis=1) > 0.1
     d = psi.ravel().astype(float)
     # The plane is that of the mean of psi over the voxel.
@@ -217,7 +219,7 @@ def test_measured_shares_and_areas_as_the_reference(shape, spacing, within):
         )
         assert part[s] == pytest.approx(want, abs=5e-4)
     assert 0.1 < part.mean() < 0.9
-    voxels = np.linalg.norm(foot / spacing, axis=1)
+    voxels = np.linalg.norm(closest_point / spacing, axis=1)
     per_mm = (
         np.linalg.norm(gradient / spacing, axis=1)[steep] / np.linalg.norm(gradient, axis=1)[steep]
     )
@@ -255,13 +257,13 @@ def test_measures_of_a_plane_are_exact_up_to_the_border(shape, direction):
     )
 
 
-@pytest.mark.parametrize("feet", [True, False])
-def test_measures_reach_the_corners_of_the_voxels(feet):
+@pytest.mark.parametrize("closest_points", [True, False])
+def test_measures_reach_the_corners_of_the_voxels(closest_points):
     """A plane across the diagonal cuts off the last corner of voxels half a diagonal away."""
     shape, n = (6, 7, 8), np.full(3, 1 / np.sqrt(3))
     z, y, x = reference.coordinates(shape, (1, 1, 1), (2.5, 3.0, 3.5))
     psi = ((z + y + x - 0.4) / np.sqrt(3)).astype(np.float32)
-    part, _, _ = measured(psi, (1, 1, 1), -psi.reshape(-1, 1) * n if feet else None, 0.1)
+    part, _, _ = measured(psi, (1, 1, 1), -psi.reshape(-1, 1) * n if closest_points else None, 0.1)
     want = np.array([reference.cut_voxel(float(d), n, (1, 1, 1))[0] for d in psi.ravel()])
     far = np.abs(psi.ravel()) > 0.75
     assert (want[far] * (1 - want[far])).max() > 1e-4
@@ -290,11 +292,11 @@ def test_where_psi_is_flat_a_voxel_is_in_or_out_and_not_bent():
 
 
 def test_a_sheet_through_voxel_centres_has_a_finite_area():
-    """Thin as can be: centred differences on it are 0, and its foot too short to tell a normal."""
+    """Thin as can be: centred differences on it are 0, and its closest point too short to tell a normal."""
     psi = np.broadcast_to(np.abs(np.arange(9) - 4.0) - 0.001, (5, 6, 9)).astype(np.float32)
-    foot = np.zeros((*psi.shape, 3))
-    foot[..., 2] = np.where(np.arange(9) < 4, 1, -1) * psi
-    part, area, _ = measured(psi, (1.0, 1.0, 1.0), foot, 2.0)
+    closest_point = np.zeros((*psi.shape, 3))
+    closest_point[..., 2] = np.where(np.arange(9) < 4, 1, -1) * psi
+    part, area, _ = measured(psi, (1.0, 1.0, 1.0), closest_point, 2.0)
     # Closer together than their layers are wide, its two faces of 30 mm2 each count as one.
     assert area.sum() == pytest.approx(30, rel=0.01)
     assert (part[psi.ravel() > 0.9] == 0).all()
@@ -303,8 +305,8 @@ def test_a_sheet_through_voxel_centres_has_a_finite_area():
 @pytest.mark.parametrize(("start", "stop"), [(40, 50), (0, 130), (100, 301), (7, 7)])
 def test_measures_write_nothing_outside_their_range(start, stop):
     psi = reference.smooth_noise((7, 9, 8), 6)
-    foot, _ = down_the_gradient(psi, SPACING)
-    dense, band = reference.whole_band(psi, foot)
+    closest_point, _ = down_the_gradient(psi, SPACING)
+    dense, band = reference.whole_band(psi, closest_point)
     n, grid = psi.size, reference.grid_of(psi.shape, SPACING)
     written = unwritten(n)
     region.measure_band(start, stop, dense.psi, grid, band, 2.0, written)
@@ -318,10 +320,10 @@ def test_measures_write_nothing_outside_their_range(start, stop):
 
 def test_measures_are_the_same_bytes_however_the_range_is_cut():
     psi = reference.smooth_noise((9, 10, 13), 7)
-    foot, _ = down_the_gradient(psi, SPACING)
-    dense, band = reference.whole_band(psi, foot)
+    closest_point, _ = down_the_gradient(psi, SPACING)
+    dense, band = reference.whole_band(psi, closest_point)
     n, grid = psi.size, reference.grid_of(psi.shape, SPACING)
-    whole, parts = all_measured(psi, SPACING, foot, 1.0), unwritten(n)
+    whole, parts = all_measured(psi, SPACING, closest_point, 1.0), unwritten(n)
     for start, stop in itertools.pairwise([0, 1, 8, 130, 300, 301, 557, n]):
         region.measure_band(start, stop, dense.psi, grid, band, 1.0, parts)
     for one, other in zip(whole, parts, strict=True):
@@ -354,13 +356,13 @@ def test_area_and_curvature_of_many_cells_are_those_of_single_ones():
 @pytest.mark.parametrize("epsilon", [1.0, 1.5, 2.5])
 def test_smeared_share_is_the_integral_of_the_delta_function(epsilon):
     rng = np.random.default_rng(1)
-    foot = rng.uniform(-1, 1, (60, 3)) * SPACING * 2
+    closest_point = rng.uniform(-1, 1, (60, 3)) * SPACING * 2
     sign = np.where(rng.random(60) < 0.5, -1.0, 1.0)
-    psi = sign * np.linalg.norm(foot, axis=1)
-    band = Band(np.arange(60), psi.astype(np.float32), foot.astype(np.float32))
+    psi = sign * np.linalg.norm(closest_point, axis=1)
+    band = Band(np.arange(60), psi.astype(np.float32), closest_point.astype(np.float32))
     part = np.empty(60)
     region.smear_band(0, 60, reference.grid_of((60, 1, 1), SPACING), band, epsilon, part)
-    s = sign * np.linalg.norm(foot / SPACING, axis=1)
+    s = sign * np.linalg.norm(closest_point / SPACING, axis=1)
     np.testing.assert_allclose(part, [reference.smeared_share(v, epsilon) for v in s], atol=1e-6)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import residues
-from accelsurf.kernels.closest import guess_feet, guess_memory
+from accelsurf.kernels.closest import guess_closest_points, guess_memory
 from accelsurf.kernels.grid import BATCH
 from accelsurf.kernels.interpolate import (
     LEVELS,
@@ -101,11 +101,13 @@ def test_limited_columns_that_are_not_asked_for_are_left_alone():
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_residues_are_the_interpolant_at_the_points_that_are_known(shape):
-    """Less the smallest that counts; of distant cells that of the cell nearest their foot; 0 where psi has one sign."""
+    """Less the smallest that counts; of distant cells that of the cell nearest their closest point; 0 where psi has one
+    sign.
+    """
     rng, size = np.random.default_rng(5), int(np.prod(shape))
     psi = reference.smooth_noise(shape, 6)
-    foot = rng.normal(0, 0.6, (size, 3)) * SPACING
-    dense, band = reference.whole_band(psi, foot)
+    closest_point = rng.normal(0, 0.6, (size, 3)) * SPACING
+    dense, band = reference.whole_band(psi, closest_point)
     band.psi[:] = np.sign(psi.ravel()) * np.linalg.norm(band.to_closest, axis=1)
     grid, h = reference.grid_of(shape, SPACING), np.array(SPACING)
     motion = rng.normal(0, 0.3, (size, 3)).astype(np.float32), 0.7
@@ -136,10 +138,12 @@ def test_residues_are_the_interpolant_at_the_points_that_are_known(shape):
 
 @pytest.mark.parametrize("holes", [(), [(1, 2, 3)], [(1, 2, 3), (2, 2, 3), (4, 5, 5)]])
 def test_residues_beside_what_is_removed_are_dropped(holes):
-    """By the eight voxels around each foot, also where the first of them is not in the band, and at the border."""
+    """By the eight voxels around each closest point, also where the first of them is not in the band, and at the
+    border.
+    """
     rng, shape = np.random.default_rng(3), (5, 6, 7)
-    foot = rng.uniform(-1.5, 1.5, (210, 3))
-    dense, band = reference.whole_band(np.ones(shape), foot)
+    closest_point = rng.uniform(-1.5, 1.5, (210, 3))
+    dense, band = reference.whole_band(np.ones(shape), closest_point)
     grid, out, flipped = (
         reference.grid_of(shape, (1, 1, 1)),
         np.ones(210, np.float32),
@@ -167,8 +171,8 @@ def test_a_guess_moves_to_the_surface_beyond_a_ridge_that_has_come_closer():
     shape, normal, near = (9, 9, 9), np.array((1, 1, 1)) / np.sqrt(3), np.empty(6, np.int64)
     grid = reference.grid_of(shape, (1, 1, 1))
     along = np.tensordot(normal, np.indices(shape) - 4.0, 1).ravel() - 0.1
-    foot = (np.where(along > 0, 1.0, -1.0) - along)[:, None] * normal
-    dense, band = reference.whole_band((np.abs(along) - 1).reshape(shape), foot)
+    closest_point = (np.where(along > 0, 1.0, -1.0) - along)[:, None] * normal
+    dense, band = reference.whole_band((np.abs(along) - 1).reshape(shape), closest_point)
     band.psi[:] = np.abs(along) - 1
     cell = np.ravel_multi_index((4, 4, 4), shape)
     guesses, beside, offset = (
@@ -182,7 +186,7 @@ def test_a_guess_moves_to_the_surface_beyond_a_ridge_that_has_come_closer():
         # Psi of the cell has followed the surface that was the closest.
         dense.psi[cell] = -abs(-1 - along[cell] + shift)
         scratch = near, np.empty(3), guess_memory()
-        guess_feet(
+        guess_closest_points(
             np.array([cell]),
             dense,
             grid,

@@ -208,8 +208,8 @@ def plane_band(shape, normal, offset, share=1.0, seed=0):
     present = np.random.default_rng(seed).random(len(psi)) < share
     slot, cells = np.full(len(psi), -1, np.int32), np.flatnonzero(present)
     slot[cells] = np.arange(cells.size)
-    foot = (-psi[:, None] * normal).astype(np.float32)
-    band = Band(cells, psi[cells].astype(np.float32), foot[cells])
+    closest_point = (-psi[:, None] * normal).astype(np.float32)
+    band = Band(cells, psi[cells].astype(np.float32), closest_point[cells])
     return psi, DenseArrays(psi.astype(np.float32), slot), band, present
 
 
@@ -240,7 +240,8 @@ def test_psi_is_that_of_the_departure_point_or_moved_along_the_normal(shape, sha
     present, flow, velocity, slot = vectors_of(shape, 11, share=share, hole=hole)
     rng, grid, dt = np.random.default_rng(12), reference.grid_of(shape, SPACING), 0.3
     cells, psi = np.flatnonzero(present), 2 * reference.smooth_noise(shape, 13)
-    # Feet somewhere at the distance of psi: where a reference takes the gradient for the foot, it differs.
+    # Closest points somewhere at the distance of psi: where a reference takes the gradient for the closest point, it
+    # differs.
     d = psi.ravel()[cells]
     way = random_normals(cells.size, 14)
     band = Band(cells, d, -d[:, None] * way)
@@ -268,7 +269,7 @@ def test_psi_is_that_of_the_departure_point_or_moved_along_the_normal(shape, sha
 
 
 def test_outward_normals_on_either_side_and_at_the_surface():
-    """From the foot, and where that is within half a voxel from the gradient."""
+    """From the closest point, and where that is within half a voxel from the gradient."""
     shape, centre = (7, 12, 15), np.array([9.1, 5.4, 5.2])
     grid = reference.grid_of(shape, SPACING)
     off = indices(shape) * SPACING - centre
@@ -290,7 +291,7 @@ def test_outward_normals_on_either_side_and_at_the_surface():
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_normals_point_against_the_gradient(shape):
-    """Close to the surface, where the way to the foot is too short to tell."""
+    """Close to the surface, where the way to the closest point is too short to tell."""
     psi = 0.05 * reference.smooth_noise(shape, 15)
     dense, band = reference.whole_band(psi)
     out = np.full((psi.size, 3), np.nan, np.float32)
@@ -475,16 +476,16 @@ def test_surface_gradient_of_a_linear_field():
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_linear_fields_are_carried_from_where_the_foot_came_from(shape):
-    """By a uniform velocity, in a complete band: the value at foot - dt V."""
+def test_linear_fields_are_carried_from_where_the_closest_point_came_from(shape):
+    """By a uniform velocity, in a complete band: the value at closest point - dt V."""
     n, dt, last = int(np.prod(shape)), 0.3, np.array(shape) - 1.0
     rng, h = np.random.default_rng(26), np.array(SPACING)
     slopes = rng.standard_normal((2, 3)) * (last > 0)
     values = (indices(shape) * h @ slopes.T + 1).astype(np.float32)
     uniform = np.array([0.9, -0.4, 0.5])
     velocity = np.tile(uniform.astype(np.float32), (n, 1))
-    foot = rng.uniform(-1, 1, (n, 3)) * h
-    _, band = reference.whole_band(np.ones(shape), foot)
+    closest_point = rng.uniform(-1, 1, (n, 3)) * h
+    _, band = reference.whole_band(np.ones(shape), closest_point)
     out = np.full((n, 2), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
     transport.advect_fields(
@@ -492,7 +493,7 @@ def test_linear_fields_are_carried_from_where_the_foot_came_from(shape):
     )
     # Clamped to the faces of the border.
     face = np.where(last > 0, 0.5, 0.0)
-    at = np.clip(indices(shape) + (foot - dt * uniform) / h, -face, last + face) * h
+    at = np.clip(indices(shape) + (closest_point - dt * uniform) / h, -face, last + face) * h
     np.testing.assert_allclose(out, at @ slopes.T + 1, atol=5e-5)
 
 
@@ -508,15 +509,17 @@ def test_fields_are_carried_onto_another_band(shape, columns, share):
     dense[present] = values
     rng, dt, grid = np.random.default_rng(29), 0.3, reference.grid_of(shape, SPACING)
     cells = np.flatnonzero(rng.random(present.size) < 0.7)
-    foot = (rng.uniform(-1.3, 1.3, (cells.size, 3)) * SPACING).astype(np.float32)
-    band = Band(cells, np.ones(cells.size, np.float32), foot)
+    closest_point = (rng.uniform(-1.3, 1.3, (cells.size, 3)) * SPACING).astype(np.float32)
+    band = Band(cells, np.ones(cells.size, np.float32), closest_point)
     out = np.full((cells.size, columns), np.nan, np.float32)
     transport.advect_fields(
         0, cells.size, slot, grid, band, (velocity, dt, columns - 1), values, out
     )
     seen = set()
     for s, cell in enumerate(indices(shape)[cells]):
-        at = reference.departure(flow, present, SPACING, cell + foot[s].astype(float) / SPACING, dt)
+        at = reference.departure(
+            flow, present, SPACING, cell + closest_point[s].astype(float) / SPACING, dt
+        )
         want, found = reference.band_vector(dense, present, at)
         if not found:
             want = dense[tuple(cell.astype(int))]  # 0 where it was not in the band
@@ -540,7 +543,7 @@ def test_cells_with_nothing_known_keep_their_own_values_or_get_none():
     out = np.full((3, 2), np.nan, np.float32)
     transport.advect_fields(0, 3, slot, grid, band, (velocity, 0.5, 2), values, out)
     np.testing.assert_array_equal(out, [[5, -6], [0, 0], [0, 0]])
-    # With their feet beside the cell all three have its values.
+    # With their closest points beside the cell all three have its values.
     band.to_closest[:] = np.array([[0.3, 0.2, 0.1], [0.3, 0.2, -0.6], [0.3, 0.2, -2.0]], np.float32)
     transport.advect_fields(0, 3, slot, grid, band, (velocity, 0.5, 2), values, out)
     np.testing.assert_allclose(out, np.tile(values, (3, 1)), atol=1e-6)
@@ -601,12 +604,14 @@ def test_kernels_write_only_their_range():
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_fields_go_over_to_another_grid(shape):
-    """The linear value among what is known around the foot, on a grid of other voxels; elsewhere what is asked for."""
+    """The linear value among what is known around the closest point, on a grid of other voxels; elsewhere what is asked
+    for.
+    """
     present, dense, values, slot = vectors_of(shape, 31, columns=2, share=0.5)
     other, rng = (7, 9, 10), np.random.default_rng(32)
     grid, cells = reference.grid_of(other, (1.0, 0.5, 0.8)), np.flatnonzero(rng.random(630) < 0.6)
-    foot = rng.uniform(-1.0, 1.0, (cells.size, 3)).astype(np.float32)
-    band = Band(cells, np.ones(cells.size, np.float32), foot)
+    closest_point = rng.uniform(-1.0, 1.0, (cells.size, 3)).astype(np.float32)
+    band = Band(cells, np.ones(cells.size, np.float32), closest_point)
     place = np.array([(0.5, 0.7, 0.4), (-0.25, 0.1, 0.3)])
     fields, absent = np.ascontiguousarray(values.T), np.array([7, -8], np.float32)
     out = np.full((2, cells.size), np.nan, np.float32)
@@ -614,7 +619,7 @@ def test_fields_go_over_to_another_grid(shape):
     transport.fields_between(0, cells.size, coarse, band, grid, place, (fields, absent), out)
     known = 0
     for s, cell in enumerate(indices(other)[cells]):
-        at = (cell + foot[s] / np.array([1.0, 0.5, 0.8])) * place[0] + place[1]
+        at = (cell + closest_point[s] / np.array([1.0, 0.5, 0.8])) * place[0] + place[1]
         for field in range(2):
             want, found = reference.known_linear(dense[..., field], present, at)
             known += found

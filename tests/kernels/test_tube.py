@@ -45,14 +45,14 @@ def test_weights_fade_along_the_normal():
     """Cos^2 of the distance in voxels along the normal, whatever its direction, 0 from the width on."""
     shape, width = (3, 4, 5), 2.5
     rng = np.random.default_rng(1)
-    foot = (rng.uniform(-1.6, 1.6, (60, 3)) * SPACING).astype(np.float32)
-    foot[:5] = (
+    closest_point = (rng.uniform(-1.6, 1.6, (60, 3)) * SPACING).astype(np.float32)
+    closest_point[:5] = (
         np.array([(0, 0, 0), (2.5, 0, 0), (0, -1.25, 0), (0, 0, 2.4999), (0, 4, 0)]) * SPACING
     )
-    band = Band(np.arange(60), np.ones(60, np.float32), foot)
+    band = Band(np.arange(60), np.ones(60, np.float32), closest_point)
     eta = np.full(60, np.nan)
     tube.tube_weight(0, 60, reference.grid_of(shape, SPACING), band, width, eta)
-    s = np.sqrt(((foot.astype(float) / SPACING) ** 2).sum(axis=1))
+    s = np.sqrt(((closest_point.astype(float) / SPACING) ** 2).sum(axis=1))
     want = np.where(s < width, np.cos(np.pi * s / (2 * width)) ** 2, 0)
     np.testing.assert_allclose(eta, want, atol=1e-6)
     np.testing.assert_allclose(eta[:5], [1, 0, 0.5, 0, 0], atol=1e-6)

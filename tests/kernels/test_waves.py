@@ -15,12 +15,14 @@ SHAPES = [(3, 4, 5), (1, 5, 6), (2, 1, 7)]
 
 def band_of(shape, seed):
     n = int(np.prod(shape))
-    foot = (np.random.default_rng(seed).uniform(-1, 1, (n, 3)) * SPACING).astype(np.float32)
-    return Band(np.arange(n), np.ones(n, np.float32), foot)
+    closest_point = (np.random.default_rng(seed).uniform(-1, 1, (n, 3)) * SPACING).astype(
+        np.float32
+    )
+    return Band(np.arange(n), np.ones(n, np.float32), closest_point)
 
 
-def feet(shape, band):
-    """Feet in mm, (n, 3)."""
+def closest_points(shape, band):
+    """Closest points in mm, (n, 3)."""
     return np.argwhere(np.ones(shape, bool))[band.cells] * np.array(
         SPACING
     ) + band.to_closest.astype(float)
@@ -41,7 +43,8 @@ def test_sum_of_waves_as_numpy(shape, count):
     waves.sum_of_waves(0, n, reference.grid_of(shape, SPACING), band, front, vectors, phases, out)
     # As the real part of complex waves.
     want = (
-        np.sqrt(2 / count) * np.exp(1j * (feet(shape, band) @ vectors.T + phases)).sum(axis=1).real
+        np.sqrt(2 / count)
+        * np.exp(1j * (closest_points(shape, band) @ vectors.T + phases)).sum(axis=1).real
     )
     np.testing.assert_allclose(out[front], want[front], atol=1e-6)
     assert (out[~front] == 0).all() and not front.all()
@@ -49,7 +52,7 @@ def test_sum_of_waves_as_numpy(shape, count):
 
 
 def test_only_the_point_in_space_counts():
-    """Not the cell that it is the foot of."""
+    """Not the cell that it is the closest point of."""
     shape, point = (4, 5, 6), np.array([4.2, 2.3, 1.9])
     at = np.argwhere(np.ones(shape, bool)) * np.array(SPACING)
     band = Band(np.arange(120), np.ones(120, np.float32), (point - at).astype(np.float32))

@@ -92,12 +92,14 @@ def test_two_means_by_their_formulas():
 def test_read_nodes_is_linear_between_them():
     rng = np.random.default_rng(4)
     grid, n = reference.grid_of(SHAPE, SPACING), math.prod(SHAPE)
-    foot = rng.uniform(-0.6, 0.6, (n, 3)).astype(np.float32)
-    band, front = Band(np.arange(n), np.zeros(n, np.float32), foot), rng.random(n) < 0.8
+    closest_point = rng.uniform(-0.6, 0.6, (n, 3)).astype(np.float32)
+    band, front = Band(np.arange(n), np.zeros(n, np.float32), closest_point), rng.random(n) < 0.8
     first, second = rng.normal(size=NODES[:3]), rng.normal(size=NODES[:3])
     out = np.full((n, 2), np.nan)
     windows.read_nodes(0, n, grid, band, front, NODES, (first.ravel(), second.ravel()), out)
-    index = np.stack(np.unravel_index(np.arange(n), SHAPE), axis=1) + foot / np.array(SPACING)
+    index = np.stack(np.unravel_index(np.arange(n), SHAPE), axis=1) + closest_point / np.array(
+        SPACING
+    )
     place = np.clip(index / np.array(NODES[3:6]) + np.array(NODES[6:]), 0, np.array(NODES[:3]) - 1)
     for got, field in zip(out.T, (first, second), strict=True):
         np.testing.assert_allclose(got[front], reference.linear(field, place)[front], atol=1e-6)

@@ -302,7 +302,7 @@ def test_a_click_that_needs_too_much_is_told_to_say_a_size(image):
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("levels", [1, 2])
-def test_a_rest_and_its_place_are_those_of_the_whole_image(small_windows, levels):
+def test_a_plateau_and_its_place_are_those_of_the_whole_image(small_windows, levels):
     """A ball with a thin way to a larger one: the surface rests, then bursts through, far from the window's corner."""
     z, y, x = np.indices((80, 72, 90)).astype(np.float32)
     off = (y - 36) ** 2 + (z - 40) ** 2

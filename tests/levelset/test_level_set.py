@@ -386,8 +386,8 @@ def test_extend_outwards_keeps_the_front_and_continues_it():
 
 
 @pytest.mark.parametrize("spacing", [ISOTROPIC, (3.0, 1.0, 1.0), (1.0, 2.0, 0.8)])
-def test_the_front_is_deep_enough_for_linear_interpolation_at_every_foot(spacing):
-    """All eight cells around a foot are in the front, also with thick slices and slanted normals."""
+def test_the_front_is_deep_enough_for_linear_interpolation_at_every_closest_point(spacing):
+    """All eight cells around a closest point are in the front, also with thick slices and slanted normals."""
     shape = tuple(round(54 / h) for h in spacing)
     surface = LevelSet(ball(shape, spacing, 20.0), spacing)
     front = np.zeros(shape, bool)

@@ -9,7 +9,7 @@ import pytest
 
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.checkpoint import checkpoint_surface, restore_surface
-from benchmarks.thin import DIRECTIONS, displacement, exact_distance, lattice, rested
+from benchmarks.thin import DIRECTIONS, after_redistances, displacement, exact_distance, lattice
 
 REDISTANCES = 50
 
@@ -22,7 +22,7 @@ REDISTANCES = 50
 def test_thin_objects_and_gaps_stay_where_they_are(kind, size, sign):
     """In 50 redistances, with ``sign`` -1 as a gap; before, 0.1 to 0.7 voxel outwards."""
     for number in (0, 1, 4, 8):
-        moved, flipped = rested(kind, size, number, sign=sign, count=REDISTANCES)
+        moved, flipped = after_redistances(kind, size, number, sign=sign, count=REDISTANCES)
         assert abs(moved.mean()) < 0.05
         assert np.abs(moved).max() < (0.08 if size == 1 else 0.05)
         assert flipped == 0
@@ -60,7 +60,7 @@ def test_thin_sheets_across_thick_slices_stay_where_they_are(ratio):
 @pytest.mark.parametrize(("size", "most"), [(2.5, 0.03), (4, 0.02), (8, 0.01)])
 def test_balls_stay_where_they_are(size, most):
     for number in (1, 4):
-        moved, flipped = rested("ball", size, number, count=REDISTANCES)
+        moved, flipped = after_redistances("ball", size, number, count=REDISTANCES)
         assert np.abs(moved).max() < most
         assert flipped == 0
 

@@ -120,9 +120,12 @@ def test_a_noisy_surface_is_the_same_bytes_with_one_two_and_three_threads():
             assert surface.size > 4 * BLOCK
             seen = [surface.psi.copy(), surface.band.to_closest]
             surface.advance(np.sin(surface.band.cells * 0.37).astype(np.float32), 0.6)
-            cells, foot, state, n = find_closest_points(surface)
+            cells, closest_point, state, n = find_closest_points(surface)
             results.append(
-                b"".join(np.asarray(a).tobytes() for a in [*seen, cells[:n], foot[:n], state[:n]])
+                b"".join(
+                    np.asarray(a).tobytes()
+                    for a in [*seen, cells[:n], closest_point[:n], state[:n]]
+                )
             )
     assert results[0] == results[1] == results[2]
 

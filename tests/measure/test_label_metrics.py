@@ -21,7 +21,7 @@ from accelsurf.measure.metrics import evaluate, surface_dice
 H = (2.5, 1.0, 0.5)
 
 
-def chosen(array, ids=(), spacing=H):
+def selected(array, ids=(), spacing=H):
     return LabelMap(Volume.from_array(array, spacing), ids)
 
 
@@ -41,7 +41,7 @@ def maps():
 
 def test_each_label_has_the_numbers_of_that_label_alone(maps):
     a, b = maps
-    found = evaluate_labels(chosen(a), chosen(b), (), (0.5, 1.0))
+    found = evaluate_labels(selected(a), selected(b), (), (0.5, 1.0))
     assert [one.label for one in found] == [1, 2, 5, 9, 70_000]
     for one in found:
         masks = a == one.label, b == one.label
@@ -58,30 +58,30 @@ def test_each_label_has_the_numbers_of_that_label_alone(maps):
 
 def test_a_label_of_one_slice_in_a_volume_is_no_2d_image(maps):
     # All its voxels have a neighbour outside; the outline alone is the border of a 2D image.
-    five = next(one for one in evaluate_labels(*map(chosen, maps)) if one.label == 5)
+    five = next(one for one in evaluate_labels(*map(selected, maps)) if one.label == 5)
     assert five.metrics.mean_surface_distance_mm == pytest.approx(6 / (30 + 24))
 
 
 def test_the_whole_and_chosen_ids(maps):
     a, b = maps
-    whole = evaluate_object(chosen(a), chosen(b))
+    whole = evaluate_object(selected(a), selected(b))
     assert whole.metrics == evaluate(Volume.from_array(a, H), Volume.from_array(b, H))
     assert whole.in_pred == (1, 2, 5, 9, 70_000) and whole.label is None
-    some = evaluate_object(chosen(a, ((2, 5),)), chosen(b, ((1, 1), (60_000, 80_000))))
+    some = evaluate_object(selected(a, ((2, 5),)), selected(b, ((1, 1), (60_000, 80_000))))
     masks = (a == 2) | (a == 5), (b == 1) | (b == 70_000)
     alone = evaluate(*(Volume.from_array(mask.astype(np.uint8), H) for mask in masks))
     assert some.metrics.dice == alone.dice and some.metrics.hausdorff_mm == pytest.approx(
         alone.hausdorff_mm
     )
     assert (
-        evaluate_object(chosen(a, ((0, 1),)), chosen(b, ((0, 1),))).metrics.volume_pred_mm3
+        evaluate_object(selected(a, ((0, 1),)), selected(b, ((0, 1),))).metrics.volume_pred_mm3
         == (a == 1).sum() * 1.25
     )
 
 
 def test_labels_that_are_asked_for(maps):
     a, b = maps
-    found = evaluate_labels(chosen(a), chosen(b), ((2, 9), (3, 3), (11, 20), (0, 0)), (1.0,))
+    found = evaluate_labels(selected(a), selected(b), ((2, 9), (3, 3), (11, 20), (0, 0)), (1.0,))
     assert [one.label for one in found] == [2, 3, 5, 9]
     three, nine = found[1], found[3]
     assert all(
@@ -92,7 +92,9 @@ def test_labels_that_are_asked_for(maps):
         nine.values()["hd95_mm"] is None
         and nine.values()["volume_difference_ml"] == 24 * 1.25 / 1000
     )
-    assert [one.label for one in evaluate_labels(chosen(a, ((2, 2),)), chosen(b, ((5, 5),)))] == [
+    assert [
+        one.label for one in evaluate_labels(selected(a, ((2, 2),)), selected(b, ((5, 5),)))
+    ] == [
         2,
         5,
     ]
@@ -124,7 +126,7 @@ def test_boxes_of_labels_of_any_size():
 def test_memory_is_that_of_boxes_not_of_the_volume():
     a, b = np.zeros((2, 96, 256, 256), np.uint8)
     a[40:50, 100:110, 100:110], b[40:50, 101:111, 100:110] = 3, 3
-    sides = chosen(a), chosen(b)
+    sides = selected(a), selected(b)
     tracemalloc.start()
     evaluate_labels(*sides, (), (1.0,))
     peak = tracemalloc.get_traced_memory()[1]
@@ -136,7 +138,7 @@ def test_other_grids_are_refused(maps):
     a, b = maps
     for call in (evaluate_labels, evaluate_object):
         with pytest.raises(GeometryError, match="spacing"):
-            call(chosen(a), chosen(b, spacing=(2.5, 1.0, 0.6)))
+            call(selected(a), selected(b, spacing=(2.5, 1.0, 0.6)))
 
 
 def test_means_leave_out_what_is_not_defined():

@@ -83,11 +83,11 @@ def first_answer(name, noise):
 def test_a_failure_is_not_said_to_be_good(name, noise):
     value, found = first_answer(name, noise)
     assert value >= FAILED or found.probability < SAID
-    doubted = [line for line in found.warnings if line.startswith("doubt: probably not right (")]
+    warned = [line for line in found.warnings if line.startswith("doubt: probably not right (")]
     named = [line for line in found.warnings if line.startswith("ambiguous: ")]
     assert bool(named) == found.is_ambiguous
     is_low = found.probability < likely.warning_threshold(found)
-    assert bool(doubted or named) == is_low and not (doubted and named)
+    assert bool(warned or named) == is_low and not (warned and named)
 
 
 def test_what_a_click_in_mere_noise_finds_is_not_said_to_be_good():

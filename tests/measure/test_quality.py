@@ -38,7 +38,7 @@ def look(mask, image, history=(), stop=DONE):
     )
 
 
-def test_a_clean_ball_raises_no_doubt():
+def test_a_clean_ball_raises_no_warning():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
     history = [step_record(0, volume_mm3=5.0), step_record(1)]
@@ -111,17 +111,17 @@ def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
     )
 
 
-def test_a_leak_after_a_rest_names_the_rest():
+def test_a_leak_after_a_plateau_names_the_plateau():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), []
     leaked = Stop("leaked", 60, 6.0, "it is too large")
     rest = Plateau(4, 110.0, 9, (1.0, 2.25, 3.0))
-    for rests, wanted in (
+    for plateaus, wanted in (
         ((), "leak: it is too large"),
         ((rest,), "leak: it is too large; try --stop-at-rest"),
     ):
-        found = assess(Judged(*seen, leaked, plateaus=rests))
+        found = assess(Judged(*seen, leaked, plateaus=plateaus))
         assert [words for words in found.warnings if words.startswith("leak: ")] == [wanted]
 
 
@@ -147,7 +147,7 @@ def made_for(case):
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("case", ["good", "border", "necks", "edge"])
-def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
+def test_the_command_warns_and_notes_the_plateau(case, tmp_path, capsys):
     scan, start, allowed = made_for(case)
     io.write(Volume(scan, Geometry(SHAPE, SPACING)), tmp_path / "scan.nii.gz")
     io.write(Volume(allowed.astype(np.uint8), Geometry(SHAPE, SPACING)), tmp_path / "mask.nii.gz")
@@ -175,7 +175,7 @@ def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
     assert (tmp_path / "two" / "scan_seg.nii.gz").exists()
 
 
-def test_the_report_has_probability_place_and_rests_as_values():
+def test_the_report_has_probability_place_and_plateaus_as_values():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
     rest = Plateau(4, 3000.0, 9, (1.0, 2.0, 3.0))
@@ -197,7 +197,7 @@ def test_the_report_has_probability_place_and_rests_as_values():
     )
 
 
-def test_a_rest_is_noted_where_the_object_has_grown_since():
+def test_a_plateau_is_noted_where_the_object_has_grown_since():
     z, y, x = coordinates()
     mask = (z**2 + y**2 + x**2 < 12**2).astype(np.uint8)
     history = [step_record(0, volume_mm3=1e-6), step_record(9, volume_mm3=5e-6, area_mm2=1800.0)]
@@ -217,7 +217,7 @@ def test_a_rest_is_noted_where_the_object_has_grown_since():
         assert not noted or "with 4000 um3, then" in found.notes[0]
 
 
-def test_what_is_too_small_to_be_judged_is_in_doubt():
+def test_what_is_too_small_to_be_judged_is_uncertain():
     mask = np.zeros(SHAPE, bool)
     mask[20, 22, 24] = True
     found = look(mask, mask * 1.0, [step_record(0, volume_mm3=1.2), step_record(9, volume_mm3=1.2)])
@@ -229,7 +229,7 @@ def test_what_is_too_small_to_be_judged_is_in_doubt():
     assert [words for words in found.warnings if wanted in words]
 
 
-def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
+def test_the_probability_is_that_of_the_file_and_falls_with_each_warning():
     z, y, x = coordinates()
     r = np.sqrt(z**2 + y**2 + x**2)
     image = (r < 12) + np.random.default_rng(1).normal(0, 0.05, SHAPE)
@@ -245,7 +245,7 @@ def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
 
 
 USUAL = Confidence(
-    overlap=0.85, spread=0.9, correction=0.3, unchanged=0.9, taken=0.0, surprise=0.3, answers=()
+    overlap=0.85, spread=0.9, correction=0.3, unchanged=0.9, taken=0.0, disagreement=0.3, answers=()
 )
 
 
@@ -261,8 +261,8 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
     def probability(**changes):
         found = told_of(USUAL._replace(**changes))
         assert click_features(found) == features(found)
-        doubted = [words for words in found.warnings if words.startswith("doubt: ")]
-        assert bool(doubted) == (found.probability < likely.warning_threshold(found))
+        warned = [words for words in found.warnings if words.startswith("doubt: ")]
+        assert bool(warned) == (found.probability < likely.warning_threshold(found))
         return found.probability
 
     usual = probability()
@@ -270,13 +270,18 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
         ({"overlap": 0.95}, {"overlap": 0.7}),
         ({"correction": 0.1}, {"correction": 0.9}),
         ({"unchanged": 0.98}, {"unchanged": 0.6}),
-        ({"surprise": 0.0}, {"surprise": 0.9}),
+        ({"disagreement": 0.0}, {"disagreement": 0.9}),
         ({"spread": 0.2}, {"spread": 1.8}),
     ):
         # A measure that was found to tell nothing has no weight; none counts the wrong way.
         assert probability(**better) >= usual >= probability(**worse)
-    assert probability(overlap=0.0, correction=5.0, unchanged=0.2, surprise=1.0, spread=3.0) < 0.05
-    assert probability(overlap=1.0, correction=0.03, unchanged=1.0, surprise=0.0, spread=0.0) > 0.95
+    assert (
+        probability(overlap=0.0, correction=5.0, unchanged=0.2, disagreement=1.0, spread=3.0) < 0.05
+    )
+    assert (
+        probability(overlap=1.0, correction=0.03, unchanged=1.0, disagreement=0.0, spread=0.0)
+        > 0.95
+    )
 
 
 def test_neither_the_compactness_nor_the_number_of_clicks_is_a_feature():
@@ -295,19 +300,21 @@ def test_neither_the_compactness_nor_the_number_of_clicks_is_a_feature():
         ("size_spread", {"spread": 3.0}, "objects of other sizes fit the clicks as well"),
     ],
 )
-def test_a_doubt_names_what_speaks_most_against_the_result(feature, changes, words):
-    sure = USUAL._replace(overlap=0.98, spread=0.2, correction=0.1, unchanged=0.98, surprise=0.0)
+def test_a_warning_names_what_speaks_most_against_the_result(feature, changes, words):
+    confident = USUAL._replace(
+        overlap=0.98, spread=0.2, correction=0.1, unchanged=0.98, disagreement=0.0
+    )
     weight = likely.calibrated_models()["clicks"]["features"][feature][2]
-    assert (words in likely.why(told_of(sure._replace(**changes)))) == (weight != 0)
+    assert (words in likely.why(told_of(confident._replace(**changes)))) == (weight != 0)
 
 
 @pytest.mark.parametrize("correction", [None, 0.05, 5.0])
 @pytest.mark.parametrize("unchanged", [None, 0.1, 0.99])
-@pytest.mark.parametrize("surprise", [None, 0.0, 1.0])
+@pytest.mark.parametrize("disagreement", [None, 0.0, 1.0])
 def test_a_click_that_leaves_the_surface_as_it_is_leaves_its_probability(
-    correction, unchanged, surprise
+    correction, unchanged, disagreement
 ):
-    clicked = USUAL._replace(correction=correction, unchanged=unchanged, surprise=surprise)
+    clicked = USUAL._replace(correction=correction, unchanged=unchanged, disagreement=disagreement)
     assert told_of(clicked).probability == told_of(USUAL).probability
     assert likely.why(told_of(clicked)) == likely.why(told_of(USUAL))
 
@@ -333,14 +340,14 @@ def test_nothing_is_doubted_and_a_ball_is_not():
         and good.quality.probability > 0.8
     )
     assert bad.quality.probability < 0.3
-    (doubt,) = bad.quality.warnings
-    assert doubt.startswith("doubt: probably not right (")
-    assert doubt.endswith("likely to be good); try --inside or --outside where it is most wrong")
+    (warning,) = bad.quality.warnings
+    assert warning.startswith("doubt: probably not right (")
+    assert warning.endswith("likely to be good); try --inside or --outside where it is most wrong")
     # A click into what was found is a correction, and how deep it went counts; one beside it is none.
     beside, into = (refine(good, outside=f"ball:18.8,21.5,{at},1") for at in (45.0, 37.5))
     assert good.quality.correction is None and beside.quality.correction is None
     assert into.quality.correction == pytest.approx(1 / 12, abs=0.03)
-    assert into.quality.unchanged < 1.0 and into.quality.surprise > 0.3
+    assert into.quality.unchanged < 1.0 and into.quality.disagreement > 0.3
 
 
 def test_nothing_left_and_one_slice():

@@ -162,8 +162,8 @@ def test_the_command_writes_the_sequence_its_truth_and_a_table(tmp_path, capsys)
     assert [float(row["volume_ml"]) for row in rows] == pytest.approx(
         [1e-3 * row.volume_mm3 for row in one.rows()]
     )
-    facts = json.loads((tmp_path / "tiny.json").read_text())
-    assert facts["recipe"]["motion"] == "beat" and len(facts["outputs"]) == 3
+    description = json.loads((tmp_path / "tiny.json").read_text())
+    assert description["recipe"]["motion"] == "beat" and len(description["outputs"]) == 3
     capsys.readouterr()
     assert cli.execute(words) != 0 and "overwrite" in capsys.readouterr().err
 

@@ -25,7 +25,7 @@ def ball(noise: float, n: int = 24) -> NDArray[np.float32]:
     )
 
 
-def chosen(image: NDArray[np.float32], **settings: object) -> tuple[str, str]:
+def selected(image: NDArray[np.float32], **settings: object) -> tuple[str, str]:
     """Flow and reason of a run that is not made."""
     config = RunConfig(**{**START, **settings})
     with Run(Volume.from_array(image), config) as run:
@@ -40,20 +40,20 @@ def chosen(image: NDArray[np.float32], **settings: object) -> tuple[str, str]:
 @pytest.mark.parametrize("noise", [0.0, 0.8])
 def test_energy_and_settings_decide(noise: float) -> None:
     image = ball(noise)
-    assert chosen(image)[0] == chosen(image, smoothness=0.1)[0] == "constant-density"
+    assert selected(image)[0] == selected(image, smoothness=0.1)[0] == "constant-density"
     assert (
-        chosen(image, energy="threshold:50,")[0]
-        == chosen(image, energy="threshold:50, + 0.1*area")[0]
+        selected(image, energy="threshold:50,")[0]
+        == selected(image, energy="threshold:50, + 0.1*area")[0]
         == "gradient"
     )
-    assert chosen(image, energy="threshold:50, + local-region:R=4")[0] == "constant-density"
+    assert selected(image, energy="threshold:50, + local-region:R=4")[0] == "constant-density"
     assert (
-        chosen(image, inside="ball:12,12,12,3vox", start="clicks", energy="seeded")[0]
+        selected(image, inside="ball:12,12,12,3vox", start="clicks", energy="seeded")[0]
         == "constant-density"
     )
-    found, why = chosen(image, energy="threshold:50,", friction=3.0)
+    found, why = selected(image, energy="threshold:50,", friction=3.0)
     assert found == "constant-density" and "friction was given" in why
-    assert chosen(image, energy="threshold:50,", diffusion=0.5)[0] == "gradient"
+    assert selected(image, energy="threshold:50,", diffusion=0.5)[0] == "gradient"
 
 
 def test_the_report_says_which_flow_and_why_and_the_settings_stay_open() -> None:

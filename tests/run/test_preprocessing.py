@@ -150,12 +150,12 @@ def test_bad_masks_are_told(tmp_path):
         segment(volume, start=start, mask=str(tmp_path / "absent.nii.gz"))
 
 
-def test_a_fence_is_half_a_voxel_from_the_centres_next_to_it():
+def test_a_mask_constraint_is_half_a_voxel_from_the_centres_next_to_it():
     mask = np.zeros((5, 6, 7), bool)
     mask[1:4, 2:5, 2:6] = True
-    fence = mask_distance(mask, (2.0, 1.0, 1.0))
-    np.testing.assert_array_equal(fence < 0, mask)
-    assert fence[2, 2, 3] == -0.5 and fence[2, 1, 3] == 0.5
+    distance = mask_distance(mask, (2.0, 1.0, 1.0))
+    np.testing.assert_array_equal(distance < 0, mask)
+    assert distance[2, 2, 3] == -0.5 and distance[2, 1, 3] == 0.5
     assert (mask_distance(np.ones((3, 3, 3), bool), (1.0, 1.0, 1.0)) < -1000).all()
 
 
@@ -284,7 +284,7 @@ def test_the_command_line_has_them_all(tmp_path, capsys):
     )
 
 
-def test_strict_turns_doubt_into_exit_5(tmp_path, capsys):
+def test_strict_turns_a_warning_into_exit_5(tmp_path, capsys):
     volume, _, centre = ball()
     io.write(Volume(volume.array.astype(np.float32), volume.geometry), tmp_path / "scan.nii.gz")
     words = [

@@ -291,7 +291,7 @@ def test_the_account_goes_on_over_edits():
         flow="constant-density",
     )
     rows = [row for row in result.history if row.level == 0][:36]
-    books = [
+    budgets = [
         r.potential
         + r.mass_potential
         + r.kinetic / r.weight
@@ -320,7 +320,10 @@ def test_the_account_goes_on_over_edits():
         )
         for r in plain.history[:36]
     )
-    assert max(abs(b - books[0]) for b in books) < max(3 * drift, 0.01 * won), (drift / won, books)
+    assert max(abs(b - budgets[0]) for b in budgets) < max(3 * drift, 0.01 * won), (
+        drift / won,
+        budgets,
+    )
 
 
 def test_an_edit_begins_the_stop_rule_anew():

@@ -336,16 +336,18 @@ def test_info(toys, capsys):
         assert cli.execute(["info", topic]) == 0
         assert said in capsys.readouterr().out
     assert cli.execute(["info", "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
+    description = json.loads(capsys.readouterr().out)
     assert (
-        "toy" in facts["energies"]
-        and "toy" in facts["energy_terms"]
-        and "toy-flow" in facts["flows"]
+        "toy" in description["energies"]
+        and "toy" in description["energy_terms"]
+        and "toy-flow" in description["flows"]
     )
-    assert "toy_cells" in facts["trace_columns"] and facts["presets"]["toy-scan"]["settings"] == {
-        "cfl": 0.4
-    }
-    assert facts["volume_formats"][-1] == ".toy" and facts["mesh_formats"][-1] == "toymesh"
+    assert "toy_cells" in description["trace_columns"] and description["presets"]["toy-scan"][
+        "settings"
+    ] == {"cfl": 0.4}
+    assert (
+        description["volume_formats"][-1] == ".toy" and description["mesh_formats"][-1] == "toymesh"
+    )
 
 
 def test_a_run_its_report_trace_and_progress(toys, tmp_path, capsys):

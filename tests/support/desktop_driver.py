@@ -45,7 +45,7 @@ def main() -> None:
         theme,
     )
     window.show()
-    draft = state_file.with_suffix(".draft")
+    staged = state_file.with_suffix(".draft")
     #: When each status was first seen by the window, for how fast keys are answered.
     answered: list[tuple[float, bool, int]] = []
 
@@ -55,10 +55,10 @@ def main() -> None:
             answered.append((time.time(), status.playing, status.step))
 
     def write() -> None:
-        draft.write_text(
+        staged.write_text(
             json.dumps({**places(window), **shown(session, window), "answered": answered[-50:]})
         )
-        os.replace(draft, state_file)
+        os.replace(staged, state_file)
 
     timers = []
     for work, pause in ((watch, 2), (write, 60)):

@@ -110,12 +110,12 @@ class PlainMarch:
                     )
                     values.append(self.known[at][2])
         share = np.array(shares) / sum(shares)
-        foot = share @ np.array(points)
-        if abs(np.linalg.norm(foot) - d) > fast_marching.TRUSTED * d:
-            foot = min(
+        closest_point = share @ np.array(points)
+        if abs(np.linalg.norm(closest_point) - d) > fast_marching.TRUSTED * d:
+            closest_point = min(
                 (f for f, s in zip(points, shares, strict=True) if s > 0), key=np.linalg.norm
             )
         value = share @ np.array(values)
         value = np.clip(value, min(values), max(values))
-        self.known[p] = (d, foot * d / np.linalg.norm(foot), float(value))
+        self.known[p] = (d, closest_point * d / np.linalg.norm(closest_point), float(value))
         self.order.append(p)

@@ -80,7 +80,7 @@ class Nearest(NamedTuple):
 
 def nearest(curve: Curve, points: np.ndarray, count: int = 4096) -> Nearest:
     """Distance of points (m, 2) from a curve, from its osculating circle at the nearest of ``count`` points."""
-    fine = curve.refined(count)
+    fine = curve.resampled(count)
     at = fine.geometry()
     index = cKDTree(fine.points).query(points)[1]
     away = points - fine.points[index]

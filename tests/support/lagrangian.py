@@ -151,7 +151,7 @@ class Curve:
             tangent, normal, stretch, stretch * np.abs(r), curvature - normal[:, 0] / r, curvature
         )
 
-    def refined(self, n: int = 4096) -> Curve:
+    def resampled(self, n: int = 4096) -> Curve:
         """The same curve by ``n`` points."""
         straight, new = (self._slope * parameter(m)[:, None] for m in (len(self.points), n))
         velocity = None if self.velocity is None else finer(self.velocity, n)

@@ -31,7 +31,7 @@ def main() -> None:
         ViewerSettings(None if folder is None else Path(folder)),
     )
     window.show()
-    draft = state_file.with_suffix(".draft")
+    staged = state_file.with_suffix(".draft")
     #: The longest time between two turns of the window's loop, seconds.
     turns = [time.monotonic(), 0.0]
 
@@ -40,10 +40,10 @@ def main() -> None:
         turns[:] = now, max(turns[1], now - turns[0])
 
     def write() -> None:
-        draft.write_text(
+        staged.write_text(
             json.dumps(said(window) | {"places": places(window), "longest_turn": turns[1]})
         )
-        os.replace(draft, state_file)
+        os.replace(staged, state_file)
 
     timers = []
     for work, pause in ((turn, 5), (write, 60)):

@@ -28,14 +28,16 @@ def coordinates(shape, spacing, centre):
     )
 
 
-def whole_band(psi, foot=None) -> tuple[DenseArrays, Band]:
+def whole_band(psi, closest_point=None) -> tuple[DenseArrays, Band]:
     """Every voxel in the band, the slot of a voxel being its raveled index."""
     flat = np.ascontiguousarray(psi, np.float32).ravel()
     cells = np.arange(flat.size)
-    feet = np.zeros((flat.size, 3), np.float32)
-    if foot is not None:
-        feet[:] = np.reshape(foot, (-1, 3))
-    return DenseArrays(flat.copy(), cells.astype(np.int32)), Band(cells, flat.copy(), feet)
+    closest_points = np.zeros((flat.size, 3), np.float32)
+    if closest_point is not None:
+        closest_points[:] = np.reshape(closest_point, (-1, 3))
+    return DenseArrays(flat.copy(), cells.astype(np.int32)), Band(
+        cells, flat.copy(), closest_points
+    )
 
 
 def smooth_noise(shape, seed, sigma=1.5) -> np.ndarray:
@@ -215,18 +217,20 @@ def closest_points(psi, spacing, cells, parts=4):
     """
     h = np.asarray(spacing, float)
     at = np.asarray(cells, float) * h
-    foot = (points := zero_level(psi, spacing, parts))[spatial.cKDTree(points).query(at)[1]]
+    closest_point = (points := zero_level(psi, spacing, parts))[
+        spatial.cKDTree(points).query(at)[1]
+    ]
     ways = np.array([w for w in itertools.product((-1, 0, 1), repeat=3) if any(w)], float)
     ways /= np.linalg.norm(ways, axis=1)[:, None]
     radius = h.max() / parts
     for _ in range(12):
-        tried = (foot[:, None] + radius * ways).reshape(-1, 3)
-        tried = pull_to_zero(psi, spacing, tried, 2).reshape(len(foot), len(ways), 3)
-        tried = np.concatenate([foot[:, None], tried], axis=1)
+        tried = (closest_point[:, None] + radius * ways).reshape(-1, 3)
+        tried = pull_to_zero(psi, spacing, tried, 2).reshape(len(closest_point), len(ways), 3)
+        tried = np.concatenate([closest_point[:, None], tried], axis=1)
         nearest = np.argmin(((tried - at[:, None]) ** 2).sum(axis=2), axis=1)
-        foot = tried[np.arange(len(foot)), nearest]
+        closest_point = tried[np.arange(len(closest_point)), nearest]
         radius /= 2
-    return foot
+    return closest_point
 
 
 def distance(psi, spacing, cells, parts=4):
@@ -237,20 +241,20 @@ def distance(psi, spacing, cells, parts=4):
     return np.where(np.asarray(psi)[tuple(np.asarray(cells).T)] < 0, -gap, gap)
 
 
-def corrected(iteration, foot, level, past, spacing):
+def corrected(iteration, closest_point, level, past, spacing):
     """One of Chopp's two corrections at once, the part along the level relaxed by the secant of two residues.
 
-    ``level`` is (psi, gradient per mm) at the foot (mm from the cell); ``past`` (last residue, its square, the last
-    relaxation, the square of the first residue). Returns (foot, its status, past, by how much of a limit each of
-    the decisions was made).
+    ``level`` is (psi, gradient per mm) at the closest point (mm from the cell); ``past`` (last residue, its square, the
+    last relaxation, the square of the first residue). Returns (closest point, its status, past, by how much of a limit
+    each of the decisions was made).
     """
     last, square, relax, first = past
     value, g = level[0], np.asarray(level[1:], float)
     slope2 = g @ g
     margins = [abs(slope2 / closest.MIN_SLOPE2 - 1)]
     if not slope2 > closest.MIN_SLOPE2:
-        return foot, closest.LOST, past, margins
-    residue = (foot @ g) / slope2 * g - foot
+        return closest_point, closest.LOST, past, margins
+    residue = (closest_point @ g) / slope2 * g - closest_point
     if iteration == 0:
         relax, first = 1.0, residue @ residue
     elif square > 0:
@@ -260,29 +264,35 @@ def corrected(iteration, foot, level, past, spacing):
     if iteration >= 2:
         margins.append(abs(residue @ residue / max(0.25 * first, 1e-12) - 1))
         if residue @ residue > 0.25 * first:
-            return foot, closest.LOST, past, margins
+            return closest_point, closest.LOST, past, margins
     limit = closest.TOLERANCE
     if iteration == 0:
-        limit = closest.FIRST_TOLERANCE * max(1, np.linalg.norm(foot / spacing))
+        limit = closest.FIRST_TOLERANCE * max(1, np.linalg.norm(closest_point / spacing))
     margins += [abs(move / limit - 1), abs(move / closest.MAX_MOVE - 1)]
     past = residue, 0.0 if move > closest.MAX_MOVE else residue @ residue, relax, first
-    foot = foot + min(1, closest.MAX_MOVE / max(move, 1e-30)) * step
-    return foot, closest.FOUND if move < limit else closest.ACTIVE, past, margins
+    closest_point = closest_point + min(1, closest.MAX_MOVE / max(move, 1e-30)) * step
+    return closest_point, closest.FOUND if move < limit else closest.ACTIVE, past, margins
 
 
-def iterated(psi, spacing, cell, foot):
-    """Closest point of one cell by `corrected`, one correction after the other: (foot, its status, least margin)."""
+def iterated(psi, spacing, cell, closest_point):
+    """Closest point of one cell by `corrected`, one correction after the other: (closest point, its status, least
+    margin).
+    """
     h = np.asarray(spacing, float)
-    foot, past, least = np.asarray(foot, float), (np.zeros(3), 0.0, 1.0, 0.0), np.inf
+    closest_point, past, least = (
+        np.asarray(closest_point, float),
+        (np.zeros(3), 0.0, 1.0, 0.0),
+        np.inf,
+    )
     for iteration in range(closest.MAX_ITERATIONS):
-        value, gradient = interpolate(psi, cell + foot / h)
-        foot, status, past, margins = corrected(
-            iteration, foot, (value[0], *(gradient[0] / h)), past, h
+        value, gradient = interpolate(psi, cell + closest_point / h)
+        closest_point, status, past, margins = corrected(
+            iteration, closest_point, (value[0], *(gradient[0] / h)), past, h
         )
         least = min(least, *margins)
         if status != closest.ACTIVE:
             break
-    return foot, status, least
+    return closest_point, status, least
 
 
 def cells_beside(cell, grid):
@@ -296,23 +306,28 @@ def cells_beside(cell, grid):
 
 
 def enters(f, step, grid, half_width):
-    """Whether a cell not in the band, a ``step`` from one with the foot ``f``, is met.
+    """Whether a cell not in the band, a ``step`` from one with the closest point ``f``, is met.
 
-    It is where the tangent plane at the foot comes close enough; then it is offered the feet of all its neighbours.
+    It is where the tangent plane at the closest point comes close enough; then it is offered the closest points of all
+    its neighbours.
     """
     h, through = np.array(grid[3:]), f - step
     flat = (through @ f) / (f @ f) * f if f @ f > 0.1 * h.min() ** 2 else through
     return np.linalg.norm(flat / h) <= half_width + march.SLACK
 
 
-def march_in_order(grid, cells, foot, state, half_width):
-    """Feet {cell: foot} passed on as they are in order of distance, nearest first, by those within ``half_width``.
+def march_in_order(grid, cells, closest_point, state, half_width):
+    """Closest points {cell: closest point} passed on as they are in order of distance, nearest first, by those within
+    ``half_width``.
 
-    From the feet of the slots that are not OPEN in ``state``, which stay. A foot may come closer on its way (to a
-    third cell, past one that has a closer one): a cell that is passed then takes it over and hands it on once more.
+    From the closest points of the slots that are not OPEN in ``state``, which stay. A closest point may come closer on
+    its way (to a third cell, past one that has a closer one): a cell that is passed then takes it over and hands it on
+    once more.
     """
     known = {
-        int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN
+        int(c): np.float32(f)
+        for c, f, s in zip(cells, closest_point, state, strict=True)
+        if s != march.OPEN
     }
     fixed, waiting = (
         set(known),
@@ -346,25 +361,36 @@ def march_in_order(grid, cells, foot, state, half_width):
     return known
 
 
-def march_by_rounds(psi, grid, cells, foot, state, half_width):
-    """Feet {cell: foot} passed on round by round, as those of the last one stood, from the slots that are not OPEN.
+def march_by_rounds(psi, grid, cells, closest_point, state, half_width):
+    """Closest points {cell: closest point} passed on round by round, as those of the last one stood, from the slots
+    that are not OPEN.
 
     Those stay. A cell looks where a neighbour within ``half_width`` has changed, takes the closest over when it is so
-    by `CLOSER`, and hands it on. Its first foot is polished at once, others at last. Returns the number of those too.
+    by `CLOSER`, and hands it on. Its first closest point is polished at once, others at last. Returns the number of
+    those too.
     """
     known = {
-        int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN
+        int(c): np.float32(f)
+        for c, f, s in zip(cells, closest_point, state, strict=True)
+        if s != march.OPEN
     }
     asked = {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
     changed = [int(c) for c, s in zip(cells, state, strict=True) if s == march.EDGE]
     fixed, band, later, h = set(known), set(known) | asked, set(), np.array(grid[3:])
 
     def polished(cell, f):
-        feet = np.array([f], np.float32)
-        march.refine_feet(
-            0, 1, psi, grid, np.array([cell]), np.array([0]), feet, (np.zeros(1, np.float32), False)
+        closest_points = np.array([f], np.float32)
+        march.refine_closest_points(
+            0,
+            1,
+            psi,
+            grid,
+            np.array([cell]),
+            np.array([0]),
+            closest_points,
+            (np.zeros(1, np.float32), False),
         )
-        return feet[0]
+        return closest_points[0]
 
     while True:
         for cell in changed:

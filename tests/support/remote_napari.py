@@ -57,11 +57,11 @@ class RemoteNapari:
         self.image = self.viewer.add_image(image, scale=scale, name=name)
         _, self.widget = self.viewer.window.add_plugin_dock_widget("napari-nninteractive")
         if self.widget.mode_switch.index != 1:
-            self.push(self.widget.mode_switch.buttons[1])
+            self.send(self.widget.mode_switch.buttons[1])
         for line, text in ((self.widget.server_url_edit, address), (self.widget.api_key_edit, key)):
             line.setText(text)
             line.editingFinished.emit()
-        self.push(self.widget.init_button)
+        self.send(self.widget.init_button)
         self.wait(lambda: self.labels is not None and self.widget.undo_button.isEnabled())
 
     @property
@@ -82,16 +82,16 @@ class RemoteNapari:
             if time.monotonic() > end:
                 sys.exit(f"no answer: {self.widget.remote_status_label.text()}")
 
-    def push(self, button: object) -> None:
+    def send(self, button: object) -> None:
         """Push a button of the plug-in."""
         QTest.mouseClick(button, Qt.LeftButton)
         self.wait()
 
     def choose(self, tool: str, is_inside: bool = True) -> None:
         """Choose a kind of prompt, and its side."""
-        self.push(self.widget.prompt_button.buttons[0 if is_inside else 1])
+        self.send(self.widget.prompt_button.buttons[0 if is_inside else 1])
         if self.widget.interaction_button.index != TOOLS.index(tool):
-            self.push(self.widget.interaction_button.buttons[TOOLS.index(tool)])
+            self.send(self.widget.interaction_button.buttons[TOOLS.index(tool)])
 
     def show(self, place: Sequence[float]) -> None:
         """Show the slice of a voxel."""
@@ -128,7 +128,7 @@ class RemoteNapari:
         """Begin at the label 1 of a labels layer."""
         self.viewer.add_labels(labels, scale=self.image.scale, name="labels of another program")
         self.widget.label_for_init.setCurrentText("labels of another program")
-        self.push(self.widget.load_mask_btn)
+        self.send(self.widget.load_mask_btn)
 
     def picture(self, path: Path) -> None:
         """Save what the window shows, in 64 colours."""
@@ -170,9 +170,9 @@ def main() -> None:
         driven.draw([(z, y, x + 23)])
         found[f"{tool}, corrected"] = driven.labels.copy()
         for name in ("undone", "undone twice"):
-            driven.push(driven.widget.undo_button)
+            driven.send(driven.widget.undo_button)
             found[f"{tool}, {name}"] = driven.labels.copy()
-        driven.push(driven.widget.reset_interaction_button)
+        driven.send(driven.widget.reset_interaction_button)
     driven.begin_at((image > 50).astype(np.uint8))
     found["labels"] = driven.labels.copy()
     driven.choose("point", is_inside=False)

@@ -75,7 +75,7 @@ def needs_chromium_driver():
     return found
 
 
-def settle(actions):
+def wait_until_idle(actions):
     """Wait for all that was asked, and draw it."""
     idle, end = 0, time.monotonic() + 10
     while idle < 4 and time.monotonic() < end:  # some states cannot be drawn

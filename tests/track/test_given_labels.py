@@ -179,7 +179,7 @@ def test_a_run_in_a_frame_begins_with_the_momentum_that_is_carried(
     momentum = make_momentum(model)
     momentum.start(psi, (0, 0, 0), image.geometry, (3.0, 0.0, 0.0))
     before = momentum.centroid()[0]
-    found = frame_run.settled(momentum.moved_surface(1.0), nothing, image, 0.0)
+    found = frame_run.recognised(momentum.moved_surface(1.0), nothing, image, 0.0)
     inside = np.argwhere(found.surface.psi < 0) + np.array(found.surface.corner)
     assert least < inside.mean(axis=0)[2] - 11.5 < most
     assert momentum.centroid()[0] == before

@@ -16,7 +16,7 @@ from accelsurf.track.output import outputs as track_outputs
 from accelsurf.track.output.document import TrackRun
 from accelsurf.track.output.files import TrackFiles
 from accelsurf.track.output.outputs import TRACK_WRITERS, TrackOutputs
-from accelsurf.track.records import CarriedMesh
+from accelsurf.track.records import TrackedMesh
 from tests.support.trackings import dividing_cells, flat_cells
 
 PLAIN = TrackFiles(labels="nrrd", per_frame=True)
@@ -166,7 +166,7 @@ def test_carried_vertices_stay_in_their_order(tmp_path):
     results = []
     for result in made.results:
         one = result.objects[0]
-        mesh = CarriedMesh(
+        mesh = TrackedMesh(
             shape.vertices + np.asarray(one.centroid), np.asarray(shape.faces, np.int64), 0
         )
         object.__setattr__(one, "mesh", mesh)

@@ -121,11 +121,11 @@ def test_command_python_session_and_configuration_make_the_same_bytes(energy, im
     assert np.array_equal(io.read(two / "scan_seg.nii.gz").array, result.labels)
     assert again.psi.tobytes() == result.psi.tobytes() and untimed(again) == untimed(result)
     # How sure it is, too: the command has read its state from a file before the last correction.
-    sure = json.loads(to_json(describe_quality(result.quality)))
-    assert sure == json.loads(to_json(describe_quality(again.quality)))
-    assert (sure["correction"] is None) == (energy != "seeded")
+    described = json.loads(to_json(describe_quality(result.quality)))
+    assert described == json.loads(to_json(describe_quality(again.quality)))
+    assert (described["correction"] is None) == (energy != "seeded")
     for folder in (two, tmp_path / "saved", tmp_path / "three"):
-        assert json.loads((folder / "scan_report.json").read_text())["quality"] == sure
+        assert json.loads((folder / "scan_report.json").read_text())["quality"] == described
 
 
 def test_undo_and_redo_of_corrections_bring_back_every_byte(image):
@@ -246,7 +246,7 @@ def test_where_to_click_next_is_offered_after_the_end_and_is_that_of_the_quality
         first, result = session.status.uncertain, accelsurf.segment(image, config=CONFIGS["seeded"])
         assert (
             first[0].world == result.quality.next_click
-            and first[0].share == result.quality.next_doubt
+            and first[0].share == result.quality.next_uncertainty
         )
         session.add_click("inside", beside).result(60)
         assert session.status.uncertain == ()

@@ -45,7 +45,7 @@ def crop(person, folder, name):
 
 
 @needs_screen
-def test_grey_values_by_drag_wheel_and_list(person):
+def test_grey_values_by_drag_scroll_and_list(person):
     x, y = person.now()["tiles"]["axial"]
     before = person.now()["state"]
     person.do(
@@ -177,7 +177,7 @@ def test_objects_are_merged_split_removed_and_undone_without_a_trace(screen, tmp
         pressed(person, "object_add")
         person.until(lambda now: now["state"]["tool"] == "size")
         person.drag((other, at_y), (other + 5 / mm, at_y), (other + 10 / mm, at_y))
-        rows = person.until(lambda now: len(settled(now)) == 2, 120)["state"]["object_rows"]
+        rows = person.until(lambda now: len(state_when_idle(now)) == 2, 120)["state"]["object_rows"]
         person.key("v")
         two = crop(person, tmp_path, "two")
         assert (two != first).any()
@@ -186,30 +186,30 @@ def test_objects_are_merged_split_removed_and_undone_without_a_trace(screen, tmp
         person.until(lambda now: 0.4 < opacity(now) < 0.6)
         person.drag((x + width * 0.5, y), (x + width * 0.8, y), (x + width + 20, y))
         person.until(lambda now: opacity(now) == 1.0)
-        # Both rows are chosen and become one; the part under a click is an object of its own again.
+        # Both rows are selected and become one; the part under a click is an object of its own again.
         person.click("object 0")
         x, y = person.now()["buttons"]["object 1"]
         person.do("keydown", "ctrl", "mousemove", str(x), str(y), "click", "1", "keyup", "ctrl")
         pressed(person, "object_merge")
-        merged = person.until(lambda now: len(settled(now)) == 1)["state"]["object_rows"]
+        merged = person.until(lambda now: len(state_when_idle(now)) == 1)["state"]["object_rows"]
         assert viewing.ml(merged[0]) == pytest.approx(
             sum(viewing.ml(row) for row in rows), rel=0.02
         )
         person.key("q")
         person.until(lambda now: now["state"]["tool"] == "split")
         person.drag((other, at_y))
-        split = person.until(lambda now: len(settled(now)) == 2)["state"]["object_rows"]
+        split = person.until(lambda now: len(state_when_idle(now)) == 2)["state"]["object_rows"]
         assert [viewing.ml(row) for row in split] == pytest.approx(
             [viewing.ml(row) for row in rows], rel=0.02
         )
         person.click("object 1")
         person.until(lambda now: now["state"]["object_active"] == split[1]["id"])
         pressed(person, "object_remove")
-        person.until(lambda now: len(settled(now)) == 1)
+        person.until(lambda now: len(state_when_idle(now)) == 1)
         # Each was one change; when all are undone, what is drawn is what was drawn then.
         for count in (2, 1, 2):
             person.key("ctrl+z")
-            person.until(lambda now, count=count: len(settled(now)) == count)
+            person.until(lambda now, count=count: len(state_when_idle(now)) == count)
         person.key("v")
         assert np.abs(crop(person, tmp_path, "again") - two).max() < 0.05
         person.leave()
@@ -276,7 +276,7 @@ def opacity(now):
     return min(row["opacity"] for row in now["state"]["object_rows"])
 
 
-def settled(now):
+def state_when_idle(now):
     """The rows of the objects, once nothing is under way."""
     rows = now["state"]["object_rows"]
     return [] if now["playing"] or any(row["word"] != "converged" for row in rows) else rows

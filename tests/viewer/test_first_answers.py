@@ -154,7 +154,7 @@ def actions(image, scene_of):
         session.ready.result(60)
         made = Actions(session, scene)
         scene.cursor = (14.0, 16.0, 24.0)
-        viewing.settle(made)
+        viewing.wait_until_idle(made)
         yield made
 
 
@@ -184,7 +184,7 @@ def test_other_answers_are_outlines_in_the_slices_until_escape_or_a_click(action
     )
     assert np.array_equal(drawn[space], plain[space]) and not np.array_equal(drawn, plain)
     actions.request("key", "8")
-    viewing.settle(actions)
+    viewing.wait_until_idle(actions)
     until(lambda: [one["taken"] for one in actions.state()["first_answers"][:2]] == [False, True])
     assert (
         len(actions.scene.marks.answers) == others and actions.session.status.settings.answer == 2

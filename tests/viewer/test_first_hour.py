@@ -39,7 +39,7 @@ def actions(tmp_path_factory):
         session.ready.result(60)
         made = Actions(session, scene, tmp_path_factory.mktemp("out"))
         made.request("size", 640, 360)
-        viewing.settle(made)
+        viewing.wait_until_idle(made)
         yield made
     scene.close()
 
@@ -66,7 +66,7 @@ def test_nothing_is_there_before_it_is_asked_for(actions):
         ("set", ("preset", "mr-brain")),
     ):
         actions.request(name, *values)
-        viewing.settle(actions)
+        viewing.wait_until_idle(actions)
         assert begun(actions) == (False,) * 4, name
         assert ("there is no object yet" in actions.state()["message"]) == (name != "set"), (
             actions.state()["message"]
@@ -75,12 +75,12 @@ def test_nothing_is_there_before_it_is_asked_for(actions):
     with pytest.raises(Exception, match="there is no object yet"):
         actions.session.add_click("outside", "point:14,18,12").result(60)
     actions.request("undo")  # the preset
-    viewing.settle(actions)
+    viewing.wait_until_idle(actions)
 
 
 def test_the_first_click_inside_begins_what_can_be_run_judged_and_undone(actions):
     actions.session.add_click("inside", "ball:14,18,12,2").result(60)
-    viewing.settle(actions)
+    viewing.wait_until_idle(actions)
     assert begun(actions) == (True,) * 4 and actions.scene.tiles.shows_space
     status = actions.session.status
     assert status.settings.start == ("clicks",) and status.stop is not None
@@ -90,15 +90,15 @@ def test_the_first_click_inside_begins_what_can_be_run_judged_and_undone(actions
             break
         actions.session.wait(1)
         viewing.time.sleep(0.02)
-    volume, interval, likely, *doubt = actions.state()["result"]
+    volume, interval, likely, *uncertain_lines = actions.state()["result"]
     assert volume.startswith("volume ") and volume.endswith(" ml") and interval.startswith("95 %: ")
     assert likely.endswith("% likely to be good")
     assert likely == actions.session.status.likelihoods[1]
-    assert [line.startswith("most doubtful at ") for line in doubt] == [True] * bool(
+    assert [line.startswith("most doubtful at ") for line in uncertain_lines] == [True] * bool(
         actions.session.status.uncertain
     )
     actions.request("undo")
-    viewing.settle(actions)
+    viewing.wait_until_idle(actions)
     assert begun(actions) == (False,) * 4
 
 
@@ -122,9 +122,9 @@ def test_the_mesh_is_saved_as_it_is_chosen(actions):
     assert "was given" in actions.message and actions.state()["mesh"] == "ply"
     actions.request("mesh", "stl")
     actions.session.add_click("inside", "ball:14,18,12,2").result(60)
-    viewing.settle(actions)
+    viewing.wait_until_idle(actions)
     actions.request("save")
-    viewing.settle(actions)
+    viewing.wait_until_idle(actions)
     assert (actions.folder / "balls_surface.stl").is_file() and not list(
         actions.folder.glob("*.ply")
     )

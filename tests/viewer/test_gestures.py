@@ -39,7 +39,7 @@ def actions(session, scene_of):
         ended(session)
 
 
-def settled(actions):
+def state_when_idle(actions):
     assert actions.session.wait(60)
     shown(actions)
     return actions.session.status
@@ -47,7 +47,7 @@ def settled(actions):
 
 def made(actions):
     """The changes that are in force."""
-    return [one.line for one in settled(actions).changes if one.done]
+    return [one.line for one in state_when_idle(actions).changes if one.done]
 
 
 def axial(actions, world):
@@ -89,7 +89,7 @@ def test_the_same_button_again_begins_anew_where_its_release_was_lost(actions):
     drag(actions, "axial", SECOND)
     assert actions.scene.marks.count == 1
     actions.request("release")
-    (refinement,) = settled(actions).refinements
+    (refinement,) = state_when_idle(actions).refinements
     assert len(refinement.inside) == 1 and refinement.inside[0].startswith("ball:25,")
     assert actions.scene.marks.count == 0
 
@@ -109,7 +109,7 @@ def test_a_key_for_another_tool_ends_a_drag(actions):
 
 
 @pytest.mark.parametrize("tool", PAINTS)
-def test_two_fingers_paint_nothing_and_leave_no_mark(actions, tool):
+def test_two_touches_paint_nothing_and_leave_no_mark(actions, tool):
     actions.request("tool", tool)
     first, second = axial(actions, FIRST), axial(actions, SECOND)
     actions.request("touch_down", *first, 7, True)
@@ -127,17 +127,17 @@ def test_two_fingers_paint_nothing_and_leave_no_mark(actions, tool):
     assert not actions.message and not actions.feature(MouseFeature).is_dragging
 
 
-def test_one_finger_is_the_left_button(actions):
+def test_one_touch_is_the_left_button(actions):
     actions.request("tool", "inside")
     for number in (3, 4):  # the second time a browser has another number for it
         actions.request("touch_down", *axial(actions, FIRST), number, True)
         actions.request("touch_move", *axial(actions, (13.0, 8.0, 9.0)), number)
         actions.request("touch_up", number)
-        assert len(settled(actions).refinements) == number - 2 and not actions.message
-    assert settled(actions).refinements[0].inside[0].startswith("path:")
+        assert len(state_when_idle(actions).refinements) == number - 2 and not actions.message
+    assert state_when_idle(actions).refinements[0].inside[0].startswith("path:")
 
 
-def test_what_is_under_two_fingers_stays_under_them(actions):
+def test_what_is_under_two_touches_stays_under_them(actions):
     """They move and spread at once: zoom and shift follow from where the two were and are."""
     actions.request("tool", "look")
     cursor = actions.scene.cursor
@@ -172,7 +172,7 @@ def test_what_is_under_two_fingers_stays_under_them(actions):
     )
 
 
-def test_two_fingers_in_3d_zoom_about_their_middle(actions):
+def test_two_touches_in_3d_zoom_about_their_middle(actions):
     actions.request("view", "front")
     x, y = place_of(actions, "space", (14.0, 8.0, 9.0))
     actions.request("touch_down", x - 0.05, y, 7, True)
@@ -185,7 +185,7 @@ def test_two_fingers_in_3d_zoom_about_their_middle(actions):
     assert place_of(actions, "space", (14.0, 8.0, 9.0)) == pytest.approx((x, y), abs=2e-3)
 
 
-def test_a_second_finger_takes_back_what_the_first_has_placed(actions):
+def test_a_second_touch_takes_back_what_the_first_has_placed(actions):
     """Each tool: nothing is changed by the beginning of a pinch, what was there before stays."""
     for name in actions.tools:
         actions.request("tool", name)
@@ -196,7 +196,7 @@ def test_a_second_finger_takes_back_what_the_first_has_placed(actions):
         assert made(actions) == [] and not actions.message, name
 
 
-def test_fingers_that_were_lost_and_hands_beside_a_pen(actions):
+def test_touches_that_were_lost_and_hands_beside_a_pen(actions):
     actions.request("tool", "inside")
     actions.request("touch_down", *axial(actions, SECOND), 1, True)  # its end is never heard of
     actions.request("touch_down", *axial(actions, FIRST), 2, True)
@@ -213,7 +213,7 @@ def test_fingers_that_were_lost_and_hands_beside_a_pen(actions):
     actions.request("touch_up", 5)
     assert actions.scene.marks.count == 1
     actions.request("release")
-    (refinement,) = settled(actions).refinements
+    (refinement,) = state_when_idle(actions).refinements
     assert refinement.inside[0].startswith("ball:11,") and actions.scene.marks.count == 0
 
 
@@ -221,7 +221,7 @@ def test_fingers_that_were_lost_and_hands_beside_a_pen(actions):
 @pytest.mark.parametrize(
     "bad", [None, True, "x", float("nan"), float("inf"), 1e308, [], {}, -0.1, 1.1, 2**40]
 )
-def test_what_is_no_finger_is_refused(actions, bad):
+def test_what_is_no_touch_is_refused(actions, bad):
     actions.request("tool", "inside")
     for name, values in (
         ("touch_down", (bad, 0.5, 1, True)),
@@ -300,7 +300,7 @@ def test_a_notch_of_any_browser_is_a_slice(actions, delta, mode, slices):
     assert tile.index - before == slices * one and not actions.message
 
 
-def test_a_pinch_on_a_trackpad_zooms_as_far_as_the_fingers_spread(actions):
+def test_a_pinch_on_a_trackpad_zooms_as_far_as_the_touches_part(actions):
     tile, at = actions.scene.slice_tiles["axial"], at_middle(actions)
     scale = tile.mm_per_pixel()
     for _ in range(20):  # a browser reports 100 times the logarithm of how far they have spread
@@ -345,9 +345,9 @@ def test_whatever_page_and_picture_ask_for_can_be_asked(actions):
     assert "no clipboard" in actions.state()["message"] and actions.state()["failed"]
 
 
-def test_steps_of_rest_reach_the_page_and_can_be_gone_to(actions):
-    status = actions.session.status._replace(rests=(3, 7))
+def test_steps_of_plateaus_reach_the_page_and_can_be_gone_to(actions):
+    status = actions.session.status._replace(plateaus=(3, 7))
     assert actions.feature(HistoryFeature).state(status)["rests"] == [3, 7]
     for step in (7, 3):
         actions.request("go_to", step)
-        assert settled(actions).step == step and not actions.message
+        assert state_when_idle(actions).step == step and not actions.message

@@ -182,7 +182,7 @@ def after_the_end(tmp_path_factory):
         yield made
 
 
-def settled(actions):
+def state_when_idle(actions):
     """Draw until nothing is new."""
     for _ in range(400):
         actions.session.wait(60)
@@ -198,14 +198,14 @@ def settled(actions):
 
 def ask(actions, *request):
     actions.request(*request)
-    state = settled(actions)
+    state = state_when_idle(actions)
     assert not actions.message, actions.message
     return state
 
 
 def test_the_list_and_how_objects_are_drawn(actions):
     actions.session.play().result(60)
-    state = settled(actions)
+    state = state_when_idle(actions)
     (row,) = state["object_rows"]
     assert row["id"] == 1 and row["word"] == "converged" and 1.4 < viewing.ml(row) < 2.0
     assert row["voxels"] == pytest.approx(1000 * viewing.ml(row) / np.prod(SPACING), rel=0.05)
@@ -213,7 +213,7 @@ def test_the_list_and_how_objects_are_drawn(actions):
     assert state["object_active"] == 2 and state["tool"] == "size"
     assert [one["word"] for one in state["object_rows"]] == ["converged", NOT_BEGUN]
     actions.session.add_click("inside", press(2), actions.object_id).result(60)
-    state = settled(actions)
+    state = state_when_idle(actions)
     assert [one["word"] for one in state["object_rows"]] == ["converged"] * 2 and len(
         state["object_rows"]
     ) == 2
@@ -260,7 +260,7 @@ def test_the_list_and_how_objects_are_drawn(actions):
 
 def test_the_size_tool_presses_for_the_active_object(actions):
     actions.session.play().result(60)
-    settled(actions)
+    state_when_idle(actions)
     ask(actions, "object_add")
     actions.scene.cursor = (38.0, 15.0, 17.0)
     tool = actions.tools["size"]
@@ -269,7 +269,7 @@ def test_the_size_tool_presses_for_the_active_object(actions):
     actions.session.wait(60)
     tool.move(type("At", (), {"tile": "axial", "world": np.array([45.0, 15.0, 17.0])})())
     tool.release()
-    state = settled(actions)
+    state = state_when_idle(actions)
     assert not actions.message and [one["id"] for one in state["object_rows"]] == [1, 2]
     # The drag says the ball without the one beside it, as bright, which it touches.
     assert 1000 * viewing.ml(state["object_rows"][1]) == pytest.approx(
@@ -319,10 +319,10 @@ BAD = (
 def test_bad_requests_change_nothing_and_say_one_line(request_, request):
     ends = request_[0] in ("object_split", "object_remove")
     actions = request.getfixturevalue("after_the_end" if ends else "after_a_step")
-    before = settled(actions)["object_rows"]
+    before = state_when_idle(actions)["object_rows"]
     config = actions.session.status.refinements
     actions.request(*request_)
-    state = settled(actions)
+    state = state_when_idle(actions)
     assert actions.message and "\n" not in actions.message
     assert state["object_rows"] == before and actions.session.status.refinements == config
     assert actions.object_id is None

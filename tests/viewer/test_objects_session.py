@@ -291,7 +291,7 @@ for request in asked:
     assert done.stdout.splitlines() == [
         "[['object 3', '1.5 ml', 'paused'], ['cyst', '1.5 ml', 'paused']] [] 50",
         "[0, 1]",
-        "#0072b2",  # both rows are chosen, and the colour of the first is seen
+        "#0072b2",  # both rows are selected, and the colour of the first is seen
         "object_active 3",
         "object_name 8 left kidney",
         "object_visible 8 True",

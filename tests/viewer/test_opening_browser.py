@@ -262,14 +262,14 @@ def _fold_and_touch(browser):
     time.sleep(1.0)
     shown = source()
     box = browser.find_element("id", "picture").rect
-    finger = ActionBuilder(browser, mouse=PointerInput("touch", "finger"))
+    touch = ActionBuilder(browser, mouse=PointerInput("touch", "finger"))
     # The surface is below the slices at the right.
     assert browser.find_element("id", "layout").get_attribute("value") == "one"
     x, y = round(box["x"] + 0.8 * box["width"]), round(box["y"] + 0.86 * box["height"])
-    finger.pointer_action.move_to_location(x, y).pointer_down().move_to_location(
+    touch.pointer_action.move_to_location(x, y).pointer_down().move_to_location(
         x + 60, y + 25
     ).pointer_up()
-    finger.perform()
+    touch.perform()
     until(lambda: source() != shown)
     ActionChains(browser).click(browser.find_element("id", "fold")).perform()
     until(lambda: browser.find_element("id", "step").is_displayed())

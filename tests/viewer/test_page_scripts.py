@@ -89,7 +89,7 @@ def test_pointers_are_sent_as_what_they_are():
     ]
 
 
-def test_the_wheel_is_sent_as_the_browser_counts_it():
+def test_the_scroll_is_sent_as_the_browser_counts_it():
     script = (
         EVENTS
         + """
@@ -139,7 +139,7 @@ def test_a_text_that_is_selected_is_copied_by_the_browser():
     assert rendered(script, secure=True, works=True) == [[[], [], 0]]
 
 
-def test_steps_of_rest_are_ticks_and_buttons():
+def test_steps_of_plateaus_are_ticks_and_buttons():
     script = """
     const ticks = find((props, one) => one.type === 'datalist')[0];
     say(find((props) => props.id === 'back').map((one) => [one.props.list === ticks.props.id, one.props.max]));

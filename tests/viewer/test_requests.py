@@ -37,7 +37,7 @@ def handler(scene_and_session, tmp_path):
     scene, session = scene_and_session
     made = Actions(session, scene, tmp_path / "out")
     scene.tiles.lay_out("one", "space", True, True)
-    made.request("layout", "one")  # chosen: it does not follow from the size of the picture
+    made.request("layout", "one")  # selected: it does not follow from the size of the picture
     scene.tiles.show_whole()
     session.pause().result(60)
     session.go_to(0).result(60)

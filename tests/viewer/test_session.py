@@ -212,7 +212,7 @@ def test_restart_keeps_the_settings_and_another_start_too(session, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_steps_of_rest_stay_known_when_it_has_gone_back():
+def test_the_steps_of_plateaus_stay_known_when_it_has_gone_back():
     """Two balls joined by a neck: the front rests in the first one before it breaks through."""
     z, y, x = np.indices((28, 28, 60)) - np.array([13.5, 13.5, 0.0])[:, None, None, None]
     balls = z**2 + y**2 + np.minimum(abs(x - 14), abs(x - 44)) ** 2 < 11**2
@@ -227,21 +227,21 @@ def test_the_steps_of_rest_stay_known_when_it_has_gone_back():
     )
     with Session(image, config) as session:
         at(session, 3)
-        assert session.status.rests == ()
+        assert session.status.plateaus == ()
         session.play().result(60)
         assert session.wait(120)
         result = segment(image, config=config.replace(levels=1))
         (rest,) = result.objects[0].plateaus
-        assert session.status.rests == (rest.step,)
+        assert session.status.plateaus == (rest.step,)
         session.go_to(2).result(60)
         session.wait(60)
-        assert session.status.rests == (rest.step,)  # it is ahead, and was made already
+        assert session.status.plateaus == (rest.step,)  # it is ahead, and was made already
         session.go_to(rest.step).result(60)
         assert session.wait(60) and session.status.step == rest.step
         session.go_to(2).result(60)
         session.wait(60)
         session.change(smoothness=0.5).result(60)  # what was ahead is forgotten
-        assert session.status.rests == ()
+        assert session.status.plateaus == ()
 
 
 def test_noise_that_comes_later_has_a_seed_that_is_saved(session, tmp_path):

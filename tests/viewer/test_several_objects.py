@@ -233,7 +233,7 @@ def test_a_result_is_shown_with_both_colours(files, tmp_path):
 
 #: Names and colours that a person gives; the colours are none of the palette.
 NAMED = {"name": ("3=left lobe", "8=right lobe"), "color": ("3=#aa00ff", "8=#b4ff00")}
-CHOSEN = "#aa00ff", "#b4ff00"
+SELECTED = "#aa00ff", "#b4ff00"
 
 
 @pytest.fixture
@@ -241,9 +241,9 @@ def named(files):
     return segment_objects(io.read(files[0]), str(files[1]), threads=1, max_steps=20, **NAMED)
 
 
-def has_chosen(picture, least=10):
-    """Whether both chosen colours are seen, and neither of the palette in their place."""
-    return all(count(picture, code) > least for code in CHOSEN) and not any(
+def has_selected(picture, least=10):
+    """Whether both selected colours are seen, and neither of the palette in their place."""
+    return all(count(picture, code) > least for code in SELECTED) and not any(
         count(picture, code) > least for code in colors.OBJECT_COLORS[:2]
     )
 
@@ -253,10 +253,10 @@ def test_the_preview_has_the_names_and_colours_that_were_given(named):
     content = outputs.preview_content(named, "balls")
     assert [content.name(place) for place in (0, 1)] == ["left lobe", "right lobe"]
     picture = np.asarray(Image.open(BytesIO(preview.preview_png(content))).convert("RGB"))
-    assert has_chosen(picture[:460])
+    assert has_selected(picture[:460])
     unnamed = dataclasses.replace(content, labels=LabelTable())
     other = np.asarray(Image.open(BytesIO(preview.preview_png(unnamed))).convert("RGB"))
-    assert not has_chosen(other) and all(
+    assert not has_selected(other) and all(
         count(other, code) > 10 for code in colors.OBJECT_COLORS[:2]
     )
 
@@ -265,11 +265,11 @@ def test_a_shown_result_has_the_names_and_colours_that_were_given(named, tmp_pat
     for kind in ("png", "html"):
         show(named, to=tmp_path / f"a.{kind}")
     with Image.open(tmp_path / "a.png") as opened:
-        assert has_chosen(np.asarray(opened.convert("RGB")), 100)
+        assert has_selected(np.asarray(opened.convert("RGB")), 100)
     page = (tmp_path / "a.html").read_text()
     assert "left lobe\nright lobe" in page
     meshes = json.loads(re.search(r'application/json">(.*?)</script>', page).group(1))["meshes"]
-    rgb = [[int(code[i : i + 2], 16) / 255 for i in (1, 3, 5)] for code in CHOSEN]
+    rgb = [[int(code[i : i + 2], 16) / 255 for i in (1, 3, 5)] for code in SELECTED]
     assert [mesh["color"] for mesh in meshes[1:]] == [pytest.approx(one) for one in rgb]
 
 
@@ -313,7 +313,7 @@ def test_a_movie_has_the_colours_that_were_given(files, tmp_path):
     words = ["movie", str(image), "--preview", "-o", str(out), "--config", str(config), *options]
     assert cli.execute(words) == 0
     with Image.open(out) as opened:
-        assert has_chosen(np.asarray(opened.convert("RGB")), 100)
+        assert has_selected(np.asarray(opened.convert("RGB")), 100)
 
 
 def test_one_object_with_a_name_is_called_so_beside_the_reference(scene_of):

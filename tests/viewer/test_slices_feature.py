@@ -135,7 +135,7 @@ def test_windows_have_names_and_numbers(fresh):
     )
 
 
-def test_the_wheel_goes_through_slices_and_zooms_with_ctrl_around_the_mouse(fresh):
+def test_the_scroll_goes_through_slices_and_zooms_with_ctrl_around_the_mouse(fresh):
     x, y = middle(fresh, "coronal")
     place = fresh.scene.pick((x + 0.03) * 640, (1 - y) * 360).world
     fresh.request("scroll", x + 0.03, y, 3, True)

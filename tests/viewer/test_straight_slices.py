@@ -17,7 +17,7 @@ from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.slices import DragLines, function_lines, surface_lines
 from tests.support import viewing
-from tests.support.viewing import settle
+from tests.support.viewing import wait_until_idle
 
 TURNED = Rotation.from_euler("xyz", [9, -14, 20], degrees=True).as_matrix() @ np.diag(
     [-1.0, -1.0, 1.0]
@@ -256,7 +256,7 @@ def actions():
         made.request("layout", "slices")
         made.request("chart", False)
         made.request("cursor", *center)
-        settle(made)
+        wait_until_idle(made)
         scene.screenshot()
         yield made, center
     scene.close()
@@ -291,7 +291,7 @@ def test_a_stroke_marks_the_voxels_under_the_brush(actions, name):
         key: layer.sides > 0 for key, layer in zip(scene.slice_tiles, strokes.layers, strict=True)
     }
     actions.request("release")
-    settle(actions)
+    wait_until_idle(actions)
     given = [
         text for correction in actions.session.status.refinements for text in correction.inside
     ]
@@ -341,7 +341,7 @@ def test_the_read_out_is_of_the_voxel_under_the_mouse_and_can_be_copied(actions)
     )
 
 
-def test_sliders_wheel_and_switch(actions):
+def test_sliders_scroll_and_switch(actions):
     actions, center = actions
     scene, said = actions.scene, actions.state()
     assert said["straight"] and said["is_oblique"]

@@ -52,7 +52,7 @@ print(json.dumps(sizes[-1]))
 """
 
 
-def test_fingers_become_requests():
+def test_touches_become_requests():
     asked, drawn, of_pad, of_mouse, size = (json.loads(line) for line in lines_of(PROGRAM))
     first, second = asked[0][3], asked[1][3]  # Qt's own numbers of the fingers
     assert first != second

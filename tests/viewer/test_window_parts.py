@@ -77,7 +77,7 @@ with Session(volume, RunConfig(threads=1)) as session:
     print(side.hints.isVisibleTo(side), [])
     print([folded.title.text() for folded in side.panels["SettingsPanel"].groups.values()])
 """
-WHEEL = """
+SCROLL = """
 from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QApplication, QDoubleSpinBox, QSlider, QVBoxLayout, QWidget
@@ -119,8 +119,8 @@ def test_a_message_is_seen_as_a_whole_at_any_size():
 
 
 def test_window_and_page_have_the_same_panels_tools_and_buttons_in_the_same_order():
-    titles, changes, tools, chosen, tip, bar, unbegun, shown, hidden, folded = lines_of(PANELS)
-    assert tools.split()[:4] == ["Size", "Inside", "Outside", "Look"] and chosen == "Size"
+    titles, changes, tools, selected, tip, bar, unbegun, shown, hidden, folded = lines_of(PANELS)
+    assert tools.split()[:4] == ["Size", "Inside", "Outside", "Look"] and selected == "Size"
     assert tip == Size.tip and len(tip) < 80
     assert (
         unbegun == "False False False" and folded == "['Expert']"
@@ -143,8 +143,8 @@ def test_window_and_page_have_the_same_panels_tools_and_buttons_in_the_same_orde
     )
 
 
-def test_the_wheel_changes_a_number_only_after_it_was_clicked():
-    assert lines_of(WHEEL) == ["50.0 True", "50 True"]
+def test_the_scroll_changes_a_number_only_after_it_was_clicked():
+    assert lines_of(SCROLL) == ["50.0 True", "50 True"]
 
 
 def test_a_property_that_qt_does_not_know_is_refused():

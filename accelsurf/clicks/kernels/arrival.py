@@ -41,8 +41,8 @@ class Medium(NamedTuple):
     open: np.ndarray
 
 
-class Tissue(NamedTuple):
-    """Tissue that is passed easily: per channel (channels,) float64 median and spread of the values, and the gradient
+class Appearance(NamedTuple):
+    """Values that fronts pass easily: per channel (channels,) float64 median and spread of the values, and the gradient
     (per mm) that counts as 1; and the weights of the cost, see `cost_at`.
     """
 
@@ -72,7 +72,7 @@ class Queue(NamedTuple):
 
 
 @kernel
-def march(times, medium, tissue, grid, seeds, cap, sources):
+def march(times, medium, appearance, grid, seeds, cap, sources):
     """Accept voxels in the order of their arrival times, from the seeds outwards.
 
     Parameters
@@ -81,7 +81,7 @@ def march(times, medium, tissue, grid, seeds, cap, sources):
         At the seeds their times, at least 0, which are final; inf at all others. On return the times of the accepted
         voxels, inf at all others. While it runs, a time that is not final is stored as its negative.
     medium : Medium
-    tissue : Tissue
+    appearance : Appearance
     grid : Grid
     seeds : ndarray (k,) int64
         Each once. A seed starts also where nothing passes.
@@ -96,10 +96,10 @@ def march(times, medium, tissue, grid, seeds, cap, sources):
         The accepted voxels, seeds included, in the order of their times up to `bucket_width`; within it in an order
         that depends on the input alone.
     """
-    width = bucket_width(tissue.weights, grid)
+    width = bucket_width(appearance.weights, grid)
     if len(sources.origin) > 0:
         width /= FINER
-    queue = new_queue(tissue.weights, grid, width)
+    queue = new_queue(appearance.weights, grid, width)
     costs = np.empty(
         len(times)
     )  # of the voxels that a front has come to; memory that nobody writes to costs nothing
@@ -109,13 +109,16 @@ def march(times, medium, tissue, grid, seeds, cap, sources):
         sources.origin[:] = -1
         for cell in seeds:
             sources.origin[cell] = cell
-    done, count, waiting, bucket = 0, len(seeds), 0, np.int64(0)
+    done = 0
+    count = len(seeds)
+    waiting = 0
+    bucket = np.int64(0)
     while True:
         while done < count:
             if waiting + SIDES > len(queue.entries):
                 queue = larger(queue)
             waiting += offer(
-                times, costs, order[done], medium, tissue, grid, (cap, width, sources), queue
+                times, costs, order[done], medium, appearance, grid, (cap, width, sources), queue
             )
             done += 1
         if waiting == 0:
@@ -133,7 +136,7 @@ def march(times, medium, tissue, grid, seeds, cap, sources):
 
 
 @kernel(inlined=True)
-def offer(times, costs, cell, medium, tissue, grid, limits, queue):
+def offer(times, costs, cell, medium, appearance, grid, limits, queue):
     """Enter the neighbours that a voxel with a final time brings an earlier one; returns how many.
 
     ``limits`` are (cap, width of a bucket, sources) of `march`; the queue has space for all.
@@ -164,13 +167,13 @@ def offer(times, costs, cell, medium, tissue, grid, limits, queue):
             ix + (step if axis == 2 else 0),
         )
         if before == np.inf:
-            costs[other] = cost_at(other, at, medium, tissue, grid)
+            costs[other] = cost_at(other, at, medium, appearance, grid)
         if len(sources.origin) == 0:
             found = np.float32(upwind_time(times, other, at, costs[other], grid))
             come_from = cell
         else:
             found, come_from = first_of_all(
-                times, sources, other, at, (costs[other], tissue.weights[0]), grid
+                times, sources, other, at, (costs[other], appearance.weights[0]), grid
             )
         if found < abs(before) and (len(cap) == 0 or found < cap[other]):
             times[other] = -found
@@ -253,7 +256,9 @@ def upwind_time(times, cell, at, cost, grid):
     a = earlier(times, cell, at[0], grid.nz, grid.ny * grid.nx)
     b = earlier(times, cell, at[1], grid.ny, grid.nx)
     c = earlier(times, cell, at[2], grid.nx, 1)
-    ha, hb, hc = grid.hz, grid.hy, grid.hx
+    ha = grid.hz
+    hb = grid.hy
+    hc = grid.hx
     if b < a:
         a, b, ha, hb = b, a, hb, ha
     if c < b:
@@ -310,7 +315,9 @@ def factored_time(times, sources, cells, at, costs, grid):
     (cell, come_from), (cost, least_cost) = cells, costs
     source = sources.origin[come_from]
     sz, sy, sx = unravel(source, grid)
-    dz, dy, dx = (at[0] - sz) * grid.hz, (at[1] - sy) * grid.hy, (at[2] - sx) * grid.hx
+    dz = (at[0] - sz) * grid.hz
+    dy = (at[1] - sy) * grid.hy
+    dx = (at[2] - sx) * grid.hx
     r = np.sqrt(dz * dz + dy * dy + dx * dx)
     layer = grid.ny * grid.nx
     straight = is_straight(times, sources, come_from, cost, grid)
@@ -329,7 +336,9 @@ def factored_time(times, sources, cells, at, costs, grid):
     for axes in range(3, 8):  # sets of two axes and of all three, as bits
         if axes == 4:
             continue
-        u, v, w = axes & 1, axes >> 1 & 1, axes >> 2
+        u = axes & 1
+        v = axes >> 1 & 1
+        w = axes >> 2
         if (u and t0 == np.inf) or (v and t1 == np.inf) or (w and t2 == np.inf):
             continue
         square = u * a0 * a0 + v * a1 * a1 + w * a2 * a2
@@ -354,7 +363,9 @@ def is_straight(times, sources, cell, cost, grid):
     """Test if the front came to a voxel straight from its seed, at this cost all the way."""
     sz, sy, sx = unravel(sources.origin[cell], grid)
     iz, iy, ix = unravel(cell, grid)
-    dz, dy, dx = (iz - sz) * grid.hz, (iy - sy) * grid.hy, (ix - sx) * grid.hx
+    dz = (iz - sz) * grid.hz
+    dy = (iy - sy) * grid.hy
+    dx = (ix - sx) * grid.hx
     least = cost * np.sqrt(dz * dz + dy * dy + dx * dx)
     return abs(times[cell] - least) <= EVEN * least
 
@@ -406,16 +417,19 @@ def time_of_front(front, stride):
 
 
 @kernel(inlined=True)
-def cost_at(cell, at, medium, tissue, grid):
+def cost_at(cell, at, medium, appearance, grid):
     """Cost per mm: w0 + w1 min(|grad I|/g, w2) + w3 min(max(|I - median|/spread - w4, 0), w5), of the worst channel."""
-    w, values = tissue.weights, medium.values
+    w, values = appearance.weights, medium.values
     edge, far = 0.0, 0.0
     for channel in range(len(values)):
         dz = difference(values, channel, cell, at[0], grid.nz, grid.ny * grid.nx) / grid.hz
         dy = difference(values, channel, cell, at[1], grid.ny, grid.nx) / grid.hy
         dx = difference(values, channel, cell, at[2], grid.nx, 1) / grid.hx
-        edge = max(edge, np.sqrt(dz * dz + dy * dy + dx * dx) / tissue.gradient[channel])
-        far = max(far, abs(values[channel, cell] - tissue.median[channel]) / tissue.spread[channel])
+        edge = max(edge, np.sqrt(dz * dz + dy * dy + dx * dx) / appearance.gradient[channel])
+        far = max(
+            far,
+            abs(values[channel, cell] - appearance.median[channel]) / appearance.spread[channel],
+        )
     return w[0] + w[1] * min(edge, w[2]) + w[3] * min(max(far - w[4], 0.0), w[5])
 
 
@@ -473,7 +487,9 @@ def shortest_paths(seeds, values, lengths, weight):
     costs = step_costs(values, lengths, weight)
     # A row is looked at again only after a row beside it has changed: when that was, and when it was looked at.
     changed, looked = np.zeros((nz, ny), np.int64), np.full((nz, ny), np.int64(-1))
-    now, sweep, improves = np.int64(0), 0, True
+    now = np.int64(0)
+    sweep = 0
+    improves = True
     while improves:
         improves = False
         for i in range(nz):
@@ -498,7 +514,9 @@ def step_costs(values, lengths, weight):
     channels, nz, ny, nx = values.shape
     out = np.full((3, nz, ny, nx), np.float32(np.inf))
     for axis in range(3):
-        dz, dy, dx = int(axis == 0), int(axis == 1), int(axis == 2)
+        dz = int(axis == 0)
+        dy = int(axis == 1)
+        dx = int(axis == 2)
         square, scale = np.float32(lengths[axis] ** 2), np.float32(weight)
         for iz in range(dz, nz):
             for iy in range(dy, ny):

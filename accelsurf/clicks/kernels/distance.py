@@ -56,7 +56,9 @@ def squares_along_rows(marked, hx, farthest):
     known = np.zeros((nz, ny), np.bool_)
     for iz in range(nz):
         for iy in range(ny):
-            here, row, last = marked[iz, iy], out[iz, iy], -1
+            here = marked[iz, iy]
+            row = out[iz, iy]
+            last = -1
             for ix in range(nx):
                 if here[ix]:
                     last = ix

@@ -39,9 +39,11 @@ def walk(out, fixed, values, spacing, sharpness, tolerance, most):
     """
     links = link_weights(values, spacing, sharpness)
     total = weight_sums(links)
-    size, flat, held = out.size, out.ravel(), fixed.ravel()
+    size = out.size
+    flat = out.ravel()
+    held = fixed.ravel()
     rest, product = np.empty(size), np.empty(size)
-    # Of the right-hand side: what the fixed values alone leave over.
+    # Of the right-hand side: the residual of the fixed values alone.
     direction = np.where(held, flat, 0.0)
     apply_links(product, direction, held, links, total)
     target = 0.0
@@ -60,7 +62,9 @@ def walk(out, fixed, values, spacing, sharpness, tolerance, most):
         curvature = 0.0
         for i in range(size):
             curvature += direction[i] * product[i]
-        step, next_worth, change = worth / curvature, 0.0, 0.0
+        step = worth / curvature
+        next_worth = 0.0
+        change = 0.0
         for i in range(size):
             flat[i] += step * direction[i]
             rest[i] -= step * product[i]
@@ -116,7 +120,9 @@ def weight_sums(links):
     for z in range(nz):
         for y in range(ny):
             for x in range(nx):
-                a, b, c = links[0, z, y, x], links[1, z, y, x], links[2, z, y, x]
+                a = links[0, z, y, x]
+                b = links[1, z, y, x]
+                c = links[2, z, y, x]
                 total[z, y, x] += a + b + c
                 if z + 1 < nz:
                     total[z + 1, y, x] += a

@@ -26,7 +26,7 @@ class Confidence(NamedTuple):
         Dice of the object before that click with the object after it.
     taken : float
         Share of the object that the last click took away.
-    surprise : float or None
+    disagreement : float or None
         How sure the model was of the opposite where clicks corrected it, mean over them: 1 where it was certain.
     answers : tuple of Answer
         To the first click: the one that was taken, and others that are likely; none where a click has corrected it.
@@ -39,7 +39,7 @@ class Confidence(NamedTuple):
     correction: float | None
     unchanged: float | None
     taken: float
-    surprise: float | None
+    disagreement: float | None
     answers: tuple[Answer, ...]
     is_ambiguous: bool = False
 
@@ -48,14 +48,14 @@ def confidence_of(model: ClickModel) -> Confidence | None:
     """Measure how sure a model is; None of one of several objects that fill a space."""
     if model.is_partition:
         return None
-    surprise = float(np.mean(model.surprises)) if model.surprises else None
+    disagreement = float(np.mean(model.disagreements)) if model.disagreements else None
     return Confidence(
         least_overlap_with(model),
         model.spread,
         model.correction,
         model.unchanged,
         model.taken,
-        surprise,
+        disagreement,
         model.answers if model.correction is None else (),
         model.is_ambiguous,
     )

@@ -26,7 +26,7 @@ FROM = 7.5
 TOO_SMALL = 0.5
 READ = 0.7
 #: The click's radius is sure up to this multiple of the region's radius.
-SURE = 1.1
+TRUSTED = 1.1
 #: A click's inscribed radius is at most this part of the image's middle side: an object needs surroundings.
 OF_IMAGE = 0.35
 #: Radius, in the smallest spacings, beyond which a click is larger than people make them.
@@ -57,7 +57,7 @@ NO_NOISE = 1e-3
 DITHER = 0.02
 
 
-class EvenBall(NamedTuple):
+class HomogeneousBall(NamedTuple):
     """A ball in which nothing differs.
 
     Attributes
@@ -91,13 +91,13 @@ class AsRead(NamedTuple):
     seed : Seed
     noise : float or None
         Standard deviation in the homogeneous region around it; None where no region is known.
-    is_sure : bool
+    is_confident : bool
         The homogeneous region around it is as deep as the click says.
     """
 
     seed: Seed
     noise: float | None = None
-    is_sure: bool = False
+    is_confident: bool = False
 
 
 def as_large(seed: Seed, scene: Scene) -> AsRead:
@@ -109,21 +109,23 @@ def as_large(seed: Seed, scene: Scene) -> AsRead:
         When the homogeneous region comes near an open face of the scene's part.
     """
     radius, most = inscribed_radius(seed, scene), OF_IMAGE * _middle_side(scene)
-    even = even_ball(scene, seed)
-    noise, is_sure = None, False
+    homogeneous = homogeneous_ball(scene, seed)
+    noise, is_confident = None, False
     if (
-        even is not None
-        and _whole(scene) > even.radius >= FROM * scene.step
-        and not _is_longer(seed, even.radius, scene)
+        homogeneous is not None
+        and _whole(scene) > homogeneous.radius >= FROM * scene.step
+        and not _is_longer(seed, homogeneous.radius, scene)
     ):
-        noise, is_sure = even.noise, radius <= SURE * even.radius
-        if radius < TOO_SMALL * even.radius:
+        noise, is_confident = homogeneous.noise, radius <= TRUSTED * homogeneous.radius
+        if radius < TOO_SMALL * homogeneous.radius:
             return AsRead(
-                _ball(even.middle, READ * even.radius / DEEPER, seed, scene), noise, is_sure
+                _ball(homogeneous.middle, READ * homogeneous.radius / DEEPER, seed, scene),
+                noise,
+                is_confident,
             )
     if radius > max(most, FROM * scene.step):
-        return AsRead(_ball(seed.core[0], most / DEEPER, seed, scene), noise, is_sure)
-    return AsRead(seed, noise, is_sure)
+        return AsRead(_ball(seed.core[0], most / DEEPER, seed, scene), noise, is_confident)
+    return AsRead(seed, noise, is_confident)
 
 
 def is_beyond_people(seed: Seed, scene: Scene) -> bool:
@@ -150,7 +152,7 @@ def dithered(values: Singles, noise: float) -> Singles:
     return (values + DITHER * span * drawn).astype(np.float32)
 
 
-def even_ball(scene: Scene, seed: Seed) -> EvenBall | None:
+def homogeneous_ball(scene: Scene, seed: Seed) -> HomogeneousBall | None:
     """Return the largest ball around a click's middle that is found to be even; None where its own is not.
 
     The ball grows as long as the next shell, and each of its sectors, has the mean and the spread of the values within.
@@ -186,7 +188,7 @@ def even_ball(scene: Scene, seed: Seed) -> EvenBall | None:
     return found
 
 
-def _grown(scene: Scene, middle: NDArray[np.float64], radius: float) -> EvenBall | None:
+def _grown(scene: Scene, middle: NDArray[np.float64], radius: float) -> HomogeneousBall | None:
     """Grow a ball from a radius on."""
     ball = _values_around(scene, middle, radius)
     if ball is None:
@@ -198,7 +200,7 @@ def _grown(scene: Scene, middle: NDArray[np.float64], radius: float) -> EvenBall
         if around is None or not _is_like(_shell(around, radius), ball):
             break
         radius, ball = wider, around
-    return EvenBall(middle, radius, float(ball.values.std(axis=1).max()))
+    return HomogeneousBall(middle, radius, float(ball.values.std(axis=1).max()))
 
 
 def _values_around(scene: Scene, middle: NDArray[np.float64], radius: float) -> _Values | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.morphology import reconstruction
 
-from accelsurf.clicks.kernels.arrival import Tissue, shortest_paths
+from accelsurf.clicks.kernels.arrival import Appearance, shortest_paths
 from accelsurf.clicks.kernels.walker import walk
 from accelsurf.clicks.model.fronts import (
     COST,
@@ -78,8 +78,10 @@ class Looks:
     def arrival(self, seeds: Mask, median: float, spread: float) -> Singles:
         """Arrival times of a front from seeds, slower at edges and where values differ from the median."""
         edge = EDGE * max(self.noise, 1e-6 * spread) / self.window.step
-        tissue = Tissue(np.array([median]), np.array([spread]), np.array([edge]), np.array(COST))
-        return times_from(seeds, self.values, self.window.size.tolist(), tissue)
+        appearance = Appearance(
+            np.array([median]), np.array([spread]), np.array([edge]), np.array(COST)
+        )
+        return times_from(seeds, self.values, self.window.size.tolist(), appearance)
 
     def paths(self, seeds: Mask) -> Singles:
         """Geodesic distance from seeds, longer across changes of the values."""

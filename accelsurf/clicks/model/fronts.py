@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.clicks.kernels.arrival import Medium, Sources, Tissue, march
+from accelsurf.clicks.kernels.arrival import Appearance, Medium, Sources, march
 from accelsurf.grid.arrays import Mask, Singles, Spacing
 from accelsurf.grid.boxes import widened
 from accelsurf.grid.clicks import Click
@@ -29,7 +29,7 @@ def times_from(
     seeds: Mask,
     image: Singles,
     spacing: Sequence[float],
-    tissue: Tissue,
+    appearance: Appearance,
     open: Mask | None = None,
     sooner_than: Singles | None = None,
     sources: Sources | None = None,
@@ -46,7 +46,7 @@ def times_from(
     march(
         times.reshape(-1),
         Medium(np.ravel(image)[None], passes),
-        tissue,
+        appearance,
         grid,
         np.flatnonzero(seeds),
         cap,
@@ -83,8 +83,8 @@ def enough(mask: Mask) -> Mask:
     )
 
 
-def learned(images: Sequence[Singles], spacing: Spacing, click: Click) -> Tissue:
-    """The tissue under a click, for fronts."""
+def learned(images: Sequence[Singles], spacing: Spacing, click: Click) -> Appearance:
+    """Appearance of the image under a click, for fronts."""
     box = widened(click.box, images[0].shape, (3, 3, 3))
     sample, smallest = enough(click.mask_on(box)), min(spacing)
     around = ndimage.binary_dilation(sample, CROSS, iterations=2)
@@ -102,4 +102,4 @@ def learned(images: Sequence[Singles], spacing: Spacing, click: Click) -> Tissue
             )
         )
     median, deviation, edge = (np.array(column, np.float64) for column in zip(*found, strict=True))
-    return Tissue(median, deviation, edge, np.array(COST))
+    return Appearance(median, deviation, edge, np.array(COST))

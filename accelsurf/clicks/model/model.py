@@ -115,7 +115,7 @@ class ClickModel:
         Dice of the object before that click with the object after it.
     taken : float
         Share of the object that the last click took away.
-    surprises : tuple of float
+    disagreements : tuple of float
         Of each click that corrected something: how sure the model was of the opposite there, the mean of |F| at most 1.
     is_partition : bool
         It is one of several objects that fill a space.
@@ -136,7 +136,7 @@ class ClickModel:
     correction: float | None = None
     unchanged: float | None = None
     taken: float = 0.0
-    surprises: tuple[float, ...] = ()
+    disagreements: tuple[float, ...] = ()
     is_partition: bool = False
     is_ambiguous: bool = False
     reach: ClickReach | None = None
@@ -286,11 +286,11 @@ def first_blocks(
     by a factor is taken, and the larger answer is in place of a part of it.
     """
     network = networks()["first"] if network is None else network
-    read, noise, is_sure = as_large(seed, scene)
+    read, noise, is_confident = as_large(seed, scene)
     reading = _read(scene, read, noise, size_mm3, network)
     by_number = {each.number: (reading, each) for each in reading.answers}
     is_ambiguous = False
-    is_known = size_mm3 is not None or scene.sizes is not None or is_sure
+    is_known = size_mm3 is not None or scene.sizes is not None or is_confident
     if not is_known and is_beyond_people(read, scene):
         for smaller in smaller_clicks(read, scene):
             small = _read(scene, smaller, None, None, network)
@@ -569,14 +569,14 @@ def with_click(
     # Of the two objects one lies in the other.
     unchanged = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
     wrong = model.field_on(click.box)[click.mask] * (1.0 if inside else -1.0)
-    surprises = (*model.surprises, float(np.clip(wrong, -1.0, 1.0).mean()))
+    disagreements = (*model.disagreements, float(np.clip(wrong, -1.0, 1.0).mean()))
     taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
     return replace(
         after,
         correction=seed.radius / width,
         unchanged=unchanged,
         taken=taken,
-        surprises=surprises,
+        disagreements=disagreements,
         is_ambiguous=False,
         least_overlap=least_overlap_with(model),
     )

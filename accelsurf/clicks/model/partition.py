@@ -2,7 +2,7 @@
 
 One model for all of them. One march from all clicks says which voxels are whose; a path is about as long as its worst
 place is unlike the clicks, as in a watershed, and where nothing differs the nearer click has the voxel. The
-background competes with a tissue of its own. The shares of the objects around each voxel say where, between voxels,
+background competes with its appearance. The shares of the objects around each voxel say where, between voxels,
 two of them meet. The cost is that of the volume and of the sum of the objects' boxes.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.clicks.kernels.arrival import Sources, Tissue
+from accelsurf.clicks.kernels.arrival import Appearance, Sources
 from accelsurf.clicks.model.fronts import learned, times_from
 from accelsurf.clicks.model.model import CLICKED, JUST, ClickModel
 from accelsurf.errors import InputError
@@ -36,7 +36,7 @@ LEAST = 0.2
 POWER = 4
 MAX_SPREADS = 10.0
 #: Medium of a front: an image of costs.
-_COSTS = Tissue(
+_COSTS = Appearance(
     np.zeros(1), np.ones(1), np.ones(1), np.array((LEAST, 0.0, 0.0, 1.0, 0.0, MAX_SPREADS**POWER))
 )
 #: The same for the background, which is all around: how far it lies from a click says next to nothing.
@@ -134,10 +134,10 @@ def basins_of(
     for click in clicks:
         if (
             click.owner == NO_OBJECT
-        ):  # with one spread two tissues meet halfway between their values
+        ):  # with one spread two appearances meet halfway between their values
             ground[click.box] |= click.mask
-            tissue = learned(smooth, spacing, click)._replace(spread=common.spread)
-            np.minimum(beyond, _cost(smooth, tissue), out=beyond)
+            appearance = learned(smooth, spacing, click)._replace(spread=common.spread)
+            np.minimum(beyond, _cost(smooth, appearance), out=beyond)
         else:
             seeds[click.box][click.mask] = numbers[owner_of(click)]
     sooner = times_from(ground, beyond, spacing, _GROUND, mask) if ground.any() else None
@@ -154,22 +154,22 @@ def basins_of(
     return _with_shares(numbers, labels, spacing, clicks)
 
 
-def _cost(images: Sequence[Singles], tissue: Tissue) -> Singles:
-    """Cost of each voxel: a power of how many spreads it differs by from a tissue, in the channel where most."""
+def _cost(images: Sequence[Singles], appearance: Appearance) -> Singles:
+    """Cost of each voxel: a power of how many spreads it differs by from an appearance, in the channel where most."""
     out = np.zeros(images[0].shape, np.float32)
-    for image, median, spread in zip(images, tissue.median, tissue.spread, strict=True):
+    for image, median, spread in zip(images, appearance.median, appearance.spread, strict=True):
         np.maximum(out, np.abs(image - np.float32(median)) / np.float32(spread), out=out)
     np.minimum(out, np.float32(MAX_SPREADS), out=out)
     return np.asarray(out**POWER)
 
 
-def _common(tissues: Sequence[Tissue]) -> Tissue:
-    """The tissue of several clicks: medians; the spread is that of their medians where it is more."""
-    medians = np.stack([tissue.median for tissue in tissues])
+def _common(appearances: Sequence[Appearance]) -> Appearance:
+    """Appearance of several clicks: medians; the spread is that of their medians where it is more."""
+    medians = np.stack([appearance.median for appearance in appearances])
     middle = np.median(medians, axis=0)
     apart = 1.4826 * np.median(np.abs(medians - middle), axis=0)
-    spread = np.maximum(np.median([tissue.spread for tissue in tissues], axis=0), apart)
-    return tissues[0]._replace(median=middle, spread=spread)
+    spread = np.maximum(np.median([appearance.spread for appearance in appearances], axis=0), apart)
+    return appearances[0]._replace(median=middle, spread=spread)
 
 
 def _with_shares(

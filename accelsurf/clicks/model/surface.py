@@ -22,7 +22,7 @@ REACH = 4
 #: noise adds no more.
 AREA = 0.1
 NOISY_AREA = 0.2
-#: Distance of the parallel surfaces, in the smallest spacings; most voxels of a box, larger ones are coarsened.
+#: Distance of the parallel surfaces, in the smallest spacings; most voxels of a box, larger ones are restricted.
 APART = 2.0
 MOST = 40_000
 #: F is lowered by this at most: on a tiny object the area would otherwise outweigh the clicks.

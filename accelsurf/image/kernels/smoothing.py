@@ -15,7 +15,7 @@ def smooth_across_rows(values, weights, axis, out):
     ----------
     values : ndarray (nz, ny, nx) float32
     weights : ndarray (r + 1,) float64
-        Of the voxel itself and of those so far to either side.
+        Weight of the voxel itself, and of the voxels at each distance to either side.
     axis : int
         0 or 1.
     out : ndarray (nz, ny, nx) float32
@@ -27,14 +27,14 @@ def smooth_across_rows(values, weights, axis, out):
         for iy in range(ny):
             for ix in range(nx):
                 total[ix] = weights[0] * values[iz, iy, ix]
-            for far in range(len(weights) - 1, 0, -1):
-                az = mirrored(iz - far, nz) if axis == 0 else iz
-                bz = mirrored(iz + far, nz) if axis == 0 else iz
-                ay = mirrored(iy - far, ny) if axis == 1 else iy
-                by = mirrored(iy + far, ny) if axis == 1 else iy
+            for offset in range(len(weights) - 1, 0, -1):
+                az = mirrored(iz - offset, nz) if axis == 0 else iz
+                bz = mirrored(iz + offset, nz) if axis == 0 else iz
+                ay = mirrored(iy - offset, ny) if axis == 1 else iy
+                by = mirrored(iy + offset, ny) if axis == 1 else iy
                 for ix in range(nx):
                     both = np.float64(values[az, ay, ix]) + np.float64(values[bz, by, ix])
-                    total[ix] += weights[far] * both
+                    total[ix] += weights[offset] * both
             for ix in range(nx):
                 out[iz, iy, ix] = total[ix]
 
@@ -43,20 +43,22 @@ def smooth_across_rows(values, weights, axis, out):
 def smooth_rows(values, weights, out):
     """Smooth along the last axis; as `smooth_across_rows`, but ``out`` may be ``values``."""
     nz, ny, nx = values.shape
-    room = len(weights) - 1
-    row, total = np.empty(nx + 2 * room), np.empty(nx)
+    margin = len(weights) - 1
+    row, total = np.empty(nx + 2 * margin), np.empty(nx)
     for iz in range(nz):
         for iy in range(ny):
             for ix in range(nx):
-                row[room + ix] = values[iz, iy, ix]
-            for far in range(1, room + 1):
-                row[room - far] = values[iz, iy, mirrored(-far, nx)]
-                row[room + nx - 1 + far] = values[iz, iy, mirrored(nx - 1 + far, nx)]
+                row[margin + ix] = values[iz, iy, ix]
+            for offset in range(1, margin + 1):
+                row[margin - offset] = values[iz, iy, mirrored(-offset, nx)]
+                row[margin + nx - 1 + offset] = values[iz, iy, mirrored(nx - 1 + offset, nx)]
             for ix in range(nx):
-                total[ix] = weights[0] * row[room + ix]
-            for far in range(room, 0, -1):
+                total[ix] = weights[0] * row[margin + ix]
+            for offset in range(margin, 0, -1):
                 for ix in range(nx):
-                    total[ix] += weights[far] * (row[room + ix - far] + row[room + ix + far])
+                    total[ix] += weights[offset] * (
+                        row[margin + ix - offset] + row[margin + ix + offset]
+                    )
             for ix in range(nx):
                 out[iz, iy, ix] = total[ix]
 
@@ -70,10 +72,10 @@ def mirrored(index, count):
 
 @kernel
 def dilate(values, lines, out):
-    """Largest of the values of a footprint, for each voxel; what lies beyond the border does not count.
+    """Largest of the values of a footprint, for each voxel; voxels beyond the border do not count.
 
     The footprint is a set of lines along the last axis. Those of equal length are compared first, from the longest on,
-    and what was found is then widened by a voxel to either side for each voxel that the next ones are shorter: a pass
+    and the result is then widened by a voxel to either side for each voxel that the next ones are shorter: a pass
     over a row for each line, not for each voxel of it.
 
     Parameters

@@ -50,7 +50,7 @@ _HINT = "export it again, as a DICOM segmentation with a place for each frame"
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """A segmentation that was chosen.
+    """A segmentation that was selected.
 
     Attributes
     ----------

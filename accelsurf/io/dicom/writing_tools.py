@@ -35,7 +35,7 @@ def derived_uid(*parts: str) -> str:
     for part in parts:
         content = part.encode()
         sha.update(len(content).to_bytes(8, "little") + content)
-    # Version 8 of RFC 9562: a UUID whose bits were chosen by its maker.
+    # Version 8 of RFC 9562: a UUID whose bits were selected by its maker.
     number = int.from_bytes(sha.digest()[:16], "big")
     number = number & ~(0xF << 76) & ~(0x3 << 62) | (0x8 << 76) | (0x2 << 62)
     return f"2.25.{uuid.UUID(int=number).int}"

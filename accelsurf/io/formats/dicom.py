@@ -62,7 +62,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class DicomHeader:
-    """A series that was chosen.
+    """A series that was selected.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Se
     Raises
     ------
     InputError
-        When there is no image, or there are several and none was chosen.
+        When there is no image, or there are several and none was selected.
     GeometryError
         When the slices lie on no grid.
     """

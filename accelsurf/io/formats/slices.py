@@ -243,9 +243,9 @@ def read_slices(path: Path, header: SliceFolder, available: int) -> Volume:
         available,
     )
     array: np.ndarray | None = None
-    for z, (file, claim) in enumerate(zip(header.files, header.headers, strict=True)):
+    for z, (file, header_of_file) in enumerate(zip(header.files, header.headers, strict=True)):
         with naming(file):
-            found = functions_of(header.form).read(file, claim, available)
+            found = functions_of(header.form).read(file, header_of_file, available)
             if array is None:
                 array, note = (
                     np.empty(header.geometry.shape, found.array.dtype),
@@ -276,9 +276,11 @@ def open_slices(path: Path, header: SliceFolder, opening: Opening) -> LazyVolume
             "slices in PNG are packed as a whole", "convert them to one OME-Zarr or to TIFF"
         )
     slabs = []
-    for file, claim in zip(header.files, header.headers, strict=True):
+    for file, header_of_file in zip(header.files, header.headers, strict=True):
         with naming(file):
-            slabs.append(open_form(file, claim, Opening(cache_bytes=opening.cache_bytes)).voxels)
+            slabs.append(
+                open_form(file, header_of_file, Opening(cache_bytes=opening.cache_bytes)).voxels
+            )
     layout = StoreLayout((header.geometry,), (1, *header.geometry.shape[1:]))
     voxels = StackedVoxels(slabs, [1] * len(slabs))
     return LazyVolume(voxels, header.geometry, dict(header.metadata), path, layout)

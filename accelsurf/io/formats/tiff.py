@@ -148,7 +148,7 @@ class TiffReader:
                 "this is not a TIFF image: it does not start as one", hint="is it the right file?"
             )
         file.seek(0)
-        with heard(), library_named(*_DAMAGED):
+        with messages_of_tifffile(), library_named(*_DAMAGED):
             # Without pages of other files, and without arrangements that single makers mean.
             self._library = tifffile.TiffFile(
                 file, _multifile=False, is_lsm=False, is_ndpi=False, is_scanimage=False
@@ -162,8 +162,8 @@ class TiffReader:
     def is_imagej(self) -> bool:
         """Test if ImageJ has written the file: its table of colours, or 0 shown as white, is for the display alone.
 
-        ImageJ measures the stored numbers whatever table is chosen. Where another program writes a palette, the numbers
-        are places in it and say nothing by themselves.
+        ImageJ measures the stored numbers whatever table is selected. Where another program writes a palette, the
+        numbers are places in it and say nothing by themselves.
         """
         return description_of(self._library.pages.first).text.startswith(IMAGEJ)
 
@@ -205,7 +205,7 @@ class TiffReader:
             pages may name the same bytes again and again, and tifffile loads them all.
         """
         with library_named(*_DAMAGED):
-            with heard() as said:
+            with messages_of_tifffile() as said:
                 self._library.filehandle.seek(at)
                 page = tifffile.TiffPage(self._library, index=0)
             dropped = (int(found[1]) for line in said if (found := _DROPPED.search(line)))
@@ -395,7 +395,7 @@ def _announced_bytes(page: tifffile.TiffPage) -> NDArray[np.int64]:
 
 
 @contextmanager
-def heard() -> Iterator[list[str]]:
+def messages_of_tifffile() -> Iterator[list[str]]:
     """Take the lines that tifffile logs in this thread; they go nowhere else."""
     said: list[str] = []
 
@@ -503,7 +503,7 @@ class TiffPages(PackedVoxels):
         kind = self._part.kind
         with library_named(f"page {z + 1} is damaged", TRUNCATED_HINT):
             page = reader.page(int(self._part.directories[z]))
-            with heard() as said:
+            with messages_of_tifffile() as said:
                 found = _unpacked_page(page)
             if said:
                 raise ValueError(said[0])

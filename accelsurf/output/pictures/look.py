@@ -61,7 +61,7 @@ def look_png(
     at : (float, float, float), optional
         World place (x, y, z), mm LPS; the middle of the labels, else of the image, unless given.
     window : GreyWindow, optional
-        Chosen for each channel unless given.
+        Selected for each channel unless given.
     labels : ndarray (nz, ny, nx), optional
         Drawn as contours, each label in a colour with its number.
 

@@ -197,10 +197,10 @@ class FrameStore:
         rows = tuple(ObjectRow.of(tracked) for tracked in result.objects)
         row = FrameRow(int(result.frame), float(result.time), float(result.seconds), rows)
         arrays["row"] = np.frombuffer(json.dumps(asdict(row)).encode(), np.uint8)
-        draft = self.folder / f".{result.frame}.npz"
-        draft.unlink(missing_ok=True)  # a link would be followed
-        np.savez_compressed(draft, **arrays)  # type: ignore[arg-type]
-        os.replace(draft, self._path(result.frame))
+        staged = self.folder / f".{result.frame}.npz"
+        staged.unlink(missing_ok=True)  # a link would be followed
+        np.savez_compressed(staged, **arrays)  # type: ignore[arg-type]
+        os.replace(staged, self._path(result.frame))
 
     def copy_frame(self, number: int, folder: Path) -> None:
         """Write a frame into another folder, without its duration.
@@ -339,7 +339,7 @@ class TrackSet:
 
     @cached_property
     def window(self) -> GreyWindow:
-        """Grey values of all pictures: chosen on the first frame, with its objects."""
+        """Grey values of all pictures: selected on the first frame, with its objects."""
         if not self.rows:
             return GreyWindow(0.0, 1.0)
         first = self.rows[0].frame

@@ -219,7 +219,7 @@ class TrackOutputs:
                     self._mesh_of(tracked).write(path, self.files.mesh_space)
 
     def _mesh_of(self, tracked: TrackedObject) -> Surface | contours.Contours:
-        """The mesh that is carried along, else that of the surface."""
+        """The mesh that moves with the momentum, else that of the surface."""
         geometry = cropped(self.sequence.geometry, tracked.surface.box)
         if geometry.slice_axis is not None:
             return contours.extract(tracked.surface.psi, geometry)

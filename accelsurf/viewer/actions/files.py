@@ -31,7 +31,7 @@ class FilesFeature(Feature):
         super().__init__(actions)
         self.files: dict[str, Path] = {}
         self.is_saving = False
-        #: Format of meshes that was chosen here; of the settings otherwise.
+        #: Format of meshes that was selected here; of the settings otherwise.
         self._mesh = ""
         #: Content of the run in the files that were saved last.
         self._stored: Any = None

@@ -350,7 +350,7 @@ class TouchFeature(Feature):
     """Makes touches act as the mouse does.
 
     The first one draws. With the second one a gesture of two begins, so the action of the first is cancelled, and
-    nothing is drawn until all are up: who lifts one finger of two does not mean to paint.
+    nothing is drawn until all are up: who lifts one touch of two does not mean to paint.
     """
 
     def __init__(self, actions: AllActions) -> None:

@@ -95,7 +95,7 @@ class HistoryFeature(Feature):
         return {
             "result": self._result(status),
             "changes": [change._asdict() for change in status.changes],
-            "rests": list(status.rests),
+            "rests": list(status.plateaus),
             "uncertain": [
                 {
                     "place": ", ".join(f"{v:.4g}" for v in location.world),

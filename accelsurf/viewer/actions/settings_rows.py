@@ -314,7 +314,7 @@ def _term_rows(settings: RunConfig, terms: Sequence[Mapping[str, Any]]) -> list[
 
 
 def _flow_rows(settings: RunConfig) -> list[Row]:
-    """A row for each setting that the flow has of its own, below the flow; before it is chosen, those of momentum."""
+    """A row for each setting that the flow has of its own, below the flow; before it is selected, those of momentum."""
     rows: list[Row] = []
     for key, kind in spec_of(settings.flow.name).settings.items():
         rows.append(_row_of(f"flow-{key}", label_of(key), kind))

@@ -181,7 +181,7 @@ class SlicesFeature(Feature):
     # -- layout -------------------------------------------------------------------------------------------
 
     def fit_layout(self, width: float, height: float) -> None:
-        """Make slices as large as this size in pixels of a usual screen allows, unless somebody has chosen a layout.
+        """Make slices as large as this size in pixels of a usual screen allows, unless somebody has selected a layout.
 
         3D is left out until there is a surface.
         """

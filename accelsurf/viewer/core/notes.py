@@ -29,11 +29,11 @@ def write_note(file: Path, content: Any) -> None:
         When it cannot be written.
     """
     file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    handle, draft = tempfile.mkstemp(dir=file.parent, prefix=file.name)  # for this user alone
+    handle, staged = tempfile.mkstemp(dir=file.parent, prefix=file.name)  # for this user alone
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as opened:
             json.dump(content, opened)
-        os.replace(draft, file)
+        os.replace(staged, file)
     except BaseException:
-        os.unlink(draft)
+        os.unlink(staged)
         raise

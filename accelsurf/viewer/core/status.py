@@ -69,8 +69,8 @@ class Status(NamedTuple):
         Corrections after the run's end; while it goes on again, those that are made when it ends.
     changes : tuple of ChangeLine
         In order, also those that are undone.
-    rests : tuple of int
-        Steps in which the surface rested before it broke through, and that have been made.
+    plateaus : tuple of int
+        Steps in which the surface was on a plateau before it broke through, and that have been made.
     uncertain : tuple of UncertainLocation
         Where to click next, the most uncertain location first; found some time after the run's end.
     terms : sequence of dict
@@ -103,7 +103,7 @@ class Status(NamedTuple):
     object_words: Mapping[int, str] = MappingProxyType({})
     refinements: tuple[Correction, ...] = ()
     changes: tuple[ChangeLine, ...] = ()
-    rests: tuple[int, ...] = ()
+    plateaus: tuple[int, ...] = ()
     uncertain: tuple[UncertainLocation, ...] = ()
     terms: Sequence[dict[str, Any]] = ()
     answers: tuple[FirstAnswer, ...] = ()

@@ -219,7 +219,7 @@ class Timeline:
             redoable=self.log.redoable,
             refinements=self.corrections.wanted,
             changes=self.log.lines,
-            rests=self._rests(),
+            plateaus=self._plateaus(),
             terms=self.run.objects[0].made.terms,
             answers=self.answers.offered(self.run, self.corrections.wanted),
             flow_why=self.run.flow_choice.why if self.run.settings.flow == AUTO else "",
@@ -232,15 +232,17 @@ class Timeline:
         named = self.objects.named_settings(self.run.config)
         return self.run.config.replace(**named) if named else self.run.config
 
-    def _rests(self) -> tuple[int, ...]:
-        """Return the steps in which an object rested before it broke through, also those ahead that were made."""
+    def _plateaus(self) -> tuple[int, ...]:
+        """Return the steps in which an object was on a plateau before it broke through, also those ahead that were
+        made.
+        """
         last = self.checkpoints.last
-        watches = [evolving.evolution.state.rests for evolving in self.run.objects]
+        watches = [evolving.evolution.state.plateaus for evolving in self.run.objects]
         watches += [
-            segmented.evolution.loop.rests
+            segmented.evolution.loop.plateaus
             for segmented in (last.objects if last is not None else ())
         ]
-        return tuple(sorted({rest.step for watch in watches for rest in watch.found}))
+        return tuple(sorted({plateau.step for watch in watches for plateau in watch.found}))
 
     def close(self) -> None:
         """End the run's threads."""

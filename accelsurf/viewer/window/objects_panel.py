@@ -1,4 +1,4 @@
-"""The panel of objects: a table of names, colours and volumes; the row that is chosen takes corrections and sizes."""
+"""The panel of objects: a table of names, colours and volumes; the row that is selected takes corrections and sizes."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ ROWS = 4
 
 
 class _ColorCell(QStyledItemDelegate):
-    """A cell whose colour is seen in a chosen row too."""
+    """A cell whose colour is seen in a selected row too."""
 
     def initStyleOption(self, option: QStyleOptionViewItem, index: Index) -> None:
-        """Draw it as if it were not chosen."""
+        """Draw it as if it were not selected."""
         super().initStyleOption(option, index)
         option.state &= ~QStyle.StateFlag.State_Selected
 
@@ -118,7 +118,7 @@ class ObjectsPanel(Section):
             )
             for place, row in enumerate(rows):
                 self._fill(place, row)
-            # With Ctrl several are chosen, of which the last one is active.
+            # With Ctrl several are selected, of which the last one is active.
             self._choose({active} if moved and active not in selected else set(selected))
         shown = next((row for row in rows if row["id"] == active), rows[0])
         with QSignalBlocker(self.opacity):
@@ -169,7 +169,7 @@ class ObjectsPanel(Section):
         return int(self._rows[row]["id"])
 
     def _selected(self) -> list[int]:
-        """Ids of the chosen rows, in their order."""
+        """Ids of the selected rows, in their order."""
         places = sorted(index.row() for index in self.table.selectionModel().selectedRows())
         return [self._id(place) for place in places if place < len(self._rows)]
 

@@ -58,8 +58,8 @@ class PlaybackBar(_Bar):
         self.play.setText("Pause" if state["playing"] else "Run")
         restyle(self.play, "main", state["is_due"])
         self.back.setEnabled(state["step"] > 0)
-        rests = f"; it rested at {', '.join(map(str, state['rests']))}" if state["rests"] else ""
-        self.timeline.setToolTip(f"Stored steps: drag to go back and forward{rests}")
+        plateaus = f"; it rested at {', '.join(map(str, state['rests']))}" if state["rests"] else ""
+        self.timeline.setToolTip(f"Stored steps: drag to go back and forward{plateaus}")
         with QSignalBlocker(self.timeline):
             self.timeline.setRange(0, max(len(self._steps) - 1, 0))
             if not self.timeline.isSliderDown() and state["step"] in self._steps:

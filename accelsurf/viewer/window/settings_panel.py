@@ -58,7 +58,7 @@ class SettingRow(QWidget):
     error : QLabel or None
         Error of the expression that is typed.
     changed, typing : Signal
-        With the value that was chosen; with each text on the way to an expression.
+        With the value that was selected; with each text on the way to an expression.
     """
 
     changed, typing = Signal(object), Signal(str)

@@ -61,7 +61,10 @@ class Game:
     def __init__(
         self, volume: Volume, truth: Mask, random: Random, networks: Mapping[str, Network]
     ) -> None:
-        self.volume, self.truth, self.random, self.networks = volume, truth, random, networks
+        self.volume = volume
+        self.truth = truth
+        self.random = random
+        self.networks = networks
         self.scene = Images((volume.as_float32(),), volume.geometry.spacing)
         self.largest = MOST_SPACINGS * min(volume.geometry.spacing)
         if random.random() < LIMITED:

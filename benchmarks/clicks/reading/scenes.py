@@ -163,7 +163,9 @@ def _with_parts(
     random: Random, where: Labels, ids: NDArray[np.int32], value: Floats, texture: Floats
 ) -> tuple[Labels, Floats, Floats]:
     """Give some objects a rim, a core or inclusions of another brightness."""
-    out, values, textures = where.copy(), list(value), list(texture)
+    out = where.copy()
+    values = list(value)
+    textures = list(texture)
     counts = np.bincount(where.ravel(), minlength=len(ids))
     for index in np.argsort(-counts)[:40]:
         kind = random.random()
@@ -263,11 +265,9 @@ def _add_blobs(random: Random, labels: Labels, warp: float, large: bool) -> None
     axes = _coordinates(random, warp)
     count = int(_between(random, 1.0, 5.0 if large else 40.0))
     base = _between(random, 10.0, 0.45 * SIDE) if large else _between(random, 3.5, 15.0)
-    power, first, covers = (
-        random.choice([2.0, 2.0, 2.5, 4.0]),
-        int(labels.max()) + 1,
-        random.random() < 0.5,
-    )
+    power = random.choice([2.0, 2.0, 2.5, 4.0])
+    first = int(labels.max()) + 1
+    covers = random.random() < 0.5
     for number in range(count):
         radii = base * np.exp(random.uniform(-0.35, 0.35)) * np.exp(random.uniform(-0.45, 0.45, 3))
         middle, turn = random.uniform(0.0, SIDE, 3), _rotation(random) / radii[:, None]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.clicks.kernels.arrival import Medium, Sources, Tissue, bucket_width, march
+from accelsurf.clicks.kernels.arrival import Appearance, Medium, Sources, bucket_width, march
 from accelsurf.kernels.grid import Grid
 from tests.support.arrival import plain_cost, plain_times
 
@@ -19,14 +19,14 @@ SHAPES = {
 def marched(image, spacing, seeds, **given):
     """(times, order) of a march through one channel with median 0, spread 0.5 and edges of 1 per mm."""
     grid = Grid(*image.shape, *(float(h) for h in spacing))
-    tissue = Tissue(np.zeros(1), np.full(1, 0.5), np.ones(1), np.array(WEIGHTS))
+    appearance = Appearance(np.zeros(1), np.full(1, 0.5), np.ones(1), np.array(WEIGHTS))
     times = np.full(image.size, np.inf, np.float32)
     flat = np.array([np.ravel_multi_index(seed, image.shape) for seed in seeds])
     times[flat] = 0
     medium = Medium(image.reshape(1, -1).astype(np.float32), given.pop("passes", np.zeros(0, bool)))
     cap = given.pop("cap", np.zeros(0, np.float32))
     nobody = Sources(np.zeros(0, np.int32), np.zeros(0, np.int32))
-    order = march(times, medium, tissue, grid, flat, cap, given.pop("sources", nobody))
+    order = march(times, medium, appearance, grid, flat, cap, given.pop("sources", nobody))
     return times.reshape(image.shape), order
 
 
@@ -57,7 +57,7 @@ def test_times_are_the_reference_s(name):
     assert sorted(order) == list(np.flatnonzero(passes))
 
 
-def test_even_tissue_gives_distances():
+def test_a_homogeneous_region_gives_distances():
     image = np.zeros((33, 41, 37), np.float32)
     times, order = marched(image, (1.0, 0.7, 0.9), [(16, 20, 18)])
     z, y, x = (
@@ -105,7 +105,7 @@ def test_more_waiting_voxels_than_the_queue_begins_with():
 
 @pytest.mark.nojit
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (5.0, 1.0, 1.0)])
-def test_fronts_of_two_owners_meet_halfway_in_even_tissue(spacing):
+def test_fronts_of_two_owners_meet_halfway_in_a_homogeneous_region(spacing):
     """Exactly: first-order times beside a point are up to a fifth too late, more along one direction than another."""
     shape, seeds = (5, 9, 9), [(0, 1, 2), (4, 7, 5), (2, 8, 0)]
     owner = np.full(shape, -1, np.int32)

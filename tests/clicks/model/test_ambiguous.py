@@ -124,14 +124,16 @@ def test_the_surroundings_of_objects_are_ambiguous(shape):
     inside = np.ones(shape, bool)
     inside[:, 10:20, 10:20] = False
     geometry = Geometry(shape, (1.0, 1.0, 1.0))
-    sure = confidence_of(model(3.5))._replace(overlap=1.0, spread=0.0)
+    confident = confidence_of(model(3.5))._replace(overlap=1.0, spread=0.0)
     clicked = np.zeros(shape, bool)
     clicked[:, 3, 3] = True
     given = (inside.astype(np.uint8), inside.astype(np.float32), geometry, [], DONE)
-    quality = assess(Judged(*given, clicked=clicked, confidence=sure))
+    quality = assess(Judged(*given, clicked=clicked, confidence=confident))
     assert quality.is_ambiguous and quality.probability <= UNSURE
     assert [line for line in quality.warnings if "corners of the image" in line]
-    other = assess(Judged((~inside).astype(np.uint8), *given[1:], clicked=~inside, confidence=sure))
+    other = assess(
+        Judged((~inside).astype(np.uint8), *given[1:], clicked=~inside, confidence=confident)
+    )
     assert not other.is_ambiguous
 
 
@@ -147,10 +149,10 @@ def test_a_part_of_the_air_beside_a_body_is_ambiguous(shape, at, is_like):
     image[:, 16:-16, 16:-16] += 50.0  # the body
     if not is_like:
         image[~inside] += 30.0
-    sure = confidence_of(model(3.5))._replace(overlap=1.0, spread=0.0)
+    confident = confidence_of(model(3.5))._replace(overlap=1.0, spread=0.0)
     clicked = inside & (np.indices(shape)[2] % 7 == 3)
     given = (inside.astype(np.uint8), image.astype(np.float32), Geometry(shape, (1.0, 1.0, 1.0)))
-    quality = assess(Judged(*given, [], DONE, clicked=clicked, confidence=sure))
+    quality = assess(Judged(*given, [], DONE, clicked=clicked, confidence=confident))
     assert quality.is_ambiguous == is_like
     assert bool([line for line in quality.warnings if "have its grey values" in line]) == is_like
     assert quality.probability <= UNSURE if is_like else quality.probability > UNSURE
@@ -171,7 +173,7 @@ def test_many_parts_far_larger_than_the_click_on_the_border_are_ambiguous(parts,
     image = (inside * 50.0 + np.random.default_rng(5).normal(0.0, 1.0, shape)).astype(np.float32)
     clicked = np.zeros(shape, bool)
     clicked.reshape(-1)[np.flatnonzero(inside)[100 : 100 + inside.sum() // times]] = True
-    sure = confidence_of(model(3.5))._replace(overlap=1.0, spread=0.0)
+    confident = confidence_of(model(3.5))._replace(overlap=1.0, spread=0.0)
     quality = assess(
         Judged(
             inside.astype(np.uint8),
@@ -180,7 +182,7 @@ def test_many_parts_far_larger_than_the_click_on_the_border_are_ambiguous(parts,
             [],
             DONE,
             clicked=clicked,
-            confidence=sure,
+            confidence=confident,
         )
     )
     wanted = parts >= 4 and times >= 150 and on_border
@@ -220,8 +222,8 @@ def test_all_that_is_alike_says_how_many_parts_it_has(number, parts):
     for part in range(parts):
         inside[2:-2, 5:-5, 20 * part + 5 : 20 * part + 15] = True
     seen = inside.astype(np.uint8), inside.astype(np.float32), Geometry(inside.shape, (1, 1, 1))
-    sure = confidence_of(model(3.5))._replace(answers=(Answer(None, 100.0, number),))
-    notes = assess(Judged(*seen, [], DONE, clicked=inside, confidence=sure)).notes
+    confident = confidence_of(model(3.5))._replace(answers=(Answer(None, 100.0, number),))
+    notes = assess(Judged(*seen, [], DONE, clicked=inside, confidence=confident)).notes
     said = [note for note in notes if note.startswith("alike: ")]
     assert bool(said) == (number == OF_ALIKE and parts > 1)
     assert all(note.endswith(f"it has {parts} parts") for note in said)

@@ -288,21 +288,21 @@ def test_inputs_stay_as_they_are(two_balls):
 
 def test_confidence_is_higher_of_a_clear_object(two_balls):
     clear = ball((12, 20, 22), 9.0).astype(np.float32)
-    sure = confidence_of(
+    confident = confidence_of(
         click_model(Scene((clear,), SPACING), clicks(click("inside", (12, 20, 22), 4.5)))
     )
     noise = np.random.default_rng(0).normal(0.0, 1.0, SHAPE).astype(np.float32)
-    unsure = confidence_of(
+    hesitant = confidence_of(
         click_model(Scene((noise,), SPACING), clicks(click("inside", (12, 20, 22), 4.5)))
     )
-    assert sure.overlap > unsure.overlap and sure.spread < unsure.spread
-    assert sure.correction is None and 0.0 <= unsure.overlap <= 1.0
+    assert confident.overlap > hesitant.overlap and confident.spread < hesitant.spread
+    assert confident.correction is None and 0.0 <= hesitant.overlap <= 1.0
 
 
 def test_a_whole_image_may_be_the_click():
     image = np.zeros((4, 5, 6), np.float32)
-    everything = Click("inside", whole_box((4, 5, 6)), np.ones((4, 5, 6), bool))
-    model = click_model(Scene((image,), SPACING), Clicks((everything,), (4, 5, 6)))
+    all_voxels = Click("inside", whole_box((4, 5, 6)), np.ones((4, 5, 6), bool))
+    model = click_model(Scene((image,), SPACING), Clicks((all_voxels,), (4, 5, 6)))
     assert shown(model, (4, 5, 6)).all()
 
 

@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from accelsurf.api.segment import segment
 from accelsurf.clicks.model import Scene, click_model
-from accelsurf.clicks.model.even import FROM, as_large, even_ball
+from accelsurf.clicks.model.even import FROM, as_large, homogeneous_ball
 from accelsurf.clicks.model.windows import seed_of
 from accelsurf.grid.boxes import bounding_box, whole_box
 from accelsurf.grid.clicks import Click, Clicks
@@ -99,7 +99,7 @@ def test_a_click_in_a_small_object_is_read_as_it_is(radius, noise):
     image = truth + np.random.default_rng(3).normal(0.0, noise, shape)
     scene = Scene((image.astype(np.float32),), spacing)
     seed = seed_of(clicked("point", (20, 22, 23), truth, spacing).clicks[0], scene)
-    found = even_ball(scene, seed)
+    found = homogeneous_ball(scene, seed)
     assert found is None or found.radius < FROM
     assert as_large(seed, scene) == (seed, None, False)
 
@@ -109,7 +109,7 @@ def test_the_ball_moves_to_where_it_is_largest_and_stays_around_the_click():
     truth = clicked_balls.distance((0, 60, 60), shape, spacing) <= 40
     image = truth + np.random.default_rng(4).normal(0.0, 0.1, shape)
     scene = Scene((image.astype(np.float32),), spacing)
-    found = even_ball(
+    found = homogeneous_ball(
         scene, seed_of(clicked("point", (0, 60, 85), truth, spacing).clicks[0], scene)
     )
     assert 30 < found.radius < 44

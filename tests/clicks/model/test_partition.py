@@ -133,7 +133,7 @@ def test_a_run_of_cells_ends_at_the_model_and_is_as_good_as_a_watershed(tmp_path
     assert all(cell.stop.steps > 0 for cell in moved.objects)
 
 
-def test_what_is_no_object_has_a_tissue_of_its_own(tmp_path):
+def test_what_is_no_object_has_an_appearance(tmp_path):
     """Two bright balls that touch, on dark ground that is clicked as no object."""
     z, y, x = np.indices((24, 32, 48)) - np.array([12.0, 16.0, 24.0])[:, None, None, None]
     truth = np.where(z**2 + y**2 + (x + 8) ** 2 < 64, 1, 0) + np.where(

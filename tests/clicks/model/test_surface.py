@@ -45,7 +45,7 @@ def test_where_the_volume_ends_there_is_no_boundary():
     assert mean_curvature(half, (1.0, 1.0, 1.0)) == pytest.approx(2 / 16, rel=0.12)
 
 
-def test_a_coarsened_mask_has_the_same(monkeypatch):
+def test_a_restricted_mask_has_the_same(monkeypatch):
     large = ball((80, 80, 80), (1.0, 1.0, 1.0), (40, 40, 40), 32)
     whole = mean_curvature(large, (1.0, 1.0, 1.0))
     monkeypatch.setattr(module, "MOST", 4000)

@@ -94,8 +94,8 @@ def test_a_part_of_an_image_has_the_windows_of_the_whole_or_says_that_it_is_too_
     image = random.normal(size=(60, 70, 80)).astype(np.float32)
     geometry = Geometry(image.shape, (1.0, 1.0, 1.0))
     click = ball((30, 35, 41), 2.0, shape=image.shape)
-    everything = Scene((image,), geometry.spacing)
-    whole = window_around(everything, [seed_of(click, everything)], SCALES[0])
+    whole_scene = Scene((image,), geometry.spacing)
+    whole = window_around(whole_scene, [seed_of(click, whole_scene)], SCALES[0])
     for low, high, fits in ((0, 60, True), (20, 42, False), (1, 60, True)):
         box = slice(low, high), slice(0, 70), slice(0, 80)
         part = Scene((image[box],), geometry.spacing, None, Window(geometry, box))

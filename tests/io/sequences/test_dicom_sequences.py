@@ -144,8 +144,8 @@ def test_one_of_several_series_is_chosen(tmp_path):
     )
     with pytest.raises(InputError, match="2 series at several times"):
         io.read_sequence(tmp_path)
-    chosen = io.read_sequence(tmp_path, options=ReadOptions(series=series.uid))
-    check(chosen, series, [0.0, 0.04, 0.08, 0.12])
+    selected = io.read_sequence(tmp_path, options=ReadOptions(series=series.uid))
+    check(selected, series, [0.0, 0.04, 0.08, 0.12])
 
 
 def test_a_reader_of_one_image_names_tracking_and_tracking_reads_it(tmp_path, capsys):

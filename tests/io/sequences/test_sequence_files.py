@@ -27,7 +27,7 @@ def write(path, order=(0, 1, 2, 3), times=TIMES[0], dtype=np.uint8, geometry=TUR
     return path
 
 
-def everything(path):
+def folder_contents(path):
     files = [path] if path.is_file() else sorted(one for one in path.rglob("*") if one.is_file())
     return [(one.name, one.read_bytes()) for one in files]
 
@@ -54,4 +54,4 @@ def test_the_bytes_do_not_depend_on_the_order_of_frames(tmp_path, suffix):
         (tmp_path / folder).mkdir()
     one = write(tmp_path / "one" / f"a{suffix}", times=TIMES[2], dtype=np.int16)
     two = write(tmp_path / "two" / f"a{suffix}", (2, 3, 1, 0), times=TIMES[2], dtype=np.int16)
-    assert everything(one) == everything(two)
+    assert folder_contents(one) == folder_contents(two)

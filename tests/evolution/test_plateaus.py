@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import accelsurf
+from accelsurf.evolution.plateaus import MAX_FOUND, Moment, completed, fastest_place, watched
 from accelsurf.evolution.records import StepFields
-from accelsurf.evolution.rests import MAX_FOUND, Moment, completed, fastest_place, watched
-from accelsurf.evolution.state import RestWatch
+from accelsurf.evolution.state import PlateauWatch
 from accelsurf.levelset import LevelSet, checkpoint_surface
 from accelsurf.levelset.checkpoint import psi_of
 from tests.support.records import step_record
@@ -21,7 +21,7 @@ def watch_over(volumes, level=0, **last):
     """The watch after a front of area 10 has had these volumes, a step of 1 each."""
     surface = ball()
     fields = StepFields(surface.band.cells, surface.band.psi, -np.ones(surface.size, np.float32))
-    watch, records = RestWatch(), []
+    watch, records = PlateauWatch(), []
     for n, volume in enumerate(volumes):
         watch = completed(watch, level, surface)
         watch = watched(watch, records, Moment(n, level, volume, 10.0, (0, 0, 0)), surface, fields)
@@ -40,9 +40,9 @@ FAST, SLOW, AGAIN = [10.0] * 12, [1.0] * 12, [8.0] * 12
 
 def test_a_front_that_slows_down_and_breaks_through_has_rested_in_between():
     volumes = grown(*FAST, *SLOW, *AGAIN)
-    (rest,) = watch_over(volumes).found
-    assert 12 < rest.step <= 24 and rest.volume_mm3 == pytest.approx(volumes[rest.step])
-    assert 24 < rest.left_at < 32
+    (plateau,) = watch_over(volumes).found
+    assert 12 < plateau.step <= 24 and plateau.volume_mm3 == pytest.approx(volumes[plateau.step])
+    assert 24 < plateau.left_at < 32
 
 
 @pytest.mark.parametrize(
@@ -53,23 +53,23 @@ def test_a_front_that_slows_down_and_breaks_through_has_rested_in_between():
         [*FAST, *SLOW, *[1.5] * 60],  # creeps on
     ],
 )
-def test_a_front_that_converges_or_never_slows_has_no_rest(speeds):
+def test_a_front_that_converges_or_never_slows_has_no_plateau(speeds):
     assert watch_over(grown(*speeds)).found == ()
 
 
 def test_after_an_overshoot_it_rests_where_it_is_smallest():
     volumes = grown(*FAST, *[1.0] * 6, *[-1.0] * 8, *[0.0] * 6, *AGAIN)
-    (rest,) = watch_over(volumes).found
-    assert rest.volume_mm3 == pytest.approx(volumes[26], abs=1.5)
+    (plateau,) = watch_over(volumes).found
+    assert plateau.volume_mm3 == pytest.approx(volumes[26], abs=1.5)
 
 
-def test_a_restart_alone_is_no_rest():
+def test_a_restart_alone_is_no_plateau():
     speeds = [*FAST, 0.0, 1.0, 2.0, 4.0, 7.0, *[10.0] * 20]
     assert watch_over(grown(*speeds)).found != ()
     assert watch_over(grown(*speeds), at12={"restarted": True}).found == ()
 
 
-def test_no_more_rests_are_kept_than_wanted_and_another_level_begins_its_own():
+def test_no_more_plateaus_are_kept_than_wanted_and_another_level_begins_its_own():
     volumes = grown(*([*FAST, *SLOW] * 6))
     assert len(watch_over(volumes).found) == MAX_FOUND
     watch = watch_over(grown(*FAST, *SLOW))
@@ -130,7 +130,7 @@ def leaked():
 @pytest.mark.parametrize(
     "options", [{"levels": 1, "threads": 1}, {"levels": 1, "threads": 2}, {"levels": 2}]
 )
-def test_the_run_can_end_at_its_rest(options, leaked):
+def test_the_run_can_end_at_its_plateau(options, leaked):
     image, first = joined_balls()
     assert leaked.labels.sum() > 1.8 * first.sum() and len(leaked.objects[0].plateaus) == 1
     result = accelsurf.segment(image, **LEAK, **options, stop_at_rest=True)
@@ -145,8 +145,8 @@ def test_the_run_can_end_at_its_rest(options, leaked):
 
 
 def test_the_result_says_where_it_broke_through(leaked):
-    (rest,) = leaked.objects[0].plateaus
-    x, y, z = rest.place
+    (plateau,) = leaked.objects[0].plateaus
+    x, y, z = plateau.place
     assert 28 < x < 46 and abs(y - 17.5) < 5 and abs(z - 17.5) < 5
     (note,) = [note for note in leaked.quality.notes if note.startswith("rest: ")]
-    assert f"rested at step {rest.step}" in note and "--stop-at-rest" in note
+    assert f"rested at step {plateau.step}" in note and "--stop-at-rest" in note

@@ -28,7 +28,7 @@ BEHIND, SLOWER = 0.02, 3.0
 #: Seconds after which a search begins no new setting: on the small problem, on the large one.
 SEARCH_S = (60.0, 40.0)
 #: How many of the best settings of the small problem are tried on the large one.
-CARRIED = 2
+TRANSFERRED = 2
 
 
 def available(options: Options, peers: Mapping[str, Peer] | None = None) -> list[Peer]:
@@ -62,7 +62,9 @@ def time_best(
     trials, calls = dict(trials), dict(calls)
     tops = {name: best(tried) for name, tried in trials.items()}
     for trial in (trial for trial in level(trials) if trial.settings != tops[OWN].settings):
-        tops[LEVEL], trials[LEVEL], calls[LEVEL] = trial, trials[OWN], calls[OWN]
+        tops[LEVEL] = trial
+        trials[LEVEL] = trials[OWN]
+        calls[LEVEL] = calls[OWN]
     highest = max(top.dice for name, top in tops.items() if name not in BASELINES)
     good = [t.seconds for n, t in tops.items() if n in PEERS and t.dice >= highest - BEHIND]
     slow = SLOWER * min(good, default=float("inf"))
@@ -102,7 +104,7 @@ def judge(
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Goals and pairs: Dice and seconds against the best program that moves a surface, Dice against baselines."""
     own = programs[OWN]
-    others = {name: facts for name, facts in programs.items() if name not in (OWN, LEVEL)}
+    others = {name: results for name, results in programs.items() if name not in (OWN, LEVEL)}
     pairs = [
         {
             "pair": f"{label}: {name} / accelsurf",
@@ -111,13 +113,14 @@ def judge(
         }
         for name, f in others.items()
     ]
-    peers = {name: facts for name, facts in others.items() if name in PEERS}
+    peers = {name: results for name, results in others.items() if name in PEERS}
     if not peers:
         return [goal(f"{label}: times faster than the best peer", wanted, None)], pairs
     top = best(
-        Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in peers.items()
+        Trial({"name": name}, results["dice"], results["median_s"])
+        for name, results in peers.items()
     )
-    highest = max(facts["dice"] for facts in peers.values())
+    highest = max(results["dice"] for results in peers.values())
     name, as_good = (
         top.settings["name"],
         programs.get(LEVEL, own if own["dice"] >= highest else None),
@@ -132,7 +135,7 @@ def judge(
         ),
         goal(f"{label}: the same at its own best Dice", wanted, top.seconds / own["median_s"]),
         *_beside_baselines(
-            own, {name: facts for name, facts in others.items() if name in BASELINES}, label
+            own, {name: results for name, results in others.items() if name in BASELINES}, label
         ),
     ], pairs
 
@@ -144,7 +147,8 @@ def _beside_baselines(
     if not baselines:
         return []
     top = best(
-        Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in baselines.items()
+        Trial({"name": name}, results["dice"], results["median_s"])
+        for name, results in baselines.items()
     )
     name = top.settings["name"]
     return [

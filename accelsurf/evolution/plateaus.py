@@ -1,4 +1,4 @@
-"""Rests: where a growing front nearly stops, before it breaks through to something else.
+"""Plateaus of the front: where a growing front nearly stops, before it breaks through to something else.
 
 The speed of the front is its rate of volume per area, dV/dt / A, over the last `WINDOW` steps. It rests where that
 falls below `SLOW` of its peak, at its least, and breaks through where it rises again: above `BURST` of the peak and
@@ -14,23 +14,26 @@ import numpy as np
 
 from accelsurf.energies import Energy
 from accelsurf.evolution.records import StepFields, StepRecord
-from accelsurf.evolution.state import FoundRest, LoopState, RestWatch, Slowest
+from accelsurf.evolution.state import FoundPlateau, LoopState, PlateauWatch, Slowest
 from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checkpoint import band_state, complete_state, psi_of
 
-#: Steps that the speed is a mean over; parts of the peak below which a front may rest and above which it breaks
-#: through; part of the volume that it has grown by then.
+# The numbers come from leaks of organs in CT: benchmarks/notes/quality.md, "When it rests, when it breaks through".
+#: Steps that the speed is a mean over.
 WINDOW = 5
+#: Part of the peak below which a front may be on a plateau; a liver that fills falls to 0.53 of its peak.
 SLOW = 0.5
+#: Part of the peak above which it breaks through: creep in an aorta has 0.01 of it.
 BURST = 0.04
+#: Part of the volume that it has grown by then; selected with `BURST`.
 GROWTH = 0.05
-#: Below this part of the peak it is as good as still.
+#: Below this part of the peak it is as good as still: an aorta falls to 0.01 of 2.35 mm.
 STILL = 0.01
-#: A front without momentum is slow for this many steps: no rest.
+#: A front without momentum is slow for this many steps: no plateau.
 AFTER_RESTART = 10
-#: No more rests of a run are kept: a run that breaks through this often has leaked at the first.
+#: No more plateaus of a run are kept: a run that breaks through this often has leaked at the first.
 MAX_FOUND = 3
 #: Why a run ends at one.
 WHY = "it rested at step {}, before it broke through to something else"
@@ -58,7 +61,7 @@ def front_speed(records: Sequence[StepRecord], now: Moment) -> float | None:
     return (now.volume_mm3 - last[0].volume_mm3) / swept if swept > 0 else None
 
 
-def completed(watch: RestWatch, level: int, surface: LevelSet) -> RestWatch:
+def completed(watch: PlateauWatch, level: int, surface: LevelSet) -> PlateauWatch:
     """Return the watch with the sides of the voxels beyond the band of its state; without a state of another level."""
     slowest = watch.slowest
     if slowest is not None and slowest.level != level:
@@ -69,17 +72,17 @@ def completed(watch: RestWatch, level: int, surface: LevelSet) -> RestWatch:
 
 
 def watched(
-    watch: RestWatch,
+    watch: PlateauWatch,
     records: Sequence[StepRecord],
     now: Moment,
     surface: LevelSet,
     fields: StepFields | None,
-) -> RestWatch:
+) -> PlateauWatch:
     """Return the watch after one more step; to be called at every step, after `completed`.
 
     Parameters
     ----------
-    watch : RestWatch
+    watch : PlateauWatch
     records : sequence of StepRecord
         The steps before on this grid.
     now : Moment
@@ -96,14 +99,14 @@ def watched(
         and fields is not None
         and _breaks_through(slowest, watch.peak, speed, now)
     ):
-        rest = FoundRest(
+        plateau = FoundPlateau(
             slowest.step,
             slowest.level,
             slowest.volume_mm3,
             now.step,
             fastest_place(fields, surface.shape, now.corner),
         )
-        return RestWatch(speed, None, (*watch.found, rest)[:MAX_FOUND])
+        return PlateauWatch(speed, None, (*watch.found, plateau)[:MAX_FOUND])
     watch = watch._replace(peak=max(watch.peak, speed))
     calm = not any(
         record.restarted or record.returned or record.edits for record in records[-AFTER_RESTART:]
@@ -122,17 +125,17 @@ def _breaks_through(slowest: Slowest, peak: float, speed: float, now: Moment) ->
     return grown and speed > max(BURST * peak, 2.0 * slowest.speed)
 
 
-def _is_slowest(watch: RestWatch, speed: float, now: Moment) -> bool:
+def _is_slowest(watch: PlateauWatch, speed: float, now: Moment) -> bool:
     """Test if it grows slower than at any time since it fell below `SLOW`; after an overshoot where it is smallest."""
     if watch.slowest is None:
         return speed < SLOW * watch.peak
-    # A front that creeps on from a rest is not more at rest later.
+    # A front that creeps on from a plateau is on no other plateau later.
     slower = STILL * watch.peak < watch.slowest.speed and 0.0 < speed < watch.slowest.speed
     return slower or (speed <= 0.0 and now.volume_mm3 < watch.slowest.volume_mm3)
 
 
 def go_back(
-    rest: Slowest,
+    plateau: Slowest,
     state: LoopState,
     area: np.ndarray,
     surface: LevelSet,
@@ -140,7 +143,7 @@ def go_back(
     flow: Flow,
     corner: Corner,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Go back to a rest on this level, in a box from voxel ``corner`` on that has grown since at most.
+    """Go back to a plateau on this level, in a box from voxel ``corner`` on that has grown since at most.
 
     Energy and flow start anew on it, without momentum. Returns the volume fractions and areas there.
     """
@@ -148,14 +151,15 @@ def go_back(
     psi = surface.dense.psi.reshape(surface.shape)
     psi.fill(surface.gamma)
     z, y, x = (
-        slice(c - k, c - k + n) for c, k, n in zip(rest.corner, corner, rest.shape, strict=True)
+        slice(c - k, c - k + n)
+        for c, k, n in zip(plateau.corner, corner, plateau.shape, strict=True)
     )
-    psi[z, y, x] = psi_of(rest.surface, rest.shape, float(surface.gamma))
+    psi[z, y, x] = psi_of(plateau.surface, plateau.shape, float(surface.gamma))
     surface.reinitialize(surface.requested_half_width)
     energy.start(surface)
     flow.start(surface)
     fraction, area = surface.fraction_and_area()
-    state.record_rest(energy.value(surface, fraction, area))
+    state.record_plateau(energy.value(surface, fraction, area))
     state.budget.record_loss(before - state.potential - flow.energy(area))
     return fraction, area
 
