@@ -346,11 +346,6 @@ class Evolution:
             ),
         }
 
-    def _measured(self) -> Iterator[tuple[str, float]]:
-        """Yield the user's measures of the surface, by name."""
-        for name, measure in self.measures.items():
-            yield name, float(measure(self.surface, self.energy, self.flow))
-
     def _advance(self, plan: StepPlan) -> int:
         """Move the surface and the fields on it; returns how many components were removed."""
         surface = self.surface

@@ -301,10 +301,8 @@ class Follower:
                 found[followed.id] = measured_piece(predicted[followed.id], self._geometry)
                 continue
             prior = followed.prior(MIN_PRIOR_DEVIATION * min(self._geometry.steps) ** 2)
-            predicted = followed.momentum.moved_surface(arrival.duration)
-            found[followed.id] = recognised(
-                predicted, followed.appearance, arrival.channels[0], prior
-            )
+            moved = followed.momentum.moved_surface(arrival.duration)
+            found[followed.id] = recognised(moved, followed.appearance, arrival.channels[0], prior)
         if then:
             occupied = [
                 measured.surface for measured in found.values() if measured.surface.psi.size
