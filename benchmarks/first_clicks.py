@@ -30,7 +30,7 @@ from accelsurf.evolution.records import Stop
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
 from accelsurf.measure.quality import Judged, assess
-from accelsurf.run.preprocessing import apply, scale_of
+from accelsurf.run.preprocessing import apply_filters, scale_of
 from benchmarks.clicks.folds import PHANTOMS
 from benchmarks.clicks.games import SAID, Hints
 from benchmarks.clicks.objects import Scene, load, selected
@@ -78,7 +78,7 @@ def answered(scene: Scene, click: PersonClick) -> Row:
     """The first answer to a click, and what is said of it."""
     image, truth = scene.image, scene.truth
     values = image.as_float32()
-    player = StartAlone(image.with_array(apply(values, scale_of(values))), Hints())
+    player = StartAlone(image.with_array(apply_filters(values, scale_of(values))), Hints())
     found, voxels = player.click(click), voxels_of(click, image.geometry)
     clicked = np.zeros(truth.shape, np.bool_)
     clicked[voxels.box] = voxels.mask

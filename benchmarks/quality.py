@@ -32,7 +32,7 @@ from accelsurf.grid.boxes import whole_box
 from accelsurf.image.volume import Volume
 from accelsurf.measure import likely, quality
 from accelsurf.measure.metrics import dice
-from accelsurf.run.preprocessing import apply, scale_of
+from accelsurf.run.preprocessing import apply_filters, scale_of
 from benchmarks.clicks.folds import FOLDS, PHANTOMS
 from benchmarks.clicks.games import BASE, FAILED, GOOD, SAID, Hints
 from benchmarks.clicks.objects import Scene, load, selected
@@ -162,7 +162,7 @@ def in_game(scene: Scene, seed: int | None) -> Iterator[Row]:
     """Results after each of the person's first clicks."""
     image, truth = scene.image, scene.truth
     values = image.as_float32()
-    player = StartAlone(image.with_array(apply(values, scale_of(values))), Hints())
+    player = StartAlone(image.with_array(apply_filters(values, scale_of(values))), Hints())
     clicked = np.zeros(truth.shape, np.bool_)
     labels = None
     before = None

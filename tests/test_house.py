@@ -1,6 +1,8 @@
 """The rules of the house, read off the source: words, rules, and tests that can fail."""
 
 import ast
+import importlib
+import inspect
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -16,6 +18,7 @@ PACKAGE = ROOT / "accelsurf"
 #: Rules of the house (``scripts/house``) and how many places may break each. Sizes have no limit: a
 #: limit of lines packs them.
 LIMITS = {
+    "imports past a room's door": 0,
     "parameters that are unnamed tuples": 0,
     "summaries without a verb or noun first": 0,
     "code named by strings": 1,  # cyclopts imports a command that is named so when it is called
@@ -246,6 +249,49 @@ def test_no_more_places_break_a_rule(figures, name):
     assert (found if isinstance(found, int) else len(found)) <= LIMITS[name], listed(
         [name, str(found)] if isinstance(found, int) else [name, *found]
     )
+
+
+ROOMS_WITH_DOORS = sorted(stub.parent.name for stub in PACKAGE.glob("*/__init__.pyi"))
+
+
+@pytest.mark.parametrize("room", ROOMS_WITH_DOORS)
+def test_a_door_offers_names_that_exist_and_say_what_they_are(room):
+    package = importlib.import_module(f"accelsurf.{room}")
+    assert sorted(package.__all__) == sorted(house.door(room))
+    named = {name: getattr(package, name) for name in package.__all__}
+    silent = [
+        name
+        for name, thing in named.items()
+        if inspect.isroutine(thing) or inspect.isclass(thing)
+        if not inspect.getdoc(thing)
+    ]
+    assert not silent, listed(silent)
+
+
+def test_a_door_offers_no_name_that_no_other_room_uses():
+    users = [
+        *(
+            path
+            for folder in ("benchmarks", "docs", "tests")
+            for path in (ROOT / folder).rglob("*")
+        ),
+        *PACKAGE.rglob("*.py*"),
+    ]
+    texts = {
+        path: path.read_text()
+        for path in users
+        if path.suffix in (".py", ".pyi", ".md", ".rst", ".ipynb") and "_build" not in path.parts
+    }
+    unused = []
+    for room in ROOMS_WITH_DOORS:
+        outside = " ".join(
+            text
+            for path, text in texts.items()
+            if path.parts[: len(PACKAGE.parts) + 1] != (*PACKAGE.parts, room)
+        )
+        used = set(re.findall(r"\w+", outside))
+        unused += [f"{room}.{name}" for name in house.door(room) if name not in used]
+    assert not unused, listed(unused)
 
 
 def without_line(place: str) -> str:

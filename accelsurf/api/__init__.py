@@ -1,1 +1,5 @@
 """Python functions on images: segment, segment_objects, evolve."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

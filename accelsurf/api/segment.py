@@ -11,18 +11,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.evolution.records import Step, StepRecord
+from accelsurf.evolution import Step, StepRecord
 from accelsurf.grid.clicks import SIDES, Side
 from accelsurf.image.volume import Volume
-from accelsurf.interact.finished import OnObjectStep, finished, result_of
-from accelsurf.interact.refine import with_corrections
-from accelsurf.io import LazyVolume
-from accelsurf.io.library_images import ImageLike, as_volume, from_library
-from accelsurf.run.arguments import given_clicks, psi_of, split_given, with_options
-from accelsurf.run.checkpoint_file import CheckpointFile
-from accelsurf.run.result import Result
-from accelsurf.run.run import Run
-from accelsurf.run.setup import EnergyLike, ObjectsLike
+from accelsurf.interact import OnObjectStep, finished, result_of, with_corrections
+from accelsurf.io import ImageLike, LazyVolume, as_volume, from_library
+from accelsurf.run import (
+    CheckpointFile,
+    EnergyLike,
+    ObjectsLike,
+    Result,
+    Run,
+    given_clicks,
+    psi_of,
+    split_given,
+    with_options,
+)
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 
@@ -100,7 +104,7 @@ def segment(
     """
     watch: OnObjectStep | None = None if on_step is None else lambda record, id: on_step(record)
     if isinstance(image, LazyVolume):
-        from accelsurf.large.windowed import segment_lazily
+        from accelsurf.large import segment_lazily
 
         given = {"spacing": spacing, "channels": channels, "energy": energy, **options}
         return segment_lazily(image, config, watch, on_warning, checkpoint_to, given)

@@ -15,8 +15,8 @@ from accelsurf.api.segment import segment, segment_objects
 from accelsurf.image.blocks import block_means
 from accelsurf.image.percentiles import IntegerCounts
 from accelsurf.image.volume import Volume
-from accelsurf.interact.refine import refine
-from accelsurf.run.result import Result
+from accelsurf.interact import refine
+from accelsurf.run import Result
 from accelsurf.settings.energy_terms import image_terms
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig
@@ -33,7 +33,7 @@ _AS_GIVEN = {"threshold": "threshold:auto"}
 _CLICKED = ("seeded", "partition")
 
 
-def small_runs() -> dict[str, Callable[[], Any]]:
+def small_segmentations() -> dict[str, Callable[[], Any]]:
     """Runs by name, that together call every kernel; each computes its measures, its mesh and its quality too."""
     return {
         **{

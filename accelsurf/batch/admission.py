@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from accelsurf.errors import AccelsurfError, UsageError
-from accelsurf.io.channels import count_values
-from accelsurf.io.headers import options_of
-from accelsurf.run.memory import FREE_SHARE, PROCESS_BYTES, bytes_text, memory_of, run_bytes
+from accelsurf.io import count_values, options_of
+from accelsurf.run import FREE_SHARE, PROCESS_BYTES, bytes_text, memory_of, run_bytes
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.track_config import TrackConfig
 
@@ -150,7 +149,7 @@ def need_of_sequence(source: Path, config: TrackConfig) -> Need:
         A file with time, a folder of frames, or a pattern of their names; its headers are read.
     config : TrackConfig
     """
-    from accelsurf.track.track import open_sequence  # only here: it loads a run
+    from accelsurf.track import open_sequence  # only here: it loads a run
 
     try:
         sequence = open_sequence(source, config)

@@ -12,10 +12,8 @@ from typing import Any, TypeVar
 
 from accelsurf.batch.case import Case, check_id
 from accelsurf.errors import InputError
-from accelsurf.io import split_name
-from accelsurf.io.files import naming
-from accelsurf.io.headers import name_of
-from accelsurf.output.folder import PLACES
+from accelsurf.io import image_name, naming, split_name
+from accelsurf.output import PLACES
 from accelsurf.settings import budgets
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.track_config import FRAME_SETTINGS, setting_entry
@@ -172,7 +170,7 @@ def _case(path: Path, given: Mapping[str, str], number: int, tracking: bool) -> 
         if key not in (IMAGE, ID, REFERENCE)
     }
     name = (
-        name_of(image) if tracking else split_name(image)[0]
+        image_name(image) if tracking else split_name(image)[0]
     )  # a sequence may be a pattern of its frames
     case = Case(given.get(ID, name), image, settings, reference, f"{path}, row {number}")
     return check_id(case) if ID in given else case

@@ -10,8 +10,8 @@ from typing import Literal
 
 from accelsurf.batch.case import Case
 from accelsurf.errors import InputError, UsageError
-from accelsurf.io import image_suffixes, is_stored, split_name
-from accelsurf.settings.file_formats import input_help
+from accelsurf.io import is_stored, split_name
+from accelsurf.settings.file_formats import image_suffixes, input_help
 
 #: How a folder is read; auto looks at its names.
 Layout = Literal["auto", "folder", "nnunet", "bids"]

@@ -20,8 +20,8 @@ from accelsurf.batch.run import Batch, refuse_results, task_of
 from accelsurf.batch.tables import Tables
 from accelsurf.batch.worker import make_pool
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, UsageError
-from accelsurf.io.file_set import FileSet
-from accelsurf.output.folder import OutputFolder
+from accelsurf.io import FileSet
+from accelsurf.output import OutputFolder
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import Any
 
 from accelsurf.batch.case_table import read_rows
 from accelsurf.errors import InputError, UsageError
-from accelsurf.io import image_suffixes, is_stored, split_name
-from accelsurf.io.files import naming
+from accelsurf.io import is_stored, naming, split_name
+from accelsurf.settings.file_formats import image_suffixes
 from accelsurf.settings.labels import IdRanges, parse_ids
 from accelsurf.settings.wording import shown
 

@@ -15,10 +15,8 @@ from accelsurf import io
 from accelsurf.batch.outcome import CaseTask, Outcome, outcome_of_report
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.image.volume import Volume
-from accelsurf.io.files import read_json, write_bytes
-from accelsurf.output.document import to_json
-from accelsurf.output.folder import named_files
-from accelsurf.output.reports import is_of, is_output, load_report, report_name
+from accelsurf.io import read_json, write_bytes
+from accelsurf.output import is_of, is_output, load_report, named_files, report_json, report_name
 
 
 def record_path(task: CaseTask) -> Path:
@@ -44,7 +42,7 @@ def write_record(task: CaseTask, report: Mapping[str, Any], dice: float | None) 
         "labels": _checksum_of_labels(report),
         "dice": dice,
     }
-    write_bytes(record_path(task), (to_json(record) + "\n").encode())
+    write_bytes(record_path(task), (report_json(record) + "\n").encode())
 
 
 def finished(task: CaseTask) -> Outcome | None:
@@ -91,9 +89,9 @@ def _dice(task: CaseTask, report: Mapping[str, Any], record: Mapping[str, Any]) 
 
 def dice_with(found: Volume, truth: Volume) -> float | None:
     """Return the Dice of all labels above 0; None where both are empty."""
-    from accelsurf.measure import metrics
+    from accelsurf.measure import dice
 
-    value = metrics.dice(found.array, truth.array)
+    value = dice(found.array, truth.array)
     return None if math.isnan(value) else value
 
 

@@ -26,10 +26,8 @@ from accelsurf.batch.pool import Ended, Job, Pool, Started
 from accelsurf.batch.records import finished
 from accelsurf.batch.tables import TableNames, Tables
 from accelsurf.errors import OutputError, UsageError
-from accelsurf.io.file_set import FileSet, recover
-from accelsurf.io.memory import available_cores, available_memory
-from accelsurf.output import layouts
-from accelsurf.output.reports import Report, report_name
+from accelsurf.io import FileSet, available_cores, available_memory, recover
+from accelsurf.output import Report, check_layout, layout_folder, report_name
 from accelsurf.settings.track_config import TrackConfig
 
 #: Exit code of a batch of which some cases failed.
@@ -278,8 +276,8 @@ def task_of(task: CaseTask) -> CaseTask:
     if config.layout == "plain" or isinstance(task.config, TrackConfig):
         return replace(task, folder=folder / case.id)
     try:
-        layouts.check_layout(config, case.image, folder, case.id)
+        check_layout(config, case.image, folder, case.id)
     except UsageError as error:
         raise UsageError(f"{case.place}: {error.message}", error.hint) from None
-    laid_out = layouts.folder_of(config, case.image, folder)
+    laid_out = layout_folder(config, case.image, folder)
     return replace(task, folder=laid_out, place=laid_out.relative_to(folder).as_posix())

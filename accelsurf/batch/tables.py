@@ -12,11 +12,8 @@ from typing import Any, Literal
 from accelsurf.batch import page
 from accelsurf.batch.cases import Shard
 from accelsurf.batch.outcome import COLUMNS, Outcome
-from accelsurf.io.cells import table_text
-from accelsurf.io.file_set import FileSet
-from accelsurf.io.files import write_bytes
-from accelsurf.output.document import to_json, versions
-from accelsurf.output.folder import naming_final
+from accelsurf.io import FileSet, table_text, write_bytes
+from accelsurf.output import naming_final, report_json, versions
 
 #: Raised when a key of the report or a column of the table changes its name or its meaning.
 SCHEMA_VERSION = 1
@@ -142,7 +139,7 @@ class Tables:
                 self._names.page: page.page_html(
                     outcomes, status, (self._names.table, self._names.report), self._columns
                 ),
-                self._names.report: to_json(self._report(status, exit_code)) + "\n",
+                self._names.report: report_json(self._report(status, exit_code)) + "\n",
             }
             for name, text in contents.items():
                 write_bytes(self._files.staging / name, text.encode())

@@ -17,15 +17,20 @@ from typing import TYPE_CHECKING, NamedTuple
 from accelsurf.batch import records
 from accelsurf.batch.outcome import CaseTask, Outcome, outcome_of_report
 from accelsurf.batch.pool import Failure
-from accelsurf.cases import track_case
-from accelsurf.cases.case import check_reference, report_failure, run_case
-from accelsurf.cases.interrupts import WorkerInterrupts
-from accelsurf.cases.watcher import ProgressKind, Watcher
+from accelsurf.cases import (
+    ProgressKind,
+    TrackCase,
+    Watcher,
+    WorkerInterrupts,
+    check_reference,
+    report_failure,
+    report_track_failure,
+    run_case,
+    run_track_case,
+)
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
-from accelsurf.io import channels, read_labels
-from accelsurf.io.file_set import InputFiles
-from accelsurf.output.folder import OutputFolder, outdated_inputs
-from accelsurf.output.reports import load_report, report_name
+from accelsurf.io import InputFiles, read_channels, read_labels
+from accelsurf.output import OutputFolder, load_report, outdated_inputs, report_name
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
@@ -118,7 +123,7 @@ def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
     error = (InputError if failure.kind == "memory" else LostCaseError)(failure.message, hint)
     with redirect_stderr(io.StringIO()):
         if isinstance(task.config, TrackConfig):
-            track_case.report_failure(track_case.TrackCase(place_of(task), task.config), error)
+            report_track_failure(TrackCase(place_of(task), task.config), error)
         elif (
             failure.kind != "error"
         ):  # an exception has removed the staging files and written a report
@@ -157,7 +162,7 @@ def refuse_inputs_of(
 def _outputs(place: OutputFolder, config: RunConfig | TrackConfig) -> Iterable[Path]:
     """All that a case may write."""
     if isinstance(config, TrackConfig):
-        return track_case.TrackCase(place, config).files.paths(place.path, place.name).values()
+        return TrackCase(place, config).files.paths(place.path, place.name).values()
     return place.plan(config).values()
 
 
@@ -195,7 +200,7 @@ class LostCaseError(AccelsurfError):
 def _run(task: CaseTask) -> Outcome:
     watcher = Watcher(_Silent())
     if isinstance(task.config, TrackConfig):
-        track_case.run_track_case(track_case.TrackCase(place_of(task), task.config), watcher)
+        run_track_case(TrackCase(place_of(task), task.config), watcher)
         return _concluded(task, task.folder / report_name(task.case.id))
     place = place_of(task)
     try:
@@ -224,7 +229,7 @@ def _truth_of(task: CaseTask) -> Volume | None:
     """The reference of a case; refused before anything is computed where it lies on another grid than the image."""
     if task.case.reference is None:
         return None
-    image = channels.read_channels(task.case.image, task.run.reading)[0]
+    image = read_channels(task.case.image, task.run.reading)[0]
     truth = read_labels(task.case.reference, grid=image.geometry)
     check_reference(truth, image)
     return truth

@@ -20,27 +20,44 @@ from accelsurf.cases.outcome import shortcoming, summary_lines
 from accelsurf.cases.watcher import Watcher
 from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
 from accelsurf.image.volume import Volume, voxels_sha256
-from accelsurf.io import sha256
-from accelsurf.io.channels import read_channels
-from accelsurf.io.file_set import FileSet
-from accelsurf.io.files import write_bytes, written_at
-from accelsurf.io.formats.nifti import import_nibabel_for
-from accelsurf.io.headers import WARNING_KEY, size_question
-from accelsurf.io.writing import stored_grid
-from accelsurf.output import document, label_files, layouts
-from accelsurf.output.document import describe_input, describe_staged
-from accelsurf.output.folder import OutputFolder, check_outputs, naming_final, refuse_folder
-from accelsurf.output.given_image import is_there
-from accelsurf.output.mesh_files import MeshNotes, check_mesh_settings
-from accelsurf.output.reports import Report, is_of
+from accelsurf.io import (
+    WARNING_KEY,
+    FileSet,
+    import_nibabel_for,
+    read_channels,
+    sha256,
+    size_question,
+    stored_grid,
+    write_bytes,
+    written_at,
+)
+from accelsurf.output import (
+    MeshNotes,
+    OutputFolder,
+    Report,
+    Status,
+    build_report,
+    check_label_settings,
+    check_mesh_settings,
+    check_outputs,
+    complete_layout,
+    describe_error,
+    describe_input,
+    describe_staged,
+    into_image,
+    is_of,
+    is_there,
+    naming_final,
+    refuse_folder,
+    report_json,
+)
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
-    from accelsurf.run.checkpoint_file import CheckpointFile
-    from accelsurf.run.result import Result
+    from accelsurf.run import CheckpointFile, Result
 
 T = TypeVar("T")
 #: Bytes of the largest image whose checksum is in the report of a run that could not begin.
@@ -207,15 +224,15 @@ def run_case(
 
 def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finished:
     """Write the outputs of a result, of a failed run beside a result that stands; remove its checkpoint."""
-    from accelsurf.output import outputs
+    from accelsurf.output import outcome_title, preview_content, write_result
 
     place = case.place
     files = case.files
     log = case.log
     config = result.config
-    title = outputs.outcome_title(place.name, result)
+    title = outcome_title(place.name, result)
     # The picture shows the surface, which is extracted here.
-    content = log.timed("mesh", lambda: outputs.preview_content(result, title))
+    content = log.timed("mesh", lambda: preview_content(result, title))
     error, warnings = shortcoming(place.name, result, strict)
     log.warnings.extend(warnings)
     gone = [place.checkpoint.name] if place.has_checkpoint else []
@@ -223,7 +240,7 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
     case = replace(case, place=target)
     names, meshes = target.names(config, result.geometry.slice_axis is not None), MeshNotes()
     with naming_final(files):
-        written = outputs.write_result(
+        written = write_result(
             result, files.staging, names, content, log.seconds, log.voxels, meshes
         )
         entries = describe_staged(files, {path.name: kind for kind, path in written})
@@ -232,12 +249,12 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
         )
         log.warnings.extend(meshes.warnings)
         code = watcher.exit_code(error.exit_code if error is not None else 0)
-        status: document.Status = "failed" if error is not None else "ok"
+        status: Status = "failed" if error is not None else "ok"
         _write_report(case, config, status, code, error, result)
-        layouts.complete(config, target.image, target.path)
+        complete_layout(config, target.image, target.path)
         target.commit(files, error is not None, gone)
     if config.label_group is not None and error is None:
-        log.timed("write", lambda: label_files.into_image(result, target.image, target.overwrite))
+        log.timed("write", lambda: into_image(result, target.image, target.overwrite))
     note_result(watcher, target)
     return Finished(target, config, result, log, code, error)
 
@@ -302,7 +319,7 @@ def evolve_at(
 
 def state_of(place: OutputFolder, config: RunConfig) -> CheckpointFile:
     """The file of a run's state, written at intervals if asked for; that of an earlier run stays only for --resume."""
-    from accelsurf.run.checkpoint_file import CheckpointFile
+    from accelsurf.run import CheckpointFile
 
     refuse_folder(place.checkpoint)
     if not place.resume:
@@ -341,7 +358,7 @@ def check_formats(place: OutputFolder, config: RunConfig, volume: Volume, log: L
         log.warnings.append(question)
     labels = place.label_format(config)
     check_outputs(config, labels, volume.geometry)
-    label_files.check_label_settings(config, volume, place.overwrite)
+    check_label_settings(config, volume, place.overwrite)
     check_mesh_settings(config)
     if not stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         keeps_size = IMAGE_FORMATS[labels].keeps != "none"
@@ -374,7 +391,7 @@ def evolve(
     state: CheckpointFile | None,
 ) -> Result:
     """Run one or several objects with progress, without writing anything but checkpoints to the file ``state``."""
-    from accelsurf.api.segment import segment, segment_objects
+    from accelsurf.api import segment, segment_objects
 
     then = "leaving all files as they are" if state is None else "keeping its state"
     with watcher.watch(name, config.max_steps, then):
@@ -425,7 +442,7 @@ def _write_failure(case: _Case, config: RunConfig | None, error: BaseException) 
 def _write_report(
     case: _Case,
     config: RunConfig | None,
-    status: document.Status,
+    status: Status,
     code: int,
     error: BaseException | None,
     result: Result | None,
@@ -433,7 +450,7 @@ def _write_report(
     place, log = case.place, case.log
     log.seconds["total"] = time.perf_counter() - log.began
     of_result = set(result.warnings) if result is not None else set()
-    contents: dict[str, Any] = document.build(
+    contents: dict[str, Any] = build_report(
         status=status,
         exit_code=code,
         argv=sys.argv,
@@ -446,14 +463,12 @@ def _write_report(
             written=log.written,
         ),
         result=result,
-        error=document.describe_error(error) if error is not None else None,
+        error=describe_error(error) if error is not None else None,
         seconds=log.seconds,
         outputs=log.outputs,
         warnings=[warning for warning in log.warnings if warning not in of_result],
     )
-    write_bytes(
-        case.files.staging / place.report.name, (document.to_json(contents) + "\n").encode()
-    )
+    write_bytes(case.files.staging / place.report.name, (report_json(contents) + "\n").encode())
 
 
 def exit_code_of_finished(

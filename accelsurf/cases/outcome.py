@@ -13,14 +13,14 @@ from accelsurf.errors import (
     EmptyResultError,
     NotConvergedError,
 )
-from accelsurf.measure.quality import extent_text
+from accelsurf.measure import extent_text
 from accelsurf.settings.wording import in_unit, rounded_text, size_text, volume_text
 from accelsurf.text.coordinates import place_text
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
-    from accelsurf.measure.likely import Quality
-    from accelsurf.run.result import Result, SegmentedObject
+    from accelsurf.measure import Quality
+    from accelsurf.run import Result, SegmentedObject
 
 EMPTY = ("vanished", "filled")
 #: The checks before the first step that foretell these, see `accelsurf.run.start_checks`.

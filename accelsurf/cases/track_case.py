@@ -19,16 +19,12 @@ from accelsurf.cases.case import (
     warning_without_report,
 )
 from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.output.folder import OutputFolder, refuse_folder
+from accelsurf.output import OutputFolder, refuse_folder
 
 if TYPE_CHECKING:
     from accelsurf.cases.watcher import Watcher
     from accelsurf.settings.track_config import TrackConfig
-    from accelsurf.track.output.document import TrackRun
-    from accelsurf.track.output.files import TrackFiles
-    from accelsurf.track.output.outputs import TrackOutputs
-    from accelsurf.track.records import Lineage
-    from accelsurf.track.track import Tracking
+    from accelsurf.track import Lineage, TrackFiles, Tracking, TrackOutputs, TrackRun
 
 
 @dataclass(frozen=True)
@@ -58,7 +54,7 @@ class TrackCase:
     @property
     def files(self) -> TrackFiles:
         """The files that are written."""
-        from accelsurf.track.output.files import TrackFiles
+        from accelsurf.track import TrackFiles
 
         config = self.config
         return TrackFiles(
@@ -94,14 +90,14 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
     KeyboardInterrupt
         After Ctrl-C; the frames so far and the state are kept for ``--resume``.
     """
-    from accelsurf.track.output.outputs import TrackOutputs
+    from accelsurf.track import TrackOutputs
 
     _prepare_state(case)
     resumed = case.state.exists()
     try:
         tracking = _begun(case, watcher)
     except AccelsurfError as error:
-        report_failure(case, error)
+        report_track_failure(case, error)
         raise
     place = case.place
     if resumed:
@@ -131,9 +127,9 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
         tracking.close()
 
 
-def report_failure(case: TrackCase, error: BaseException) -> None:
+def report_track_failure(case: TrackCase, error: BaseException) -> None:
     """Write the report of a tracking that could not begin, or whose process is gone; a warning when that fails too."""
-    from accelsurf.track.output.outputs import write_failure
+    from accelsurf.track import write_failure
 
     place = case.place
     with warning_without_report():
@@ -143,7 +139,7 @@ def report_failure(case: TrackCase, error: BaseException) -> None:
 
 def _run_of(config: TrackConfig, inputs: list[Path]) -> TrackRun:
     """Return command and settings of a tracking, for its files."""
-    from accelsurf.track.output.document import TrackRun
+    from accelsurf.track import TrackRun
 
     return TrackRun(config.model_dump(mode="json"), config.to_toml(), sys.argv, inputs)
 
@@ -158,7 +154,7 @@ def _prepare_state(case: TrackCase) -> None:
 
 
 def _remove_state(case: TrackCase) -> None:
-    from accelsurf.track.output.frames import remove_store
+    from accelsurf.track import remove_store
 
     case.state.unlink(missing_ok=True)
     remove_store(case.store)
@@ -166,7 +162,7 @@ def _remove_state(case: TrackCase) -> None:
 
 def _begun(case: TrackCase, watcher: Watcher) -> Tracking:
     """The tracking, from its start or from its state."""
-    from accelsurf.track.track import Tracking, open_sequence
+    from accelsurf.track import Tracking, open_sequence
 
     return Tracking(
         open_sequence(case.place.image, case.config),

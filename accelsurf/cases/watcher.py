@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from accelsurf.cases.interrupts import Interrupts, say
-from accelsurf.output.document import to_json
+from accelsurf.output import report_json
 from accelsurf.settings.trace_columns import row_values
 
 if TYPE_CHECKING:
-    from accelsurf.evolution.records import StepRecord
+    from accelsurf.evolution import StepRecord
     from accelsurf.grid.window import Window
 
 ProgressKind = Literal["bar", "json", "none"]
@@ -200,7 +200,7 @@ def shown_kind(display: Display) -> ProgressKind:
 
 def print_json(line: Mapping[str, Any]) -> None:
     """Print an event on stderr, as JSON on one line."""
-    say(json.dumps(json.loads(to_json(line))))
+    say(json.dumps(json.loads(report_json(line))))
 
 
 class Bar:

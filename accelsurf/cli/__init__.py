@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
-from accelsurf.cases.interrupts import (
+from accelsurf.cases import (
     INTERRUPTED,
     MAX_ERROR,
     MAX_HINT,

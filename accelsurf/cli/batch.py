@@ -14,12 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from accelsurf.batch.admission import Limits, plan_rows
-from accelsurf.batch.case import Case
-from accelsurf.batch.cases import read_cases, shard_of
-from accelsurf.batch.outcome import CaseTask
-from accelsurf.cases.interrupts import MAX_ERROR, Interrupts, printable, resuming_command, say
-from accelsurf.cases.watcher import COMPILING_ANEW
+from accelsurf.batch import Case, CaseTask, Limits, plan_rows, read_cases, shard_of
+from accelsurf.cases import COMPILING_ANEW, MAX_ERROR, Interrupts, printable, resuming_command, say
 from accelsurf.cli.options import (
     FILES,
     Display,
@@ -36,17 +32,16 @@ from accelsurf.cli.options import (
 from accelsurf.cli.progress import BatchProgress, table
 from accelsurf.cli.track_options import TrackSettings, track_config
 from accelsurf.errors import UsageError
-from accelsurf.io.file_set import uninterrupted
-from accelsurf.output.folder import OutputFolder
-from accelsurf.run.memory import bytes_text
+from accelsurf.io import uninterrupted
+from accelsurf.output import OutputFolder
+from accelsurf.run import bytes_text
 from accelsurf.settings import toml
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import FRAME_SETTINGS, TABLE, TrackConfig
 from accelsurf.settings.track_fields import TrackFields
 
 if TYPE_CHECKING:
-    from accelsurf.batch.run import Batch
-    from accelsurf.batch.tables import Tables
+    from accelsurf.batch import Batch, Tables
 
 BATCH = Group("Batch", sort_key=0)
 _SWITCH = Parameter(negative=(), show_default=False, group=BATCH)
@@ -157,7 +152,7 @@ def batch(
     strict
         A case that ends before it has converged, or whose result is doubtful, counts as failed; of images.
     """
-    from accelsurf.batch.run import Batch, task_of
+    from accelsurf.batch import Batch, task_of
 
     options, display = options or BatchOptions(), display or Display()
     limits = options.limits
@@ -236,7 +231,7 @@ def _configs(
 
 def _print_plan(work: Batch, scheduler: str | None) -> int:
     """Print the needs of each case and the number that would run at once; some failed where one cannot be run."""
-    from accelsurf.batch.run import SOME_FAILED
+    from accelsurf.batch import SOME_FAILED
 
     rows = plan_rows(work.needs, work.admission)
     cells = [tuple(printable(cell, MAX_ERROR) for cell in line) for line in rows]
@@ -268,19 +263,18 @@ def _run(
     given: list[Path],
 ) -> Tables:
     """Run the cases; files of an earlier batch are refused before anything is computed, ``given`` files always."""
-    from accelsurf.batch import worker
-    from accelsurf.batch.run import refuse_results
+    from accelsurf.batch import make_pool, refuse_inputs_of, refuse_results
 
     interrupts = Interrupts.current()
     with OutputFolder(folder, work.names.set, overwrite=True).stage() as files:
         if not (overwrite or resume):
             refuse_results(folder, work)
-        worker.refuse_inputs_of(work.tasks, [folder / name for name in work.names.all], given)
+        refuse_inputs_of(work.tasks, [folder / name for name in work.names.all], given)
         if not display.quiet:
             say(_at_once(work, limits.scheduler))
         if limits.scheduler is None and work.tasks:
             _compile_before_workers(display)
-        pool = worker.make_pool(work.admission, limits)
+        pool = make_pool(work.admission, limits)
         tables = work.tables(files)
         with BatchProgress(display, len(work.tasks)) as progress:
             try:
@@ -318,7 +312,7 @@ def _compile_before_workers(display: Display) -> None:
 
 def _conclude(tables: Tables, folder: Path, display: Display) -> int:
     """Print how the batch ended; return the exit code."""
-    from accelsurf.batch.run import SOME_FAILED
+    from accelsurf.batch import SOME_FAILED
 
     failed = tables.count("failed")
     if not display.quiet:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from accelsurf.errors import OutputError, UsageError
-from accelsurf.io.files import write_bytes
+from accelsurf.io import write_bytes
 
 Shell = Literal["bash", "zsh", "fish", "powershell"]
 

@@ -10,31 +10,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from accelsurf.batch.pairs import (
-    LabelFile,
-    Pair,
-    in_folders,
-    in_table,
-    is_folder_of_maps,
-    label_file,
-)
-from accelsurf.cases.interrupts import say
+from accelsurf.batch import LabelFile, Pair, in_folders, in_table, is_folder_of_maps, label_file
+from accelsurf.cases import say
 from accelsurf.cli.options import FILES, Overwrite
 from accelsurf.cli.progress import table
 from accelsurf.errors import AccelsurfError, InputError, OutputError, UsageError
 from accelsurf.image.volume import Volume
-from accelsurf.io import label_tables
-from accelsurf.io.cells import table_text
-from accelsurf.io.file_set import InputFiles, refuse_unfinished
-from accelsurf.io.files import write_bytes
-from accelsurf.output.document import to_json
+from accelsurf.io import InputFiles, read_label_table, refuse_unfinished, table_text, write_bytes
+from accelsurf.output import report_json
 from accelsurf.settings.labels import IdRanges, LabelTable, parse_ids
 
 if TYPE_CHECKING:
-    from accelsurf.measure.label_metrics import LabelMap
-    from accelsurf.output.evaluation import CaseResult
-    from accelsurf.track.scored_files import TrackedFile
-    from accelsurf.track.scores import TrackingScores
+    from accelsurf.measure import LabelMap
+    from accelsurf.output import CaseResult
+    from accelsurf.track import TrackedFile, TrackingScores
 
 SOME_FAILED = 9
 #: Labels that a message names.
@@ -112,13 +101,13 @@ def evaluate(
     sides = [side for pair in found for side in (pair.pred, pair.ref) if side is not None]
     _refuse_input_as_table(table, [pairs, names, *(side.path for side in sides)])
     results = [(_try if many else _result)(pair, requested) for pair in found]
-    from accelsurf.output.evaluation import document, table_csv, table_rows
+    from accelsurf.output import evaluation_csv, evaluation_document, evaluation_rows
 
     _put(
         table,
         as_json,
-        lambda: table_csv(table_rows(results, known)),
-        lambda: document(results, known) if many else _one_pair(results[0], known),
+        lambda: evaluation_csv(evaluation_rows(results, known)),
+        lambda: evaluation_document(results, known) if many else _one_pair(results[0], known),
         lambda: _show(results, known, many),
     )
     return SOME_FAILED if any(result.failure for result in results) else 0
@@ -162,7 +151,7 @@ def _labels(text: str | None) -> IdRanges | None:
 
 def _names(path: Path | None) -> LabelTable:
 
-    return LabelTable() if path is None else label_tables.read_table(path)
+    return LabelTable() if path is None else read_label_table(path)
 
 
 def _tolerances(text: str | None) -> tuple[float, ...]:
@@ -201,7 +190,7 @@ def _pairs(pred: str | None, ref: str | None, table: Path | None) -> tuple[list[
 
 def _try(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair; an error is noted and does not stop the others."""
-    from accelsurf.output.evaluation import CaseResult
+    from accelsurf.output import CaseResult
 
     try:
         return _result(pair, requested)
@@ -214,8 +203,8 @@ def _try(pair: Pair, requested: Request) -> CaseResult:
 def _result(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair."""
     from accelsurf import io
-    from accelsurf.measure.label_metrics import LabelMap, evaluate_labels, evaluate_object
-    from accelsurf.output.evaluation import CaseResult
+    from accelsurf.measure import LabelMap, evaluate_labels, evaluate_object
+    from accelsurf.output import CaseResult
 
     if pair.pred is None or pair.ref is None:
         raise InputError(
@@ -300,7 +289,7 @@ def _put(
     if table is not None:
         write_bytes(Path(table), csv().encode())
     if as_json:
-        print(to_json(found()))
+        print(report_json(found()))
         return
     show()
     if table is not None:
@@ -309,9 +298,9 @@ def _put(
 
 def _one_pair(result: CaseResult, names: LabelTable) -> dict[str, Any]:
     """One pair for JSON: the numbers of the object, or a list of labels."""
-    from accelsurf.output.evaluation import document
+    from accelsurf.output import evaluation_document
 
-    case = document([result], names)["cases"][0]
+    case = evaluation_document([result], names)["cases"][0]
     head, said = {"pred": result.pred, "ref": result.ref}, {"notes": case["notes"]}
     found = result.agreements
     return {
@@ -322,30 +311,32 @@ def _one_pair(result: CaseResult, names: LabelTable) -> dict[str, Any]:
 
 
 def _show(results: list[CaseResult], names: LabelTable, many: bool) -> None:
-    from accelsurf.output.evaluation import notes
+    from accelsurf.output import evaluation_notes
 
     agreements = results[0].agreements if results else ()
     if many or not agreements or agreements[0].label is not None:
         _print_table(results, names, many)
     else:
-        _print_values(agreements[0].values(), notes(agreements[0]))
+        _print_values(agreements[0].values(), evaluation_notes(agreements[0]))
 
 
-def _print_values(values: Mapping[str, float | int | None], notes: Iterable[str]) -> None:
+def _print_values(
+    values: Mapping[str, float | int | None], evaluation_notes: Iterable[str]
+) -> None:
     width = max(map(len, values))
     for name, value in values.items():
         print(f"{name:{width}}  {'-' if value is None else format(value, '.6g')}")
-    for line in notes:
+    for line in evaluation_notes:
         print(f"note: {line}")
 
 
 def _print_table(results: list[CaseResult], names: LabelTable, many: bool) -> None:
-    from accelsurf.output.evaluation import notes, printed_rows, table_rows
+    from accelsurf.output import evaluation_notes, evaluation_rows, printed_rows
 
-    print(table(*printed_rows(table_rows(results, names), many)))
+    print(table(*printed_rows(evaluation_rows(results, names), many)))
     for result in results:
         where = f"{result.case}: " if many else ""
-        for line in (line for found in result.agreements for line in notes(found)):
+        for line in (line for found in result.agreements for line in evaluation_notes(found)):
             print(f"note: {where}{line}")
     if many:
         print(f"{len(results)} cases, {sum(bool(result.failure) for result in results)} failed")
@@ -353,7 +344,7 @@ def _print_table(results: list[CaseResult], names: LabelTable, many: bool) -> No
 
 def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: str | None) -> int:
     """Compare tracks with a reference; the table has a row for each frame."""
-    from accelsurf.track.scored_files import compare, open_tracks
+    from accelsurf.track import compare, open_tracks
 
     sides = [Path(name) for name in _both(pred, ref)]
     for path in sides:

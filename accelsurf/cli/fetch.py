@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, Overwrite, Switch
 from accelsurf.errors import InputError, UsageError, check_known
-from accelsurf.output.folder import OutputFolder, naming_final
+from accelsurf.output import OutputFolder, naming_final
 
 #: The scans that can be fetched.
 TABLE = Path(__file__).with_name("samples.toml")

@@ -10,14 +10,20 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from cyclopts import Parameter
 
-from accelsurf.cases.interrupts import MAX_HINT, printable
+from accelsurf.cases import MAX_HINT, printable
 from accelsurf.cli.options import FILES, run_config, settings_class
 from accelsurf.errors import InputError
-from accelsurf.evolution.records import StopReason
-from accelsurf.io import headers
-from accelsurf.io.files import naming, read_json
-from accelsurf.io.headers import FRAME_KEY, UNIT_KEY, format_of
-from accelsurf.output.document import to_json, versions
+from accelsurf.evolution import StopReason
+from accelsurf.io import (
+    FRAME_KEY,
+    UNIT_KEY,
+    format_of,
+    header_counts,
+    naming,
+    parse_header,
+    read_json,
+)
+from accelsurf.output import report_json, versions
 from accelsurf.phantoms import recipe_files
 from accelsurf.settings.catalogue import as_typed, help_of
 from accelsurf.settings.energy_terms import TERMS, image_terms
@@ -86,7 +92,7 @@ def info(
         presets = {name: preset._asdict() for name, preset in PRESETS.items()}
         for said in presets.values():
             del said["name"]
-        print(to_json({**known, "presets": presets, "config_schema": RunConfig.json_schema()}))
+        print(report_json({**known, "presets": presets, "config_schema": RunConfig.json_schema()}))
         return 0
     if topic:
         _show_topic(topic, known)
@@ -125,7 +131,7 @@ def _show_image(path: Path, as_json: bool, requested: ReadOptions) -> None:
         return
     description = _described(path, requested)
     if as_json:
-        print(to_json(description))
+        print(report_json(description))
         return
     levels, unit = description.pop("levels"), description["unit_of_the_file"] or "mm"
     for key in ("spacing", "origin"):
@@ -153,7 +159,7 @@ def _show_results(reports: Sequence[Path], as_json: bool) -> None:
     """Print the results of a folder, by their reports."""
     documents = [read_json(path) for path in reports]
     if as_json:
-        print(to_json({"results": documents}))
+        print(report_json({"results": documents}))
         return
     for path, document in zip(reports, documents, strict=True):
         print(path.name.removesuffix("_report.json"))
@@ -187,7 +193,7 @@ def _fields_of(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 def _listing(path: Path) -> list[dict[str, Any]] | None:
     """The volumes of a folder, archive or file of a format that may have several; None of other formats."""
-    from accelsurf.io.format_functions import functions_of
+    from accelsurf.io import functions_of
 
     with naming(path):
         listing = functions_of(format_of(path)).listing
@@ -197,7 +203,7 @@ def _listing(path: Path) -> list[dict[str, Any]] | None:
 def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
     """Print the volumes of a folder, a block of lines each."""
     if as_json:
-        print(to_json({"volumes": volumes}))
+        print(report_json({"volumes": volumes}))
         return
     for entry in volumes:
         phase = ", ".join(f"{name} {value}" for name, value in entry["phase"].items())
@@ -261,10 +267,10 @@ def _described(path: Path, requested: ReadOptions) -> dict[str, Any]:
         channels, time_points = lazy.layout.channels, lazy.layout.time_points
     except InputError:  # packed as a whole, or damaged: reading says which
         lazy, by_boxes = io.LazyVolume.of_array(io.read(path, options=first)), False
-        channels, time_points = headers.counts(path, first)
+        channels, time_points = header_counts(path, first)
     geometry, layout = lazy.geometry, lazy.layout
     seconds = lazy.metadata.get(FRAME_KEY)
-    form, header = headers.parse(path, first)
+    form, header = parse_header(path, first)
     warning = lazy.metadata.get(io.WARNING_KEY)
     if getattr(header, "are_channels_guessed", False):
         unsaid = f"nothing is said of time: {channels} volumes, which segment reads as channels and track as frames"

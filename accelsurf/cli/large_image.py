@@ -9,25 +9,23 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
-from accelsurf.batch.admission import Limits
-from accelsurf.cases.watcher import Watcher
+from accelsurf.batch import Limits
+from accelsurf.cases import Watcher
 from accelsurf.cli.options import FILES
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.image.volume import Volume
-from accelsurf.io.channels import count_values
-from accelsurf.io.headers import is_store, split_name
-from accelsurf.io.lazy_volume import LazyVolume, open_channels
-from accelsurf.large.fitting_level import fitting_level
-from accelsurf.output.folder import OutputFolder
-from accelsurf.run.memory import allowed_bytes, run_bytes
+from accelsurf.io import LazyVolume, count_values, is_store, open_channels, split_name
+from accelsurf.large import fitting_level
+from accelsurf.output import OutputFolder
+from accelsurf.run import allowed_bytes, run_bytes
 from accelsurf.settings.file_formats import image_format
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.cases.case import Compute, Log
-    from accelsurf.large.windowed import LargeImage
-    from accelsurf.run.result import Result
+    from accelsurf.cases import Compute, Log
+    from accelsurf.large import LargeImage
+    from accelsurf.run import Result
 
 #: Formats of label maps that are written box by box.
 STORES = ("ome.zarr", "nii")
@@ -88,8 +86,8 @@ def large_image(
     InputError
         When it cannot be read in parts.
     """
-    from accelsurf.io.format_functions import functions_of
-    from accelsurf.run.memory import run_bytes
+    from accelsurf.io import functions_of
+    from accelsurf.run import run_bytes
 
     form = image_format(split_name(source)[1])
     is_level = form is not None and form.folder_marks and config.reading.given
@@ -103,7 +101,7 @@ def large_image(
             return None  # said again where it is read, with the name of the file
         if needed <= parts.allowed_bytes:
             return None
-    from accelsurf.large.windowed import LargeImage
+    from accelsurf.large import LargeImage
 
     paths = (source, *map(Path, config.channel))
     channels = [channel for path in paths for channel in open_channels(path, config.reading)]
@@ -166,7 +164,7 @@ def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
     """
 
     def compute(place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log) -> Result:
-        from accelsurf.cases.case import check_formats, evolve_at
+        from accelsurf.cases import check_formats, evolve_at
 
         read = image.channels[
             : len(image.channels) - len(config.channel)
@@ -185,8 +183,8 @@ def _in_windows(image: LargeImage) -> Compute:
     """The computation of a case in windows of its image."""
 
     def compute(place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log) -> Result:
-        from accelsurf.cases.case import state_of
-        from accelsurf.large.windowed import segment_in_windows
+        from accelsurf.cases import state_of
+        from accelsurf.large import segment_in_windows
 
         log.note_grid(image.geometry)
         log.note_written(place.image)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from accelsurf.cases.interrupts import say
+from accelsurf.cases import say
 from accelsurf.cli.options import (
     FILES,
     IMAGE,
@@ -22,13 +22,18 @@ from accelsurf.cli.options import (
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.image.grey_window import parse_window
 from accelsurf.image.volume import Volume
-from accelsurf.io import channels, split_name
-from accelsurf.io.file_set import InputFiles
-from accelsurf.io.files import write_bytes
-from accelsurf.io.formats.nifti import import_nibabel_for
-from accelsurf.io.headers import WARNING_KEY, is_store, size_question
-from accelsurf.io.lazy_volume import open_channels
-from accelsurf.output.folder import inputs_of, make_writable
+from accelsurf.io import (
+    WARNING_KEY,
+    InputFiles,
+    import_nibabel_for,
+    is_store,
+    open_channels,
+    read_channels,
+    size_question,
+    split_name,
+    write_bytes,
+)
+from accelsurf.output import inputs_of, make_writable
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.wording import voxel_text
@@ -86,7 +91,7 @@ def look(
     overwrite
         Replace a picture that exists.
     """
-    from accelsurf.output.pictures.marks import is_own_picture
+    from accelsurf.output import is_own_picture
 
     source = required(input, "IMAGE")
     shown = parse_window(window)
@@ -96,7 +101,7 @@ def look(
         raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
     volumes, grid = _read(source, level, run_config(reading).reading)
     _say_notes(volumes, source)
-    from accelsurf.output.pictures.look import look_png  # loads modules that draw
+    from accelsurf.output import look_png  # loads modules that draw
 
     geometry = volumes[0].geometry
     place = None if at is None else typed_place(at, grid)
@@ -125,7 +130,7 @@ def _say_notes(volumes: list[Volume], source: Path) -> None:
 
 def _met(volume: Volume, at: Sequence[float] | None, labels: NDArray[Any] | None) -> str:
     """The place where the slices meet, as options take it."""
-    from accelsurf.output.pictures.look import voxel_shown
+    from accelsurf.output import voxel_shown
 
     voxel = voxel_shown(volume.geometry, at, labels)
     return place_text(volume.geometry.index_to_world(voxel).tolist(), volume.geometry)
@@ -169,7 +174,7 @@ def _read(source: Path, level: int | None, requested: ReadOptions) -> tuple[list
 
     import_nibabel_for(source)
     if level is None and not is_store(source):
-        volumes = channels.read_channels(source, requested)
+        volumes = read_channels(source, requested)
         return volumes, volumes[0].geometry
     opened = open_channels(source, replace(requested, level=level or 0))
     layout = opened[0].layout

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from accelsurf.cases.watcher import Watcher
+from accelsurf.cases import Watcher
 from accelsurf.cli.options import (
     FILES,
     WITHOUT_FILES,
@@ -22,21 +22,16 @@ from accelsurf.cli.options import (
     settings_class,
 )
 from accelsurf.errors import InputError, UsageError
-from accelsurf.evolution.records import Stop
-from accelsurf.io.file_set import refuse_unfinished
-from accelsurf.io.headers import format_of, name_of
-from accelsurf.output.folder import inputs_of, refuse_existing
-from accelsurf.output.given_image import GivenImage
-from accelsurf.output.reports import report_name
+from accelsurf.evolution import Stop
+from accelsurf.io import format_of, image_name, refuse_unfinished
+from accelsurf.output import GivenImage, inputs_of, refuse_existing, report_name
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.wording import shown
 
 if TYPE_CHECKING:
-    from accelsurf.run.result import Result
-    from accelsurf.run.run import Run
-    from accelsurf.viewer.movie_file import MovieSettings
-    from accelsurf.viewer.scene.scene import Scene
+    from accelsurf.run import Result, Run
+    from accelsurf.viewer import MovieSettings, Scene
 
 MOVIE = Group("Movie", sort_key=0)
 #: It draws the run; ``color`` is the quantity that colours surfaces.
@@ -116,9 +111,9 @@ def movie(
     preview
         Write one PNG of the last step, or of the result in a folder, instead of a movie.
     """
-    from accelsurf.output.pictures import movies
-    from accelsurf.run.run import Run
-    from accelsurf.viewer import movie_file
+    from accelsurf.output import write_png
+    from accelsurf.run import Run
+    from accelsurf.viewer import MovieSettings, picture_of_result, result_in_folder, scene_of_run
 
     look, display = look or Look(), display or Display()
     source, target = required(input, "INPUT"), required(output, "-o FILE, the movie,")
@@ -127,13 +122,11 @@ def movie(
         raise UsageError(
             f"--color: {look.color} was given for a result, which has none", "give its image"
         )
-    movie_settings = movie_file.MovieSettings(
-        look.every, look.fps, look.orbit, look.hold, _size(look.size)
-    )
+    movie_settings = MovieSettings(look.every, look.fps, look.orbit, look.hold, _size(look.size))
     given, run_settings = _source(source, settings, config)
     image = given.path
     if target.is_dir():
-        target /= f"{name_of(image)}_movie.{'png' if preview else 'mp4'}"
+        target /= f"{image_name(image)}_movie.{'png' if preview else 'mp4'}"
     if isinstance(run_settings, TrackConfig):
         _refuse_with_tracks(look, preview, reference)
     _check_target(target, preview, movie_settings.size)
@@ -146,12 +139,12 @@ def movie(
         return 0
     volume, *more = given.read("run accelsurf segment again")
     shown = look.theme, look.color, look.view, movie_settings.size, look.planes
-    scene = movie_file.scene_of_run(volume, run_settings, reference, *shown)
+    scene = scene_of_run(volume, run_settings, reference, *shown)
     drawn: Run | Result
     try:
         if on_disk:
-            drawn, kind = movie_file.result_in_folder(source, volume, more), "picture"
-            movies.write_png(target, movie_file.picture_of_result(drawn, scene))
+            drawn, kind = result_in_folder(source, volume, more), "picture"
+            write_png(target, picture_of_result(drawn, scene))
         else:
             with watcher.watch(image.name, run_settings.max_steps, "writing the steps so far"):
                 drawn = Run(volume, run_settings, None, more)
@@ -168,15 +161,15 @@ def movie(
 
 def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
     """Refuse a file that cannot be written here, before anything is computed."""
-    from accelsurf.output.pictures import movies
+    from accelsurf.output import MOVIE_FORMATS, check_target
 
     if not preview:
         if target.suffix.lower() == ".png":
-            formats = ", ".join(movies.FORMATS)
+            formats = ", ".join(MOVIE_FORMATS)
             raise UsageError(
                 f"{target.name}: .png was given, expected {formats}", "or add --preview"
             )
-        movies.check_target(target, size)
+        check_target(target, size)
     elif target.suffix.lower() != ".png":
         raise UsageError(
             f"{target.name}: {target.suffix or 'no suffix'} was given, expected .png with --preview",
@@ -200,16 +193,14 @@ def _refuse_with_tracks(look: Look, preview: bool, reference: Path | None) -> No
 
 def _movie_of_tracks(folder: Path, given: GivenImage, config: TrackConfig, target: Path) -> int:
     """Write the movie of the tracks in a folder; return how many frames it has."""
-    from accelsurf.track.output import slices
-    from accelsurf.track.output.surfaces import SavedTracks
-    from accelsurf.track.track import open_sequence
-    from accelsurf.viewer import movie_file
+    from accelsurf.track import PANELS, SavedTracks, open_sequence, write_track_movie
+    from accelsurf.viewer import report_in
 
     given.check_files("run accelsurf track again")
-    name = movie_file.report_in(folder).path.name.removesuffix(report_name(""))
+    name = report_in(folder).path.name.removesuffix(report_name(""))
     saved = SavedTracks(folder, name, open_sequence(given.path, config))
     tracks = saved.track_set()
-    slices.write_movie(tracks, target, slices.PANELS if saved.has_predictions else ("corrected",))
+    write_track_movie(tracks, target, PANELS if saved.has_predictions else ("corrected",))
     return len(tracks.rows)
 
 
@@ -227,7 +218,7 @@ def _source(
     source: Path, settings: Any, config: Path | None
 ) -> tuple[GivenImage, RunConfig | TrackConfig]:
     """Image and settings of the run; those in the report if the source is a folder of results, else as given."""
-    from accelsurf.viewer import movie_file
+    from accelsurf.viewer import run_of_folder
 
     if source.is_dir() and not any(source.glob("*_report.json")):
         refuse_unfinished(source)
@@ -241,21 +232,21 @@ def _source(
             f"--{name} was given for a folder of results, whose report has the settings",
             "leave it out, or give the image instead of the folder",
         )
-    return movie_file.run_of_folder(source)
+    return run_of_folder(source)
 
 
 def _draw(
     run: Run, scene: Scene, target: Path, movie: MovieSettings | None, watcher: Watcher
 ) -> str:
     """Run to the end; write the movie, or without its settings a picture of the last step; describe the file."""
-    from accelsurf.output.pictures import movies
-    from accelsurf.viewer import movie_file
+    from accelsurf.output import write_movie, write_png
+    from accelsurf.viewer import last_picture, movie_pictures
 
     if movie is None:
-        movies.write_png(target, movie_file.last_picture(run, scene, watcher.on_step))
+        write_png(target, last_picture(run, scene, watcher.on_step))
         return "picture"
-    count = movies.write_movie(
-        target, movie_file.pictures(run, scene, movie, watcher.on_step), movie.size, movie.fps
+    count = write_movie(
+        target, movie_pictures(run, scene, movie, watcher.on_step), movie.size, movie.fps
     )
     return f"{count} frames, {count / movie.fps:.1f} s"
 

@@ -13,22 +13,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from accelsurf import io
-from accelsurf.batch.run import SOME_FAILED
-from accelsurf.cases.interrupts import Interrupts
-from accelsurf.cases.outcome import file_lines
+from accelsurf.batch import SOME_FAILED
+from accelsurf.cases import Interrupts, file_lines
 from accelsurf.errors import OutputError
-from accelsurf.io.files import write_bytes
-from accelsurf.output import document, group_files, tables
-from accelsurf.output.document import describe_input, describe_staged
-from accelsurf.output.folder import OutputFolder, naming_final
-from accelsurf.output.reports import is_named_as_output
-from accelsurf.run.ensemble import overall_stop
+from accelsurf.io import write_bytes
+from accelsurf.output import (
+    OutputFolder,
+    build_report,
+    describe_input,
+    describe_staged,
+    is_named_as_output,
+    naming_final,
+    not_of_groups,
+    objects_csv,
+    report_json,
+)
+from accelsurf.run import overall_stop
 
 if TYPE_CHECKING:
     from accelsurf.cli.options import Display
-    from accelsurf.io.file_set import FileSet
-    from accelsurf.large.windowed import LargeImage
-    from accelsurf.output.group_files import GroupRecord
+    from accelsurf.io import FileSet
+    from accelsurf.large import LargeImage
+    from accelsurf.output import GroupRecord
     from accelsurf.settings.run_config import RunConfig
 
 _BEGIN_ANEW = "add --overwrite in place of --resume, to begin anew"
@@ -98,16 +104,16 @@ def write_outputs(
             **_link_meshes(done, files, place.name),
         }
         _write_labels(files.staging / names["labels"], image, done)
-        write_bytes(files.staging / names["objects"], tables.objects_csv(rows).encode())
+        write_bytes(files.staging / names["objects"], objects_csv(rows).encode())
         outputs = describe_staged(files, kinds)
         contents = _report(place, config, image, done, rows) | {
             "exit_code": code,
             "outputs": outputs,
         }
         report = place.report.name
-        write_bytes(files.staging / report, f"{document.to_json(contents)}\n".encode())
+        write_bytes(files.staging / report, f"{report_json(contents)}\n".encode())
         place.commit(files)
-    if not (done.failures or group_files.not_of_groups(done.folder)):
+    if not (done.failures or not_of_groups(done.folder)):
         shutil.rmtree(done.folder, ignore_errors=True)
     if not display.quiet:
         _print_summary(place, done, rows, outputs)
@@ -170,7 +176,7 @@ def _report(
     rows: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """The report, but for its outputs and the exit code."""
-    contents = document.build(
+    contents = build_report(
         status="failed" if done.failures else "ok",
         exit_code=0,
         argv=sys.argv,

@@ -12,30 +12,32 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from accelsurf.batch.pool import Ended, Job, Pool
-from accelsurf.cases.interrupts import Interrupts, resuming_command
+from accelsurf.batch import Ended, Job, Pool
+from accelsurf.cases import Interrupts, resuming_command
 from accelsurf.cli import large_image
 from accelsurf.cli.large_image import ObjectOptions
 from accelsurf.cli.object_outputs import ObjectsDone, write_outputs
 from accelsurf.cli.options import Display
 from accelsurf.cli.progress import BatchProgress
 from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.io.file_set import is_unfinished, refuse_links
-from accelsurf.io.memory import available_cores
-from accelsurf.output import group_files
-from accelsurf.output.folder import EACH, OutputFolder
-from accelsurf.output.reports import had_settings, load_report
+from accelsurf.io import available_cores, is_unfinished, refuse_links
+from accelsurf.output import (
+    EACH,
+    OutputFolder,
+    had_settings,
+    load_report,
+    not_of_groups,
+    read_group,
+    write_group,
+    write_near,
+)
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
 
 if TYPE_CHECKING:
-    from accelsurf.large.group_run import Boxes
-    from accelsurf.large.group_run import Group as Places
-    from accelsurf.large.many_objects import Groups
-    from accelsurf.large.object_starts import ManyStarts
-    from accelsurf.large.whole_image import Numbers
-    from accelsurf.large.windowed import LargeImage
-    from accelsurf.output.group_files import GroupRecord
+    from accelsurf.large import Boxes, Groups, LargeImage, ManyStarts, Numbers
+    from accelsurf.large import Group as Places
+    from accelsurf.output import GroupRecord
 
 #: Settings without effect on the files of a group.
 _WITHOUT_EFFECT = ("threads", "checkpoint", "format")
@@ -96,17 +98,15 @@ def run_task(task: GroupTask) -> GroupEnd:
     ----------
     task : GroupTask
     """
-    from accelsurf.large.group_run import MeetsOthers, TooLarge, run_group
-    from accelsurf.large.many_objects import failure_text
-    from accelsurf.large.windowed import LargeRun
+    from accelsurf.large import LargeRun, MeetsOthers, TooLarge, failure_text, run_group
 
     large = LargeRun(task.image, task.image.whole(task.config, task.numbers), task.config)
     try:
         starts = task.starts.made(range(len(task.starts.ids)))
         result = run_group(large, starts, task.others)
-        group_files.write_group(task.folder, result, task.names, task.config.mesh_space)
+        write_group(task.folder, result, task.names, task.config.mesh_space)
     except MeetsOthers as near:
-        group_files.write_near(task.folder, [task.other_ids[place] for place in near.places])
+        write_near(task.folder, [task.other_ids[place] for place in near.places])
     except (AccelsurfError, MemoryError) as error:
         return GroupEnd(failure_text(error), isinstance(error, TooLarge))
     return GroupEnd()
@@ -137,7 +137,7 @@ def run_objects(
     AccelsurfError
         When nothing can be run, or not be written.
     """
-    from accelsurf.large.group_run import check_settings
+    from accelsurf.large import check_settings
 
     config = large_image.settings_in_windows(place, config)
     check_settings(config)
@@ -167,7 +167,7 @@ def _work_folder(place: OutputFolder, resume: bool) -> Path:
     work = (place.path / f".{place.name}_objects").absolute()
     refuse_links(work, "remove the link, or choose another folder with -o")
     replace(place, resume=resume).refuse_left(work)
-    if others := group_files.not_of_groups(work):
+    if others := not_of_groups(work):
         raise OutputError(f"{others[0]}: no run has left it there", "move it away")
     if work.is_dir() and not resume:
         shutil.rmtree(work)
@@ -188,8 +188,7 @@ class _Work:
         options: ObjectOptions,
         folder: Path,
     ) -> None:
-        from accelsurf.large.many_objects import Groups, many_starts, numbers_needed
-        from accelsurf.large.windowed import notes_of
+        from accelsurf.large import Groups, many_starts, notes_of, numbers_needed
 
         jobs = options.jobs or 1
         self._options, self._whole_image = options, image
@@ -235,7 +234,7 @@ class _Work:
         """Run the groups that wait, and record how they ended."""
         groups = {f"{number}-{place}": group for place, group in enumerate(self._groups.waiting)}
         for key, group in groups.items():
-            record = group_files.read_group(self._folder_of(group))
+            record = read_group(self._folder_of(group))
             if record is None:
                 pool.submit(Job(key, self._task(group)))
             else:
@@ -263,7 +262,7 @@ class _Work:
         may_have_more = not alone and self._whole_image.max_bytes > self._image.max_bytes
         if event.failure is None and event.value.too_large and may_have_more:
             return False
-        record = None if failure else group_files.read_group(self._folder_of(group))
+        record = None if failure else read_group(self._folder_of(group))
         if record is not None:
             self._put(group, record, progress)
             return True
@@ -310,10 +309,10 @@ class _Work:
         )
 
     def _pool(self) -> Pool:
-        from accelsurf.batch.pool import InlinePool, LocalPool
+        from accelsurf.batch import InlinePool, LocalPool
 
         if self._options.scheduler is not None:
-            from accelsurf.batch.dask_pool import DaskPool
+            from accelsurf.batch import DaskPool
 
             return DaskPool(run_task, self._options.scheduler)
         jobs = self._options.jobs or 1

@@ -7,12 +7,11 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from accelsurf.cases.interrupts import MAX_ERROR, printable, say
-from accelsurf.cases.watcher import Bar, print_json, shown_kind
+from accelsurf.cases import MAX_ERROR, Bar, print_json, printable, say, shown_kind
 from accelsurf.cli.options import Display
 
 if TYPE_CHECKING:
-    from accelsurf.batch.outcome import Outcome
+    from accelsurf.batch import Outcome
 
 #: Said where all are compiled.
 COMPILING_ALL = "compiling kernels, once: about a minute"

@@ -9,26 +9,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter, Token
 
-from accelsurf.cases.interrupts import Interrupts, resuming_command
-from accelsurf.cases.watcher import Watcher
+from accelsurf.cases import Interrupts, Watcher, resuming_command
 from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.io import sha256
-from accelsurf.io.file_set import refuse_unfinished
-from accelsurf.output.folder import OutputFolder
-from accelsurf.output.given_image import GivenImage
-from accelsurf.output.reports import Report
+from accelsurf.io import refuse_unfinished, sha256
+from accelsurf.output import GivenImage, OutputFolder, Report
 from accelsurf.settings.corrections import Correction, click_by_click, corrections_in_order
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.cases.case import Finished, Log
-    from accelsurf.cases.watcher import Watcher
-    from accelsurf.interact.state_file import StateFile
-    from accelsurf.output.folder import OutputFolder
-    from accelsurf.output.given_image import GivenImage
-    from accelsurf.output.reports import Report
-    from accelsurf.run.result import Result
+    from accelsurf.cases import Finished, Log, Watcher
+    from accelsurf.interact import StateFile
+    from accelsurf.output import GivenImage, OutputFolder, Report
+    from accelsurf.run import Result
 
 _STATE = "segment writes a state with clicks, and with --keep-state yes"
 _OTHER = "give that of the run with --image FILE, or run accelsurf segment again"
@@ -183,7 +176,7 @@ def refine(
             strict,
             display,
         )
-    from accelsurf.cases.case import run_case
+    from accelsurf.cases import run_case
 
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
     folder = source.report.path.parent if output is None else output
@@ -214,7 +207,7 @@ def _mend(
     display: Display | None,
 ) -> int:
     """Mend a label map; the outputs are the same as of a run that begins with it."""
-    from accelsurf.cases.case import run_case
+    from accelsurf.cases import run_case
 
     if other is not None:
         raise UsageError(
@@ -240,9 +233,8 @@ class _CorrectedRun:
     def __call__(
         self, place: OutputFolder, config: RunConfig, watcher: Watcher, log: Log
     ) -> Result:
-        from accelsurf.cases.case import read_image
-        from accelsurf.interact.refiner import Refiner
-        from accelsurf.interact.restored import restored
+        from accelsurf.cases import read_image
+        from accelsurf.interact import Refiner, restored
 
         volume, *more = read_image(place, config, log)
         self._source.image.check([volume, *more], _OTHER)
@@ -303,7 +295,7 @@ def _source_of(path: Path, image: Path | None) -> _Source:
         raise InputError(
             f"{state_path}: is not as its report says: missing, damaged or of another run", _STATE
         )
-    from accelsurf.interact.state_file import read_state  # loads modules of a run
+    from accelsurf.interact import read_state  # loads modules of a run
 
     state = read_state(state_path)
     given = GivenImage.of_report(report.document or {}, report.path)

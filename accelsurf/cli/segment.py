@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from accelsurf.cases.watcher import Watcher
+from accelsurf.cases import Watcher
 from accelsurf.cli.large_image import ImageParts, ObjectOptions
 from accelsurf.cli.options import (
     FILES,
@@ -22,11 +22,11 @@ from accelsurf.cli.options import (
     settings_class,
 )
 from accelsurf.errors import AccelsurfError, UsageError
-from accelsurf.output.folder import OutputFolder
+from accelsurf.output import OutputFolder
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.cases.case import Compute, Finished
+    from accelsurf.cases import Compute, Finished
 
 Settings = settings_class("Settings")
 
@@ -73,7 +73,7 @@ def segment(
     if dump_config:
         print(run_config(settings, config).to_toml(), end="")
         return 0
-    from accelsurf.cases.case import report_failure
+    from accelsurf.cases import report_failure
     from accelsurf.cli.large_image import choose_computation, fits, large_image, with_level
 
     display, work = display or Display(), work or ObjectOptions()
@@ -107,10 +107,10 @@ def _run(
     profile: bool,
 ) -> int:
     """Run a case, or go on with it."""
-    from accelsurf.cases.case import run_case
+    from accelsurf.cases import run_case
 
     if resume:
-        from accelsurf.cases.case import exit_code_of_finished
+        from accelsurf.cases import exit_code_of_finished
 
         if (code := exit_code_of_finished(place, run, display.quiet)) is not None:
             return code

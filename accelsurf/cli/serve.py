@@ -7,9 +7,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from accelsurf.cases.interrupts import Interrupts, default_handling
+from accelsurf.cases import Interrupts, default_handling
 from accelsurf.errors import UsageError
-from accelsurf.serve.log import Log
+from accelsurf.serve import Log
 
 #: Packages of the extra ``serve``.
 _INSTALL = 'pip install "accelsurf[serve]"'
@@ -69,8 +69,8 @@ def serve(
         raise UsageError(f"idle_timeout: {idle_timeout:g} was given, expected 1 to 1000000 seconds")
     if not 0 <= port <= 65535:
         raise UsageError(f"port: {port} was given, expected 0 to 65535")
-    from accelsurf.serve.app import Limits
-    from accelsurf.serve.listening import serve as listen
+    from accelsurf.serve import Limits
+    from accelsurf.serve import serve as listen
 
     def show(address: str) -> None:
         print(f"{address}\nCtrl-C ends it", flush=True)

@@ -11,12 +11,8 @@ from cyclopts import Parameter
 
 from accelsurf import io
 from accelsurf.cli.options import Output, Overwrite, required
-from accelsurf.io.cells import table_text
-from accelsurf.io.file_set import FileSet
-from accelsurf.io.files import write_bytes
-from accelsurf.io.sequences.writing import SequenceWriter
-from accelsurf.output.document import describe_staged, to_json, versions
-from accelsurf.output.folder import OutputFolder, naming_final
+from accelsurf.io import FileSet, SequenceWriter, table_text, write_bytes
+from accelsurf.output import OutputFolder, describe_staged, naming_final, report_json, versions
 from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.phantoms.motions import MovingPhantom
 from accelsurf.phantoms.recipes import Recipe
@@ -103,7 +99,7 @@ def write_sequence(
     phantom: MovingPhantom | TissuePhantom, folder: Path, overwrite: bool
 ) -> dict[str, Path]:
     """Write the files of a phantom in time into a folder; they are returned by their kind."""
-    from accelsurf.track.output.document import ML
+    from accelsurf.track import ML
 
     def write(files: FileSet, paths: dict[str, Path]) -> dict[str, Any]:
         with naming_final(files):
@@ -152,6 +148,8 @@ def _written(
         with naming_final(files):
             kinds = {path.name: kind for kind, path in paths.items() if kind != "facts"}
             description |= {"versions": versions(), "outputs": describe_staged(files, kinds)}
-            write_bytes(files.staging / paths["facts"].name, (to_json(description) + "\n").encode())
+            write_bytes(
+                files.staging / paths["facts"].name, (report_json(description) + "\n").encode()
+            )
             files.commit(last=paths["facts"].name)
     return paths

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from accelsurf.cases.watcher import Watcher
+from accelsurf.cases import Watcher
 from accelsurf.cli.options import FILES, Display, File, Output, Overwrite, Switch, required
 from accelsurf.cli.track_options import FrameSettings, TrackSettings, track_config
-from accelsurf.output.folder import OutputFolder
+from accelsurf.output import OutputFolder
 from accelsurf.settings.file_formats import input_help
 
 if TYPE_CHECKING:
-    from accelsurf.cases.track_case import TrackCase, Tracked
+    from accelsurf.cases import TrackCase, Tracked
 
 SequenceFile = Annotated[
     Path | None,
@@ -67,7 +67,7 @@ def track(
     if dump_config:
         print(wanted.to_toml(), end="")
         return 0
-    from accelsurf.cases.track_case import TrackCase, run_track_case
+    from accelsurf.cases import TrackCase, run_track_case
 
     display = display or Display()
     source = required(input, "SEQUENCE")
@@ -76,7 +76,7 @@ def track(
         replace(OutputFolder.for_image(source, folder, overwrite, config), resume=resume), wanted
     )
     if resume:
-        from accelsurf.cases.case import exit_code_of_finished
+        from accelsurf.cases import exit_code_of_finished
 
         if (code := exit_code_of_finished(case.place, wanted, display.quiet)) is not None:
             return code

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from accelsurf.cases.interrupts import Interrupts
+from accelsurf.cases import Interrupts
 from accelsurf.cli.options import (
     FILES,
     SHOW,
@@ -33,8 +33,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
-    from accelsurf.viewer.actions.opening import Opening, ViewerSettings
-    from accelsurf.viewer.core.opening import ImageToOpen, ImageWithSession, OpenedImage
+    from accelsurf.viewer import ImageToOpen, ImageWithSession, OpenedImage, Opening, ViewerSettings
 
 Settings = settings_class("Settings")
 
@@ -153,7 +152,7 @@ def view(
 
     with loading():
         if input is not None:
-            from accelsurf.viewer.core.opening import ImageToOpen
+            from accelsurf.viewer import ImageToOpen
 
             asked = ImageToOpen(input, made, reference, tracks, times).of_result()
             made, tracks, times = asked.config, asked.tracks, asked.times
@@ -162,8 +161,7 @@ def view(
     first = waiting[0]() if waiting else None
     with ExitStack() as stack:
         opening = _opening(made, viewer.recent, page)
-        from accelsurf.viewer.actions.opening import ViewerSettings
-        from accelsurf.viewer.core.opening import ImageWithSession
+        from accelsurf.viewer import ImageWithSession, ViewerSettings
 
         settings = ViewerSettings(output, viewer.theme, overwrite, viewer.keep)
         session = None
@@ -197,9 +195,7 @@ def _check_given(
 
 def _opening(config: RunConfig, recent: bool, page: PageOptions) -> Opening:
     """Return the opener of images: for a page only of its folder, and for other machines without recent files."""
-    from accelsurf.viewer.actions.opening import Opening
-    from accelsurf.viewer.core.opening import ServedFolder
-    from accelsurf.viewer.core.recent_files import RecentFiles, recent_file
+    from accelsurf.viewer import Opening, RecentFiles, ServedFolder, recent_file
 
     listed = RecentFiles(recent_file() if recent and _is_local(page) else None)
     if not page.browser:
@@ -219,12 +215,12 @@ def _is_local(page: PageOptions) -> bool:
 
 def load_viewer() -> None:
     """Load the libraries with which window and page draw; it takes seconds."""
-    import accelsurf.viewer.actions.opening  # noqa: F401
+    from accelsurf.viewer import Opening  # noqa: F401 (with it the libraries)
 
 
 def _load_window() -> None:
     """Load Qt, which may be done only where it can open a window."""
-    import accelsurf.viewer.window.main_window  # noqa: F401
+    from accelsurf.viewer import MainWindow  # noqa: F401 (with it Qt)
 
 
 def front_end(page: PageOptions, begin: Callable[[], None]) -> PageOptions:
@@ -246,8 +242,13 @@ def front_end(page: PageOptions, begin: Callable[[], None]) -> PageOptions:
     GraphicsError
         When a screen, driver or package is missing.
     """
-    from accelsurf.viewer.scene.headless import require_graphics
-    from accelsurf.viewer.window import display
+    from accelsurf.viewer import (
+        INSTALL_WINDOW,
+        has_page_packages,
+        lacks_window_packages,
+        require_display,
+        require_graphics,
+    )
 
     def meanwhile() -> None:
         begin()
@@ -260,17 +261,17 @@ def front_end(page: PageOptions, begin: Callable[[], None]) -> PageOptions:
                 raise UsageError(
                     f"{name} was given for a window", "it has an effect with --browser only"
                 )
-        lack = display.lacks_window_packages()
-        if not lack or not display.has_page_packages():
-            display.require_display(meanwhile)
+        lack = lacks_window_packages()
+        if not lack or not has_page_packages():
+            require_display(meanwhile)
             _load_window()
             return page
         print(
-            f"note: {lack} ({display.INSTALL}); a page in the browser opens instead",
+            f"note: {lack} ({INSTALL_WINDOW}); a page in the browser opens instead",
             file=sys.stderr,
         )
-    elif not display.has_page_packages():
-        raise UsageError("browser: trame is not installed", display.INSTALL)
+    elif not has_page_packages():
+        raise UsageError("browser: trame is not installed", INSTALL_WINDOW)
     meanwhile()
     require_graphics()
     return replace(page, browser=True)
@@ -284,8 +285,7 @@ def open_window(opening: Opening, first: ImageWithSession | None, settings: View
     AccelsurfError
         With the fault in the settings of that run.
     """
-    from accelsurf.viewer.window.desktop import application
-    from accelsurf.viewer.window.main_window import MainWindow
+    from accelsurf.viewer import MainWindow, application
 
     app = application()
     window = MainWindow(opening, settings)
@@ -326,8 +326,7 @@ def _serve(
     import threading
     import webbrowser
 
-    from accelsurf.viewer.page.guard import LOCAL
-    from accelsurf.viewer.page.page import serve
+    from accelsurf.viewer import LOCAL, serve
 
     def show_address(address: str) -> None:
         print(f"{address}\nCtrl-C ends it", flush=True)

@@ -79,13 +79,13 @@ def _made_for() -> str:
 
 def small_runs() -> dict[str, Callable[[], Any]]:
     """Return runs by name, that together call every kernel: segmentations and trackings."""
-    from accelsurf.api import warmup as segmentations
-    from accelsurf.track import track
+    from accelsurf.api import small_segmentations
+    from accelsurf.track import warm_up
 
     return {
-        **segmentations.small_runs(),
+        **small_segmentations(),
         "windows": _in_windows,
-        "tracking": track.warm_up,
+        "tracking": warm_up,
     }
 
 
@@ -93,8 +93,8 @@ def _in_windows() -> None:
     """Runs on images that are read in parts, of floats and of integers."""
     import numpy as np
 
-    from accelsurf.api.warmup import MIDDLE, START, ball
-    from accelsurf.large.windowed import LargeImage, segment_in_windows
+    from accelsurf.api import MIDDLE, START, ball
+    from accelsurf.large import LargeImage, segment_in_windows
 
     image = ball()
     config = RunConfig(start=f"ball:{MIDDLE},{START}vox", max_steps=2, levels=1)

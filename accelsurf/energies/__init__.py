@@ -5,53 +5,6 @@ The loop calls, in this order: `start` once with the first surface; at each step
 and the ``..._at_front`` functions are for energies of your own.
 """
 
-from accelsurf.energies.chan_vese import ChanVese, LocalRegion
-from accelsurf.energies.energy import Energy
-from accelsurf.energies.front_samples import (
-    normals_at_front,
-    points_at_front,
-    sample_at_front,
-    slope_at_front,
-)
-from accelsurf.energies.geodesic import Geodesic, edge_contrast, edge_indicator
-from accelsurf.energies.image_energy import AreaTerm, ImageEnergy, RegionField
-from accelsurf.energies.likelihood import (
-    Gaussian,
-    GaussianLikelihood,
-    HistogramLikelihood,
-    Parzen,
-    gaussian_of,
-)
-from accelsurf.energies.region_sums import MomentTracker, RegionMoments
-from accelsurf.energies.threshold import Threshold
-from accelsurf.energies.user_energy import CheckedEnergy
-from accelsurf.energies.weighted_sum import Area, Balloon, BetweenFrames, WeightedSum
+import lazy_loader
 
-__all__ = [
-    "Area",
-    "AreaTerm",
-    "Balloon",
-    "BetweenFrames",
-    "ChanVese",
-    "CheckedEnergy",
-    "Energy",
-    "Gaussian",
-    "GaussianLikelihood",
-    "Geodesic",
-    "HistogramLikelihood",
-    "ImageEnergy",
-    "LocalRegion",
-    "Parzen",
-    "RegionField",
-    "MomentTracker",
-    "RegionMoments",
-    "Threshold",
-    "WeightedSum",
-    "edge_contrast",
-    "edge_indicator",
-    "gaussian_of",
-    "normals_at_front",
-    "points_at_front",
-    "sample_at_front",
-    "slope_at_front",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

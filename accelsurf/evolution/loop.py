@@ -15,12 +15,16 @@ from accelsurf.evolution.convergence import stalled, surface_is_gone
 from accelsurf.evolution.records import Reason, Step, StepFields, StepRecord, Stop, StopReason
 from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import COLUMNS, MASS_COLUMNS, Checkpoint, LoopState, Slowest
-from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan
-from accelsurf.flows.protocol import voxel_rates
+from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan, voxel_rates
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.pyramid import Level
-from accelsurf.levelset import LevelSet, Motion, checkpoint_surface, restore_surface
-from accelsurf.levelset.transfer import transfer_fields
+from accelsurf.levelset import (
+    LevelSet,
+    Motion,
+    checkpoint_surface,
+    restore_surface,
+    transfer_fields,
+)
 
 
 class Evolution:

@@ -11,8 +11,7 @@ from accelsurf.energies import Energy
 from accelsurf.evolution.records import Reason
 from accelsurf.evolution.state import LoopState, LowestState
 from accelsurf.flows import Flow
-from accelsurf.levelset import LevelSet
-from accelsurf.levelset.checkpoint import band_state, complete_state
+from accelsurf.levelset import LevelSet, band_state, complete_state
 
 #: A run goes back when this number of steps has found no lower potential and the surface has moved away since:
 #: benchmarks/notes/steps-and-stop.md, "Lowest energy".

@@ -17,8 +17,7 @@ from accelsurf.evolution.records import StepFields, StepRecord
 from accelsurf.evolution.state import FoundPlateau, LoopState, PlateauWatch, Slowest
 from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
-from accelsurf.levelset import LevelSet
-from accelsurf.levelset.checkpoint import band_state, complete_state, psi_of
+from accelsurf.levelset import LevelSet, band_state, complete_state, psi_of
 
 # The numbers come from leaks of organs in CT: benchmarks/notes/quality.md, "When it rests, when it breaks through".
 #: Steps that the speed is a mean over.

@@ -8,8 +8,7 @@ from typing import NamedTuple
 from accelsurf.energies import Energy
 from accelsurf.evolution.convergence import Restart, StopRule
 from accelsurf.flows import Flow, StepLimits
-from accelsurf.levelset import LevelSet
-from accelsurf.levelset.extension import CLOSEST_POINT
+from accelsurf.levelset import CLOSEST_POINT, LevelSet
 
 #: A number of (surface, energy, flow) at the beginning of a step, which changes none of them.
 Measure = Callable[[LevelSet, Energy, Flow], float]

@@ -16,8 +16,7 @@ from accelsurf.energies import Energy
 from accelsurf.evolution.records import StepFields, StepRecord, Stop, without_costs
 from accelsurf.flows import EnergyRates, Flow
 from accelsurf.grid.boxes import Corner
-from accelsurf.levelset import LevelSet, Snapshot, SurfaceState
-from accelsurf.levelset.checkpoint import restore_surface
+from accelsurf.levelset import LevelSet, Snapshot, SurfaceState, restore_surface
 
 #: Those columns of the trace that the flow's mass gives, and all that the budget gives.
 MASS_COLUMNS = ("mass_potential", "mass", "mass_correction", "clamped_fraction")

@@ -7,11 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.evolution import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, corner_of, counted_from
-from accelsurf.run.preprocessing import PreprocessedInput
-from accelsurf.run.result import EarlierProbability, Result, SegmentedObject
-from accelsurf.run.start import AROUND
+from accelsurf.run import AROUND, EarlierProbability, PreprocessedInput, Result, SegmentedObject
 from accelsurf.settings.flow_specs import AUTO
 from accelsurf.settings.run_config import RunConfig
 

@@ -10,19 +10,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model.confidence import Confidence
-from accelsurf.clicks.voxels import clicked_voxels, on_image
-from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.clicks import Confidence, clicked_voxels, on_image
+from accelsurf.evolution import StepRecord, Stop
 from accelsurf.grid.boxes import box_at, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT
 from accelsurf.grid.window import Window
-from accelsurf.run.checkpoint_file import CheckpointFile
-from accelsurf.run.evolving_object import EvolvingObject
-from accelsurf.run.late_growth import LateLeakage, nearest_inside
-from accelsurf.run.region_of_interest import closed_on, cropped
-from accelsurf.run.result import Result, RunState, SegmentedObject, plateaus_of
-from accelsurf.run.run import AROUND, Run
-from accelsurf.run.setup import half_width, stop_rule
+from accelsurf.run import (
+    AROUND,
+    CheckpointFile,
+    EvolvingObject,
+    LateLeakage,
+    Result,
+    Run,
+    RunState,
+    SegmentedObject,
+    closed_on,
+    cropped,
+    half_width,
+    nearest_inside,
+    plateaus_of,
+    stop_rule,
+)
 from accelsurf.settings.flow_specs import AUTO
 
 #: Called with each record and the id of its object; a true value ends the run or the correction.

@@ -23,9 +23,8 @@ from accelsurf.grid.clicks import Click
 from accelsurf.interact.finished import OnObjectStep, finished
 from accelsurf.interact.refine import beginning_with
 from accelsurf.interact.refiner import Change, Refiner
-from accelsurf.io.library_images import ImageLike, array_of, as_volume
-from accelsurf.run.result import Result
-from accelsurf.run.run import Run
+from accelsurf.io import ImageLike, array_of, as_volume
+from accelsurf.run import Result, Run
 from accelsurf.settings import budgets
 from accelsurf.settings.corrections import Correction, corrections_of
 from accelsurf.settings.run_config import RunConfig

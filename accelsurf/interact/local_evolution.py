@@ -9,13 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.kernels.distance import distances_within
-from accelsurf.energies import Energy
-from accelsurf.energies.constraints.clicks import ClickConstraint
-from accelsurf.evolution.loop import Evolution
-from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.evolution.setup import SolverSetup
-from accelsurf.evolution.state import LoopState
+from accelsurf.clicks import distances_within
+from accelsurf.energies import ClickConstraint, Energy
+from accelsurf.evolution import Evolution, LoopState, SolverSetup, StepRecord, Stop
 from accelsurf.grid.arrays import Spacing
 from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.grid.click_bounds import ClickBounds
@@ -25,7 +21,7 @@ from accelsurf.interact.finished import OnObjectStep
 from accelsurf.interact.region import NearRegion, near_bounds, signed_distance, united
 from accelsurf.kernels.grid import Band
 from accelsurf.levelset import LevelSet, Workers
-from accelsurf.run.evolving_object import leaked_stop
+from accelsurf.run import leaked_stop
 
 #: Callback for each record; a true value ends the evolution.
 OnStep = Callable[[StepRecord], bool | None]

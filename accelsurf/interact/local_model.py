@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from accelsurf.clicks.model import ClickModel
+from accelsurf.clicks import ClickModel
 from accelsurf.grid.arrays import Mask, Singles, Spacing
 from accelsurf.grid.boxes import Box, box_at, connected_to, counted_from, enclosing, on_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.interact.corrected_surface import CorrectedSurface
 from accelsurf.interact.region import around_clicks, automatic_near
-from accelsurf.run.image_context import ImageContext
+from accelsurf.run import ImageContext
 
 #: Spacing, in smallest spacings, from which a slice is as thick as two voxels.
 _THICK_SLICES = 2.0

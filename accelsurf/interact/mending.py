@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies import Energy, RegionField
-from accelsurf.energies.constraints.mask import MaskConstraint, mask_distance
+from accelsurf.energies import Energy, MaskConstraint, RegionField, mask_distance
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.arrays import Mask, Spacing
 from accelsurf.grid.boxes import (
@@ -44,8 +43,7 @@ from accelsurf.interact.local_evolution import (
 from accelsurf.interact.models import ids_text
 from accelsurf.interact.objects import CorrectedObjects
 from accelsurf.interact.region import NearRegion
-from accelsurf.run.result import BoxMask
-from accelsurf.run.setup import correction_rule, half_width, setup_of
+from accelsurf.run import BoxMask, correction_rule, half_width, setup_of
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.toml import volume_mm3
 

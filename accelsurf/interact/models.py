@@ -10,18 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model import ClickModel
-from accelsurf.clicks.model.given import GivenMask
+from accelsurf.clicks import ClickModel, GivenMask
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, corner_of, whole_box
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.interact.local_model import LocalModel, local_model
-from accelsurf.run.evolving_object import MadeEnergy
-from accelsurf.run.image_context import ImageContext, ModelInputs
-from accelsurf.run.preprocessing import PreprocessedInput
-from accelsurf.run.result import BoxMask, RunState
-from accelsurf.run.setup import energy_maker
+from accelsurf.run import (
+    BoxMask,
+    ImageContext,
+    MadeEnergy,
+    ModelInputs,
+    PreprocessedInput,
+    RunState,
+    energy_maker,
+)
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import volume_mm3

@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.constraints.clicks import ClickConstraint
-from accelsurf.energies.constraints.mask import MaskConstraint
+from accelsurf.energies import ClickConstraint, MaskConstraint
 from accelsurf.errors import InputError, UsageError
-from accelsurf.evolution.loop import Evolution
-from accelsurf.evolution.setup import SolverSetup
+from accelsurf.evolution import Evolution, SolverSetup
 from accelsurf.grid.boxes import (
     Box,
     Corner,
@@ -47,10 +45,16 @@ from accelsurf.interact.models import check_id, point_click
 from accelsurf.interact.objects import CorrectedObjects
 from accelsurf.interact.region import NearRegion, box_around
 from accelsurf.levelset import LevelSet, Workers
-from accelsurf.run.region_of_interest import closed_on, cropped
-from accelsurf.run.result import BoxMask, Result, SegmentedObject
-from accelsurf.run.setup import half_width, setup_of
-from accelsurf.run.start import AROUND
+from accelsurf.run import (
+    AROUND,
+    BoxMask,
+    Result,
+    SegmentedObject,
+    closed_on,
+    cropped,
+    half_width,
+    setup_of,
+)
 from accelsurf.settings.corrections import MAX_ID, Correction
 from accelsurf.text.clicks import point_voxels, read_point
 

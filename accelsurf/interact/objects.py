@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model import ClickModel
-from accelsurf.clicks.voxels import clicked_voxels
+from accelsurf.clicks import ClickModel, clicked_voxels
 from accelsurf.grid.boxes import Box, box_at, corner_of, counted_from, shared
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.interact.corrected_surface import (
@@ -26,15 +25,16 @@ from accelsurf.interact.local_model import LocalModel, ModelChange
 from accelsurf.interact.models import ObjectModels
 from accelsurf.interact.region import NearRegion
 from accelsurf.levelset import Workers
-from accelsurf.run.region_of_interest import closed_on, cropped
-from accelsurf.run.region_totals import RegionTotals
-from accelsurf.run.result import (
+from accelsurf.run import (
+    RegionTotals,
     Result,
     RunState,
     SegmentedObject,
+    closed_on,
+    cropped,
     earlier_probability,
+    half_width,
 )
-from accelsurf.run.setup import half_width
 from accelsurf.settings.run_config import RunConfig
 
 

@@ -10,9 +10,8 @@ from typing import Any, Literal
 from accelsurf.errors import UsageError
 from accelsurf.interact.finished import OnObjectStep, finished
 from accelsurf.interact.refiner import Refiner
-from accelsurf.io.library_images import ImageLike, as_volume, from_library
-from accelsurf.run.result import Result
-from accelsurf.run.run import Run
+from accelsurf.io import ImageLike, as_volume, from_library
+from accelsurf.run import Result, Run
 from accelsurf.settings.corrections import corrections_in_order
 from accelsurf.settings.run_config import RunConfig
 

@@ -11,12 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model.model import is_right, largest_reach
-from accelsurf.clicks.model.reach import ClickReach, farthest_from, reach_of
-from accelsurf.clicks.voxels import on_image
-from accelsurf.energies.constraints.mask import MaskConstraint
+from accelsurf.clicks import ClickReach, farthest_from, is_right, largest_reach, on_image, reach_of
+from accelsurf.energies import MaskConstraint
 from accelsurf.errors import UsageError
-from accelsurf.evolution.records import Stop
+from accelsurf.evolution import Stop
 from accelsurf.grid.boxes import Box, Corner, box_at, counted_from, on_box, tightened
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks, Side
@@ -48,12 +46,20 @@ from accelsurf.interact.region import (
     rim_width,
     within_reaches,
 )
-from accelsurf.io.memory import available_cores
+from accelsurf.io import available_cores
 from accelsurf.levelset import Workers
-from accelsurf.run.late_growth import Place
-from accelsurf.run.region_totals import RegionTotals
-from accelsurf.run.result import BoxMask, Result, SegmentedObject, earlier_probability
-from accelsurf.run.setup import correction_rule, is_maker, setup_of, window_reach
+from accelsurf.run import (
+    BoxMask,
+    Place,
+    RegionTotals,
+    Result,
+    SegmentedObject,
+    correction_rule,
+    earlier_probability,
+    is_maker,
+    setup_of,
+    window_reach,
+)
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.text.clicks import check_left, clicks_of

@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.kernels.distance import distances_within
-from accelsurf.clicks.model.reach import depth_in_wrong
+from accelsurf.clicks import depth_in_wrong, distances_within
 from accelsurf.grid.arrays import Spacing
 from accelsurf.grid.boxes import Box, box_at, corner_of, enclosing, widened
 from accelsurf.grid.click_bounds import ClickBounds

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from accelsurf.clicks.voxels import clicked_voxels, on_image
+from accelsurf.clicks import clicked_voxels, on_image
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.interact.corrected_surface import frozen_settings
@@ -21,9 +21,7 @@ from accelsurf.interact.state_file import (
     masks_of,
     surface_of,
 )
-from accelsurf.run.region_of_interest import cropped
-from accelsurf.run.result import BoxMask, EarlierProbability, Result, SegmentedObject
-from accelsurf.run.run import Run
+from accelsurf.run import BoxMask, EarlierProbability, Result, Run, SegmentedObject, cropped
 from accelsurf.settings.corrections import Correction
 from accelsurf.text.clicks import clicks_of
 

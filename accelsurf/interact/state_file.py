@@ -14,13 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.evolution.records import StepRecord, Stop, without_costs
+from accelsurf.evolution import LevelSummary, StepRecord, Stop, without_costs
 from accelsurf.grid.boxes import Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level
-from accelsurf.io import states
-from accelsurf.measure.likely import Plateau
-from accelsurf.run.result import BoxMask, Result
+from accelsurf.io import packed_state, read_state_file
+from accelsurf.measure import Plateau
+from accelsurf.run import BoxMask, Result
 from accelsurf.settings import budgets
 from accelsurf.settings.older import modern
 from accelsurf.settings.run_config import RunConfig
@@ -158,7 +157,7 @@ def state_bytes(result: Result, image: str) -> bytes:
         tuple(result.warnings),
         result.late_leakage,
     )
-    return states.to_bytes(state, TYPES)
+    return packed_state(state, TYPES)
 
 
 def read_state(path: Path) -> StateFile:
@@ -169,7 +168,7 @@ def read_state(path: Path) -> StateFile:
     InputError
         When the file cannot be read, is damaged or of another kind, or is larger than its image allows.
     """
-    return states.read_state(path, StateFile, TYPES, _checked, _AGAIN)
+    return read_state_file(path, StateFile, TYPES, _checked, _AGAIN)
 
 
 def _checked(state: StateFile) -> StateFile:

@@ -119,7 +119,7 @@ def count_values(path: Path, options: ReadOptions = AS_IT_IS) -> int:
     accelsurf.errors.InputError: there is no such file
     hint: check the path
     """
-    _, header = headers.parse(path, options)
+    _, header = headers.parse_header(path, options)
     return values_read(header, options)
 
 
@@ -213,7 +213,7 @@ def read_channels(path: str | os.PathLike[str], options: ReadOptions = AS_IT_IS)
     """
     path = Path(path)
     with naming(path):
-        form, header = headers.parse(path, options)
+        form, header = headers.parse_header(path, options)
         return _with_content(read_volumes(path, form, header, available_memory()))
 
 

@@ -57,7 +57,7 @@ FRAME_KEY = "frame_seconds"
 """Seconds from one time point of a sequence to the next; absent where the file does not say them."""
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any]:
+def parse_header(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any]:
     """Read the header of a file without its voxels; return its format and the claims of the header.
 
     Parameters
@@ -188,7 +188,7 @@ def options_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
     return () if form is None else form.options
 
 
-def counts(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[int, int]:
+def header_counts(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[int, int]:
     """Count the channels and time points of an image, by its header alone.
 
     Raises
@@ -196,7 +196,7 @@ def counts(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[int, int]:
     InputError
         As `parse`.
     """
-    _, header = parse(path, options)
+    _, header = parse_header(path, options)
     return int(getattr(header, "channels", 1)), int(getattr(header, "time_points", 1))
 
 
@@ -231,7 +231,7 @@ def is_pattern(path: Path) -> bool:
     return any(sign in path.name for sign in "*?") and not os.path.exists(path)
 
 
-def name_of(path: Path) -> str:
+def image_name(path: Path) -> str:
     """The name of an image without folder and suffix, which its outputs have; of a pattern that of the folder.
 
     Examples

@@ -68,7 +68,7 @@ def read(
     """
     path = Path(path)
     with naming(path):
-        form, header = headers.parse(path, options)
+        form, header = headers.parse_header(path, options)
         available = available_memory() if memory_bytes is None else memory_bytes
         volume: Volume = functions_of(form).read(path, header, available)
     return volume
@@ -101,7 +101,7 @@ def read_labels(
     """
     path = Path(path)
     with naming(path):
-        form, header = headers.parse(path)
+        form, header = headers.parse_header(path)
         available = available_memory() if memory_bytes is None else memory_bytes
         functions = functions_of(form)
         if functions.read_labels is not None:

@@ -46,7 +46,7 @@ _NAME_COLUMNS = ("name", "label_name")
 _HEAD = "################################################\n# ITK-SnAP Label Description File\n"
 
 
-def read_table(path: str | os.PathLike[str]) -> LabelTable:
+def read_label_table(path: str | os.PathLike[str]) -> LabelTable:
     r"""Read names and colours of labels.
 
     Parameters

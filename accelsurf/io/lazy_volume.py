@@ -304,7 +304,7 @@ def open_volume(
 def _opened(path: Path, opening: Opening) -> LazyVolume:
     """Open an image; see `open_volume`."""
     with naming(path):
-        form, header = headers.parse(path, opening.options)
+        form, header = headers.parse_header(path, opening.options)
         open_form = functions_of(form).open
         if open_form is None:
             raise InputError(
@@ -338,7 +338,7 @@ def open_channels(path: str | os.PathLike[str], options: ReadOptions) -> list[La
     path = Path(path)
     asked = options.restricted_to(headers.options_of(path))
     with naming(path):
-        places = selected(*headers.counts(path, asked), asked)
+        places = selected(*headers.header_counts(path, asked), asked)
     return [
         open_with(path, replace(asked, channels_from_time=False, time_index=t, channel_index=c))
         for t, c in places

@@ -43,7 +43,7 @@ _PLAIN: dict[Any, Any] = {
 }
 
 
-def write_state(path: Path, state: Any, types: Mapping[str, type]) -> None:
+def write_state_file(path: Path, state: Any, types: Mapping[str, type]) -> None:
     """Write a state, completely or not at all; parameters as of `to_bytes`.
 
     Raises
@@ -53,10 +53,10 @@ def write_state(path: Path, state: Any, types: Mapping[str, type]) -> None:
     TypeError
         When the state contains anything else than `to_bytes` takes.
     """
-    write_bytes(path, to_bytes(state, types))
+    write_bytes(path, packed_state(state, types))
 
 
-def read_state(
+def read_state_file(
     path: Path,
     kind: type[T],
     types: Mapping[str, type],
@@ -94,7 +94,7 @@ def read_state(
         raise InputError(f"{path}: the state is damaged ({error})", hint) from None
 
 
-def to_bytes(value: Any, types: Mapping[str, type]) -> bytes:
+def packed_state(value: Any, types: Mapping[str, type]) -> bytes:
     """Return a state as bytes, in numpy's .npz container.
 
     Parameters

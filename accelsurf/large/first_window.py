@@ -9,14 +9,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model.windows import SCALES, Scene, inscribed_radius, seed_of
+from accelsurf.clicks import SCALES, Scene, inscribed_radius, seed_of
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, enclosing, slabs, whole_box, widened
 from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import GUARD, Window
 from accelsurf.image.volume import Volume
-from accelsurf.io import meshes
+from accelsurf.io import read_mesh
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
 from accelsurf.text.clicks import KINDS, read_clicks
@@ -128,7 +128,7 @@ def _extent_of(text: str, geometry: Geometry) -> Box:
         ]
         return _around(np.array(points), text, geometry)
     if start.kind == "mesh":
-        corners = meshes.read_mesh(start.file, start.word)[0]
+        corners = read_mesh(start.file, start.word)[0]
     else:
         low, high = start.numbers[:3], start.numbers[3:]
         corners = np.array(

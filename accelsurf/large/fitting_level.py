@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.headers import options_of
-from accelsurf.io.lazy_volume import open_channels
-from accelsurf.run.memory import run_bytes
+from accelsurf.io import open_channels, options_of
+from accelsurf.run import run_bytes
 from accelsurf.settings.run_config import RunConfig
 
 

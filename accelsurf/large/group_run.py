@@ -27,17 +27,22 @@ from accelsurf.grid.boxes import (
 )
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
-from accelsurf.interact.finished import result_of
+from accelsurf.interact import result_of
 from accelsurf.large.first_window import MIN_MARGIN
 from accelsurf.large.windowed import LargeImage, LargeRun, larger
-from accelsurf.run.memory import PLAIN_BYTES, PROCESS_BYTES, bytes_text
-from accelsurf.run.region_of_interest import cropped
-from accelsurf.run.result import SegmentedObject, plateaus_on_whole
-from accelsurf.run.run import Run
-from accelsurf.run.setup import window_reach
+from accelsurf.run import (
+    PLAIN_BYTES,
+    PROCESS_BYTES,
+    Run,
+    SegmentedObject,
+    bytes_text,
+    cropped,
+    plateaus_on_whole,
+    window_reach,
+)
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts import ObjectStart
 
 #: Bytes of a voxel of an object's own box, as of a whole run: image, psi twice, an index of the band, and the band; and
 #: of a voxel of the window beside the file's own: the image as float32, the union of the starts, and a copy of either.

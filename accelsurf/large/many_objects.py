@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.grid.boxes import meeting
-from accelsurf.io.lazy_volume import LazyVolume
+from accelsurf.io import LazyVolume
 from accelsurf.large import object_starts
 from accelsurf.large.group_run import (
     Boxes,
@@ -30,10 +30,7 @@ from accelsurf.large.group_run import (
 from accelsurf.large.object_starts import LabelMap, ManyStarts
 from accelsurf.large.whole_image import Numbers, WholeImage
 from accelsurf.large.windowed import LargeImage, LargeRun
-from accelsurf.run.energy import make_term
-from accelsurf.run.image_context import ImageContext, TermInputs
-from accelsurf.run.result import SegmentedObject
-from accelsurf.run.start import AROUND
+from accelsurf.run import AROUND, ImageContext, SegmentedObject, TermInputs, make_term
 from accelsurf.settings.run_config import RunConfig
 
 #: Objects whose starts are nearer to each other than twice this many voxels are run at once from the beginning.

@@ -15,8 +15,7 @@ from accelsurf.errors import GeometryError, UsageError
 from accelsurf.grid.boxes import Box, as_corner, box_at, corner_of, slabs, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io import LazyVolume
-from accelsurf.starts.objects import ObjectStart, separated
-from accelsurf.starts.surfaces import psi_of_mask
+from accelsurf.starts import ObjectStart, psi_of_mask, separated
 from accelsurf.text.object_clicks import has_sides
 from accelsurf.text.objects import ball_box, ball_start, check_found, read_balls, whole_numbers
 from accelsurf.text.starts import parse_start

@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.filters import threshold_otsu
 
-from accelsurf.energies import Parzen
-from accelsurf.energies.likelihood import END_PERCENTILES, least_variance
-from accelsurf.energies.region_sums import Summing
+from accelsurf.energies import END_PERCENTILES, Parzen, Summing, least_variance
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, corner_of, sum_in_order, whole_box
 from accelsurf.grid.pyramid import Level, planes_of_blocks, restrict
@@ -22,10 +20,9 @@ from accelsurf.image.filters import NO_FILTERS, ImageFilters
 from accelsurf.image.noise import noise_of, noise_of_samples, sample_places
 from accelsurf.image.percentiles import FloatCounts, IntegerCounts, OrderStatistics
 from accelsurf.image.volume import naming_channel
-from accelsurf.io.lazy_volume import LazyVolume
-from accelsurf.run.image_context import Scale
-from accelsurf.run.preprocessing import SCALE_PERCENTILES, apply, check_filters, scale_between
-from accelsurf.starts.region_growing import between_means, otsu_level, sums_beside
+from accelsurf.io import LazyVolume
+from accelsurf.run import SCALE_PERCENTILES, Scale, apply_filters, check_filters, scale_between
+from accelsurf.starts import between_means, otsu_level, sums_beside
 
 #: Bytes of the float32 voxels of a slab.
 _SLAB_BYTES = 1 << 27
@@ -331,7 +328,7 @@ class WholeImage:
 
     def _scaled(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Put values on the scale, in place."""
-        return apply(values, self.scale)
+        return apply_filters(values, self.scale)
 
     def _parzen(self) -> Parzen:
         return Parzen.between(

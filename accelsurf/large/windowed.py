@@ -18,23 +18,32 @@ from accelsurf.grid.boxes import widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import GUARD, LeavesWindow, NeedsLevels, Window, aligned, enlarged
 from accelsurf.image.volume import Volume
-from accelsurf.interact.finished import OnObjectStep, finished
-from accelsurf.io import available_memory
-from accelsurf.io.lazy_volume import LazyVolume, open_with
+from accelsurf.interact import OnObjectStep, finished
+from accelsurf.io import LazyVolume, available_memory, open_with
 from accelsurf.large.first_window import first_box
 from accelsurf.large.whole_image import Numbers, WholeImage
-from accelsurf.run.arguments import split_given, with_options
-from accelsurf.run.checkpoint_file import CheckpointFile
-from accelsurf.run.memory import allowed_bytes, bytes_text, run_bytes, values_within
-from accelsurf.run.preprocessing import check_grids, filters_of
-from accelsurf.run.region_of_interest import cropped, region_of_run
-from accelsurf.run.result import Result, plateaus_on_whole
-from accelsurf.run.run import Run
-from accelsurf.run.setup import seeded
-from accelsurf.run.window_input import WindowInput, has_region
+from accelsurf.run import (
+    CheckpointFile,
+    Result,
+    Run,
+    WindowInput,
+    allowed_bytes,
+    bytes_text,
+    check_grids,
+    cropped,
+    filters_of,
+    has_region,
+    plateaus_on_whole,
+    region_of_run,
+    run_bytes,
+    seeded,
+    split_given,
+    values_within,
+    with_options,
+)
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts import ObjectStart
 
 #: Statistics of an image of more voxels are a coarser level's, where one of at most this number is stored.
 MAX_STREAMED = 1 << 31

@@ -23,8 +23,7 @@ from accelsurf.errors import EmptyResultError, InputError
 from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import bounding_box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.files import write_bytes
-from accelsurf.io.formats.surface_files import polydata
+from accelsurf.io import polydata, write_bytes
 from accelsurf.measure.surface_mesh import NODE_MARGIN, writer_for
 from accelsurf.measure.vertex_placement import balanced, on_edges
 
@@ -94,7 +93,7 @@ class Contours:
         write_bytes(Path(path), writer(tuple(loop * flip for loop in self.loops), space.upper()))
 
 
-def extract(psi: NDArray[np.float32], geometry: Geometry) -> Contours:
+def extract_contours(psi: NDArray[np.float32], geometry: Geometry) -> Contours:
     """The contours psi = 0 of an image of one slice.
 
     Parameters

@@ -85,7 +85,7 @@ class Evidence:
         return 1.0 - uncertainty
 
 
-def gather(
+def gather_evidence(
     inside: Mask, image: Image, spacing: tuple[float, float, float], clicked: Mask | None = None
 ) -> Evidence | None:
     """The evidence for the surface of a mask; None where nothing of it lies within the image.

@@ -16,7 +16,7 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 if TYPE_CHECKING:
-    from accelsurf.clicks.model import Answer
+    from accelsurf.clicks import Answer
 
 #: Radius of a correction (object's radii), Dice of the objects before and after it, and how sure the model was of the
 #: opposite, where no click has corrected a result.

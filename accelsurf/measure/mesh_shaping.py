@@ -63,7 +63,7 @@ class ShapedMesh:
     warnings: tuple[str, ...] = ()
 
 
-def shape(exact: Surface, options: MeshOptions) -> ShapedMesh:
+def shape_mesh(exact: Surface, options: MeshOptions) -> ShapedMesh:
     """Make a mesh smoother or coarser.
 
     Parameters
@@ -216,7 +216,7 @@ def decimated(surface: Surface, faces: int) -> Surface:
     The library may let a collapse join two sheets in an edge: then other ways and numbers nearby are tried.
     """
     middle = surface.vertices.mean(axis=0)
-    simplify, first = library("fast_simplification").simplify, None
+    simplify, first = mesh_library("fast_simplification").simplify, None
     for count, eagerness in itertools.product(
         (faces, faces + 2, faces - 2, faces + 6, faces - 6), EAGERNESS
     ):
@@ -247,7 +247,7 @@ def coarsest(exact: Surface, surface: Surface, error: float) -> Surface:
     return best
 
 
-def library(name: str) -> Any:
+def mesh_library(name: str) -> Any:
     """Return a package.
 
     Raises

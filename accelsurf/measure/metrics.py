@@ -34,8 +34,7 @@ from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.arrays import Floats, Mask, Spacing
 from accelsurf.grid.boxes import bounding_box, corner_of
 from accelsurf.image.volume import Volume
-from accelsurf.io import read_labels
-from accelsurf.io.library_images import ImageLike, as_volume, from_library
+from accelsurf.io import ImageLike, as_volume, from_library, read_labels
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,8 @@ from accelsurf.settings.wording import size_text, volume_text
 from accelsurf.text.coordinates import place_text
 
 if TYPE_CHECKING:
-    from accelsurf.clicks.model.confidence import Confidence
-    from accelsurf.evolution.records import StepRecord, Stop
+    from accelsurf.clicks import Confidence
+    from accelsurf.evolution import StepRecord, Stop
     from accelsurf.measure.evidence import Evidence
 
 
@@ -146,7 +146,7 @@ def _alike_note(found: Quality, inside: Mask) -> list[str]:
     """Say how many parts an answer has that was connected before the surface smoothed it."""
     if not found.answers:
         return []
-    from accelsurf.clicks.model.answers import OF_ALIKE
+    from accelsurf.clicks import OF_ALIKE
 
     box = bounding_box(inside)
     if found.answers[0].number != OF_ALIKE or box is None:
@@ -168,7 +168,7 @@ def measured(seen: Judged) -> Quality:
     first, last = (history[0].volume_mm3, history[-1].volume_mm3) if history else (0.0, 0.0)
     before = finest[max(-LAST_STEPS - 1, -len(finest))].volume_mm3 if finest else 0.0
     found, volume = (
-        places.gather(inside, image, spacing, clicked),
+        places.gather_evidence(inside, image, spacing, clicked),
         np.count_nonzero(inside) * geometry.voxel_volume,
     )
     place, uncertainty = (

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
 
-def statistics(segmented: Any, values: NDArray[Any]) -> dict[str, Any]:
+def object_statistics(segmented: Any, values: NDArray[Any]) -> dict[str, Any]:
     """Figures of an object.
 
     Parameters

@@ -23,9 +23,7 @@ from accelsurf.errors import EmptyResultError, InputError, UsageError
 from accelsurf.grid.arrays import Faces, Floats
 from accelsurf.grid.boxes import Box, bounding_box, widened
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.files import write_bytes
-from accelsurf.io.formats.glb import glb_bytes
-from accelsurf.io.formats.surface_files import obj_bytes, ply_bytes, stl_bytes, vtp_bytes
+from accelsurf.io import glb_bytes, obj_bytes, ply_bytes, stl_bytes, vtp_bytes, write_bytes
 from accelsurf.measure.vertex_placement import balanced, in_cells, on_edges
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.mesh_formats import MESH_FORMATS, Shape, mesh_formats
@@ -130,7 +128,7 @@ class Surface:
         write_bytes(Path(path), writer(self.vertices * flip, self.faces, space.upper(), label))
 
 
-def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
+def extract_surface(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
     """The surface psi = 0 as a closed mesh.
 
     The vertices lie so that the mesh encloses the volume of the surface: that of a ball of radius 2 voxels is right

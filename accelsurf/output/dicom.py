@@ -9,16 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.io.dicom.segmentation import Algorithm, segmentation_bytes
-from accelsurf.io.dicom.source_images import SourceImages, read_source_images
-from accelsurf.io.dicom.structure_set import Region, structure_set_bytes
-from accelsurf.io.files import naming, write_bytes
-from accelsurf.io.formats import dicom
-from accelsurf.io.headers import DICOM_KEY
-from accelsurf.io.images import label_type
-from accelsurf.measure.contours import in_slices
-from accelsurf.run.checkpoint import digest_of
-from accelsurf.run.result import Result, SegmentedObject
+from accelsurf.io import (
+    DICOM_KEY,
+    Algorithm,
+    DicomHeader,
+    Region,
+    SourceImages,
+    label_type,
+    naming,
+    parse_dicom,
+    read_source_images,
+    segmentation_bytes,
+    structure_set_bytes,
+    write_bytes,
+)
+from accelsurf.measure import in_slices
+from accelsurf.run import Result, SegmentedObject, digest_of
 from accelsurf.settings.catalogue import entry
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.labels import LabelTable
@@ -100,8 +106,8 @@ def source_of(result: Result) -> SourceImages:
             "give a DICOM series as the image",
         )
     with naming(path):
-        header = dicom.parse_dicom(path, result.config.reading)
-        if not isinstance(header, dicom.DicomHeader):
+        header = parse_dicom(path, result.config.reading)
+        if not isinstance(header, DicomHeader):
             raise UsageError(
                 "the image is a DICOM segmentation, and DICOM outputs refer to the slices of a scan",
                 "give the scan",

@@ -19,16 +19,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from accelsurf.errors import AccelsurfError
-from accelsurf.io import sha256
-from accelsurf.io.seals import seal
+from accelsurf.io import seal, sha256
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
     from accelsurf.grid.window import Window
-    from accelsurf.io.file_set import FileSet
-    from accelsurf.measure.intervals import Intervals
-    from accelsurf.measure.likely import Quality
-    from accelsurf.run.result import Result, SegmentedObject
+    from accelsurf.io import FileSet
+    from accelsurf.measure import Intervals, Quality
+    from accelsurf.run import Result, SegmentedObject
     from accelsurf.settings.run_config import RunConfig
 
 #: Raised when a key of the report or a column of the trace changes its name or its meaning.
@@ -55,7 +53,7 @@ PACKAGES = (
 )
 
 
-def build(  # noqa: PLR0913
+def build_report(  # noqa: PLR0913
     *,
     status: Status,
     exit_code: int,
@@ -119,7 +117,7 @@ def build(  # noqa: PLR0913
 def report_of(result: Result) -> dict[str, Any]:
     """Return the document of a run that ended or was interrupted, without files."""
     interrupted = result.stop.reason == "interrupted"
-    return build(
+    return build_report(
         status="interrupted" if interrupted else "ok",
         exit_code=130 if interrupted else 0,
         config=result.config,
@@ -301,7 +299,7 @@ def describe_error(error: BaseException) -> dict[str, str]:
     return {"type": type(error).__name__, "message": message, "hint": hint}
 
 
-def to_json(report: Mapping[str, Any]) -> str:
+def report_json(report: Mapping[str, Any]) -> str:
     """Return a report as JSON text, strictly: NaN and infinity, which JSON lacks, become null.
 
     Examples

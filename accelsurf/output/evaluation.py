@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from accelsurf.io.cells import table_text
-from accelsurf.measure.label_metrics import LabelAgreement, over_cases
+from accelsurf.io import table_text
+from accelsurf.measure import LabelAgreement, over_cases
 from accelsurf.settings.labels import LabelTable
 
 #: Columns of the table that is printed: heading, and the number that it shows.
@@ -69,7 +69,7 @@ def summaries(results: Sequence[CaseResult], names: LabelTable) -> list[dict[str
     return entries
 
 
-def notes(agreement: LabelAgreement) -> list[str]:
+def evaluation_notes(agreement: LabelAgreement) -> list[str]:
     """Return remarks that the numbers of a label do not make by themselves."""
     if agreement.label is None:
         sides = (agreement.in_pred, "PRED"), (agreement.in_ref, "REF")
@@ -86,11 +86,11 @@ def notes(agreement: LabelAgreement) -> list[str]:
     return [f"label {agreement.label}: only in {where}; overlaps are 0, distances not defined"]
 
 
-def document(results: Sequence[CaseResult], names: LabelTable) -> dict[str, Any]:
+def evaluation_document(results: Sequence[CaseResult], names: LabelTable) -> dict[str, Any]:
     """Many cases for JSON."""
     cases: list[dict[str, Any]] = []
     for result in results:
-        said = [text for agreement in result.agreements for text in notes(agreement)]
+        said = [text for agreement in result.agreements for text in evaluation_notes(agreement)]
         cases.append(
             {
                 "case": result.case,
@@ -107,7 +107,7 @@ def document(results: Sequence[CaseResult], names: LabelTable) -> dict[str, Any]
     return {"counts": counts, "summary": summaries(results, names), "cases": cases}
 
 
-def table_rows(results: Sequence[CaseResult], names: LabelTable) -> list[dict[str, Any]]:
+def evaluation_rows(results: Sequence[CaseResult], names: LabelTable) -> list[dict[str, Any]]:
     """Rows of a table: one for each case and label; with several cases also their mean, median and count.
 
     The entry ``row`` says which: case, mean, median or count. An entry that is not defined is None, or is not there.
@@ -127,7 +127,7 @@ def table_rows(results: Sequence[CaseResult], names: LabelTable) -> list[dict[st
     return rows
 
 
-def table_csv(rows: Sequence[dict[str, Any]]) -> str:
+def evaluation_csv(rows: Sequence[dict[str, Any]]) -> str:
     """CSV text of `table_rows`; an entry that is not defined is empty."""
     columns = list(dict.fromkeys([*_FIRST, *(name for row in rows for name in row)]))
     return table_text(columns, ([row.get(column) for column in columns] for row in rows))

@@ -19,8 +19,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError, OutputError, UsageError
-from accelsurf.io import headers, is_stored, split_name
-from accelsurf.io.file_set import FileSet, InputFiles, is_unfinished, open_set, refuse_links
+from accelsurf.io import (
+    FileSet,
+    InputFiles,
+    image_name,
+    is_pattern,
+    is_stored,
+    is_unfinished,
+    open_set,
+    parse_header,
+    refuse_links,
+    split_name,
+)
 from accelsurf.output import layouts
 from accelsurf.output.reports import FAILED, Report, has_guests, is_output, report_name
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, image_format
@@ -79,7 +89,7 @@ class OutputFolder:
         cls, source: Path, path: Path, overwrite: bool = False, *further: Path | None
     ) -> Self:
         """Return the folder of outputs that have the name of an image; ``further`` files are read, too."""
-        return cls(path, headers.name_of(source), source, overwrite, further=further)
+        return cls(path, image_name(source), source, overwrite, further=further)
 
     # ------------------------------------------------------------------------------------------------------ names
 
@@ -184,7 +194,7 @@ class OutputFolder:
             When the image cannot be in that layout.
         """
         layouts.check_layout(config, self.image, self.path, self.name)
-        return replace(self, path=layouts.folder_of(config, self.image, self.path))
+        return replace(self, path=layouts.layout_folder(config, self.image, self.path))
 
     def inputs(self, config: RunConfig | TrackConfig | None) -> list[Path]:
         """Return all files that the command reads: none of them may be replaced."""
@@ -584,13 +594,13 @@ def inputs_of(
 
 def _data_of(path: Path) -> Iterator[Path]:
     """Files with the voxels of an image, where they are others than its own; of a folder or a pattern its files."""
-    if headers.is_pattern(path):
+    if is_pattern(path):
         yield from path.parent.glob(path.name)
     elif os.path.isdir(path):
         yield from path.iterdir()
     elif path.name.lower().endswith(_DETACHED):
         try:
-            _, header = headers.parse(path)
+            _, header = parse_header(path)
         except AccelsurfError:  # it is refused when it is read
             return
         yield header.data

@@ -15,8 +15,7 @@ from typing import Any
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume, voxels_sha256
-from accelsurf.io import channels, headers, sha256
-from accelsurf.io.files import written_at
+from accelsurf.io import is_pattern, read_channels, sha256, written_at
 from accelsurf.settings.older import modern
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.run_config import RunConfig
@@ -118,7 +117,7 @@ class GivenImage:
             As `accelsurf.io.channels.read_channels`, and when another volume is read than the run had; the message
             names the difference.
         """
-        volumes = channels.read_channels(self.path, self.reading)
+        volumes = read_channels(self.path, self.reading)
         self.check(volumes, hint)
         return volumes
 
@@ -163,7 +162,7 @@ class GivenImage:
             return True
         if self.voxels is None:
             return self.written is not None and written_at(self.path) == self.written
-        volumes = channels.read_channels(self.path, self.reading)
+        volumes = read_channels(self.path, self.reading)
         is_placed = self.geometry is None or self.geometry.matches(volumes[0].geometry)
         return is_placed and voxels_sha256(volumes) == self.voxels
 
@@ -210,7 +209,7 @@ def is_there(path: Path) -> bool:
     """
     if os.path.exists(path):  # False where the system refuses the name
         return True
-    is_searched = headers.is_pattern(path) and os.path.isdir(path.parent)
+    is_searched = is_pattern(path) and os.path.isdir(path.parent)
     return is_searched and any(path.parent.glob(path.name))
 
 

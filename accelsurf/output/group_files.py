@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, OutputError
-from accelsurf.evolution.records import Stop
+from accelsurf.evolution import Stop
 from accelsurf.grid.boxes import Box
-from accelsurf.io import states
-from accelsurf.io.file_set import is_staging, sync, sync_folder
+from accelsurf.io import is_staging, read_state_file, sync, sync_folder, write_state_file
 from accelsurf.output.document import describe_object, describe_window
 from accelsurf.output.folder import name_of
 
@@ -126,7 +125,7 @@ def write_group(
             _plain({**description, "window": describe_window(result.window)}),
             [np.packbits(segmented.labels) for segmented in objects],
         )
-        states.write_state(staged / _RECORD, record, TYPES)
+        write_state_file(staged / _RECORD, record, TYPES)
 
 
 def write_near(folder: Path, ids: Sequence[int]) -> None:
@@ -136,7 +135,7 @@ def write_near(folder: Path, ids: Sequence[int]) -> None:
         tuple(ids), [], np.empty((0, 3, 2), np.int64), places, places, [], [], {}, []
     )
     with _staged(folder) as staged:
-        states.write_state(staged / _RECORD, record, TYPES)
+        write_state_file(staged / _RECORD, record, TYPES)
 
 
 def read_group(folder: Path) -> GroupRecord | None:
@@ -151,7 +150,7 @@ def read_group(folder: Path) -> GroupRecord | None:
 
 
 def _read(folder: Path) -> GroupRecord:
-    return states.read_state(folder / _RECORD, GroupRecord, TYPES, lambda record: record)
+    return read_state_file(folder / _RECORD, GroupRecord, TYPES, lambda record: record)
 
 
 def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str, str]]) -> bool:

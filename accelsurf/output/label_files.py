@@ -7,10 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.io import label_tables
-from accelsurf.io.file_set import InputFiles
-from accelsurf.io.files import write_bytes
-from accelsurf.io.headers import DICOM_KEY, LABELS_KEY
+from accelsurf.io import (
+    DICOM_KEY,
+    LABELS_KEY,
+    InputFiles,
+    bids_text,
+    color_table_text,
+    itk_snap_text,
+    read_label_table,
+    write_bytes,
+)
 from accelsurf.output.folder import named_files
 from accelsurf.settings.labels import LabelEntry, LabelTable
 from accelsurf.settings.mesh_formats import LABEL_OUTPUTS
@@ -18,7 +24,7 @@ from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
-    from accelsurf.run.result import Result
+    from accelsurf.run import Result
 
 #: Name of the one object of a run without ids.
 ONE = "object"
@@ -37,13 +43,13 @@ def check_label_settings(config: RunConfig, volume: Volume, overwrite: bool = Fa
     UsageError
         When it needs DICOM and the image is none; InputError when a table of labels cannot be read, or a package lacks.
     """
-    from accelsurf.io.dicom.sources import library
+    from accelsurf.io import dicom_library
 
     table_of(config)
     if config.label_group is not None:
-        from accelsurf.io.formats import ome_labels
+        from accelsurf.io import check_label_group
 
-        group = ome_labels.check_label_group(volume.source or Path(), config.label_group, overwrite)
+        group = check_label_group(volume.source or Path(), config.label_group, overwrite)
         InputFiles(named_files(config)).refuse([group], "--label-group")
     for name in config.also:
         if name not in LABEL_OUTPUTS or not LABEL_OUTPUTS[name].needs_dicom:
@@ -53,7 +59,7 @@ def check_label_settings(config: RunConfig, volume: Volume, overwrite: bool = Fa
                 f"also: {name} was given, and the image is no DICOM",
                 "leave it out, or give the DICOM of the image",
             )
-        library("highdicom")
+        dicom_library("highdicom")
 
 
 def into_image(result: Result, image: Path, overwrite: bool) -> None:
@@ -65,7 +71,7 @@ def into_image(result: Result, image: Path, overwrite: bool) -> None:
         When it cannot be written; the other files are complete.
     """
     from accelsurf import io
-    from accelsurf.io.formats import ome_labels
+    from accelsurf.io import put_labels
 
     group = result.config.label_group
     assert group is not None  # it was asked for
@@ -73,29 +79,29 @@ def into_image(result: Result, image: Path, overwrite: bool) -> None:
     kind = io.label_type(int(labels.array.max()))
     volume = labels.with_array(labels.array.astype(kind))
     volume.metadata[LABELS_KEY] = table_of(result.config).of(result.label_ids).to_json()
-    ome_labels.put(image, volume, group, overwrite)
+    put_labels(image, volume, group, overwrite)
 
 
 def seg_nrrd(result: Result, table: LabelTable, path: Path) -> None:
     """Write a segmentation of 3D Slicer."""
-    from accelsurf.io.formats.nrrd import write_segmentation
+    from accelsurf.io import write_segmentation
 
     write_segmentation(result.labels_volume(), entries_of(result, table), path)
 
 
 def itk_snap(result: Result, table: LabelTable, path: Path) -> None:
     """Write label descriptions of ITK-SNAP."""
-    write_bytes(path, label_tables.itk_snap_text(entries_of(result, table)).encode())
+    write_bytes(path, itk_snap_text(entries_of(result, table)).encode())
 
 
 def color_table(result: Result, table: LabelTable, path: Path) -> None:
     """Write a colour table of 3D Slicer."""
-    write_bytes(path, label_tables.color_table_text(entries_of(result, table)).encode())
+    write_bytes(path, color_table_text(entries_of(result, table)).encode())
 
 
 def bids_table(result: Result, table: LabelTable, path: Path) -> None:
     """Write a table of labels as BIDS has it."""
-    write_bytes(path, label_tables.bids_text(entries_of(result, table)).encode())
+    write_bytes(path, bids_text(entries_of(result, table)).encode())
 
 
 def table_of(config: RunConfig) -> LabelTable:
@@ -109,12 +115,12 @@ def table_of(config: RunConfig) -> LabelTable:
     """
     known = LabelTable()
     if config.label_table is not None:
-        known = label_tables.read_table(config.label_table)
+        known = read_label_table(config.label_table)
     elif (given := _label_map_of(config)) is not None and given.lower().endswith(
         (".seg.nrrd", ".dcm")
     ):
         try:
-            known = label_tables.read_table(Path(given))
+            known = read_label_table(Path(given))
         except InputError:
             known = LabelTable()  # a label map of that name without segments is a label map
     if not config.has_ids and 1 not in known.entries:

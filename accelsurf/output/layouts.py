@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from accelsurf.errors import UsageError
-from accelsurf.io import split_name
-from accelsurf.io.files import write_bytes
+from accelsurf.io import split_name, write_bytes
 from accelsurf.output.reports import FAILED
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
@@ -193,7 +192,7 @@ def check_layout(config: RunConfig, source: Path, folder: Path, name: str) -> No
             )
 
 
-def folder_of(config: RunConfig, source: Path, folder: Path) -> Path:
+def layout_folder(config: RunConfig, source: Path, folder: Path) -> Path:
     """Return the folder of an image's files within the folder that was given; nothing is made."""
     return (
         folder / BidsName.of(split_name(source)[0]).folder(source)
@@ -232,7 +231,7 @@ def sidecar(source: Path, energy: str) -> str:
     return json.dumps(said, indent=2) + "\n"
 
 
-def complete(config: RunConfig, source: Path, folder: Path) -> None:
+def complete_layout(config: RunConfig, source: Path, folder: Path) -> None:
     """Write the files that a data set of BIDS has once, unless they exist: its description, and paths to leave alone.
 
     Parameters

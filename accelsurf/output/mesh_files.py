@@ -14,8 +14,7 @@ from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.measure.mesh_shaping import MeshOptions
-    from accelsurf.measure.surface_mesh import Surface
+    from accelsurf.measure import MeshOptions, Surface
 
 
 @dataclass
@@ -51,14 +50,14 @@ def check_mesh_settings(config: RunConfig) -> None:
         When a package lacks.
     """
     if config.mesh_faces or config.mesh_error:
-        from accelsurf.measure.mesh_shaping import library
+        from accelsurf.measure import mesh_library
 
-        library("fast_simplification")
+        mesh_library("fast_simplification")
 
 
 def options_of(config: RunConfig) -> MeshOptions:
     """Return the options of meshes from the settings."""
-    from accelsurf.measure.mesh_shaping import MeshOptions
+    from accelsurf.measure import MeshOptions
 
     return MeshOptions(config.mesh_smooth, config.mesh_faces, config.mesh_error)
 
@@ -76,10 +75,10 @@ def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any]
     """
     from trimesh.triangles import angles
 
-    from accelsurf.measure.mesh_shaping import ShapedMesh, is_sound, shape
+    from accelsurf.measure import ShapedMesh, is_sound, shape_mesh
 
     try:
-        mesh = shape(surface, options_of(config))
+        mesh = shape_mesh(surface, options_of(config))
     except UsageError as error:
         mesh = ShapedMesh(
             surface, 0.0, (f"{error.message}; the mesh is the surface as it is; {error.hint}",)

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from accelsurf import io
 from accelsurf.image.grey_window import parse_window
-from accelsurf.interact.state_file import state_bytes
-from accelsurf.io.files import write_bytes
-from accelsurf.io.headers import LABELS_KEY, shows_patient
-from accelsurf.measure.contours import Contours
+from accelsurf.interact import state_bytes
+from accelsurf.io import LABELS_KEY, shows_patient, write_bytes
+from accelsurf.measure import Contours
 from accelsurf.output import layouts, tables
 from accelsurf.output.document import describe_object
 from accelsurf.output.folder import EACH, name_of
@@ -32,8 +31,8 @@ from accelsurf.settings.mesh_formats import LABEL_OUTPUTS
 from accelsurf.settings.wording import size_text, volume_text
 
 if TYPE_CHECKING:
-    from accelsurf.measure.surface_mesh import Surface
-    from accelsurf.run.result import Result
+    from accelsurf.measure import Surface
+    from accelsurf.run import Result
 
 
 #: Kind of a file, its name, and the function that writes it.

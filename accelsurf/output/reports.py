@@ -16,9 +16,7 @@ from types import NoneType
 from typing import Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError, InputError, UsageError
-from accelsurf.io import is_stored, sha256, split_name
-from accelsurf.io.files import read_json
-from accelsurf.io.seals import is_sealed
+from accelsurf.io import is_sealed, is_stored, read_json, sha256, split_name
 from accelsurf.output.given_image import GivenImage
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.older import modern

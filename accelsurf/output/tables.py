@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from accelsurf.io.cells import table_text
-from accelsurf.io.headers import VALUE_UNIT_KEY
-from accelsurf.measure.statistics import statistics
-from accelsurf.output.document import to_json
+from accelsurf.io import VALUE_UNIT_KEY, table_text
+from accelsurf.measure import object_statistics
+from accelsurf.output.document import report_json
 from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.trace_columns import TRACE_COLUMNS, row_values
 
 if TYPE_CHECKING:
-    from accelsurf.evolution.records import StepRecord
-    from accelsurf.run.result import Result
+    from accelsurf.evolution import StepRecord
+    from accelsurf.run import Result
 
 #: Entries of quality in the tables.
 _QUALITY = ("probability", "warnings")
@@ -86,7 +85,7 @@ def rows_of(result: Result, table: LabelTable) -> list[dict[str, Any]]:
             {
                 "id": segmented.id,
                 "name": table[segmented.id].name,
-                **statistics(segmented, values),
+                **object_statistics(segmented, values),
                 **quality,
             }
         )
@@ -96,7 +95,8 @@ def rows_of(result: Result, table: LabelTable) -> list[dict[str, Any]]:
 def statistics_json(rows: Sequence[Mapping[str, Any]], result: Result) -> str:
     """Return the figures as JSON, with the unit of the image's values."""
     return (
-        to_json({"unit": result.volume.metadata.get(VALUE_UNIT_KEY), "objects": list(rows)}) + "\n"
+        report_json({"unit": result.volume.metadata.get(VALUE_UNIT_KEY), "objects": list(rows)})
+        + "\n"
     )
 
 

@@ -10,18 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.voxels import click_of_mask, click_of_voxels
+from accelsurf.clicks import click_of_mask, click_of_voxels
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume, array_on_grid, plain_array
-from accelsurf.io import meshes
-from accelsurf.io.library_images import from_library
+from accelsurf.io import closed_mesh, from_library, voxels_inside
 from accelsurf.run.setup import EnergyLike
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts.objects import ObjectStart
-from accelsurf.starts.surfaces import psi_of_mask
+from accelsurf.starts import ObjectStart, psi_of_mask
 from accelsurf.text.clicks import click_of_numbers, point_voxels, read_clicks
 from accelsurf.text.starts import ball_start_of, psi_of_starts
 
@@ -98,10 +96,10 @@ def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
     """
     if hasattr(value, "vertices") and hasattr(value, "faces"):
         try:
-            points, triangles = meshes.closed_mesh(value.vertices, value.faces)
+            points, triangles = closed_mesh(value.vertices, value.faces)
         except InputError as error:
             raise InputError(f"{name}: the mesh: {error.message}", error.hint) from None
-        inside = meshes.voxels_inside(geometry.world_to_index(points), triangles, geometry.shape)
+        inside = voxels_inside(geometry.world_to_index(points), triangles, geometry.shape)
         if not inside.any():
             raise InputError(
                 f"{name}: no voxel centre is inside the mesh", "its points are mm, LPS as ITK"

@@ -12,21 +12,23 @@ import scipy
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.evolution.records import StepFields, StepRecord, Stop
-from accelsurf.evolution.state import (
+from accelsurf.evolution import (
     Checkpoint,
     EnergyBudget,
     FoundPlateau,
+    LevelSummary,
     LoopState,
     LowestState,
     PlateauWatch,
     Slowest,
+    StepFields,
+    StepRecord,
+    Stop,
 )
 from accelsurf.flows import EnergyRates
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
-from accelsurf.io.states import read_state, write_state
+from accelsurf.io import read_state_file, write_state_file
 from accelsurf.kernels.storage import compiler_version, processor_name
 from accelsurf.levelset import Snapshot, SurfaceState
 from accelsurf.run.evolving_object import ObjectCheckpoint
@@ -203,7 +205,7 @@ def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: Checkpo
     )
     settings: Any = checkpoint.settings.model_dump(mode="json")
     state = checkpoint._replace(objects=objects, settings=settings)
-    write_state(Path(path), SavedRun(header, state), TYPES)
+    write_state_file(Path(path), SavedRun(header, state), TYPES)
 
 
 def read_checkpoint(path: str | Path) -> SavedRun:
@@ -214,7 +216,7 @@ def read_checkpoint(path: str | Path) -> SavedRun:
     InputError
         When the file cannot be read or is damaged.
     """
-    return read_state(Path(path), SavedRun, TYPES, _checked, _BEGIN)
+    return read_state_file(Path(path), SavedRun, TYPES, _checked, _BEGIN)
 
 
 def _checked(saved: SavedRun) -> SavedRun:

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.evolution.records import Step, Stop, StopReason
+from accelsurf.evolution import LevelSummary, Step, Stop, StopReason
 from accelsurf.grid.boxes import Corner, bounding_box, box_at, meeting
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import Level
@@ -26,7 +25,7 @@ from accelsurf.grid.window import Window
 from accelsurf.levelset import Workers
 from accelsurf.run.evolving_object import EvolvingObject
 from accelsurf.run.preprocessing import PreprocessedInput
-from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts import ObjectStart
 
 #: Objects can touch in a step where the boxes around them, larger by this number of voxels on each side, overlap:
 #: contact sets in over one voxel, and none moves by more than one.

@@ -13,26 +13,27 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies import Energy
-from accelsurf.energies.constraints.clicks import ClickConstraint
-from accelsurf.energies.constraints.contact import Neighbour, NonOverlap
-from accelsurf.energies.constraints.mask import MaskConstraint
-from accelsurf.evolution.loop import Evolution
-from accelsurf.evolution.multilevel import FAILED, rule_on_level
-from accelsurf.evolution.records import Step, Stop
-from accelsurf.evolution.setup import SolverSetup
-from accelsurf.evolution.state import Checkpoint, LoopState
+from accelsurf.energies import ClickConstraint, Energy, MaskConstraint, Neighbour, NonOverlap
+from accelsurf.evolution import (
+    FAILED,
+    Checkpoint,
+    Evolution,
+    LoopState,
+    SolverSetup,
+    Step,
+    Stop,
+    rule_on_level,
+)
 from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.geometry import farthest
 from accelsurf.grid.pyramid import Level, prolong
-from accelsurf.levelset import LevelSet, Workers
-from accelsurf.levelset.transfer import shift_fields, slots_of, transfer_fields
+from accelsurf.levelset import LevelSet, Workers, shift_fields, slots_of, transfer_fields
 from accelsurf.run.clicks import LevelClicks
 from accelsurf.run.image_context import ImageContext
 from accelsurf.run.start_pyramid import LevelInputs, StartPyramid, finer_box, to_finest
-from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts import ObjectStart
 
 #: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `_ROOM_PART` of its extent; the
 #: box is made larger when the band comes within `GUARD` voxels of its edge.

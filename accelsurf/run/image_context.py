@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies import Parzen
-from accelsurf.energies.likelihood import MIN_DEVIATION, robust_gaussian_of
-from accelsurf.energies.region_sums import (
+from accelsurf.energies import (
+    MIN_DEVIATION,
     Elsewhere,
+    Parzen,
     RegionMoments,
     Summing,
     moments_of,
+    robust_gaussian_of,
     sums_by_plane,
 )
 from accelsurf.errors import UsageError
@@ -29,16 +30,10 @@ from accelsurf.grid.window import Window
 from accelsurf.run.region_totals import RegionTotals
 from accelsurf.settings.expression import HALF, Values
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts.region_growing import otsu_level
+from accelsurf.starts import otsu_level
 
 if TYPE_CHECKING:
-    from accelsurf.clicks.model import (
-        ClickModel,
-        Scene,
-    )  # a viewer without a run imports no compiler
-    from accelsurf.clicks.model.confidence import Confidence
-    from accelsurf.clicks.model.given import GivenMask
-    from accelsurf.clicks.model.partition import BasinsOnce
+    from accelsurf.clicks import BasinsOnce, ClickModel, Confidence, GivenMask, Scene
 
 #: Standard deviations of a learned bound from the mean of the start's values: 98.8 % of a Gaussian lie
 #: between two of them, and ConfidenceConnected of ITK takes as many.
@@ -253,8 +248,7 @@ class ImageContext:
 
     def scene(self) -> Scene:
         """The images as the model of clicks reads them."""
-        from accelsurf.clicks.model import Scene
-        from accelsurf.clicks.model.windows import sizes_in_box
+        from accelsurf.clicks import Scene, sizes_in_box
 
         size, mask, _, window, _, _, box_mm3 = self._model_inputs
         sizes = None if size is not None or box_mm3 is None else sizes_in_box(box_mm3)
@@ -268,9 +262,7 @@ class ImageContext:
         UsageError
             When there is no click inside, and no mask shows the object.
         """
-        from accelsurf.clicks.model import click_model
-        from accelsurf.clicks.model.given import corrected_model
-        from accelsurf.clicks.model.partition import partition_model
+        from accelsurf.clicks import click_model, corrected_model, partition_model
 
         size, mask, partition, _, answer, given, _ = self._model_inputs
         if given is None and (self.clicks is None or not self.clicks.mask("inside").any()):
@@ -301,7 +293,7 @@ class ImageContext:
 
     def confidence(self, model: ClickModel | None = None) -> Confidence | None:
         """Measure how sure a model of the clicks is, by default the present one; None of a mask that was given."""
-        from accelsurf.clicks.model.confidence import confidence_of
+        from accelsurf.clicks import confidence_of
 
         return (
             None
@@ -334,7 +326,7 @@ class ImageContext:
 
     def model_area(self) -> float:
         """Weight of the area, mm, that suits the model's object."""
-        from accelsurf.clicks.model.surface import area_weight
+        from accelsurf.clicks import area_weight
 
         model = self.click_model()
         if model.is_partition:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.evolution.records import Step
+from accelsurf.evolution import Step
 from accelsurf.grid.boxes import Box, Corner, as_corner, box_at, enclosing, widened
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies import (
+    TENT,
     Area,
     Balloon,
     ChanVese,
@@ -23,20 +24,18 @@ from accelsurf.energies import (
     LocalRegion,
     Parzen,
     RegionField,
+    RegionMoments,
     Threshold,
-)
-from accelsurf.energies.chan_vese import TENT
-from accelsurf.energies.geodesic import edge_contrast as strong_edge
-from accelsurf.energies.geodesic import edge_indicator
-from accelsurf.energies.likelihood import (
     TwoGaussians,
     TwoHistograms,
+    edge_indicator,
     gaussian_of_sums,
     least_variance,
+    moments_of,
     robust_gaussian_of,
+    soft_edge,
 )
-from accelsurf.energies.region_sums import RegionMoments, moments_of
-from accelsurf.energies.threshold import soft_edge
+from accelsurf.energies import edge_contrast as strong_edge
 from accelsurf.errors import UsageError
 from accelsurf.flows import (
     ConstantDensity,
@@ -270,11 +269,11 @@ def geodesic(inputs: TermInputs) -> Made:
 
 def seeded(inputs: TermInputs) -> Made:
     """The field of the model of clicks, which is made of all channels."""
-    from accelsurf.clicks.model.surface import offset
+    from accelsurf.clicks import surface_offset
 
     area = inputs.number("area", inputs.context.model_area())
     # The area smooths the object; its size is that of the clicks.
-    lower = offset(area, inputs.context.model_curvature())
+    lower = surface_offset(area, inputs.context.model_curvature())
     energy: Energy = RegionField(
         inputs.context.model_field() - np.float32(lower), inputs.alpha + area
     )

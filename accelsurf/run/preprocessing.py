@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.constraints.mask import mask_distance
+from accelsurf.energies import mask_distance
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid.arrays import Mask
 from accelsurf.grid.boxes import Box, Corner, corner_of
@@ -29,7 +29,7 @@ from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import bounds_of, volume_mm3
 from accelsurf.settings.wording import shown
-from accelsurf.starts.surfaces import psi_of_mask
+from accelsurf.starts import psi_of_mask
 from accelsurf.text.clicks import clicks_of
 from accelsurf.text.starts import CLICKS, psi_of_starts, read_starts
 
@@ -140,7 +140,7 @@ class PreprocessedInput:
         """The first channel as energies see it on the whole grid, for pictures."""
         if self.filtered is None:
             return self.images[0]
-        return apply(self.filtered.copy(), self.context.scales[0])
+        return apply_filters(self.filtered.copy(), self.context.scales[0])
 
 
 def preprocess(
@@ -259,7 +259,7 @@ def _context(
     limits = None if distance is None else np.asarray(distance < 0)
     partition = None
     if config.energy.parts_space:
-        from accelsurf.clicks.model.partition import BasinsOnce
+        from accelsurf.clicks import BasinsOnce
 
         partition = BasinsOnce()
     window = None if part is None else part.open_window
@@ -303,7 +303,7 @@ def _scaled_channels(
                 filtered_volume(channel, filters) if part is None else part.filtered[place], box
             )
         scales.append(whole[place].scale if whole else scale_of(values))
-        images.append(apply(values, scales[-1]))
+        images.append(apply_filters(values, scales[-1]))
     return images, scales
 
 
@@ -404,7 +404,7 @@ def scale_between(percentiles: NDArray[Any], extremes: NDArray[np.float32]) -> S
     return Scale(float(low), float(high) - float(low))
 
 
-def apply(image: NDArray[np.float32], scale: Scale) -> NDArray[np.float32]:
+def apply_filters(image: NDArray[np.float32], scale: Scale) -> NDArray[np.float32]:
     """Put the image on a scale, in place to save memory."""
     image -= np.float32(scale.low)
     image *= np.float32(1.0 / scale.width)

@@ -104,7 +104,7 @@ def distance_of_mask(
 ) -> NDArray[np.float32] | None:
     """Signed distance, mm, of mask and box on the region ``box`` of a window; None without both."""
     # Not with the module: the viewer reads boxes before it loads the solver.
-    from accelsurf.energies.constraints.mask import mask_distance
+    from accelsurf.energies import mask_distance
 
     if "mask" in given:
         mask = np.asarray(given["mask"] < 0)

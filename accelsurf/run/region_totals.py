@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.region_sums import Summing, sums_by_plane
+from accelsurf.energies import Summing, sums_by_plane
 from accelsurf.grid.boxes import Box
 
 

@@ -18,9 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.errors import InputError
-from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.evolution.state import FoundPlateau
+from accelsurf.evolution import FoundPlateau, LevelSummary, StepRecord, Stop
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Clicks
@@ -28,12 +26,21 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.image import thumbnail
 from accelsurf.image.volume import Volume
-from accelsurf.measure import contours
-from accelsurf.measure.contours import Contours
-from accelsurf.measure.intervals import Estimates, Intervals, edge_measures, estimates
-from accelsurf.measure.likely import Plateau, Quality
-from accelsurf.measure.quality import Judged, ValueRange, assess
-from accelsurf.measure.surface_mesh import Surface, extract
+from accelsurf.measure import (
+    Contours,
+    Estimates,
+    Intervals,
+    Judged,
+    Plateau,
+    Quality,
+    Surface,
+    ValueRange,
+    assess,
+    edge_measures,
+    estimates,
+    extract_contours,
+    extract_surface,
+)
 from accelsurf.run.ensemble import overall_stop
 from accelsurf.run.image_context import ImageContext
 from accelsurf.run.preprocessing import PreprocessedInput
@@ -42,9 +49,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import size_text
 
 if TYPE_CHECKING:
-    from accelsurf.clicks.model.confidence import (
-        Confidence,
-    )  # a viewer without a run imports no compiler
+    from accelsurf.clicks import Confidence
 
 #: Columns of the history that are summed over objects, and columns of which the largest value counts.
 _SUMMED = (
@@ -179,7 +184,7 @@ class SegmentedObject:
     @cached_property
     def surface(self) -> Surface:
         """The surface as a closed mesh in world mm (LPS), normals outward; extracted once."""
-        return extract(self.psi, self.geometry)
+        return extract_surface(self.psi, self.geometry)
 
     @cached_property
     def contours(self) -> Contours:
@@ -190,7 +195,7 @@ class SegmentedObject:
         InputError
             For a volume: it has a `surface`.
         """
-        return contours.extract(self.psi, self.geometry)
+        return extract_contours(self.psi, self.geometry)
 
     @property
     def volume_mm3(self) -> float:

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.evolution.records import Step, StepRecord, Stop
+from accelsurf.evolution import LevelSummary, Step, StepRecord, Stop
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.clicks import NO_OBJECT, Click
@@ -42,7 +41,7 @@ from accelsurf.settings.catalogue import energy_settings
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.energy_expression import EnergyText
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts import ObjectStart
 
 __all__ = ["AROUND", "Run"]
 

@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from accelsurf.energies import CheckedEnergy, Energy
 from accelsurf.errors import UsageError
-from accelsurf.evolution.convergence import Restart, StopRule
-from accelsurf.evolution.setup import SolverSetup
+from accelsurf.evolution import Restart, SolverSetup, StopRule
 from accelsurf.flows import Flow, StepLimits
 from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import AUTO_MIN_VOXELS, count_resolved_levels
 from accelsurf.grid.window import NeedsLevels, Window
 from accelsurf.image.volume import Volume
-from accelsurf.io.memory import available_cores
+from accelsurf.io import available_cores
 from accelsurf.run.energy import make_energy
 from accelsurf.run.evolving_object import EnergyMaker, MadeEnergy
 from accelsurf.run.image_context import ImageContext
@@ -31,7 +30,7 @@ from accelsurf.settings.flow_specs import AUTO, DESCENT, FLOWS, MOMENTUM, FlowTe
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.trace_columns import added_measures
 from accelsurf.settings.wording import size_text
-from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts import ObjectStart
 from accelsurf.text.starts import CLICKS
 
 #: Ratio of the spacings from which on slices are thick.

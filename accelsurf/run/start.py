@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model.given import GivenMask
+from accelsurf.clicks import GivenMask
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import bounding_box, box_at, corner_of, placed_at, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io.channels import read_further
+from accelsurf.io import read_further
 from accelsurf.run.arguments import given_arrays, surfaces_of
 from accelsurf.run.checkpoint import digest_of
 from accelsurf.run.ensemble import union_of, within
@@ -25,7 +25,7 @@ from accelsurf.run.preprocessing import PreprocessedInput, preprocess
 from accelsurf.run.setup import is_least_at_model, thread_count
 from accelsurf.run.window_input import WindowInput
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts.objects import ObjectStart, core_of
+from accelsurf.starts import ObjectStart, core_of
 from accelsurf.text.object_clicks import read_object_clicks, starts_of
 from accelsurf.text.objects import read_label_map, read_objects
 

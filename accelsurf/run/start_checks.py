@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.constraints.clicks import without_clicks
-from accelsurf.energies.likelihood import NORMAL_MAD
-from accelsurf.evolution.loop import Evolution
+from accelsurf.energies import NORMAL_MAD, without_clicks
+from accelsurf.evolution import Evolution
 from accelsurf.grid.boxes import Corner, bounding_box, box_at, corner_of, widened
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
@@ -21,7 +20,7 @@ from accelsurf.levelset import LevelSet
 from accelsurf.run.evolving_object import EvolvingObject
 from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.settings.wording import volume_text
-from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts import ObjectStart
 from accelsurf.text.coordinates import place_text
 
 #: A start will shrink if less than this part of its values lies within the bounds; a window takes in the surroundings

@@ -11,7 +11,7 @@ from accelsurf.grid.boxes import Box, Corner, as_corner, corner_of
 from accelsurf.grid.click_bounds import KnownDistances
 from accelsurf.grid.geometry import farthest
 from accelsurf.grid.pyramid import Level, prolong, restrict
-from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts import ObjectStart
 
 
 class StartPyramid:

@@ -14,7 +14,7 @@ from accelsurf.grid.window import Window
 from accelsurf.run.image_context import WholeChannel
 from accelsurf.run.region_of_interest import region_of_run
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts import ObjectStart
 
 
 @dataclass(frozen=True, eq=False)

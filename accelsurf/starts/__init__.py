@@ -1,1 +1,5 @@
 """First surfaces: balls, thresholds, region growing, label maps, meshes."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

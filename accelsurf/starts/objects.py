@@ -45,7 +45,7 @@ def core_of(psi: NDArray[np.float32], spacing: Sequence[float]) -> NDArray[np.bo
     return np.asarray((psi < 0) & (depth > _CORE_DEPTH * depth.max()))
 
 
-def apart(objects: Sequence[ObjectStart]) -> list[ObjectStart]:
+def keep_apart(objects: Sequence[ObjectStart]) -> list[ObjectStart]:
     """Starts without overlap: a voxel of two goes to the one that is deeper there, at a tie to the lower id.
 
     Of one that lies entirely within others nothing is left.
@@ -74,7 +74,7 @@ def separated(objects: list[ObjectStart], name: str) -> list[ObjectStart]:
     InputError
         When nothing is left of one.
     """
-    out = apart(objects)
+    out = keep_apart(objects)
     for start in out:
         if not (start.psi < 0).any():
             raise InputError(

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.voxels import click_of_ball, click_of_mask, click_of_path, click_of_voxels
+from accelsurf.clicks import click_of_ball, click_of_mask, click_of_path, click_of_voxels
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import (

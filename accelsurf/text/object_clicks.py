@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.clicks.voxels import click_of_voxels
+from accelsurf.clicks import click_of_voxels
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import corner_of, enclosing, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.starts.objects import ObjectStart
-from accelsurf.starts.surfaces import psi_of_mask
+from accelsurf.starts import ObjectStart, psi_of_mask
 from accelsurf.text.clicks import (
     WORLD_COLUMNS,
     check_contradictions,

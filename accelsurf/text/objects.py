@@ -21,8 +21,7 @@ from accelsurf.image.check import as_labels
 from accelsurf.image.volume import Volume, array_on_grid
 from accelsurf.settings import budgets
 from accelsurf.settings.labels import IdRanges
-from accelsurf.starts.objects import ObjectStart, separated
-from accelsurf.starts.surfaces import psi_of_mask
+from accelsurf.starts import ObjectStart, psi_of_mask, separated
 from accelsurf.text.coordinates import Coordinates, System
 from accelsurf.text.starts import MAX_LENGTH, has_label, parse_start
 from accelsurf.text.tables import columns_in, read_table

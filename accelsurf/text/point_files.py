@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from accelsurf.errors import InputError
-from accelsurf.io.files import bytes_within
+from accelsurf.io import bytes_within
 from accelsurf.settings import budgets
 from accelsurf.settings.wording import shown
 from accelsurf.text.coordinates import UNITS_MM, Coordinates, Suffix

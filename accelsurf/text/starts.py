@@ -23,11 +23,11 @@ from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.window import Window
 from accelsurf.image.check import as_labels
 from accelsurf.image.volume import Volume
-from accelsurf.io import meshes, split_name
+from accelsurf.io import split_name, voxels_in_mesh
 from accelsurf.settings import budgets
 from accelsurf.settings.labels import parse_ids
 from accelsurf.settings.wording import did_you_mean, shown
-from accelsurf.starts.surfaces import middle_ball, psi_of_ball, psi_of_box, psi_of_mask
+from accelsurf.starts import middle_ball, psi_of_ball, psi_of_box, psi_of_mask
 from accelsurf.text.coordinates import (
     SUFFIXES,
     UNITS_MM,
@@ -398,7 +398,7 @@ def _psi_of(start: Start, window: Window, values: NDArray) -> NDArray[np.float32
     if start.kind == "label":
         mask = start.mask_of(label_box(start.file, window, f"start label:{start.file}", start.ids))
     elif start.kind == "mesh":
-        mask = meshes.voxels_in_mesh(start.file, geometry, start.word, window.box)
+        mask = voxels_in_mesh(start.file, geometry, start.word, window.box)
     else:
         mask = _by_values(start, geometry, values)
     return psi_of_mask(mask, geometry)
@@ -421,17 +421,17 @@ def refuse_values(start: Start) -> None:
 def _by_values(start: Start, geometry: Geometry, values: NDArray) -> NDArray[np.bool_]:
     """Voxels of a start that looks at values everywhere."""
     # Not with the module: who reads a place or a box needs neither scikit-image nor SciPy.
-    from accelsurf.starts import region_growing
+    from accelsurf.starts import grow_region, largest, otsu
 
     if start.kind == "seed":
-        return region_growing.grow_region(values, geometry, *_placed(start, geometry))
+        return grow_region(values, geometry, *_placed(start, geometry))
     if start.numbers:
         # Beyond 32-bit floats a bound is open; numpy would warn.
         low, high = (math.copysign(math.inf, v) if abs(v) > 3e38 else v for v in start.numbers)
         mask = (values >= low) & (values <= high)
     else:
-        mask = region_growing.otsu(values, dark=start.word.endswith("dark"))
-    return region_growing.largest(mask) if start.kind == "largest" else mask
+        mask = otsu(values, dark=start.word.endswith("dark"))
+    return largest(mask) if start.kind == "largest" else mask
 
 
 def label_box(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TextIO, TypeVar
 
 from accelsurf.errors import InputError
-from accelsurf.io.files import naming
+from accelsurf.io import naming
 from accelsurf.settings import budgets
 from accelsurf.text.coordinates import System
 

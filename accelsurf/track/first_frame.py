@@ -7,15 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accelsurf.api.segment import segment, segment_objects
+from accelsurf.api import segment, segment_objects
 from accelsurf.errors import EmptyResultError
-from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution import StepRecord
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.interact.refiner import Refiner
-from accelsurf.run.result import Result
-from accelsurf.run.setup import EnergyLike, ObjectsLike
+from accelsurf.interact import Refiner
+from accelsurf.run import EnergyLike, ObjectsLike, Result
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.text.objects import read_objects

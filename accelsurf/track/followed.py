@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.measure import surface_mesh
-from accelsurf.run.region_of_interest import cropped
+from accelsurf.measure import Surface, extract_surface
+from accelsurf.run import cropped
 from accelsurf.track.appearance import Appearance
 from accelsurf.track.evidence import FACTOR, Profile, volume_in_grid
 from accelsurf.track.frame_run import Measured
@@ -57,7 +57,7 @@ class MeshCarrier:
             or not len(points)
             or not self._describes(points, momentum.volume())
         ):
-            made = surface_mesh.extract(piece.psi, cropped(geometry, piece.box))
+            made = extract_surface(piece.psi, cropped(geometry, piece.box))
             momentum.attach_points(made.vertices)
             self._faces, self._topology = made.faces.astype(np.int64), topology
             self._generation += 1
@@ -66,7 +66,7 @@ class MeshCarrier:
 
     def _describes(self, points: NDArray[np.float64], volume: float) -> bool:
         """Test if the moved points are still a mesh of the surface."""
-        mesh = surface_mesh.Surface(points, self._faces.astype(np.int32))
+        mesh = Surface(points, self._faces.astype(np.int32))
         return abs(mesh.volume - volume) <= MAX_DIFFERENCE * abs(volume)
 
     def state(self) -> dict[str, Any]:

@@ -15,11 +15,11 @@ from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
 from accelsurf.levelset import Workers
-from accelsurf.run.setup import EnergyLike
+from accelsurf.run import EnergyLike
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts import ObjectStart
 from accelsurf.track import evidence
 from accelsurf.track.appearance import appearance_of
 from accelsurf.track.boxed_surface import groups_of, on_larger_box, separate_parts, touching

@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies import RegionField
-from accelsurf.evolution.convergence import StopRule
-from accelsurf.evolution.loop import Evolution
-from accelsurf.evolution.setup import SolverSetup
+from accelsurf.evolution import Evolution, SolverSetup, StopRule
 from accelsurf.flows import ConstantDensity
 from accelsurf.grid.boxes import (
     Box,
@@ -30,17 +28,13 @@ from accelsurf.grid.boxes import (
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.interact.finished import result_of
-from accelsurf.interact.refiner import Refiner
+from accelsurf.interact import Refiner, result_of
 from accelsurf.levelset import LevelSet
-from accelsurf.run.region_of_interest import cropped
-from accelsurf.run.result import Result, SegmentedObject
-from accelsurf.run.run import Run
-from accelsurf.run.setup import EnergyLike, window_reach
+from accelsurf.run import EnergyLike, Result, Run, SegmentedObject, cropped, window_reach
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.starts.objects import ObjectStart, apart, core_of
+from accelsurf.starts import ObjectStart, core_of, keep_apart
 from accelsurf.track.appearance import Appearance
 from accelsurf.track.momentum import MovedSurface
 from accelsurf.track.records import BAND, SurfacePiece
@@ -150,7 +144,7 @@ def measure(
     """
     alone = [
         start
-        for start in apart(sorted(starts, key=lambda start: start.id))
+        for start in keep_apart(sorted(starts, key=lambda start: start.id))
         if _has_room(start, occupied)
     ]
     found = {start.id: NOTHING for start in starts}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, Corner, as_corner, bounding_box, box_at, corner_of, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io.images import label_type
+from accelsurf.io import label_type
 
 #: Voxels around the inside that a surface has on its box.
 BAND = 5

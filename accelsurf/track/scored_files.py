@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.image.check import as_labels
 from accelsurf.image.sequence import ImageSequence
-from accelsurf.io.headers import split_name
-from accelsurf.io.sequences.challenge import ChallengeFolder, Outline, is_challenge, open_challenge
+from accelsurf.io import ChallengeFolder, Outline, is_challenge, open_challenge, split_name
 from accelsurf.track.output.files import read_tracks_table
 from accelsurf.track.scores import (
     ExactLabels,
@@ -67,7 +66,7 @@ def open_tracks(path: Path) -> TrackedFile:
     """
     if is_challenge(path):
         return _of_challenge(path, open_challenge(path))
-    from accelsurf.io.sequences.reading import read_sequence
+    from accelsurf.io import read_sequence
 
     sequence = read_sequence(path)
     table = table_beside(path)

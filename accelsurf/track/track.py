@@ -21,17 +21,26 @@ from numpy.typing import ArrayLike
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
-from accelsurf.io import read_sequence, states
-from accelsurf.io.library_images import ImageLike, VolumeSequence, from_library
+from accelsurf.io import (
+    ImageLike,
+    VolumeSequence,
+    from_library,
+    read_sequence,
+    read_state_file,
+    write_state_file,
+)
 from accelsurf.levelset import Workers
-from accelsurf.run.checkpoint import (
+from accelsurf.run import (
     FREE,
     CheckpointHeader,
+    EnergyLike,
+    ObjectsLike,
     digest_of,
     refuse_another_run,
+    seeded,
+    thread_count,
     versions,
 )
-from accelsurf.run.setup import EnergyLike, ObjectsLike, seeded, thread_count
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.track.appearance import Appearance
 from accelsurf.track.evidence import Profile
@@ -339,7 +348,7 @@ class Tracking:
         """Write the state after a frame."""
         if self._path is None or self.interrupted:
             return
-        states.write_state(self._path, SavedTracking(self._header, self._state()), TYPES)
+        write_state_file(self._path, SavedTracking(self._header, self._state()), TYPES)
 
     @cached_property
     def _header(self) -> CheckpointHeader:
@@ -360,7 +369,7 @@ class Tracking:
         )
 
     def _restore(self, path: Path) -> None:
-        header, state = read_state(path)
+        header, state = read_tracking(path)
         if state.seed is not None and self.config.run.seed != state.seed:
             self.config = self.config.replace(run=self.config.run.replace(seed=state.seed))
         refuse_another_run(path, header, self._header, "another sequence")
@@ -538,7 +547,7 @@ def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Che
     return CheckpointHeader(versions(), sha.hexdigest(), settings)
 
 
-def read_state(path: Path) -> SavedTracking:
+def read_tracking(path: Path) -> SavedTracking:
     """Read a state of any tracking.
 
     Raises
@@ -546,4 +555,4 @@ def read_state(path: Path) -> SavedTracking:
     InputError
         When the file cannot be read, is damaged or of another version.
     """
-    return states.read_state(path, SavedTracking, TYPES, lambda saved: saved, _BEGIN)
+    return read_state_file(path, SavedTracking, TYPES, lambda saved: saved, _BEGIN)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.orientation import LETTERS
-from accelsurf.io.files import write_bytes
-from accelsurf.output.pictures.movies import png_bytes
+from accelsurf.io import write_bytes
+from accelsurf.output import png_bytes
 from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.scene.colors import REFERENCE, SHADES, color_range
 from accelsurf.viewer.scene.scene import Scene

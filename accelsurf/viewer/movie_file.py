@@ -9,14 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution import StepRecord
 from accelsurf.image.volume import Volume
-from accelsurf.output.given_image import GivenImage
-from accelsurf.output.label_files import given_labels
-from accelsurf.output.pictures.movies import MAX_SIDE, MIN_SIDE, Picture
-from accelsurf.output.reports import Report
-from accelsurf.run.result import Result
-from accelsurf.run.run import Run
+from accelsurf.output import MAX_SIDE, MIN_SIDE, GivenImage, Picture, Report, given_labels
+from accelsurf.run import Result, Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run
@@ -135,7 +131,7 @@ class MovieSettings:
         return self.orbit / self.fps
 
 
-def pictures(
+def movie_pictures(
     run: Run, scene: Scene, movie: MovieSettings, on_step: OnStep | None = None
 ) -> Iterator[Picture]:
     """Run to the end and draw the steps; the camera turns from picture to picture.
@@ -237,9 +233,8 @@ def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -
     InputError
         When there is neither, or a file was changed since.
     """
-    from accelsurf.api.segment import segment
-    from accelsurf.interact.restored import restored
-    from accelsurf.interact.state_file import read_state
+    from accelsurf.api import segment
+    from accelsurf.interact import read_state, restored
 
     report = report_in(folder)
     names = report.names

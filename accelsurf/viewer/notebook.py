@@ -11,12 +11,11 @@ from typing import Any
 
 import pyvista as pv
 
-from accelsurf.api.segment import Result
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.library_images import ImageLike, as_volume
-from accelsurf.output.label_files import given_labels
-from accelsurf.output.pictures.movies import png_bytes
+from accelsurf.io import ImageLike, as_volume
+from accelsurf.output import given_labels, png_bytes
+from accelsurf.run import Result
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.export import html_page, write_html
 from accelsurf.viewer.scene.headless import GraphicsError

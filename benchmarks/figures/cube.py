@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from accelsurf.image.volume import Volume
-from accelsurf.measure.surface_mesh import extract
+from accelsurf.measure.surface_mesh import extract_surface
 from benchmarks.figures.common import FINE, Task, agreement, box, make, run_all, write
 from benchmarks.figures.planar import save, show, tell
 
@@ -133,7 +133,7 @@ def surface_plot(axis: Any, record: dict[str, Any]) -> None:
     labels = record["labels"]
     if labels.any():
         psi = 0.5 - labels.astype(np.float32)
-        mesh = extract(psi, Volume.from_array(labels.astype(np.uint8), 1.0).geometry)
+        mesh = extract_surface(psi, Volume.from_array(labels.astype(np.uint8), 1.0).geometry)
         points = mesh.vertices
         axis.plot_trisurf(
             points[:, 0],

@@ -8,7 +8,7 @@ from accelsurf.image.filters import ImageFilters
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
 from accelsurf.phantoms.recipes import distance_at, make, recipe_from
-from accelsurf.run.preprocessing import apply, filtered_volume, scale_of
+from accelsurf.run.preprocessing import apply_filters, filtered_volume, scale_of
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 
@@ -218,12 +218,12 @@ def test_presmoothing_is_in_mm_and_spares_the_missing_axis():
 
 def test_scaled_puts_the_percentiles_at_0_and_1():
     image = np.arange(2000, dtype=np.float32).reshape(10, 10, 20)
-    low, high = np.percentile(apply(image.copy(), scale_of(image)), [0.5, 99.5])
+    low, high = np.percentile(apply_filters(image.copy(), scale_of(image)), [0.5, 99.5])
     assert (low, high) == pytest.approx((0.0, 1.0), abs=1e-5)
     # A tiny object on a flat background: the percentiles coincide, the extremes do not.
     image[:] = 0
     image[0, 0, 0] = 4
-    assert apply(image.copy(), scale_of(image)).max() == 1
+    assert apply_filters(image.copy(), scale_of(image)).max() == 1
 
 
 def test_the_run_is_made_of_what_the_configuration_says():

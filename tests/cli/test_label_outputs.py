@@ -63,7 +63,7 @@ def test_a_segmentation_of_slicer_has_names_and_colours(scan, tmp_path):
     assert np.array_equal(found["voxels"].transpose(2, 1, 0), labels)
     assert found["ijkToLPS"] @ [0, 0, 0, 1] == pytest.approx([0, 0, 0, 1])
     for name in ("a_labels.txt", "a_labels.ctbl", "a_dseg.tsv", "a_segmentation.seg.nrrd"):
-        table = label_tables.read_table(tmp_path / name)
+        table = label_tables.read_label_table(tmp_path / name)
         assert (
             table[2].name == "left ball"
             and table[2].color == (200, 60, 60)
@@ -86,7 +86,7 @@ def test_names_come_from_a_table_and_settings_go_before(scan, tmp_path):
         "itk-snap",
     )
     assert run(scan, tmp_path / "out", *words) == 0
-    table = label_tables.read_table(tmp_path / "out" / "a_labels.txt")
+    table = label_tables.read_label_table(tmp_path / "out" / "a_labels.txt")
     assert [(one.name, one.color) for one in table] == [("one", (1, 2, 3)), ("other", (4, 5, 6))]
 
 
@@ -122,7 +122,7 @@ def test_a_nifti_has_names_in_its_header_and_descriptions_beside(scan, tmp_path,
         io.read_labels(path).array, io.read_labels(tmp_path / "plain" / path.name).array
     )
     for file in (path, tmp_path / "a_labels.txt"):
-        table = label_tables.read_table(file)
+        table = label_tables.read_label_table(file)
         assert (
             table[2].name == "left & right"
             and table[2].color == (200, 60, 60)

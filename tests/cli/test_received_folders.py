@@ -489,7 +489,7 @@ def test_a_record_of_a_group_that_was_planted_brings_no_file(plant, tmp_path):
         {},
         [],
     )
-    states.write_state(real / "record.npz", record, group_files.TYPES)
+    states.write_state_file(real / "record.npz", record, group_files.TYPES)
     if plant == "a link":
         folder.symlink_to(real)
     assert group_files.read_group(folder) is None

@@ -275,15 +275,15 @@ def test_a_state_of_another_version_or_size_is_refused(finished, tmp_path, monke
     path = tmp_path / "ball_state.npz"
     with monkeypatch.context() as old:
         old.setattr(states, "FORMAT", 99)
-        states.write_state(path, state, state_file.TYPES)
+        states.write_state_file(path, state, state_file.TYPES)
     with pytest.raises(InputError, match="another version of accelsurf was given .format 99"):
         read_state(path)
-    states.write_state(path, state._replace(shape=(4, 4, 4)), state_file.TYPES)
+    states.write_state_file(path, state._replace(shape=(4, 4, 4)), state_file.TYPES)
     with pytest.raises(InputError, match="beyond the image"):
         read_state(path)
     bomb = state.objects[0].surface.values._replace(shape=(1 << 40,))
     one = state.objects[0]._replace(surface=state.objects[0].surface._replace(values=bomb))
-    states.write_state(path, state._replace(objects=(one,)), state_file.TYPES)
+    states.write_state_file(path, state._replace(objects=(one,)), state_file.TYPES)
     with pytest.raises((InputError, ValueError)):
         surface_of(read_state(path).objects[0])
 

@@ -382,11 +382,11 @@ def _runs():
 
 
 def _states():
-    from accelsurf.io.states import to_bytes
+    from accelsurf.io.states import packed_state
     from tests.fuzz.verdict import CHECKPOINT_TYPES, Point
 
     state = (
         {"accelsurf": "0", "run": "x"},
         Point(np.arange(6.0), (1, 2.5, None, "text", [np.float32(2), True])),
     )
-    yield Input("checkpoint", ".npz", "binary", to_bytes(state, CHECKPOINT_TYPES))
+    yield Input("checkpoint", ".npz", "binary", packed_state(state, CHECKPOINT_TYPES))

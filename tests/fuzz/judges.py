@@ -206,7 +206,7 @@ def labels(given: Input, folder: Path) -> None:
     """A table of names and colours."""
     from accelsurf.io import label_tables
 
-    for entry in label_tables.read_table(folder / f"input{given.suffix}"):
+    for entry in label_tables.read_label_table(folder / f"input{given.suffix}"):
         if not entry.name or not all(0 <= part <= 255 for part in entry.color) or entry.id < 0:
             raise Wrong(f"{entry}")
 
@@ -283,7 +283,7 @@ def track_state(given: Input, folder: Path) -> None:
     """The state of a tracking, and the tracking that goes on from it."""
     from accelsurf.track import track as states
 
-    states.read_state(folder / "input.npz")
+    states.read_tracking(folder / "input.npz")
 
 
 def store(given: Input, folder: Path) -> None:

@@ -164,7 +164,7 @@ def test_the_page_plays_its_clicks_as_the_library_does(scan, tmp_path):
     ask = messages("ask")
     session, object = page.actions.session, accelsurf.Interaction(scan)
 
-    def settled():
+    def show_when_idle():
         assert session.wait(60)
         for view in views(session):
             page.actions.update(view)
@@ -174,7 +174,7 @@ def test_the_page_plays_its_clicks_as_the_library_does(scan, tmp_path):
 
     try:
         messages("shown")(960, 544, 1)
-        settled()
+        show_when_idle()
         for number, gesture in enumerate(GAME):
             if gesture.side:
                 kind, _, text = gesture.where.partition(":")
@@ -182,14 +182,14 @@ def test_the_page_plays_its_clicks_as_the_library_does(scan, tmp_path):
                 ask("cursor", *places[0][:3])
                 ask("radius", places[0][3])
                 ask("tool", gesture.side)
-                settled()
+                show_when_idle()
                 ask("press", *place_of(page.actions, "axial", places[0][:3]))
                 for place in places[1:]:
                     ask("move", *place_of(page.actions, "axial", place[:3]))
                 ask("release")
             else:
                 ask("undo")
-            settled()
+            show_when_idle()
             status = session.status
             last = status.refinements[-1] if status.refinements else status.settings
             if gesture.side:
@@ -199,7 +199,7 @@ def test_the_page_plays_its_clicks_as_the_library_does(scan, tmp_path):
             else:
                 object.undo()
             ask("save")
-            settled()
+            show_when_idle()
             shown = accelsurf.read_labels(folder / "scan_seg.nii.gz").array
             assert np.array_equal(shown, object.labels), f"gesture {number}"
             assert shown.any()

@@ -21,7 +21,7 @@ from accelsurf.interact.region import rim_width
 from accelsurf.interact.restored import restored
 from accelsurf.interact.state_file import read_state, state_bytes
 from accelsurf.levelset import Workers
-from accelsurf.measure.surface_mesh import extract
+from accelsurf.measure.surface_mesh import extract_surface
 from accelsurf.run.setup import PATIENCE, correction_rule, half_width
 from accelsurf.settings.corrections import Correction, corrections_of
 from accelsurf.settings.run_config import RunConfig
@@ -521,7 +521,7 @@ def test_refinements_are_read_from_texts_and_tables():
 
 def test_the_mesh_of_the_result_is_that_of_its_psi(result):
     after = refine(result, outside=f"ball:{world(12, 14, 21)},2", near=6)
-    fresh = extract(after.psi, after.geometry)
+    fresh = extract_surface(after.psi, after.geometry)
     assert fresh.vertices.tobytes() == after.surface.vertices.tobytes()
     assert dataclasses.replace(after).stop == after.stop
     assert box_at((0, 0, 0), SHAPE) == after.objects[0].box

@@ -67,6 +67,6 @@ def test_a_label_that_is_called_like_a_formula_is_read_again(tmp_path):
         for cell in line.split("\t")
     )
     (tmp_path / "a.tsv").write_text(text, encoding="utf-8")
-    table = label_tables.read_table(tmp_path / "a.tsv")
+    table = label_tables.read_label_table(tmp_path / "a.tsv")
     assert [table[n].name for n in range(1, len(names) + 1)] == names
     assert text_cell("=") == "'="

@@ -172,7 +172,7 @@ def test_damaged_label_tables_are_one_line(suffix, tmp_path, capfd):
         changed[at : at + turn % 3] = pieces[turn % len(pieces)]
         path.write_bytes(gzip.compress(changed) if suffix.endswith(".gz") else changed)
         try:
-            label_tables.read_table(path)
+            label_tables.read_label_table(path)
         except AccelsurfError as error:
             assert error.exit_code == 3 and len(str(error)) < 1000 and "\n" not in str(error)
     assert capfd.readouterr() == ("", "")

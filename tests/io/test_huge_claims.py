@@ -123,7 +123,7 @@ def files(folder):
         ):
             yield kind, f"{name} {read.__name__}", lambda read=read: read(path)
         if suffix in (".nii", ".nii.gz", ".nrrd", ".nhdr"):
-            yield kind, f"{name} label table", lambda: label_tables.read_table(path)
+            yield kind, f"{name} label table", lambda: label_tables.read_label_table(path)
 
     def packed_into(content, places, sizes=SIZES):
         """The content with each number (code, offset) changed."""
@@ -327,7 +327,7 @@ def tables(made, small):
             yield (
                 "label tables",
                 f"{suffix} {size}",
-                lambda path=path: label_tables.read_table(path),
+                lambda path=path: label_tables.read_label_table(path),
             )
         yield "texts", f"ids {size}", lambda size=size: parse_ids(f"1-{size}", "labels", "1-3")
         for key in ("max_steps", "threads", "levels", "seed", "half_width"):

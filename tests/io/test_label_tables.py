@@ -18,18 +18,22 @@ WRITERS = {
 @pytest.mark.parametrize("name", WRITERS)
 def test_what_is_written_is_read_back(tmp_path, name):
     (tmp_path / name).write_text(WRITERS[name](ENTRIES), encoding="utf-8")
-    table = label_tables.read_table(tmp_path / name)
+    table = label_tables.read_label_table(tmp_path / name)
     assert [one.id for one in table] == [1, 7] and table[1] == ENTRIES[0]
     assert table[7].color == (0, 128, 255) and table[7].name.replace("'", '"') == ENTRIES[1].name
 
 
 def test_columns_in_any_order_and_colours_in_two_ways(tmp_path):
     (tmp_path / "a.csv").write_text("name,B,r,g,id\nspleen,3,1,2,4\n\n")
-    assert label_tables.read_table(tmp_path / "a.csv")[4] == LabelEntry(4, "spleen", (1, 2, 3))
+    assert label_tables.read_label_table(tmp_path / "a.csv")[4] == LabelEntry(
+        4, "spleen", (1, 2, 3)
+    )
     (tmp_path / "b.tsv").write_text(
         "index\tname\tshort\tcolor\n0\tnothing\tBG\tn/a\n2\tspleen\tSP\t#010203\n"
     )
-    assert list(label_tables.read_table(tmp_path / "b.tsv")) == [LabelEntry(2, "spleen", (1, 2, 3))]
+    assert list(label_tables.read_label_table(tmp_path / "b.tsv")) == [
+        LabelEntry(2, "spleen", (1, 2, 3))
+    ]
 
 
 @pytest.mark.parametrize(
@@ -50,7 +54,7 @@ def test_columns_in_any_order_and_colours_in_two_ways(tmp_path):
 def test_a_line_that_is_not_understood_is_named(tmp_path, name, text, said):
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match=said):
-        label_tables.read_table(tmp_path / name)
+        label_tables.read_label_table(tmp_path / name)
 
 
 def test_mutated_tables_are_read_or_refused(tmp_path):
@@ -63,6 +67,6 @@ def test_mutated_tables_are_read_or_refused(tmp_path):
                 damaged[place] = rng.integers(0, 256)
             (tmp_path / name).write_bytes(bytes(damaged[: rng.integers(1, len(damaged))]))
             try:
-                assert isinstance(label_tables.read_table(tmp_path / name), LabelTable)
+                assert isinstance(label_tables.read_label_table(tmp_path / name), LabelTable)
             except InputError as error:
                 assert "\n" not in error.message

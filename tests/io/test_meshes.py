@@ -12,7 +12,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io import meshes
 from accelsurf.io.meshes import MESH_READERS
-from accelsurf.measure.surface_mesh import extract
+from accelsurf.measure.surface_mesh import extract_surface
 
 #: Of meshes that can be read.
 SUFFIXES = list(MESH_READERS)
@@ -24,7 +24,7 @@ CENTRE, RADIUS = GRID.index_to_world((6.6, 7.2, 8.1)), 4.5
 def ball():
     index = np.moveaxis(np.indices(GRID.shape), 0, -1)
     distance = np.linalg.norm(GRID.index_to_world(index) - CENTRE, axis=-1) - RADIUS
-    return extract(distance.astype(np.float32), GRID)
+    return extract_surface(distance.astype(np.float32), GRID)
 
 
 @pytest.fixture(scope="module")

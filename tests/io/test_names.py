@@ -59,7 +59,7 @@ def test_a_folder_for_outputs_that_is_not_utf8_is_refused_before_the_run(tmp_pat
 
 
 def test_a_report_holds_any_name():
-    text = document.to_json({"path": BAD})
+    text = document.report_json({"path": BAD})
     assert json.loads(text.encode("utf-8").decode("utf-8"))["path"] == BAD
 
 

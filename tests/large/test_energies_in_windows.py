@@ -13,7 +13,7 @@ from accelsurf.large.whole_image import WholeImage
 from accelsurf.levelset import LevelSet
 from accelsurf.run.energy import make_energy
 from accelsurf.run.image_context import ImageContext
-from accelsurf.run.preprocessing import apply, filtered_volume, scale_of
+from accelsurf.run.preprocessing import apply_filters, filtered_volume, scale_of
 from accelsurf.settings.run_config import RunConfig
 
 SHAPE, SPACING, SIGMA = (44, 60, 64), (1.2, 1.0, 0.9), 0.8
@@ -80,11 +80,11 @@ def test_a_window_has_the_bytes_of_the_whole(text, level):
     box = box_at(CORNER, WINDOW)
     smooth = [filtered_volume(one, ImageFilters(sigma=SIGMA)) for one in volumes]
     scales = [scale_of(one) for one in smooth]
-    images = [apply(*both) for both in zip(smooth, scales, strict=True)]
+    images = [apply_filters(*both) for both in zip(smooth, scales, strict=True)]
     want, terms, surface = evolved(text, images, psi, scales, level)
     filters, slab = ImageFilters(sigma=SIGMA), 4 * 60 * 64 * 7
     whole = [WholeImage(LazyVolume.of_array(one), filters, slab_bytes=slab) for one in volumes]
-    windows = [apply(one.window(box), one.scale) for one in whole]
+    windows = [apply_filters(one.window(box), one.scale) for one in whole]
     got, own_terms, part = evolved(
         text, windows, psi[box].copy(), [one.scale for one in whole], level, whole
     )
@@ -103,15 +103,15 @@ def test_the_least_variance_is_that_of_the_whole():
     volume = Volume.from_array(values, SPACING)
     whole = [WholeImage(LazyVolume.of_array(volume))]
     want, _, _ = evolved(
-        "likelihood", [apply(volume.as_float32(), whole[0].scale)], psi, [whole[0].scale], 0
+        "likelihood", [apply_filters(volume.as_float32(), whole[0].scale)], psi, [whole[0].scale], 0
     )
-    windows = [apply(whole[0].window(box), whole[0].scale)]
+    windows = [apply_filters(whole[0].window(box), whole[0].scale)]
     assert evolved("likelihood", windows, psi[box].copy(), [whole[0].scale], 0, whole)[0] == want
 
 
 def test_given_background_is_learned_from_as_it_is():
     volumes, psi = scans()
-    image = apply(volumes[0].as_float32(), scale_of(volumes[0].as_float32()))
+    image = apply_filters(volumes[0].as_float32(), scale_of(volumes[0].as_float32()))
     background = np.zeros(SHAPE, np.bool_)
     background[30:, 40:, :7] = True
     context = ImageContext([image], [scale_of(image)], SPACING, psi < -2, background)

@@ -17,7 +17,7 @@ from accelsurf.image.noise import noise_of
 from accelsurf.image.volume import Volume, check_image
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.large.whole_image import ImageSlabs, WholeImage
-from accelsurf.run.preprocessing import apply, filtered_volume, scale_of
+from accelsurf.run.preprocessing import apply_filters, filtered_volume, scale_of
 from accelsurf.starts.region_growing import otsu_level
 
 SPACING = (2.5, 1.0, 0.8)
@@ -66,7 +66,7 @@ def test_numbers_have_the_bytes_of_the_image_in_memory(shape, dtype, sigma):
     image = volume(shape, dtype)
     smoothed = filtered_volume(image, ImageFilters(sigma=sigma))
     scale = scale_of(smoothed)
-    scaled = apply(smoothed.copy(), scale)
+    scaled = apply_filters(smoothed.copy(), scale)
     for planes in SLABS:
         whole = in_parts(image, sigma, planes)
         assert whole.scale == scale
@@ -86,7 +86,7 @@ def test_sums_on_levels_have_the_bytes_of_the_image_in_memory(shape, sigma):
     grids = levels(shape, SPACING, min_voxels=2)
     assert len(grids) > 2
     smooth = filtered_volume(image, ImageFilters(sigma=sigma))
-    arrays = [apply(smooth.copy(), scale_of(smooth))]
+    arrays = [apply_filters(smooth.copy(), scale_of(smooth))]
     for fine, coarse in zip(grids, grids[1:], strict=False):
         arrays.append(restrict(arrays[-1], fine, coarse))
     parzen = Parzen.of_image(arrays[0])
@@ -104,7 +104,7 @@ def test_sums_on_levels_have_the_bytes_of_the_image_in_memory(shape, sigma):
                 ImageFilters(sigma=sigma),
                 4 * shape[1] * shape[2] * planes,
             )
-            parts = slabs.on_levels(grids, partial(apply, scale=scale_of(smooth)))
+            parts = slabs.on_levels(grids, partial(apply_filters, scale=scale_of(smooth)))
             found = [slab for slab in parts if slab.level == level]
             assert [slab.first for slab in found] == list(
                 np.cumsum([0, *(len(slab.values) for slab in found[:-1])])

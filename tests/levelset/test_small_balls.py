@@ -5,7 +5,7 @@ import pytest
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet
-from accelsurf.measure.surface_mesh import extract
+from accelsurf.measure.surface_mesh import extract_surface
 
 CUBIC, UNEQUAL = ((1.0, 1.0, 1.0),), ((3.0, 1.0, 1.0), (5.0, 1.0, 1.0), (2.0, 0.5, 0.5))
 
@@ -27,6 +27,6 @@ def test_the_mesh_of_a_small_ball_lacks_no_more_than_the_pages_say(
                 middle = (np.array(shape) - 1) / 2 + random.uniform(-0.5, 0.5, 3)
                 at = (np.indices(shape).transpose(1, 2, 3, 0) - middle) * np.array(spacing)
                 psi = (np.linalg.norm(at, axis=3) - size).astype(np.float32)
-                mesh = extract(LevelSet(psi, spacing).psi, Geometry(shape, spacing))
+                mesh = extract_surface(LevelSet(psi, spacing).psi, Geometry(shape, spacing))
                 assert mesh.is_closed
                 assert mesh.volume == pytest.approx(4 / 3 * np.pi * size**3, rel=most)

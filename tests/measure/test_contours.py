@@ -8,8 +8,8 @@ import pyvista
 
 from accelsurf.errors import EmptyResultError, InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.measure.contours import Contours, extract, in_slices
-from accelsurf.measure.surface_mesh import extract as extract_surface
+from accelsurf.measure.contours import Contours, extract_contours, in_slices
+from accelsurf.measure.surface_mesh import extract_surface as extract_surface
 
 GRID = Geometry((1, 40, 50), (7.0, 1.0, 0.5))
 
@@ -31,7 +31,7 @@ def screen_area(loop):
 
 
 def test_circle():
-    contours = extract(disc(), GRID)
+    contours = extract_contours(disc(), GRID)
     (loop,) = contours.loops
     assert np.abs(np.hypot(loop[:, 0] - 12.0, loop[:, 1] - 20.0) - 8.0).max() < 0.02
     assert (loop[:, 2] == 0).all()
@@ -41,7 +41,7 @@ def test_circle():
 
 def test_the_object_lies_to_the_left_on_the_screen():
     ring = np.maximum(disc(), -disc(radius=3.0))
-    contours = extract(ring, GRID)
+    contours = extract_contours(ring, GRID)
     assert sorted(np.sign([screen_area(loop) for loop in contours.loops])) == [-1, 1]
     outer = min(contours.loops, key=screen_area)
     assert abs(screen_area(outer)) > 100  # the outer one runs counter-clockwise, the hole clockwise
@@ -57,7 +57,7 @@ def test_any_axis_may_be_missing_and_the_grid_may_be_oblique(axis):
     shape.insert(axis, 1)
     spacing.insert(axis, 3.0)
     geometry = Geometry(tuple(shape), tuple(spacing), (500.0, -900.0, 100.0), direction)
-    contours = extract(disc(geometry), geometry)
+    contours = extract_contours(disc(geometry), geometry)
     assert contours.area == pytest.approx(np.pi * 64, rel=3e-3)
     index = geometry.world_to_index(contours.loops[0])
     assert np.abs(index[:, axis]).max() < 1e-9
@@ -68,7 +68,7 @@ def test_any_axis_may_be_missing_and_the_grid_may_be_oblique(axis):
 @pytest.mark.parametrize("centre", [(20.0, 0.0), (0.0, 0.0), (39.0, 24.5), (20.0, 12.0)])
 def test_border_the_contour_agrees_with_the_prism_of_the_mesh(centre):
     psi = disc(centre=centre, radius=9.3)
-    contours, prism = extract(psi, GRID), extract_surface(psi, GRID)
+    contours, prism = extract_contours(psi, GRID), extract_surface(psi, GRID)
     assert contours.area * 7.0 == pytest.approx(prism.volume, rel=1e-5)
     # The displacements are averaged over triangles there, over segments here, which differ where the curve ends.
     assert contours.length * 7.0 == pytest.approx(prism.area - 2 * contours.area, rel=5e-5)
@@ -77,14 +77,14 @@ def test_border_the_contour_agrees_with_the_prism_of_the_mesh(centre):
 
 
 def test_full_image_is_its_rectangle():
-    contours = extract(np.full((1, 40, 50), -1.0, np.float32), GRID)
+    contours = extract_contours(np.full((1, 40, 50), -1.0, np.float32), GRID)
     assert (contours.area, contours.length) == pytest.approx((40 * 25, 2 * (40 + 25)))
 
 
 def test_one_pixel_and_corners_that_touch():
     psi = np.full((1, 40, 50), 0.4, np.float32)
     psi[0, 5, 5] = psi[0, 6, 6] = psi[0, 0, 49] = -0.4
-    contours = extract(psi, GRID)
+    contours = extract_contours(psi, GRID)
     assert len(contours.loops) == 3
     assert all(
         len(loop) >= 3 and (loop != np.roll(loop, 1, axis=0)).any(axis=1).all()
@@ -98,7 +98,7 @@ def test_psi_of_exactly_zero_is_outside():
     psi[0, 11:20, 11:20] = -0.5
     # So deep, and so far from all else, that it is no small part.
     psi[0, 12:19, 12:19] = -5.0
-    contours = extract(psi, GRID)
+    contours = extract_contours(psi, GRID)
     # 9 x 9 pixels inside, each reaching its neighbours' centres: 10 x 5 mm without the corners
     assert len(contours.loops) == 1 and contours.area == pytest.approx(
         10.0 * 5.0 - 4 * 0.25, rel=1e-3
@@ -107,11 +107,11 @@ def test_psi_of_exactly_zero_is_outside():
 
 def test_what_is_no_contour():
     with pytest.raises(EmptyResultError, match="no pixel"):
-        extract(np.ones((1, 40, 50), np.float32), GRID)
+        extract_contours(np.ones((1, 40, 50), np.float32), GRID)
     with pytest.raises(InputError, match="one slice expected"):
-        extract(np.ones((2, 40, 50), np.float32), Geometry((2, 40, 50), (1.0, 1.0, 1.0)))
+        extract_contours(np.ones((2, 40, 50), np.float32), Geometry((2, 40, 50), (1.0, 1.0, 1.0)))
     with pytest.raises(InputError, match="NaN"):
-        extract(np.full((1, 40, 50), np.nan, np.float32), GRID)
+        extract_contours(np.full((1, 40, 50), np.nan, np.float32), GRID)
 
 
 # ------------------------------------------------------------------------------------------------------- files
@@ -119,7 +119,7 @@ def test_what_is_no_contour():
 
 @pytest.fixture
 def ring():
-    return extract(np.maximum(disc(), -disc(radius=3.0)), GRID)
+    return extract_contours(np.maximum(disc(), -disc(radius=3.0)), GRID)
 
 
 def test_vtp_has_closed_polylines(ring, tmp_path):
@@ -229,7 +229,7 @@ def test_slices_of_an_object_that_the_border_cuts():
 def test_slices_agree_with_the_image_of_one_slice():
     volume = Geometry((1, 40, 50), (7.0, 1.0, 0.5))
     (loop,) = in_slices(disc(), volume)[0].loops
-    assert np.abs(loop - extract(disc(), GRID).loops[0]).max() < 1e-9
+    assert np.abs(loop - extract_contours(disc(), GRID).loops[0]).max() < 1e-9
 
 
 def test_slices_of_an_empty_volume_and_of_another_grid():

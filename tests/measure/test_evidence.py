@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.measure.evidence import deepest_voxel, gather, uncertain_places
+from accelsurf.measure.evidence import deepest_voxel, gather_evidence, uncertain_places
 
 SHAPE, SPACING = (36, 44, 48), (1.5, 1.0, 0.8)
 
@@ -24,7 +24,7 @@ def ball(radius=10.0):
 
 
 def look(mask, image, clicked=None):
-    found = gather(mask, image.astype(np.float32), SPACING, clicked)
+    found = gather_evidence(mask, image.astype(np.float32), SPACING, clicked)
     assert found is not None
     return found
 
@@ -96,10 +96,10 @@ def test_values_that_change_from_the_middle_outwards_are_a_drift():
 
 
 def test_nothing_and_one_slice():
-    assert gather(np.zeros(SHAPE, bool), noise().astype(np.float32), SPACING) is None
+    assert gather_evidence(np.zeros(SHAPE, bool), noise().astype(np.float32), SPACING) is None
     y, x = np.indices((40, 44)) - 20.0
     disc = (x**2 + y**2 < 12**2)[np.newaxis]
-    found = gather(disc, disc.astype(np.float32), (5.0, 1.0, 1.0))
+    found = gather_evidence(disc, disc.astype(np.float32), (5.0, 1.0, 1.0))
     assert found is not None and found.total.mean() > 0.8 and np.all(found.index[:, 0] == 0)
 
 

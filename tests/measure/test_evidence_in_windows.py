@@ -20,7 +20,7 @@ def test_a_grid_that_begins_earlier_changes_no_bit_of_the_evidence(before):
     found = []
     for pad in ((0, 0, 0), before):
         widths = [(n, 0) for n in pad]
-        one = evidence.gather(
+        one = evidence.gather_evidence(
             *(np.pad(a, widths) for a in (inside, image)), SPACING, np.pad(clicked, widths)
         )
         place, share = evidence.uncertain_places(one, SPACING, 900.0)[0]

@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.measure.surface_mesh import crossings, extract
+from accelsurf.measure.surface_mesh import crossings, extract_surface
 
 SHAPE, PARTED = (28, 70, 30), 36
 
@@ -36,7 +36,7 @@ def test_vertices_far_from_a_change_are_the_same_bytes(seed):
     geometry, fields = drawn(seed)
     kept, have_inner = set(), False
     for psi in fields:
-        vertices = extract(psi, geometry).vertices
+        vertices = extract_surface(psi, geometry).vertices
         far = geometry.world_to_index(vertices)[:, 1] > PARTED + 3
         kept.add(vertices[far].tobytes())
         places, _ = crossings(psi, geometry)

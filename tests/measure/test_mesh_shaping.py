@@ -8,8 +8,8 @@ import pytest
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.mesh_distance import TriangleIndex, largest_distance, sides
-from accelsurf.measure.mesh_shaping import MeshOptions, is_sound, shape, smoothed
-from accelsurf.measure.surface_mesh import Surface, extract
+from accelsurf.measure.mesh_shaping import MeshOptions, is_sound, shape_mesh, smoothed
+from accelsurf.measure.surface_mesh import Surface, extract_surface
 
 CENTRE = np.array([12.0, 13.0, 14.0])
 
@@ -19,7 +19,7 @@ def ball() -> Surface:
     """Of radius 8 mm on voxels of 1 x 1 x 1.5 mm."""
     z, y, x = np.indices((20, 26, 26)) * np.array([1.5, 1, 1]).reshape(3, 1, 1, 1)
     psi = np.sqrt((x - 12) ** 2 + (y - 13) ** 2 + (z - 14) ** 2) - 8
-    return extract(psi.astype(np.float32), Geometry((20, 26, 26), (1.5, 1.0, 1.0)))
+    return extract_surface(psi.astype(np.float32), Geometry((20, 26, 26), (1.5, 1.0, 1.0)))
 
 
 def grown(surface: Surface, factor: float) -> Surface:
@@ -45,7 +45,7 @@ def test_a_spike_is_found_from_either_side(ball: Surface) -> None:
 def test_nearest_triangles_are_those_of_a_plain_search(ball: Surface) -> None:
     from accelsurf.measure.mesh_distance import nearest_in
 
-    coarse = shape(ball, MeshOptions(faces=60)).surface
+    coarse = shape_mesh(ball, MeshOptions(faces=60)).surface
     points = CENTRE + np.random.default_rng(1).normal(0, 7, (200, 3))
     corners = coarse.vertices[coarse.faces]
     plain = [
@@ -58,17 +58,20 @@ def test_nearest_triangles_are_those_of_a_plain_search(ball: Surface) -> None:
 
 
 def test_a_number_of_triangles_and_the_distance_that_it_costs(ball: Surface) -> None:
-    shaped = shape(ball, MeshOptions(faces=300))
+    shaped = shape_mesh(ball, MeshOptions(faces=300))
     assert len(shaped.surface.faces) == 300 and is_sound(shaped.surface)
     assert 0.02 < shaped.distance_mm < 0.5
     assert shaped.distance_mm == largest_distance(ball, shaped.surface)
-    again = shape(ball, MeshOptions(faces=300))
+    again = shape_mesh(ball, MeshOptions(faces=300))
     assert again.surface.vertices.tobytes() == shaped.surface.vertices.tobytes()
-    assert shape(ball, MeshOptions(faces=10**6)).warnings
+    assert shape_mesh(ball, MeshOptions(faces=10**6)).warnings
 
 
 def test_an_error_holds_and_is_used(ball: Surface) -> None:
-    fine, coarse = shape(ball, MeshOptions(error=0.05)), shape(ball, MeshOptions(error=0.4))
+    fine, coarse = (
+        shape_mesh(ball, MeshOptions(error=0.05)),
+        shape_mesh(ball, MeshOptions(error=0.4)),
+    )
     for shaped, error in ((fine, 0.05), (coarse, 0.4)):
         assert error / 4 < largest_distance(ball, shaped.surface) <= error
         assert is_sound(shaped.surface)
@@ -77,11 +80,11 @@ def test_an_error_holds_and_is_used(ball: Surface) -> None:
 
 def test_what_contradicts_the_error_is_refused_with_one_that_does_not(ball: Surface) -> None:
     with pytest.raises(UsageError, match="20 triangles") as caught:
-        shape(ball, MeshOptions(faces=20, error=0.1))
+        shape_mesh(ball, MeshOptions(faces=20, error=0.1))
     offered = float(caught.value.hint.split()[1].rstrip(","))
-    assert shape(ball, MeshOptions(faces=20, error=offered)).distance_mm <= offered
+    assert shape_mesh(ball, MeshOptions(faces=20, error=offered)).distance_mm <= offered
     with pytest.raises(UsageError, match="mesh-smooth"):
-        shape(ball, MeshOptions(smooth=6.0, error=1e-3))
+        shape_mesh(ball, MeshOptions(smooth=6.0, error=1e-3))
 
 
 def halved(surface: Surface) -> Surface:

@@ -17,7 +17,7 @@ from accelsurf.measure import likely
 from accelsurf.measure.likely import Plateau, click_features, features
 from accelsurf.measure.metrics import dice
 from accelsurf.measure.quality import Judged, ValueRange, assess
-from accelsurf.output.document import describe_quality, to_json
+from accelsurf.output.document import describe_quality, report_json
 from accelsurf.text.starts import psi_of_starts, read_starts
 from tests.support.records import step_record
 
@@ -186,7 +186,7 @@ def test_the_report_has_probability_place_and_plateaus_as_values():
             mask.astype(np.uint8), mask.astype(np.float32), geometry, history, DONE, plateaus=[rest]
         )
     )
-    described = json.loads(to_json(describe_quality(found)))
+    described = json.loads(report_json(describe_quality(found)))
     assert described["rests"] == [
         {"step": 4, "volume_mm3": 3000.0, "left_at": 9, "place": [1.0, 2.0, 3.0]}
     ]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.measure.contours import extract as extract_contours
-from accelsurf.measure.surface_mesh import extract
+from accelsurf.measure.contours import extract_surface as extract_contours
+from accelsurf.measure.surface_mesh import extract_surface
 from accelsurf.measure.vertex_placement import cubic_at
 from tests.support.meshes import euler_characteristic
 
@@ -59,7 +59,7 @@ def test_small_balls_and_thin_cylinders_have_their_volume(radius, most, spacing)
         psi, geometry, volume = drawn_capsule(
             draw, radius * max(spacing), spacing, length * max(spacing)
         )
-        mesh = extract(psi, geometry)
+        mesh = extract_surface(psi, geometry)
         assert mesh.is_closed and euler_characteristic(mesh) == 2
         if np.count_nonzero(psi < 0) > 14:
             assert mesh.volume == pytest.approx(volume, rel=most)
@@ -74,7 +74,7 @@ def test_small_ellipsoids_have_their_volume(spacing):
         psi = ellipsoid(
             half_axes, spacing, (np.array(shape) - 1) / 2 + draw.uniform(-0.5, 0.5, 3), shape
         )
-        mesh = extract(psi, Geometry(shape, spacing))
+        mesh = extract_surface(psi, Geometry(shape, spacing))
         assert mesh.is_closed and euler_characteristic(mesh) == 2
         assert mesh.volume == pytest.approx(4 / 3 * np.pi * half_axes.prod(), rel=most)
 
@@ -87,7 +87,7 @@ def test_what_is_small_beside_something_large_is_as_exact_and_the_large_keeps_it
     small = np.linalg.norm(at - (19, 30, 12) - draw.uniform(-1, 1, 3), axis=3) - 2.2
     geometry = Geometry(shape, spacing)
     both, alone, little = (
-        extract(psi.astype(np.float32), geometry)
+        extract_surface(psi.astype(np.float32), geometry)
         for psi in (np.minimum(large, small), large, small)
     )
     assert both.volume == pytest.approx(4 / 3 * np.pi * (8**3 + 2.2**3), rel=0.002)
@@ -104,7 +104,7 @@ def test_cavities_have_their_volume():
     """The same mesh, turned inside out."""
     psi, geometry, volume = drawn_capsule(np.random.default_rng(5), 2.4, (2.0, 1.0, 1.0), 0.0)
     box = np.prod(np.array(geometry.shape) * geometry.spacing)
-    mesh = extract(-psi, geometry)
+    mesh = extract_surface(-psi, geometry)
     assert mesh.is_closed
     assert box - mesh.volume == pytest.approx(volume, rel=0.04)
 
@@ -113,7 +113,7 @@ def test_cavities_have_their_volume():
 def test_walls_of_a_thin_sheet_stay_where_they_are(thickness):
     x = np.arange(15.0) - 7.2
     psi = np.broadcast_to(np.abs(x) - thickness / 2, (6, 6, 15)).astype(np.float32)
-    mesh = extract(psi, Geometry(psi.shape, (1.0, 1.0, 1.0)))
+    mesh = extract_surface(psi, Geometry(psi.shape, (1.0, 1.0, 1.0)))
     assert mesh.volume == pytest.approx(36 * thickness, rel=0.04)
 
 

@@ -6,7 +6,7 @@ import pytest
 from accelsurf import segment
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.measure.statistics import statistics
+from accelsurf.measure.statistics import object_statistics
 
 SPACING = (2.0, 0.5, 1.0)
 
@@ -31,7 +31,7 @@ def test_a_box_has_the_lengths_of_its_edges():
     one, values = start_only(inside, geometry)
     values = values + np.arange(24, dtype=np.float32)  # grows along x
     own = one.labels > 0
-    found = statistics(one, values)
+    found = object_statistics(one, values)
     assert np.array_equal(own, inside)
     assert found["voxels"] == 5 * 20 * 10
     assert found["box_first"] == [6, 10, 3] and found["box_last"] == [15, 29, 7]
@@ -55,7 +55,7 @@ def test_an_ellipsoid_has_its_axes_and_directions():
     )
     inside = (x / 18) ** 2 + (y / 12) ** 2 + (z / 8) ** 2 < 1
     one, values = start_only(inside, geometry)
-    found = statistics(one, values)
+    found = object_statistics(one, values)
     assert found["axes_mm"] == pytest.approx([36, 24, 16], rel=0.01)
     directions = np.array(found["axes_directions"])
     for place, axis in enumerate((0, 1, 2)):
@@ -71,4 +71,4 @@ def test_an_object_of_one_slice_has_a_diameter(shape):
     inside = np.zeros(shape, bool)
     inside[tuple(slice(3, 9) if n > 1 else slice(None) for n in shape)] = True
     one, values = start_only(inside, Geometry(shape, (1.0, 1.0, 1.0)))
-    assert statistics(one, values)["diameter_mm"] == pytest.approx(np.sqrt(72))
+    assert object_statistics(one, values)["diameter_mm"] == pytest.approx(np.sqrt(72))

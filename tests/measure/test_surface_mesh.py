@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from accelsurf.errors import EmptyResultError, InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.measure.surface_mesh import Surface, extract
+from accelsurf.measure.surface_mesh import Surface, extract_surface
 from accelsurf.phantoms.recipes import Recipe, distance_at, signed_distance
 from tests.support.meshes import euler_characteristic
 
@@ -32,7 +32,7 @@ OBJECTS = {
 
 
 def surface_of(recipe: Recipe) -> Surface:
-    return extract(signed_distance(recipe), recipe.geometry)
+    return extract_surface(signed_distance(recipe), recipe.geometry)
 
 
 def outwardness(surface: Surface, recipe: Recipe) -> float:
@@ -91,7 +91,7 @@ def test_left_handed_direction_keeps_the_outside_outside() -> None:
     right, psi = recipe.geometry, signed_distance(recipe)
     left = Geometry(right.shape, right.spacing, right.origin, right.direction @ MIRROR)
     assert np.linalg.det(left.direction) < 0 < np.linalg.det(right.direction)
-    mirrored, straight = extract(psi, left), extract(psi, right)
+    mirrored, straight = extract_surface(psi, left), extract_surface(psi, right)
     assert mirrored.is_closed
     assert mirrored.volume == pytest.approx(straight.volume, rel=1e-9)
     assert mirrored.volume > 0
@@ -103,7 +103,7 @@ def test_world_position_follows_the_geometry() -> None:
     grid = Geometry((9, 8, 7), (2.0, 1.0, 0.5), (400.0, -300.0, 1000.0), recipe.geometry.direction)
     psi = np.full(grid.shape, 1.0, dtype=np.float32)
     psi[6, 2, 5] = -1.0
-    surface = extract(psi, grid)
+    surface = extract_surface(psi, grid)
     np.testing.assert_allclose(
         surface.vertices.mean(axis=0), grid.index_to_world((6, 2, 5)), atol=1e-6
     )
@@ -114,7 +114,7 @@ def test_world_position_follows_the_geometry() -> None:
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (3.0, 0.5, 1.0)])
 def test_full_volume_is_the_box_of_its_voxels(spacing: tuple[float, float, float]) -> None:
     grid = Geometry((4, 5, 6), spacing, (10.0, 20.0, 30.0))
-    surface = extract(np.full(grid.shape, -2.0, dtype=np.float32), grid)
+    surface = extract_surface(np.full(grid.shape, -2.0, dtype=np.float32), grid)
     z, y, x = grid.extent_mm
     assert surface.is_closed and euler_characteristic(surface) == 2
     assert surface.volume == pytest.approx(x * y * z, rel=1e-12)
@@ -124,7 +124,7 @@ def test_full_volume_is_the_box_of_its_voxels(spacing: tuple[float, float, float
 
 
 def test_single_voxel_volume() -> None:
-    surface = extract(
+    surface = extract_surface(
         np.full((1, 1, 1), -1.0, dtype=np.float32), Geometry((1, 1, 1), (2.0, 3.0, 4.0))
     )
     assert surface.is_closed
@@ -168,7 +168,7 @@ def test_one_slice_gives_a_prism_one_voxel_thick(axis: int) -> None:
     disc = np.expand_dims((np.hypot(y, x) - 11.4).astype(np.float32), axis)
     spacing = [1.0, 1.0, 1.0]
     spacing[axis] = 2.5
-    surface = extract(disc, Geometry(disc.shape, tuple(spacing)))
+    surface = extract_surface(disc, Geometry(disc.shape, tuple(spacing)))
     assert surface.is_closed and euler_characteristic(surface) == 2
     assert surface.volume == pytest.approx(2.5 * np.pi * 11.4**2, rel=4e-3)
     assert surface.area == pytest.approx(2 * np.pi * 11.4**2 + 2.5 * 2 * np.pi * 11.4, rel=4e-3)
@@ -189,7 +189,7 @@ def test_always_closed_on_noise_with_zeros_at_any_shape() -> None:
         if not (psi < 0).any():
             continue
         seen += 1
-        surface = extract(psi, Geometry(shape, tuple(random.uniform(0.3, 3.0, 3))))
+        surface = extract_surface(psi, Geometry(shape, tuple(random.uniform(0.3, 3.0, 3))))
         corners = surface.vertices[surface.faces]
         areas = np.linalg.norm(
             np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
@@ -212,7 +212,7 @@ def test_only_the_neighbourhood_of_the_surface_counts() -> None:
     recipe = Recipe(**OBJECTS["ball"], **GRIDS["isotropic"])
     psi = signed_distance(recipe)
     near = np.clip(psi, -2.0, 2.0)
-    whole, banded = extract(psi, recipe.geometry), extract(near, recipe.geometry)
+    whole, banded = extract_surface(psi, recipe.geometry), extract_surface(near, recipe.geometry)
     np.testing.assert_array_equal(whole.faces, banded.faces)
     np.testing.assert_allclose(whole.vertices, banded.vertices, atol=1e-5)
 
@@ -225,7 +225,10 @@ def test_input_is_not_modified_and_memory_order_does_not_matter() -> None:
     assert (psi == 0).any()
     psi.setflags(write=False)
     before = psi.copy()
-    one, two = extract(psi, recipe.geometry), extract(np.asfortranarray(psi), recipe.geometry)
+    one, two = (
+        extract_surface(psi, recipe.geometry),
+        extract_surface(np.asfortranarray(psi), recipe.geometry),
+    )
     np.testing.assert_array_equal(psi, before)
     np.testing.assert_array_equal(one.vertices, two.vertices)
     np.testing.assert_array_equal(one.faces, two.faces)
@@ -237,13 +240,13 @@ def test_input_is_not_modified_and_memory_order_does_not_matter() -> None:
 def test_refusals() -> None:
     grid = Geometry((4, 4, 4), (1.0, 1.0, 1.0))
     with pytest.raises(EmptyResultError, match="no surface"):
-        extract(np.ones(grid.shape, dtype=np.float32), grid)
+        extract_surface(np.ones(grid.shape, dtype=np.float32), grid)
     with pytest.raises(InputError, match=r"\(4, 4, 5\)"):
-        extract(np.ones((4, 4, 5), dtype=np.float32), grid)
+        extract_surface(np.ones((4, 4, 5), dtype=np.float32), grid)
     psi = -np.ones(grid.shape, dtype=np.float32)
     psi[2, 2, 2] = np.nan
     with pytest.raises(InputError, match="NaN"):
-        extract(psi, grid)
+        extract_surface(psi, grid)
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from scipy.ndimage import gaussian_filter
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet
 from accelsurf.measure import vertex_placement
-from accelsurf.measure.contours import extract as extract_contours
-from accelsurf.measure.surface_mesh import extract
+from accelsurf.measure.contours import extract_surface as extract_contours
+from accelsurf.measure.surface_mesh import extract_surface
 from accelsurf.measure.vertex_placement import balanced, on_edges
 from accelsurf.phantoms.recipes import Recipe, distance_at, signed_distance
 from tests.support.meshes import euler_characteristic
@@ -31,7 +31,7 @@ def test_mesh_and_band_have_the_volume_of_the_ball(radius: float, most: float) -
     exact = 4 / 3 * np.pi * radius**3
     for _ in range(4):
         psi, geometry = ball(radius, rng.uniform(-0.5, 0.5, 3))
-        mesh, surface = extract(psi, geometry), LevelSet(psi, geometry.spacing)
+        mesh, surface = extract_surface(psi, geometry), LevelSet(psi, geometry.spacing)
         assert mesh.is_closed and euler_characteristic(mesh) == 2
         assert mesh.volume == pytest.approx(exact, rel=most)
         assert mesh.volume == pytest.approx(
@@ -46,13 +46,15 @@ def test_with_unequal_spacing(spacing: tuple[float, float, float]) -> None:
     rng = np.random.default_rng(4)
     for _ in range(4):
         psi, geometry = ball(6.0, rng.uniform(-0.5, 0.5, 3), spacing)
-        assert extract(psi, geometry).volume == pytest.approx(4 / 3 * np.pi * 216, rel=0.002)
+        assert extract_surface(psi, geometry).volume == pytest.approx(
+            4 / 3 * np.pi * 216, rel=0.002
+        )
 
 
 def test_vertices_lie_on_the_surface_before_they_are_balanced() -> None:
     """Third order along the edges: linear crossings are up to h^2 / 8r off, 0.025 voxel."""
     psi, geometry = ball(5.0, np.array([0.2, -0.3, 0.1]))
-    mesh = extract(psi, geometry)
+    mesh = extract_surface(psi, geometry)
     centre = (np.array(geometry.shape) - 1) / 2 + (0.2, -0.3, 0.1)
     zyx = geometry.world_to_index(mesh.vertices)
     # Back along the straight line to the centre, to where they came from.
@@ -75,7 +77,7 @@ def test_the_ridge_between_two_walls_does_not_move_them(thickness: float) -> Non
     """A cubic through nodes on both sides of the ridge would put the wall 0.06 voxel too far out."""
     x = np.arange(15.0) - 7.2
     psi = np.broadcast_to(np.abs(x) - thickness / 2, (6, 6, 15)).astype(np.float32)
-    mesh = extract(psi, Geometry(psi.shape, (1.0, 1.0, 1.0)))
+    mesh = extract_surface(psi, Geometry(psi.shape, (1.0, 1.0, 1.0)))
     on_caps = ((mesh.vertices[:, 1:] == -0.5) | (mesh.vertices[:, 1:] == 5.5)).any(axis=1)
     walls = np.unique(np.round(np.abs(mesh.vertices[~on_caps, 0] - 7.2), 4))
     np.testing.assert_allclose(walls, thickness / 2, atol=2e-4)
@@ -84,7 +86,7 @@ def test_the_ridge_between_two_walls_does_not_move_them(thickness: float) -> Non
 def test_faces_of_a_box_stay_flat() -> None:
     """Beside an edge, which is cut off, there is no curvature that could be made good."""
     recipe = Recipe(kind="box", sides=(10.6, 12.2, 9.4), center=(0.1, 0.3, 0.2), shape=(20, 20, 20))
-    mesh = extract(signed_distance(recipe), recipe.geometry)
+    mesh = extract_surface(signed_distance(recipe), recipe.geometry)
     distance = distance_at(recipe, mesh.vertices)
     assert distance.max() < 0.01
     assert 0.97 < mesh.volume / recipe.solid.volume < 1
@@ -129,6 +131,6 @@ def test_vertices_are_the_same_however_many_are_placed_at_a_time(monkeypatch) ->
         np.float32
     )
     geometry = Geometry(psi.shape, (1.5, 1.0, 0.7))
-    whole = extract(20 * psi, geometry).vertices
+    whole = extract_surface(20 * psi, geometry).vertices
     monkeypatch.setattr(vertex_placement, "AT_A_TIME", 50)
-    assert (extract(20 * psi, geometry).vertices == whole).all()
+    assert (extract_surface(20 * psi, geometry).vertices == whole).all()

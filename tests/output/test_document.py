@@ -101,7 +101,7 @@ def finished(**changes):
 
 
 def test_every_key_is_there_with_and_without_a_result():
-    full = document.build(
+    full = document.build_report(
         status="ok",
         exit_code=0,
         argv=["accelsurf", "segment"],
@@ -133,7 +133,7 @@ def test_every_key_is_there_with_and_without_a_result():
     assert full["resolved_settings"] == {"presmooth_mm": 0.5}
     assert full["mass"] is None  # constant density conserves none
     heavy = finished(config=RunConfig(flow="flowable-mass:gravity=1"))
-    flowable = document.build(status="ok", exit_code=0, result=heavy)
+    flowable = document.build_report(status="ok", exit_code=0, result=heavy)
     assert (
         flowable["mass"]["first"] == flowable["mass"]["last"] == 3.0
         and flowable["mass"]["correction"] == 0.001
@@ -161,21 +161,23 @@ def test_every_key_is_there_with_and_without_a_result():
     assert full["input"]["size"] == [3, 4, 5] and full["input"]["sha256"] == "abc"
     assert full["peak_rss_mb"] is None or full["peak_rss_mb"] > 10
 
-    failed = document.build(
+    failed = document.build_report(
         status="failed", exit_code=3, error=document.describe_error(InputError("no", "yes"))
     )
     assert set(failed) == set(full)
     assert failed["error"] == {"type": "InputError", "message": "no", "hint": "yes"}
     assert failed["stop"] is None and failed["config"] is None
     for contents in (full, failed):
-        assert json.loads(document.to_json(contents)) == contents
+        assert json.loads(document.report_json(contents)) == contents
 
 
 def test_config_in_the_report_makes_the_same_run_again():
     config = RunConfig(
         start=("ball:1,2,3,4", "center"), friction=0.5, mesh="stl,ply", smoothness=0.1 + 0.2
     )
-    contents = json.loads(document.to_json(document.build(status="ok", exit_code=0, config=config)))
+    contents = json.loads(
+        document.report_json(document.build_report(status="ok", exit_code=0, config=config))
+    )
     assert RunConfig(**contents["config"]) == config
 
 
@@ -187,7 +189,7 @@ def test_unexpected_error_is_one_line_with_its_type():
 
 
 def test_json_is_strict_and_takes_numpy():
-    text = document.to_json(
+    text = document.report_json(
         {"a": np.float32(0.5), "b": float("inf"), "c": (1, np.int64(2)), "d": np.eye(2), "é": True}
     )
     assert json.loads(text) == {"a": 0.5, "b": None, "c": [1, 2], "d": [[1, 0], [0, 1]], "é": True}

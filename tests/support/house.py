@@ -38,6 +38,8 @@ CODE_NAME_END = re.compile(r"(\.\w+)*:[A-Za-z_]\w*$")
 PRIVATE_NAME = re.compile(r"_[A-Za-z]\w*(?<!_)")
 #: Names of every named tuple, which Python documents.
 TUPLE_NAMES = {"_asdict", "_fields", "_make", "_replace"}
+#: Rooms that are libraries of all others: their modules may be imported. Every other room has a door, its ``__init__``.
+SHARED_ROOMS = {"kernels", "grid", "image", "settings", "text", "phantoms"}
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 DOCUMENTED = (ast.Module, ast.ClassDef, *FUNCTIONS)
 COMPREHENSIONS = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
@@ -262,6 +264,44 @@ def code_named_by_strings(module: Module) -> Iterator[str]:
                 yield module.place(node, ast.unparse(node))
 
 
+def imported_names(node: ast.AST) -> Iterator[str]:
+    """Yield the dotted names that an import loads, as ``accelsurf.io.read``."""
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif isinstance(node, ast.ImportFrom) and node.level == 0:
+        yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def imports_past_a_door(module: Module) -> Iterator[str]:
+    """Yield imports of another room's module: a room is entered by its ``__init__``, that says what it offers.
+
+    A stub alone (``.pyi``) has types and no code: it may be imported.
+    """
+    home = module.path.relative_to(PACKAGE).parts[0]
+    for node in ast.walk(module.tree):
+        for name in imported_names(node):
+            package, *path = name.split(".")
+            if package != PACKAGE.name or len(path) < 2 or path[0] in SHARED_ROOMS | {home}:
+                continue
+            room, *inner = path
+            folder = PACKAGE / room
+            deep = len(inner) > 1 and not folder.joinpath(*inner[:-1]).with_suffix(".pyi").is_file()
+            is_module = folder.joinpath(*inner).with_suffix(".py").is_file()
+            if folder.is_dir() and (deep or (is_module and inner[0] not in door(room))):
+                yield module.place(node, name)
+
+
+def door(room: str) -> dict[str, str]:
+    """Return the names that a room offers, each with its module within the room."""
+    stub = PACKAGE / room / "__init__.pyi"
+    if not stub.is_file():
+        return {}
+    imports = [
+        node for node in ast.parse(stub.read_text()).body if isinstance(node, ast.ImportFrom)
+    ]
+    return {alias.name: node.module or "" for node in imports for alias in node.names}
+
+
 def unnamed_tuples(module: Module) -> Iterator[str]:
     """Yield parameters that are tuples of unlike things without names."""
     for node in ast.walk(module.tree):
@@ -315,15 +355,21 @@ def empty_names(module: Module) -> Iterator[str]:
 
 
 def small_modules_with_one_user(package: dict[str, Module]) -> list[str]:
-    """List the small modules that only one module of the same folder imports."""
+    """List the small modules that only one module of the same folder imports, and no other room by the door."""
     users = defaultdict(set)
     for module in package.values():
         for target in module.imports | module.type_imports:
             users[target].add(module.name)
+    offered = {
+        f"{PACKAGE.name}.{stub.parent.name}.{inner}"
+        for stub in PACKAGE.glob("*/__init__.pyi")
+        for inner in door(stub.parent.name).values()
+    }
     return [
         str(module.path.relative_to(ROOT))
         for module in package.values()
         if not module.is_package
+        and module.name not in offered
         and module.code <= SMALL_MODULE
         and len(users[module.name]) == 1
         and package[next(iter(users[module.name]))].path.parent == module.path.parent
@@ -386,6 +432,7 @@ PER_MODULE = {
     "comprehensions above 100 characters": long_comprehensions,
     "functions with more than 8 parameters": long_signatures,
     "code named by strings": code_named_by_strings,
+    "imports past a room's door": imports_past_a_door,
     "parameters that are unnamed tuples": unnamed_tuples,
     "attributes set from outside": attributes_from_outside,
     "summaries without a verb or noun first": summaries_without_verb_or_noun,

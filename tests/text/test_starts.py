@@ -5,7 +5,7 @@ from accelsurf import io
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.measure.surface_mesh import extract
+from accelsurf.measure.surface_mesh import extract_surface
 from accelsurf.text.starts import extent_hint, parse_start, psi_of_starts, read_starts
 
 TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
@@ -226,7 +226,7 @@ def test_a_closed_mesh_gives_its_voxels_back(tmp_path, suffix):
     volume = Volume(np.zeros(geometry.shape), geometry)
     for space in ("lps", "ras"):
         path = tmp_path / f"{space}.{suffix}"
-        extract(r.astype(np.float32), geometry).write(path, space)
+        extract_surface(r.astype(np.float32), geometry).write(path, space)
         psi = psi_of_starts(read_starts([f"mesh:{path}@{space}"]), volume)
         # Vertices lie above the surface as far as triangles lie below it: voxels in between may fall to either side.
         differ = (psi < 0) != (r < 0)

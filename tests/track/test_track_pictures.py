@@ -167,7 +167,7 @@ def test_curves_have_a_gap_where_the_object_is_not_seen(tmp_path):
 def test_movie_has_a_picture_for_each_frame(tmp_path, suffix):
     pytest.importorskip("imageio_ffmpeg")
     tracks = set_of(dividing_cells(), tmp_path)
-    slices.write_movie(tracks, tmp_path / f"cells.{suffix}")
+    slices.write_track_movie(tracks, tmp_path / f"cells.{suffix}")
     if suffix == "gif":
         with Image.open(tmp_path / "cells.gif") as movie:
             assert (movie.n_frames, movie.size) == (5, slices.MOVIE_SIZE)

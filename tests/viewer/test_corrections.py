@@ -13,7 +13,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.image.volume import Volume
 from accelsurf.interact.refine import refine
 from accelsurf.interact.refiner import Refiner
-from accelsurf.output.document import describe_quality, to_json
+from accelsurf.output.document import describe_quality, report_json
 from accelsurf.settings.corrections import corrections_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
@@ -121,8 +121,8 @@ def test_command_python_session_and_configuration_make_the_same_bytes(energy, im
     assert np.array_equal(io.read(two / "scan_seg.nii.gz").array, result.labels)
     assert again.psi.tobytes() == result.psi.tobytes() and untimed(again) == untimed(result)
     # How sure it is, too: the command has read its state from a file before the last correction.
-    described = json.loads(to_json(describe_quality(result.quality)))
-    assert described == json.loads(to_json(describe_quality(again.quality)))
+    described = json.loads(report_json(describe_quality(result.quality)))
+    assert described == json.loads(report_json(describe_quality(again.quality)))
     assert (described["correction"] is None) == (energy != "seeded")
     for folder in (two, tmp_path / "saved", tmp_path / "three"):
         assert json.loads((folder / "scan_report.json").read_text())["quality"] == described

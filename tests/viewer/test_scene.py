@@ -11,7 +11,7 @@ from PIL import Image
 from accelsurf import Volume
 from accelsurf.errors import InputError, UsageError
 from accelsurf.io.headers import DICOM_KEY, UNIT_KEY
-from accelsurf.measure.surface_mesh import extract
+from accelsurf.measure.surface_mesh import extract_surface
 from accelsurf.output.pictures import canvas
 from accelsurf.viewer.page.page import style_sheet
 from accelsurf.viewer.scene import colors, shapes
@@ -60,7 +60,7 @@ def test_the_surface_is_that_of_the_mesh_that_is_saved():
     psi[tuple(slice(o, o + n) for o, n in zip(surface.offset, surface.psi.shape, strict=True))] = (
         surface.psi
     )
-    saved = extract(psi, volume.geometry)
+    saved = extract_surface(psi, volume.geometry)
     mesh = shapes.isosurface(surface, volume.geometry)
     # What is shown is linear between voxels; the mesh lies so that it has the volume, h^2/(6 r) further out at most.
     assert np.allclose(mesh.bounds[::2], saved.bounds[0], atol=0.06)
@@ -322,8 +322,8 @@ def test_triangles_face_the_way_of_their_normals(name):
 
 def test_the_reference_has_a_colour_of_its_own_in_every_picture():
     assert (colors.SURFACE, colors.REFERENCE, colors.OBJECT_COLORS) == (
-        canvas.SURFACE,
-        canvas.REFERENCE,
+        canvas.SURFACE_COLOR,
+        canvas.REFERENCE_COLOR,
         canvas.OBJECT_COLORS,
     )
     assert (

@@ -81,7 +81,7 @@ LEVEL = 0.2
 #: A stated size is met up to this factor; nearer to it the image decides.
 ABOUT = 1.25
 #: Least volume of a window in which a stated size is looked for, over that size.
-ROOM = 4.0
+CLICK_ROOM = 4.0
 #: Ratio of the objects' volumes beyond which two readings of a click make it ambiguous.
 FACTOR = 2.0
 #: The volume of an answer that is not taken is of its fitted voxels in a window of at most this number; else of
@@ -474,7 +474,7 @@ def _sized(score: Singles, count: float) -> Singles:
 
 def _has_room(window: Window, size_mm3: float | None) -> bool:
     """Test if an object of a size fits into a window, or there is no larger one."""
-    return size_mm3 is None or not window.faces.any() or window.volume_mm3 >= ROOM * size_mm3
+    return size_mm3 is None or not window.faces.any() or window.volume_mm3 >= CLICK_ROOM * size_mm3
 
 
 def is_right(model: ClickModel, click: Click) -> bool:

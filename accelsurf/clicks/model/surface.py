@@ -129,7 +129,7 @@ def _room(voxels: int, step: int, margin: int) -> int:
     return min(-(-voxels // step), margin)
 
 
-def offset(area_weight_mm: float, curvature: float) -> float:
+def surface_offset(area_weight_mm: float, curvature: float) -> float:
     """Return the decrease of F for a weight of the area (mm) and a mean curvature (1/mm); 0 of a hollow object.
 
     Examples

@@ -21,7 +21,7 @@ from accelsurf.io.dicom.sources import (
     Elements,
     PixelBytes,
     damage_of,
-    library,
+    dicom_library,
     listed,
     number_of,
     numbers_of,
@@ -258,7 +258,7 @@ def _check_pixels(path: Path, dataset: Elements, pixels: PixelBytes, size: int, 
     if text(dataset, "PhotometricInterpretation") == _HALVED and pixels.announced is not None:
         samples = 2
     syntax = getattr(dataset.dataset, "file_meta", {}).get("TransferSyntaxUID")
-    is_packed = syntax is not None and library("pydicom.uid").UID(syntax).is_encapsulated
+    is_packed = syntax is not None and dicom_library("pydicom.uid").UID(syntax).is_encapsulated
     if is_packed != (pixels.announced is None):
         raise InputError(
             f"{path.name}: its pixels are {'not compressed' if is_packed else 'compressed'}, but its transfer syntax "

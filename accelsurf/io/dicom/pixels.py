@@ -16,7 +16,7 @@ from accelsurf.errors import InputError
 from accelsurf.io import itk
 from accelsurf.io.channels import to_grey
 from accelsurf.io.dicom.frames import Frame
-from accelsurf.io.dicom.sources import HEADER_HINT, damage_of, library, read_dataset
+from accelsurf.io.dicom.sources import HEADER_HINT, damage_of, dicom_library, read_dataset
 from accelsurf.io.dicom.writing_tools import data_set, file_bytes, filled
 from accelsurf.io.scaling import scaled, scaled_type
 
@@ -151,7 +151,7 @@ def _scaled(stored: NDArray[Any], dataset: Any, frame: Frame, dtype: np.dtype[An
                 )
             # Of 64 bits: it looks up differences, and compares with the length of the table.
             return np.asarray(
-                library("pydicom.pixels").apply_modality_lut(stored.astype(np.int64), dataset)
+                dicom_library("pydicom.pixels").apply_modality_lut(stored.astype(np.int64), dataset)
             )
     if frame.slope == 1.0 and frame.intercept == 0.0:
         return stored
@@ -215,7 +215,7 @@ def stored_values(path: Path, dataset: Any, frame: Frame) -> NDArray[Any]:
     InputError
         When they cannot be read.
     """
-    pydicom = library()
+    pydicom = dicom_library()
     meta = getattr(dataset, "file_meta", None)
     syntax = None if meta is None else meta.get("TransferSyntaxUID")
     with damage_of(path, "its pixels cannot be read"):
@@ -254,7 +254,7 @@ def _bits(content: bytes, frame: Frame) -> NDArray[np.uint8]:
 
 def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
     """A compressed slice, unpacked by ITK from a file that has it alone, without scales and places."""
-    pydicom = library()
+    pydicom = dicom_library()
     packed = pydicom.encaps.get_frame(
         dataset.PixelData, frame.number, number_of_frames=frame.frames
     )
@@ -284,7 +284,9 @@ def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
 
 def _check_packed(packed: bytes, frame: Frame, size: tuple[int, int]) -> None:
     """Refuse packed values that have more rows or bits than the header announces, or a sign: decoders cut them off."""
-    found = library("pydicom.pixels.utils").get_j2k_parameters(packed)  # empty for other kinds
+    found = dicom_library("pydicom.pixels.utils").get_j2k_parameters(
+        packed
+    )  # empty for other kinds
     bits, *packed_size = (found["precision"], *size) if found else _header_of_jpeg(packed)
     if all(packed_size) and tuple(packed_size) != size:
         text = " x ".join(map(str, packed_size[::-1]))

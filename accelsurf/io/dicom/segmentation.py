@@ -17,7 +17,7 @@ from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.source_images import SourceImages, pixel_for_pixel
-from accelsurf.io.dicom.sources import library, quiet
+from accelsurf.io.dicom.sources import dicom_library, quiet
 from accelsurf.io.dicom.writing_tools import (
     data_set,
     derived_uid,
@@ -104,8 +104,8 @@ def segmentation_bytes(
         next((f for f in found if pixel_for_pixel(f, geometry, k)), None)
         for k, found in enumerate(by_slice)
     ]
-    highdicom = library("highdicom")
-    library("highdicom.seg")
+    highdicom = dicom_library("highdicom")
+    dicom_library("highdicom.seg")
     with quiet():
         planes = _planes(highdicom, geometry, aligned)
         dataset = highdicom.seg.Segmentation(
@@ -226,7 +226,7 @@ def _planes(highdicom: Any, geometry: Geometry, aligned: Sequence[Frame | None])
 def _description(
     highdicom: Any, entry: LabelEntry, number: int, algorithm: Algorithm, seed: str
 ) -> Any:
-    code = library("pydicom.sr.coding").Code
+    code = dicom_library("pydicom.sr.coding").Code
     return highdicom.seg.SegmentDescription(
         segment_number=number,
         segment_label=short_text(entry.name) or f"label {entry.id}",

@@ -23,7 +23,7 @@ from accelsurf.io.dicom.sources import (
     HEADER_HINT,
     TAGS,
     damage_of,
-    library,
+    dicom_library,
     number_of,
     read_dataset,
     text,
@@ -167,7 +167,7 @@ def _table(file: Path, dataset: Any) -> LabelTable:
         rgb = default_color(max(number, 1))
         if color is not None and len(color) == 3:
             shown = (
-                library("highdicom.color")
+                dicom_library("highdicom.color")
                 .CIELabColor.from_dicom_value([int(part) for part in color])
                 .to_rgb()
             )

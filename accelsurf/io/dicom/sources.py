@@ -188,7 +188,7 @@ def _walk(folder: Path) -> Iterator[Path]:
                 yield path
 
 
-def library(name: str = "pydicom") -> ModuleType:
+def dicom_library(name: str = "pydicom") -> ModuleType:
     """One of the packages, or a module of it.
 
     Raises
@@ -298,7 +298,7 @@ def _read(
     """Read the elements before the first tag in ``stops`` (with a single stop: at or beyond it); return also the extent
     of the pixels, if reading stopped there.
     """
-    pydicom = library()
+    pydicom = dicom_library()
     seen: list[tuple[int, int]] = []
 
     def stop(tag: int, vr: str | None, length: int) -> bool:
@@ -432,5 +432,5 @@ def is_image(dataset: Any) -> bool:
     uid = text(dataset, "SOPClassUID")
     if not uid:
         return text(dataset, "Modality") in ("CT", "MR", "PT", "NM", "US", "XA")
-    name = str(library("pydicom.uid").UID(uid).name)
+    name = str(dicom_library("pydicom.uid").UID(uid).name)
     return "Image Storage" in name and "Non-Image" not in name

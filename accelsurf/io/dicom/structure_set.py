@@ -16,7 +16,7 @@ from accelsurf.grid.arrays import Floats
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.source_images import SourceImages
-from accelsurf.io.dicom.sources import library, quiet
+from accelsurf.io.dicom.sources import dicom_library, quiet
 from accelsurf.io.dicom.writing_tools import (
     SH,
     data_set,
@@ -107,7 +107,7 @@ def _head(source: SourceImages, version: str, seed: str) -> Any:
     """The data set with file meta information, patient, study, series, equipment and the names of the whole."""
     instance = derived_uid(seed, "instance")
     meta = filled(
-        library("pydicom.dataset").FileMetaDataset(),
+        dicom_library("pydicom.dataset").FileMetaDataset(),
         MediaStorageSOPClassUID=_STRUCTURE_SET,
         MediaStorageSOPInstanceUID=instance,
         TransferSyntaxUID=_IMPLICIT,
@@ -195,7 +195,10 @@ def _contour(loop: Floats, frames: Sequence[Frame], number: int) -> Any:
     )
     # As bytes: pydicom would check each of some 100,000 numbers.
     text = "\\".join(map(_decimal, loop.ravel().tolist())).encode()
-    raw, tag = library("pydicom.dataelem").RawDataElement, library("pydicom.tag").Tag("ContourData")
+    raw, tag = (
+        dicom_library("pydicom.dataelem").RawDataElement,
+        dicom_library("pydicom.tag").Tag("ContourData"),
+    )
     item[tag] = raw(
         tag, "DS", len(text) + len(text) % 2, text + b" " * (len(text) % 2), 0, True, True
     )

@@ -12,7 +12,7 @@ import uuid
 from typing import Any
 
 from accelsurf.io.dicom.frames import Frame
-from accelsurf.io.dicom.sources import library, quiet
+from accelsurf.io.dicom.sources import dicom_library, quiet
 
 #: Prefix of the identifiers that highdicom draws at random.
 RANDOM_PREFIX = "1.2.826.0.1.3680043.10.511.3."
@@ -90,7 +90,7 @@ def filled(dataset: Any, **elements: Any) -> Any:
 
 def data_set(**elements: Any) -> Any:
     """Return a data set with elements by their keywords."""
-    return filled(library().Dataset(), **elements)
+    return filled(dicom_library().Dataset(), **elements)
 
 
 def reference(sop_class: str, instance: str, **elements: Any) -> Any:

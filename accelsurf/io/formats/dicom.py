@@ -21,10 +21,10 @@ from accelsurf.io.dicom.sources import (
     HINTS,
     SEGMENTATION,
     SourceFiles,
+    dicom_library,
     files_of,
     holds_dicom,
     is_dicom,
-    library,
 )
 from accelsurf.io.dicom.volumes import (
     TIME_PHASES,
@@ -127,7 +127,7 @@ def found_in(path: Path) -> FoundDicom:
     InputError
         When there is no DICOM, or the file that was given is damaged.
     """
-    library()
+    dicom_library()
     files = files_of(path)
     file = path if path.is_file() else None
     if file is None:

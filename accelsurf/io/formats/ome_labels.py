@@ -76,7 +76,7 @@ def check_label_group(image: Path, name: str, overwrite: bool) -> Path:
     return group / name
 
 
-def put(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:
+def put_labels(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:
     """Write a label map into the group of its image, with all its levels, colours and names.
 
     Parameters

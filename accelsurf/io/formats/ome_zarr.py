@@ -19,7 +19,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.io.channels import selected, single
 from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
 from accelsurf.io.formats.zarr_pyramid import ZarrPyramid
-from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array, read_mark
+from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, open_array, read_mark, zarr_library
 from accelsurf.io.headers import (
     FRAME_KEY,
     TIMES_KEY,
@@ -154,7 +154,7 @@ def _attributes(path: Path) -> dict[str, Any]:
     InputError
         When it is none, or is damaged.
     """
-    library()
+    zarr_library()
     try:
         node = read_mark(path, path / "zarr.json")
         if node is None:

@@ -129,7 +129,7 @@ def parse_slices(path: Path, options: ReadOptions = AS_IT_IS) -> SliceFolder:
     found = []
     for file in files:
         with naming(file):
-            found.append(headers.parse(file))
+            found.append(headers.parse_header(file))
     form = found[0][0]
     shapes = [_shape(header) for _, header in found]
     for file, shape in zip(files, shapes, strict=True):

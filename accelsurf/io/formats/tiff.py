@@ -1,7 +1,7 @@
 """TIFF images: stacks, hyperstacks of ImageJ, OME-TIFF also of several files, pyramids; one or more channels at a time.
 
 tifffile reads and unpacks the pages. It drops a tag that is damaged with a line in a log, ends a stack where the next
-page is damaged, cuts off the surplus of a strip and fills up missing bytes. So its log is heard, the chain of pages is
+page is damaged, cuts off the surplus of a strip and fills up missing bytes. So its log is read, the chain of pages is
 followed here, and strips are compared with the file before and after they are unpacked.
 """
 

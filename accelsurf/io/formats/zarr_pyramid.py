@@ -21,7 +21,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import MAX_SPACING_RATIO
 from accelsurf.io.formats.ome_metadata import OWN_KEY, VERSIONS, attributes_of
 from accelsurf.io.formats.zarr_files import with_record
-from accelsurf.io.formats.zarr_voxels import library
+from accelsurf.io.formats.zarr_voxels import zarr_library
 from accelsurf.io.headers import LABELS_KEY
 from accelsurf.settings.labels import LabelTable
 
@@ -130,7 +130,7 @@ class ZarrPyramid:
         labels: bool,
         source: str | None = None,
     ) -> None:
-        zarr = library()
+        zarr = zarr_library()
         from zarr.codecs import ZstdCodec
 
         self._labels = labels

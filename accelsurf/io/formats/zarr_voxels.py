@@ -40,7 +40,7 @@ _MAX_LISTED = 16
 MARKS = ("zarr.json", ".zattrs", ".zgroup", ".zarray")
 
 
-def library() -> ModuleType:
+def zarr_library() -> ModuleType:
     """The package zarr.
 
     Raises
@@ -72,7 +72,7 @@ def open_array(folder: Path, path: str) -> Any:
     InputError
         When the array does not exist, is none of real numbers, or a link to it leads out of the group.
     """
-    zarr = library()
+    zarr = zarr_library()
     check_within_store(folder, folder / path)
     try:
         for mark in MARKS:

@@ -10,7 +10,7 @@ import numpy as np
 from accelsurf.io.formats.ome_metadata import OWN_KEY, attributes_of
 from accelsurf.io.formats.zarr_files import with_record
 from accelsurf.io.formats.zarr_pyramid import chunk_shape
-from accelsurf.io.formats.zarr_voxels import library
+from accelsurf.io.formats.zarr_voxels import zarr_library
 from accelsurf.io.headers import TIMES_KEY, split_name
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def write_ome_zarr_frames(path: Path, frames: FrameStack) -> None:
     """Write the frames; a chunk of zeros takes no space."""
-    zarr = library()
+    zarr = zarr_library()
     from zarr.codecs import ZstdCodec
 
     shape = frames.geometry.shape

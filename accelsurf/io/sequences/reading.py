@@ -102,7 +102,10 @@ def is_sequence(path: Path, options: ReadOptions) -> bool:
         form = headers.format_of(path)
         if "time_index" not in form.options or options.channels_from_time:
             return False
-        return headers.counts(path, replace(options.restricted_to(form.options), level=0))[1] > 1
+        return (
+            headers.header_counts(path, replace(options.restricted_to(form.options), level=0))[1]
+            > 1
+        )
 
 
 def open_sequence(

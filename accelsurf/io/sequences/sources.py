@@ -99,7 +99,7 @@ class FileFrames(FileSequence):
 
     def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
         super().__init__(path, options, memory_bytes)
-        self.form, self.header = headers.parse(path, options)
+        self.form, self.header = headers.parse_header(path, options)
         count = int(getattr(self.header, "time_points", 1))
         times = getattr(self.header, "frame_times", None) or FrameTimes.regular(count, None)
         self.place(self.header.geometry, times, getattr(self.header, "notes", ()))
@@ -119,7 +119,7 @@ class SliceFrames(FileSequence):
 
     def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
         super().__init__(path, options, memory_bytes)
-        form, header = headers.parse(path, options)
+        form, header = headers.parse_header(path, options)
         if getattr(header, "time_points", 1) > 1:
             raise InputError(
                 f"{header.time_points} time points are in it: its slices are no frames",
@@ -190,7 +190,7 @@ class FrameFolder(FileSequence):
         return self._options.restricted_to(headers.options_of(file))
 
     def _parsed(self, file: Path) -> tuple[ImageFormat, Any]:
-        return headers.parse(file, self._asked(file))
+        return headers.parse_header(file, self._asked(file))
 
     def read(self, number: int) -> list[Volume]:
         """Read a file."""

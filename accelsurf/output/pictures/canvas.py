@@ -35,10 +35,10 @@ GRID = "#D9D9D9"
 PALE = "#999999"
 DARK = "#101010"
 #: Colours of the surface and of its reference in every picture of the program.
-SURFACE = ORANGE
-REFERENCE = SKY
+SURFACE_COLOR = ORANGE
+REFERENCE_COLOR = SKY
 #: Colours of objects with ids, again from the first when there are more; none is that of the reference.
-OBJECT_COLORS = (SURFACE, GREEN, BLUE, VERMILION, PURPLE)
+OBJECT_COLORS = (SURFACE_COLOR, GREEN, BLUE, VERMILION, PURPLE)
 #: A style of matplotlib's lines: solid, or lengths of dashes and gaps in widths of the line.
 Dashes = Literal["-"] | tuple[float, tuple[float, ...]]
 SOLID: Dashes = "-"

@@ -12,10 +12,10 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.image.volume import Volume
-from accelsurf.io.headers import shows_patient
+from accelsurf.io import shows_patient
 from accelsurf.output.pictures.canvas import (
     SKY,
-    SURFACE,
+    SURFACE_COLOR,
     TICK_SIZE,
     YELLOW,
     Box,
@@ -137,7 +137,7 @@ def _draw_labels(shown: Slice, labels: NDArray[Any]) -> None:
     for position, number in enumerate(numbers):
         inside = section == number
         if position < MAX_LABELS and inside.any():
-            color = SURFACE if len(numbers) == 1 else object_color(position)
+            color = SURFACE_COLOR if len(numbers) == 1 else object_color(position)
             draw_contour(shown, np.where(inside, -0.5, 0.5), color, width=1.5)
             if len(numbers) > 1:
                 name_section(shown, inside, str(number), color)

@@ -13,9 +13,9 @@ from PIL import Image, features
 from PIL.PngImagePlugin import PngInfo
 
 from accelsurf.errors import OutputError, UsageError
-from accelsurf.io.files import SPACE_HINT, staging, write_bytes
+from accelsurf.io import SPACE_HINT, staging, write_bytes
 
-FORMATS = (".mp4", ".gif", ".webp")
+MOVIE_FORMATS = (".mp4", ".gif", ".webp")
 #: Of 9: more takes longer, and saves a few percent of a picture.
 _COMPRESSION = 3
 #: Smallest and largest side of a movie, pixels: smaller text cannot be read, larger pictures encoders refuse.
@@ -41,9 +41,9 @@ def check_target(path: Path, size: tuple[int, int]) -> None:
         For an unknown suffix, a size that the format cannot have, or an encoder that is not installed.
     """
     suffix = path.suffix.lower()
-    if suffix not in FORMATS:
+    if suffix not in MOVIE_FORMATS:
         raise UsageError(
-            f"{path.name}: {suffix or 'no suffix'} was given, expected {', '.join(FORMATS)}",
+            f"{path.name}: {suffix or 'no suffix'} was given, expected {', '.join(MOVIE_FORMATS)}",
             f"write {path.stem}.mp4",
         )
     if suffix == ".mp4":

@@ -41,7 +41,7 @@ from accelsurf.output.pictures.slice_views import (
 from accelsurf.output.pictures.slices import draw_slice, typed_note
 
 if TYPE_CHECKING:
-    from accelsurf.evolution.records import StepRecord
+    from accelsurf.evolution import StepRecord
 
 #: Width of a picture, of its margins and of the space between panels, pixels.
 WIDTH = 1386

@@ -17,7 +17,7 @@ from accelsurf.output.pictures.canvas import object_color
 from accelsurf.settings.labels import LabelEntry, LabelTable
 
 if TYPE_CHECKING:
-    from accelsurf.evolution.records import StepRecord
+    from accelsurf.evolution import StepRecord
 
 
 #: The label of the one object of a run without ids.

@@ -7,19 +7,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from accelsurf.image.sequence import ImageSequence
-from accelsurf.io.cells import table_text
-from accelsurf.output import document
-from accelsurf.output.document import (
+from accelsurf.io import table_text
+from accelsurf.output import (
     SCHEMA_VERSION,
     Status,
+    describe_error,
     describe_input,
     peak_rss_mb,
-    to_json,
+    report_json,
     versions,
 )
 from accelsurf.track.output.frames import TrackSet
 
-__all__ = ["Status", "build", "to_json"]
+__all__ = ["Status", "build", "report_json"]
 #: A line for each object in each frame. Velocities are mm per unit of time.
 TRACK_COLUMNS = (
     "frame",
@@ -91,7 +91,7 @@ def build(
         "kind": "tracking",
         "status": status,
         "exit_code": exit_code,
-        "error": None if error is None else document.describe_error(error),
+        "error": None if error is None else describe_error(error),
         "versions": versions(),
         "argv": list(run.argv),
         "config": dict(run.settings) if run.settings else None,

@@ -11,9 +11,8 @@ from typing import Literal, TypeVar
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.files import naming
-from accelsurf.io.format_functions import functions_of
-from accelsurf.output.reports import report_name
+from accelsurf.io import functions_of, naming
+from accelsurf.output import report_name
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, label_formats
 from accelsurf.settings.mesh_formats import Shape, mesh_formats

@@ -25,8 +25,7 @@ from accelsurf.grid.boxes import Box, as_corner, bounding_box, box_at, enclosing
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.image.sequence import ImageSequence
-from accelsurf.io.file_set import refuse_links
-from accelsurf.io.images import label_type
+from accelsurf.io import label_type, refuse_links
 from accelsurf.track.records import FrameResult, Lineage, SurfacePiece, TrackedObject
 
 #: psi is written up to this distance from the surface, in largest voxel sizes: contours need it.

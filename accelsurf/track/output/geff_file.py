@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from accelsurf.io.formats.zarr_voxels import library
+from accelsurf.io import zarr_library
 from accelsurf.track.output.document import ML
 from accelsurf.track.output.frames import FrameRow, ObjectRow, TrackSet
 
@@ -52,7 +52,7 @@ def check_geff() -> None:
     InputError
         With how to get it.
     """
-    library()
+    zarr_library()
 
 
 def write_geff(tracks: TrackSet, folder: Path) -> None:
@@ -68,7 +68,7 @@ def write_geff(tracks: TrackSet, folder: Path) -> None:
     ends = np.array([[link.source, link.target] for link in links], np.uint64).reshape(-1, 2)
     nodes = _node_values(tracks, spots, ends)
     edges = {kind: np.array([link.kind == kind for link in links], np.bool_) for kind in _EDGES}
-    root = library().create_group(
+    root = zarr_library().create_group(
         folder, zarr_format=2, attributes={"geff": _metadata(tracks, nodes, edges)}
     )
     _put(root, "nodes/ids", np.arange(len(spots), dtype=np.uint64))

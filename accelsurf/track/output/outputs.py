@@ -22,13 +22,10 @@ from accelsurf import io
 from accelsurf.errors import AccelsurfError, OutputError, exit_code_of
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
-from accelsurf.io.file_set import FileSet, refuse_links
-from accelsurf.io.files import write_bytes
-from accelsurf.measure import contours, surface_mesh
-from accelsurf.measure.surface_mesh import Surface
-from accelsurf.output.document import describe_staged
-from accelsurf.output.folder import OutputFolder, naming_final
-from accelsurf.run.region_of_interest import cropped
+from accelsurf.io import FileSet, refuse_links, write_bytes
+from accelsurf.measure import Contours, Surface, extract_contours, extract_surface
+from accelsurf.output import OutputFolder, describe_staged, naming_final
+from accelsurf.run import cropped
 from accelsurf.track.output import document as track_document
 from accelsurf.track.output import geff_file, slices, surfaces
 from accelsurf.track.output.document import TrackRun
@@ -174,7 +171,7 @@ class TrackOutputs:
                 outputs=entries,
             )
             report = self._set.staging / self._place.report.name
-            write_bytes(report, track_document.to_json(document).encode())
+            write_bytes(report, track_document.report_json(document).encode())
             self._place.commit(self._set)
         if self._own_store and status == "ok":
             with suppress(OutputError):  # somebody has put a file there
@@ -218,14 +215,14 @@ class TrackOutputs:
                     path = folder / mesh_name(self.name, shape, tracked.id, number, kind)
                     self._mesh_of(tracked).write(path, self.files.mesh_space)
 
-    def _mesh_of(self, tracked: TrackedObject) -> Surface | contours.Contours:
+    def _mesh_of(self, tracked: TrackedObject) -> Surface | Contours:
         """The mesh that moves with the momentum, else that of the surface."""
         geometry = cropped(self.sequence.geometry, tracked.surface.box)
         if geometry.slice_axis is not None:
-            return contours.extract(tracked.surface.psi, geometry)
+            return extract_contours(tracked.surface.psi, geometry)
         if tracked.mesh is not None:
             return Surface(tracked.mesh.vertices, tracked.mesh.faces.astype("int32"))
-        return surface_mesh.extract(tracked.surface.psi, geometry)
+        return extract_surface(tracked.surface.psi, geometry)
 
     @property
     def _mesh_folder(self) -> Path:
@@ -342,7 +339,7 @@ def _write_failure(
     document = track_document.build(
         None, images=images, status="failed", exit_code=exit_code_of(error), run=run, error=error
     )
-    write_bytes(staged.staging / target.report.name, track_document.to_json(document).encode())
+    write_bytes(staged.staging / target.report.name, track_document.report_json(document).encode())
     target.commit(staged, failed=True)
 
 
@@ -396,9 +393,9 @@ TRACK_WRITERS: dict[str, Callable[[TrackSet, Path], None]] = {
     "ctc": write_challenge,
     "geff": geff_file.write_geff,
     "surfaces": surfaces.write_surfaces,
-    "mp4": slices.write_movie,
-    "gif": slices.write_movie,
-    "webp": slices.write_movie,
+    "mp4": slices.write_track_movie,
+    "gif": slices.write_track_movie,
+    "webp": slices.write_track_movie,
 }
 #: Checks before anything is computed of those that need a further library.
 TRACK_CHECKS: dict[str, Callable[[], None]] = {

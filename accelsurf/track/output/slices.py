@@ -19,42 +19,39 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow
 from accelsurf.image.volume import Volume
-from accelsurf.output.pictures import movies
-from accelsurf.output.pictures.canvas import (
+from accelsurf.output import (
     DARK,
+    MARGIN,
     PALE,
-    REFERENCE,
+    REFERENCE_COLOR,
+    REFERENCE_DASHES,
     SOLID,
     TICK_SIZE,
     TITLE_SIZE,
     Box,
     Canvas,
     Dashes,
-    object_color,
-    range_of,
-    write_legend,
-    write_scales,
-)
-from accelsurf.output.pictures.movies import Picture
-from accelsurf.output.pictures.slice_views import (
-    MARGIN,
-    Ranges,
-    SliceView,
-    displayed,
-    native_plane,
-    ranges_around,
-)
-from accelsurf.output.pictures.slices import (
-    REFERENCE_DASHES,
     NamedLine,
+    Picture,
+    Ranges,
     ShownImage,
     Slice,
+    SliceView,
     across_text,
+    check_target,
+    displayed,
     draw_contour,
     draw_slice_scale,
     lay_slice,
     name_section,
+    native_plane,
+    object_color,
+    range_of,
+    ranges_around,
+    write_legend,
     write_line_names,
+    write_movie,
+    write_scales,
 )
 from accelsurf.settings.wording import in_unit
 from accelsurf.track.output.frames import DrawnObject, FrameRow, TrackSet
@@ -175,7 +172,7 @@ def draw_frame(
     shown = lay_slice(canvas, panel, image, view.slice_of(frame.row, geometry), view.ranges)
     for found in frame.drawn:
         if "predicted" in what and found.predicted is not None:
-            _draw_piece(shown, found.predicted, REFERENCE, REFERENCE_DASHES, geometry)
+            _draw_piece(shown, found.predicted, REFERENCE_COLOR, REFERENCE_DASHES, geometry)
     for found in frame.drawn:
         if "corrected" in what:
             dashes = SOLID if found.seen else REFERENCE_DASHES
@@ -250,7 +247,7 @@ def film_strip_png(tracks: TrackSet) -> bytes:
         canvas.text((x + PANEL / 2, below), _caption(tracks, frame, shown), TITLE_SIZE, anchor="ma")
         if number == 0:
             color = next(iter(view.colors.values()), DARK)
-            predicted = NamedLine("predicted", REFERENCE, REFERENCE_DASHES)
+            predicted = NamedLine("predicted", REFERENCE_COLOR, REFERENCE_DASHES)
             write_line_names(shown, [predicted, NamedLine("corrected", color)])
             draw_slice_scale(shown, frame.image.geometry.unit)
     canvas.text(
@@ -293,10 +290,10 @@ def picked(rows: tuple[FrameRow, ...]) -> list[FrameRow]:
 
 def check_movie(suffix: str) -> None:
     """Refuse to begin without the encoder of a movie; errors as `accelsurf.output.pictures.movies.check_target`."""
-    movies.check_target(Path(f"movie{suffix}"), MOVIE_SIZE)
+    check_target(Path(f"movie{suffix}"), MOVIE_SIZE)
 
 
-def write_movie(tracks: TrackSet, path: Path, panels: Sequence[str] = PANELS) -> None:
+def write_track_movie(tracks: TrackSet, path: Path, panels: Sequence[str] = PANELS) -> None:
     """Write the movie; the suffix decides the format.
 
     Parameters
@@ -314,7 +311,7 @@ def write_movie(tracks: TrackSet, path: Path, panels: Sequence[str] = PANELS) ->
     if not tracks.rows:
         raise OutputError(f"{path.name}: no frame to show")
     speed = min(max(len(tracks.rows) / SECONDS, SLOWEST), FASTEST)
-    movies.write_movie(path, movie_frames(tracks, panels), MOVIE_SIZE, speed)
+    write_movie(path, movie_frames(tracks, panels), MOVIE_SIZE, speed)
 
 
 def movie_frames(tracks: TrackSet, panels: Sequence[str] = PANELS) -> Iterator[Picture]:

@@ -21,7 +21,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence
-from accelsurf.io.files import read_json, write_bytes
+from accelsurf.io import read_json, write_bytes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.track.output.files import read_tracks_table
 from accelsurf.track.output.frames import (

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.voxels import on_image
+from accelsurf.clicks import on_image
 from accelsurf.errors import AccelsurfError
-from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.evolution import StepRecord, Stop
 from accelsurf.grid.boxes import (
     Box,
     Corner,
@@ -23,12 +23,9 @@ from accelsurf.grid.boxes import (
     enclosing,
     placed_at,
 )
-from accelsurf.interact.finished import result_of, state_at_end
-from accelsurf.interact.refiner import Change, Refiner, changes_text
-from accelsurf.output.pictures.preview_content import marks_of
-from accelsurf.run.ensemble import overall_stop
-from accelsurf.run.result import BoxMask, Result
-from accelsurf.run.run import Run
+from accelsurf.interact import Change, Refiner, changes_text, result_of, state_at_end
+from accelsurf.output import marks_of
+from accelsurf.run import BoxMask, Result, Run, overall_stop
 from accelsurf.settings.corrections import Correction
 from accelsurf.text.clicks import first_place
 from accelsurf.viewer.core.frame import (

@@ -8,17 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model import Answer, click_model
-from accelsurf.clicks.model.answers import OF_ALIKE
-from accelsurf.clicks.model.model import first_blocks
-from accelsurf.clicks.model.windows import seed_of
+from accelsurf.clicks import OF_ALIKE, Answer, click_model, first_blocks, seed_of
 from accelsurf.errors import UsageError
 from accelsurf.grid import pyramid
 from accelsurf.grid.arrays import Spacing
 from accelsurf.grid.boxes import Box, corner_of
 from accelsurf.grid.window import LeavesWindow
-from accelsurf.measure.quality import extent_text
-from accelsurf.run.run import Run
+from accelsurf.measure import extent_text
+from accelsurf.run import Run
 from accelsurf.settings.corrections import Correction
 from accelsurf.viewer.core.frame import Index, SurfaceFrame
 

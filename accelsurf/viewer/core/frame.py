@@ -10,19 +10,18 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.clicks.voxels import on_image
-from accelsurf.evolution.records import StepFields, StepRecord
+from accelsurf.clicks import on_image
+from accelsurf.evolution import StepFields, StepRecord
 from accelsurf.grid import pyramid
 from accelsurf.grid.arrays import Floats
 from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, placed_at, widened
-from accelsurf.output.pictures.preview_content import ClickMark, marks_of
+from accelsurf.output import ClickMark, marks_of
 
 if TYPE_CHECKING:
     from accelsurf.flows import Flow
     from accelsurf.levelset import LevelSet
-    from accelsurf.measure.intervals import Interval
-    from accelsurf.run.result import Result, SegmentedObject
-    from accelsurf.run.run import Run
+    from accelsurf.measure import Interval
+    from accelsurf.run import Result, Run, SegmentedObject
 
 #: Quantities that can colour the surface; ``plain`` is one colour.
 COLORS = ("plain", "speed", "force", "density")
@@ -462,7 +461,7 @@ def histories_of_run(
 def _quantities(state: ObjectState) -> dict[str, BandQuantity]:
     """Copies of the quantities that can colour the surface."""
     # Not with the module: frames are known before the solver is loaded, which who has a state has done.
-    from accelsurf.flows.flowable_mass import FlowableMass
+    from accelsurf.flows import FlowableMass
 
     quantities = {}
     fields = state.fields

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import InputError
-from accelsurf.io.files import read_json
+from accelsurf.io import read_json
 
 
 def read_note(file: Path) -> Any:

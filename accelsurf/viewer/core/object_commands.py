@@ -13,15 +13,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from accelsurf.clicks.model import Scene
-from accelsurf.clicks.model.model import ROOM, first_blocks
-from accelsurf.clicks.model.windows import seed_of
+from accelsurf.clicks import CLICK_ROOM, Scene, first_blocks, seed_of
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import corner_of, placed_at
 from accelsurf.grid.clicks import Clicks, Side
-from accelsurf.output.label_files import given_labels
-from accelsurf.run.result import BoxMask
-from accelsurf.run.run import Run
+from accelsurf.output import given_labels
+from accelsurf.run import BoxMask, Run
 from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.text.clicks import read_clicks
@@ -293,7 +290,7 @@ def size_drag_of(
     first = placed_at(window.box, run.prepared.first)
     axis = geometry.slice_axis
     thickness = None if axis is None else geometry.spacing[axis]
-    most = max(window.volume_mm3 / ROOM, size_mm3) if window.faces.any() else math.inf
+    most = max(window.volume_mm3 / CLICK_ROOM, size_mm3) if window.faces.any() else math.inf
     drag = SizeDrag(ball, times, corner_of(first), geometry.voxel_volume, most, thickness)
     drag.level_of(size_mm3)  # sorts here, and not when the drag begins
     return drag

@@ -15,20 +15,26 @@ from accelsurf import io
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io import channels, headers
-from accelsurf.io.file_set import refuse_unfinished
-from accelsurf.io.files import naming
-from accelsurf.io.format_functions import functions_of
-from accelsurf.io.headers import check_name, format_of, split_name
-from accelsurf.io.sequences.reading import is_sequence
-from accelsurf.large.fitting_level import fitting_level
-from accelsurf.output.given_image import GivenImage, settings_of
-from accelsurf.output.reports import Report
+from accelsurf.io import (
+    check_name,
+    format_of,
+    functions_of,
+    header_counts,
+    image_name,
+    is_pattern,
+    is_sequence,
+    naming,
+    read_channels,
+    refuse_unfinished,
+    split_name,
+)
+from accelsurf.large import fitting_level
+from accelsurf.output import GivenImage, Report, settings_of
 from accelsurf.phantoms import recipe_files, recipes
-from accelsurf.run.memory import allowed_bytes
+from accelsurf.run import allowed_bytes
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.track.output.surfaces import SavedTracks
+from accelsurf.track import SavedTracks
 from accelsurf.viewer.core.command_queue import in_background
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Origin, Session
@@ -160,7 +166,7 @@ def choices_of(path: Path, config: RunConfig) -> list[Choice]:
         When it cannot be read.
     """
     with naming(path):
-        form = headers.format_of(path)
+        form = format_of(path)
         listing = functions_of(form).listing
         if listing is not None:
             # One file stands for its series; where it does not, reading says so.
@@ -179,7 +185,7 @@ def choices_of(path: Path, config: RunConfig) -> list[Choice]:
             or asked.channels_from_time
         ):
             return []
-        moments = headers.counts(path, replace(asked, level=0))[1]
+        moments = header_counts(path, replace(asked, level=0))[1]
     return _several(
         [
             Choice(path, f"time point {n + 1} of {moments}", {"time_index": n})
@@ -317,13 +323,13 @@ class ImageToOpen:
                 "leave it out, or add --frames-from-slices",
             )
         with naming(self.source):
-            form = headers.format_of(self.source)
+            form = format_of(self.source)
         # Loaded here: two threads that load the same library may see it half loaded.
         functions_of(form)
         return in_background(self._image, "accelsurf reading").result
 
     def _image(self) -> OpenedImage:
-        volume, *more = channels.read_channels(self.source, self.config.reading)
+        volume, *more = read_channels(self.source, self.config.reading)
         if self.given is not None:
             self.given.check([volume, *more], "run accelsurf segment again")
         truth = self._truth()
@@ -347,11 +353,11 @@ class ImageToOpen:
             frames_from_slices=times.frames_from_slices,
             options=replace(self.config.reading, time_index=None),
         )
-        name = headers.name_of(path)
+        name = image_name(path)
         home = self.config.time_index or 0
         volume, *more = sequence.channels(home)
         saved = None if self.tracks is None else SavedTracks(self.tracks, name, sequence)
-        is_file = not path.is_dir() and not headers.is_pattern(path)
+        is_file = not path.is_dir() and not is_pattern(path)
         has_time = is_file and not times.frames_from_slices
         alone = volume.source or path
         return OpenedImage(

@@ -10,14 +10,24 @@ from typing import Any
 
 from accelsurf.errors import UsageError, check_known
 from accelsurf.image.volume import Volume, voxels_sha256
-from accelsurf.interact.finished import result_of
-from accelsurf.io.file_set import FileSet, InputFiles
-from accelsurf.io.files import write_bytes
-from accelsurf.output import document, label_files, outputs
-from accelsurf.output.folder import OutputFolder, check_outputs, naming_final, refuse_existing
-from accelsurf.output.reports import Report
-from accelsurf.run.result import Result
-from accelsurf.run.run import Run
+from accelsurf.interact import result_of
+from accelsurf.io import FileSet, InputFiles, write_bytes
+from accelsurf.output import (
+    OutputFolder,
+    Report,
+    build_report,
+    check_label_settings,
+    check_outputs,
+    describe_input,
+    describe_staged,
+    naming_final,
+    outcome_title,
+    preview_content,
+    refuse_existing,
+    report_json,
+    write_result,
+)
+from accelsurf.run import Result, Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
 from accelsurf.viewer.core.status import SAVED_KINDS
@@ -79,7 +89,7 @@ def save(
         raise UsageError("there is no surface to save", "go back, or restart")
     place = OutputFolder(folder, name, source, overwrite=True)
     check_outputs(config, place.label_format(config), result.volume.geometry)
-    label_files.check_label_settings(config, result.volume)
+    check_label_settings(config, result.volume)
     inputs = place.inputs(config)
     with place.stage(inputs=inputs) as files:
         what = _all_beside_report(place.report, what)
@@ -121,10 +131,10 @@ def _write(
             files.staging / paths["run"].name, _toml(paths["run"].name, result, source).encode()
         )
         kinds[paths["run"].name] = "run"
-    content = outputs.preview_content(result, outputs.outcome_title(place.name, result))
+    content = preview_content(result, outcome_title(place.name, result))
     has_image = source is not None and ("state" in names or "report" in paths)
     image = voxels_sha256([result.volume, *channels]) if has_image else None
-    by_kind = outputs.write_result(result, files.staging, names, content, image=image)
+    by_kind = write_result(result, files.staging, names, content, image=image)
     kinds |= {path.name: kind for kind, path in by_kind}
     if "report" in paths:
         _write_report(files, place.report.name, kinds, source, result, image)
@@ -153,18 +163,18 @@ def _write_report(
     image: str | None,
 ) -> None:
     """Write the report that names the staging files of these ``kinds``."""
-    contents = document.build(
+    contents = build_report(
         status="ok",
         exit_code=0,
         argv=sys.argv,
         config=result.config,
         source=None
         if source is None
-        else document.describe_input(source, geometry=result.geometry, voxels=image),
+        else describe_input(source, geometry=result.geometry, voxels=image),
         result=result,
-        outputs=document.describe_staged(files, kinds),
+        outputs=describe_staged(files, kinds),
     )
-    write_bytes(files.staging / report, (document.to_json(contents) + "\n").encode())
+    write_bytes(files.staging / report, (report_json(contents) + "\n").encode())
 
 
 def _kind(output: str) -> str:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
-from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution import StepRecord
 from accelsurf.grid import pyramid
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
-from accelsurf.track.output.surfaces import SavedTracks
-from accelsurf.track.records import SurfacePiece
+from accelsurf.track import SavedTracks, SurfacePiece
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 
 #: Frames that stay in memory.

@@ -34,8 +34,7 @@ from accelsurf.viewer.core.status import (
 )
 
 if TYPE_CHECKING:
-    from accelsurf.run.result import Result, SegmentedObject
-    from accelsurf.run.run import Run
+    from accelsurf.run import Result, Run, SegmentedObject
     from accelsurf.viewer.core.object_commands import ObjectCommands
     from accelsurf.viewer.core.timeline import Timeline
 
@@ -534,7 +533,7 @@ class UncertaintyWatch:
         """Return the uncertain locations of a version of the state, and how likely each object is good; None
         while it is not idle yet.
         """
-        from accelsurf.interact.finished import result_of
+        from accelsurf.interact import result_of
 
         if time.perf_counter() < self._busy_until:
             return None
@@ -564,13 +563,12 @@ def uncertain_locations(result: Result) -> tuple[UncertainLocation, ...]:
 
 
 def _uncertain_in(segmented: SegmentedObject) -> list[UncertainLocation]:
-    from accelsurf.measure.evidence import (
-        gather,
-        uncertain_places,
-    )  # an image is drawn before SciPy is loaded
+    from accelsurf.measure import gather_evidence, uncertain_places
 
     inside = segmented.psi < 0
-    evidence = gather(inside, segmented.image, segmented.geometry.spacing, segmented.clicked)
+    evidence = gather_evidence(
+        inside, segmented.image, segmented.geometry.spacing, segmented.clicked
+    )
     if evidence is None:
         return []
     volume = float(np.count_nonzero(inside)) * segmented.geometry.voxel_volume

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
-from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.evolution import StepRecord, Stop
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.labels import LabelTable

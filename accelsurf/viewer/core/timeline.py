@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
-from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.evolution import StepRecord, Stop
 from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
-from accelsurf.run.checkpoint import RunCheckpoint
-from accelsurf.run.run import Run
+from accelsurf.run import Run, RunCheckpoint
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.flow_specs import AUTO

@@ -42,7 +42,7 @@ from accelsurf.viewer.core.status import error_line
 from accelsurf.viewer.page.guard import LOCAL, PageGuard
 from accelsurf.viewer.scene.colors import ALARM, EDGE, MARK, ON_SURFACE, SURFACE
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.window.display import INSTALL
+from accelsurf.viewer.window.display import INSTALL_WINDOW
 
 #: Seconds between looks at the session; `Session.next_view` bounds the pictures per second.
 POLL_SECONDS = 0.02
@@ -335,7 +335,7 @@ def _import_trame() -> tuple[Any, Any, Any]:
         from trame.ui.html import DivLayout
         from trame.widgets.client import Style
     except ImportError:
-        raise UsageError("browser: trame is not installed", INSTALL) from None
+        raise UsageError("browser: trame is not installed", INSTALL_WINDOW) from None
     return get_server, DivLayout, Style
 
 

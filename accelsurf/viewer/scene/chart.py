@@ -10,8 +10,9 @@ from operator import attrgetter
 import numpy as np
 import pyvista as pv
 
-from accelsurf.evolution.records import StepRecord
-from accelsurf.viewer.scene.colors import OBJECT_COLORS, Theme
+from accelsurf.evolution import StepRecord
+from accelsurf.output import OBJECT_COLORS
+from accelsurf.viewer.scene.colors import Theme
 from accelsurf.viewer.scene.overlay import Label, Pixels, round_up
 
 #: Width of a curve, pixels of a usual screen.

@@ -9,8 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.output.pictures import canvas
-from accelsurf.output.pictures.canvas import GREEN, PURPLE, VERMILION, YELLOW, object_color
+from accelsurf.output import (
+    GREEN,
+    PURPLE,
+    REFERENCE_COLOR,
+    SURFACE_COLOR,
+    VERMILION,
+    YELLOW,
+    object_color,
+)
 from accelsurf.settings.labels import LabelTable
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.overlay import round_up
@@ -33,9 +40,8 @@ THEMES = {
 }
 #: Surfaces and contours of the objects, in order of their ids; the first, also the accent of controls; the reference:
 #: as in the pictures of reports.
-OBJECT_COLORS = canvas.OBJECT_COLORS
-SURFACE = canvas.SURFACE
-REFERENCE = canvas.REFERENCE
+SURFACE = SURFACE_COLOR
+REFERENCE = REFERENCE_COLOR
 #: Text on the accent; the accent of thin lines and of text, which on light must be darker to be read.
 ON_SURFACE = "#101010"
 EDGE = {"dark": SURFACE, "light": "#8F5F00"}

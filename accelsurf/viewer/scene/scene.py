@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from vtkmodules.vtkRenderingCore import vtkRenderWindow, vtkWindowToImageFilter
 
 from accelsurf.errors import InputError, UsageError, check_known
-from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution import StepRecord
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.image.slice_stack import SliceStack
 from accelsurf.image.volume import Volume
-from accelsurf.io.headers import shows_patient
-from accelsurf.output.pictures.movies import write_png
+from accelsurf.io import shows_patient
+from accelsurf.output import write_png
 from accelsurf.settings.labels import LabelTable
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag

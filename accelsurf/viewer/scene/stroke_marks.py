@@ -12,7 +12,7 @@ import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
 
-from accelsurf.clicks.voxels import segment_voxels
+from accelsurf.clicks import segment_voxels
 from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.slice_stack import SliceStack

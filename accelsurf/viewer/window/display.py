@@ -16,7 +16,7 @@ from accelsurf.viewer.scene.headless import GraphicsError
 #: Packages that only the window needs, and those that only the page needs.
 WINDOW_PACKAGES = ("PySide6", "pyvistaqt")
 PAGE_PACKAGES = ("trame",)
-INSTALL = 'pip install "accelsurf[viewer]"'
+INSTALL_WINDOW = 'pip install "accelsurf[viewer]"'
 PROBE = "from PySide6.QtWidgets import QApplication; QApplication([]); print('opened')"
 PROBE_SECONDS = 60
 
@@ -49,7 +49,7 @@ def require_display(meanwhile: Callable[[], None] = lambda: None) -> None:
         When a package or a library is missing, or there is no screen; with advice.
     """
     if lack := lacks_window_packages():
-        raise GraphicsError(lack, f"{INSTALL}; accelsurf segment needs no window")
+        raise GraphicsError(lack, f"{INSTALL_WINDOW}; accelsurf segment needs no window")
     screens = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in screens):
         raise GraphicsError(

@@ -13,7 +13,7 @@ from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
 from accelsurf.image.volume import Volume
-from accelsurf.run.preprocessing import apply, scale_of
+from accelsurf.run.preprocessing import apply_filters, scale_of
 from tests.support import clicked_balls
 
 LOOKS = {
@@ -72,7 +72,7 @@ def dice(found, truth):
 
 def scene_of(image, spacing):
     values = np.array(image, np.float32)
-    return Scene((apply(values, scale_of(values)),), spacing)
+    return Scene((apply_filters(values, scale_of(values)),), spacing)
 
 
 @pytest.mark.sampled

@@ -5,7 +5,13 @@ import pytest
 
 from accelsurf import segment
 from accelsurf.clicks.model import surface as module
-from accelsurf.clicks.model.surface import AREA, NOISY_AREA, area_weight, mean_curvature, offset
+from accelsurf.clicks.model.surface import (
+    AREA,
+    NOISY_AREA,
+    area_weight,
+    mean_curvature,
+    surface_offset,
+)
 from accelsurf.image.volume import Volume
 
 
@@ -86,7 +92,7 @@ def test_the_area_smooths_and_does_not_shrink(noise, monkeypatch):
 
 
 def test_a_hollow_object_is_not_raised():
-    assert offset(0.3, -1.0) == 0.0
+    assert surface_offset(0.3, -1.0) == 0.0
 
 
 def test_the_area_weight_follows_the_noise():

@@ -177,7 +177,10 @@ def test_ours_come_back(tmp_path, seed, as_labelmap):
         (numbers[0], "Leber rechts ä"),
         (numbers[1], "tumour"),
     ]
-    assert [entry.color for entry in label_tables.read_table(path)] == [(200, 60, 60), (0, 255, 0)]
+    assert [entry.color for entry in label_tables.read_label_table(path)] == [
+        (200, 60, 60),
+        (0, 255, 0),
+    ]
 
 
 @pytest.mark.parametrize("seed", range(6))

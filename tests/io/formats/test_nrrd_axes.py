@@ -176,7 +176,7 @@ def test_detached_headers_are_read_where_others_are(tmp_path, capfd):
     np.testing.assert_array_equal(
         io.open_volume(path).read((slice(0, 4), slice(0, 5), slice(0, 6))), FRAMES[0]
     )
-    assert label_tables.read_table(path)[4].name == "liver"
+    assert label_tables.read_label_table(path)[4].name == "liver"
     words = [
         "segment",
         str(path),

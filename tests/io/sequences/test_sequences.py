@@ -55,7 +55,7 @@ def test_a_nifti_that_says_time_is_a_sequence(tmp_path, suffix, unit, step, seco
     np.testing.assert_array_equal([one.array for one in found], FULL)
     with pytest.raises(UsageError, match="time 3 asked for, the image has 3"):
         io.read(path, options=ReadOptions(time_index=3))
-    assert headers.counts(path) == (1, 3)
+    assert headers.header_counts(path) == (1, 3)
 
 
 def test_a_few_volumes_of_which_nothing_is_said_are_channels_with_a_note(tmp_path):
@@ -88,7 +88,7 @@ def test_vectors_are_channels_whatever_is_said_of_time(tmp_path):
     with pytest.raises(InputError, match="2 channels at 3 time points"):
         channels.read_channels(path, ReadOptions(channels_from_time=True))
     assert (
-        headers.counts(path) == (2, 3)
+        headers.header_counts(path) == (2, 3)
         and channels.count_values(path, ReadOptions(time_index=1)) == 2 * 120
     )
 

@@ -1,0 +1,14 @@
+from .constant_density import ConstantDensity as ConstantDensity
+from .descent import Gradient as Gradient
+from .descent import HeavyBall as HeavyBall
+from .descent import Sobolev as Sobolev
+from .flowable_mass import FlowableMass as FlowableMass
+from .noise import Noise as Noise
+from .protocol import EnergyRates as EnergyRates
+from .protocol import Flow as Flow
+from .protocol import StepInput as StepInput
+from .protocol import StepLimits as StepLimits
+from .protocol import StepPlan as StepPlan
+from .protocol import voxel_rates as voxel_rates
+from .region_mass import RegionMass as RegionMass
+from .region_pressure import RegionPressure as RegionPressure

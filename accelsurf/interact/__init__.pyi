@@ -1,0 +1,13 @@
+from .finished import OnObjectStep as OnObjectStep
+from .finished import finished as finished
+from .finished import result_of as result_of
+from .finished import state_at_end as state_at_end
+from .refine import refine as refine
+from .refine import with_corrections as with_corrections
+from .refiner import Change as Change
+from .refiner import Refiner as Refiner
+from .refiner import changes_text as changes_text
+from .restored import restored as restored
+from .state_file import StateFile as StateFile
+from .state_file import read_state as read_state
+from .state_file import state_bytes as state_bytes

@@ -1,0 +1,14 @@
+from .objects import ObjectStart as ObjectStart
+from .objects import core_of as core_of
+from .objects import keep_apart as keep_apart
+from .objects import separated as separated
+from .region_growing import between_means as between_means
+from .region_growing import grow_region as grow_region
+from .region_growing import largest as largest
+from .region_growing import otsu as otsu
+from .region_growing import otsu_level as otsu_level
+from .region_growing import sums_beside as sums_beside
+from .surfaces import middle_ball as middle_ball
+from .surfaces import psi_of_ball as psi_of_ball
+from .surfaces import psi_of_box as psi_of_box
+from .surfaces import psi_of_mask as psi_of_mask
