@@ -80,7 +80,7 @@ PARTS = (
     ("accelsurf.interact.local_evolution", "united", "region"),
     ("accelsurf.interact.local_evolution", "_distance_to", "region"),
     ("accelsurf.levelset.level_set", "LevelSet.__init__", "first band"),
-    ("accelsurf.interact.local_evolution", "_restore", "first band"),
+    ("accelsurf.interact.local_evolution", "restore_psi", "first band"),
     ("accelsurf.levelset.level_set", "LevelSet.reinitialize", "first band"),
     ("accelsurf.evolution.loop", "Evolution.step", "steps"),
 )

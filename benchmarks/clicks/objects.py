@@ -80,7 +80,7 @@ def written(found: Sequence[ClickObject]) -> str:
             "labels": list(each.labels),
             "family": each.family,
             **({"part": each.part} if each.part else {}),
-            **({} if each.selected else {"chosen": False}),
+            **({} if each.selected else {"selected": False}),
         }
         for each in found
     ]

@@ -280,7 +280,7 @@ def test_folds_without_chosen_settings_are_left_out_or_played_with_the_default(
     assert program.main([*call, "--default"]) == 0
     # The default is the last of the grid.
     assert set(small) == {3.0}
-    assert {key.split("/")[0] for key in Store(tmp_path, "made-up").description["games"]} == {"c"}
+    assert {key.split("/")[0] for key in Store(tmp_path, "made-up").results["games"]} == {"c"}
 
 
 def test_a_game_with_more_clicks_serves_for_fewer_and_not_the_other_way(tmp_path: Path) -> None:

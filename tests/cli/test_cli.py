@@ -704,7 +704,7 @@ def test_internal_error_is_a_line_a_report_and_with_debug_a_traceback(
     def broken(*args, **kwargs):
         raise ZeroDivisionError("nobody\nexpected this")
 
-    monkeypatch.setattr("accelsurf.api.segment.segment", broken)
+    monkeypatch.setattr("accelsurf.api.segment", broken)
     words = ("segment", scans / "ball.nii.gz", "-o", tmp_path, *START)
     assert run(*words) == 1
     error = capsys.readouterr().err
