@@ -194,7 +194,7 @@ def header_counts(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[int, int
     Raises
     ------
     InputError
-        As `parse`.
+        As `parse_header`.
     """
     _, header = parse_header(path, options)
     return int(getattr(header, "channels", 1)), int(getattr(header, "time_points", 1))
@@ -236,7 +236,7 @@ def image_name(path: Path) -> str:
 
     Examples
     --------
-    >>> name_of(Path("scans/head.nii.gz")), name_of(Path("scans/slices/*.tif"))
+    >>> image_name(Path("scans/head.nii.gz")), image_name(Path("scans/slices/*.tif"))
     ('head', 'slices')
     """
     whole = path.absolute()

@@ -36,7 +36,7 @@ def read(
     Parameters
     ----------
     path : path-like
-        A file that ends in one of `accelsurf.io.image_suffixes`.
+        A file that ends in one of `accelsurf.settings.file_formats.image_suffixes`.
     options : ReadOptions, optional
         Channel, time point or series to read, and values that the file does not give.
     memory_bytes : int, optional

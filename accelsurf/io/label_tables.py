@@ -67,7 +67,7 @@ def read_label_table(path: str | os.PathLike[str]) -> LabelTable:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = pathlib.Path(folder, "labels.csv")
     ...     _ = file.write_text("id,name,color\n4,left kidney,#0080ff\n")
-    ...     read_table(file)[4]
+    ...     read_label_table(file)[4]
     LabelEntry(id=4, name='left kidney', color=(0, 128, 255))
     """
     path = Path(path)

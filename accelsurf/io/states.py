@@ -44,14 +44,14 @@ _PLAIN: dict[Any, Any] = {
 
 
 def write_state_file(path: Path, state: Any, types: Mapping[str, type]) -> None:
-    """Write a state, completely or not at all; parameters as of `to_bytes`.
+    """Write a state, completely or not at all; parameters as of `packed_state`.
 
     Raises
     ------
     OutputError
         When it cannot be written.
     TypeError
-        When the state contains anything else than `to_bytes` takes.
+        When the state contains anything else than `packed_state` takes.
     """
     write_bytes(path, packed_state(state, types))
 
@@ -63,7 +63,7 @@ def read_state_file(
     checked: Callable[[T], T],
     hint: str = _AGAIN,
 ) -> T:
-    """Read a state that `write_state` wrote.
+    """Read a state that `write_state_file` wrote.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def read_state_file(
     kind : type
         Of the state, one of ``types``.
     types : mapping of str to type
-        As of `to_bytes`.
+        As of `packed_state`.
     checked : callable
         Returns the state, or raises a ValueError where its parts do not fit together.
     hint : str, optional
@@ -126,7 +126,7 @@ def packed_state(value: Any, types: Mapping[str, type]) -> bytes:
 
 
 def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
-    """Return the state that `to_bytes` wrote.
+    """Return the state that `packed_state` wrote.
 
     Raises
     ------

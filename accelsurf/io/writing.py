@@ -41,7 +41,8 @@ def write(
     image : image
         As `accelsurf.segment` takes it. Booleans are written as uint8, half precision as float32.
     path : path-like
-        A file name that ends in one of `accelsurf.io.image_suffixes`; for .mhd the voxels go to a .zraw file beside it.
+        A file name that ends in one of `accelsurf.settings.file_formats.image_suffixes`; for .mhd the voxels go to a
+        .zraw file beside it.
     spacing : float, str or (hz, hy, hx), optional
         mm, of an array; 1 by default.
 
@@ -118,7 +119,7 @@ def stored_grid(geometry: Geometry, suffix: str) -> Geometry:
     geometry : Geometry
         The grid to be written.
     suffix : str
-        One of `accelsurf.io.image_suffixes`.
+        One of `accelsurf.settings.file_formats.image_suffixes`.
     """
     form = image_format(suffix)
     if form is None or form.keeps == "all":

@@ -119,7 +119,7 @@ def extract_contours(psi: NDArray[np.float32], geometry: Geometry) -> Contours:
     --------
     >>> import numpy as np
     >>> psi = np.full((1, 4, 5), -1.0, dtype=np.float32)
-    >>> image = extract(psi, Geometry((1, 4, 5), (7.0, 2.0, 1.0)))
+    >>> image = extract_contours(psi, Geometry((1, 4, 5), (7.0, 2.0, 1.0)))
     >>> image.area, image.length
     (40.0, 26.0)
     """

@@ -159,7 +159,7 @@ def extract_surface(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
     --------
     >>> import numpy as np
     >>> psi = np.full((3, 4, 5), -1.0, dtype=np.float32)
-    >>> box = extract(psi, Geometry((3, 4, 5), (2.0, 1.0, 1.0)))
+    >>> box = extract_surface(psi, Geometry((3, 4, 5), (2.0, 1.0, 1.0)))
     >>> round(box.volume, 6), round(box.area, 6), box.is_closed
     (120.0, 148.0, True)
     """

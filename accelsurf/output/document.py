@@ -90,7 +90,7 @@ def build_report(  # noqa: PLR0913
     Returns
     -------
     dict
-        Ready for `to_json`.
+        Ready for `report_json`.
     """
     if result is not None:
         config = result.config  # with the seed that was drawn
@@ -304,7 +304,7 @@ def report_json(report: Mapping[str, Any]) -> str:
 
     Examples
     --------
-    >>> print(to_json({"dice": float("nan"), "steps": 3}))
+    >>> print(report_json({"dice": float("nan"), "steps": 3}))
     {
       "dice": null,
       "steps": 3

@@ -128,7 +128,7 @@ def evaluation_rows(results: Sequence[CaseResult], names: LabelTable) -> list[di
 
 
 def evaluation_csv(rows: Sequence[dict[str, Any]]) -> str:
-    """CSV text of `table_rows`; an entry that is not defined is empty."""
+    """CSV text of `evaluation_rows`; an entry that is not defined is empty."""
     columns = list(dict.fromkeys([*_FIRST, *(name for row in rows for name in row)]))
     return table_text(columns, ([row.get(column) for column in columns] for row in rows))
 
@@ -141,7 +141,7 @@ def printed_rows(
     Parameters
     ----------
     rows : sequence of dict
-        From `table_rows`; cases that have failed are left out.
+        From `evaluation_rows`; cases that have failed are left out.
     many : bool
         Whether cases have names.
     """

@@ -240,7 +240,7 @@ def complete_layout(config: RunConfig, source: Path, folder: Path) -> None:
     source : Path
         The image.
     folder : Path
-        Of its files, from `folder_of`.
+        Of its files, from `layout_folder`.
 
     Raises
     ------

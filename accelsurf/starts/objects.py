@@ -67,7 +67,7 @@ def keep_apart(objects: Sequence[ObjectStart]) -> list[ObjectStart]:
 
 
 def separated(objects: list[ObjectStart], name: str) -> list[ObjectStart]:
-    """Starts without overlap, as of `apart`.
+    """Starts without overlap, as of `keep_apart`.
 
     Raises
     ------

@@ -161,7 +161,7 @@ def movie_pictures(
 
 
 def last_picture(run: Run, scene: Scene, on_step: OnStep | None = None) -> Picture:
-    """Run to the end and draw the last step; parameters as of `pictures`."""
+    """Run to the end and draw the last step; parameters as of `movie_pictures`."""
     ((frame, histories),) = frames(run, None, on_step)
     scene.update(frame, histories)
     return scene.screenshot()

@@ -11,9 +11,9 @@ from accelsurf import cli, io
 from accelsurf.cli import view
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
-from accelsurf.io import channels
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
+from accelsurf.viewer.core import opening
 from accelsurf.viewer.core.opening import ImageToOpen
 from accelsurf.viewer.scene.headless import GraphicsError
 from accelsurf.viewer.window import display
@@ -33,14 +33,14 @@ def first_image(path, reference=None):
 
 
 def test_it_is_read_while_something_else_is_done(scan, monkeypatch):
-    may_read, readers, read = threading.Event(), [], channels.read_channels
+    may_read, readers, read = threading.Event(), [], opening.read_channels
 
     def slow(*given):
         readers.append(threading.current_thread())
         assert may_read.wait(60)
         return read(*given)
 
-    monkeypatch.setattr(channels, "read_channels", slow)
+    monkeypatch.setattr(opening, "read_channels", slow)
     wait = first_image(scan).start_reading()  # comes back, though nothing has been read
     may_read.set()
     opened = wait()

@@ -17,6 +17,7 @@ from accelsurf import io as files
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.formats import surface_files
+from accelsurf.settings.file_formats import written_suffixes
 from accelsurf.settings.run_config import RunConfig
 from tests.fuzz import folders, mutators, runs
 from tests.fuzz.inputs import DATA_FILE, SHAPE, VALUES, Input
@@ -94,7 +95,7 @@ def _images(folder: Path):
         Geometry(SHAPE, (1.0, 1.0, 1.0)),
         Geometry(SHAPE, (3.0, 0.5, 0.75), (-12.5, 4.0, 100.25), turned),
     ]
-    for suffix in files.written_suffixes():
+    for suffix in written_suffixes():
         if suffix in (".tiff", ".ome.zarr", ".zarr", ".npy", ".npz"):
             continue
         for grid in grids:

@@ -12,6 +12,7 @@ import numpy as np
 
 from accelsurf import io as files
 from accelsurf.io import label_tables
+from accelsurf.settings.file_formats import image_suffixes
 from accelsurf.settings.labels import LabelEntry
 from tests.fuzz.inputs import DATA_FILE, FRAMES, SHAPE, VALUES, VOLUME, Input, of_folder
 from tests.support import dicom_series
@@ -60,7 +61,7 @@ def _paired():
         ("mhd-raw", "a.mhd", meta.format("False"), raw),
         ("mhd-zlib", "a.mhd", meta.format("True"), zlib.compress(raw)),
     ):
-        if name.endswith(files.image_suffixes()):
+        if name.endswith(image_suffixes()):
             yield from of_folder(
                 "paired", case, {name: header.encode(), DATA_FILE: data}, TEXT | {".nrrd": "text"}
             )

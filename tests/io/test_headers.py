@@ -8,6 +8,7 @@ import pytest
 from accelsurf import io
 from accelsurf.image.volume import Volume
 from accelsurf.io.formats.deflate import gzip_writer
+from accelsurf.settings.file_formats import image_suffixes
 from tests.support.text_headers import VALUES, refuse, text_header
 
 
@@ -27,14 +28,14 @@ def test_the_plain_headers_of_these_tests_are_good(tmp_path, suffix):
     assert volume.geometry.spacing == (3, 2, 1)
 
 
-@pytest.mark.parametrize("suffix", io.image_suffixes())
+@pytest.mark.parametrize("suffix", image_suffixes())
 def test_empty_file(tmp_path, suffix):
     (tmp_path / f"a{suffix}").write_bytes(b"")
     refuse(tmp_path / f"a{suffix}", "the file is empty")
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("suffix", io.image_suffixes())
+@pytest.mark.parametrize("suffix", image_suffixes())
 @pytest.mark.parametrize(
     # Packed without the time: it would be in the test's name, another in each worker.
     "content",

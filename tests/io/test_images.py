@@ -16,11 +16,11 @@ from accelsurf.image.volume import Volume
 from accelsurf.io.format_functions import FORMAT_FUNCTIONS
 from accelsurf.io.formats import raw_header
 from accelsurf.io.formats.deflate import gzip_writer
-from accelsurf.settings.file_formats import image_format
+from accelsurf.settings.file_formats import image_format, written_suffixes
 from tests.support.folders import contents
 
 #: Formats that keep the whole grid; tests/io/test_raster.py is about the others.
-VOLUMES = [suffix for suffix in io.written_suffixes() if image_format(suffix).keeps == "all"]
+VOLUMES = [suffix for suffix in written_suffixes() if image_format(suffix).keeps == "all"]
 DTYPES = ["uint8", "int16", "uint16", "int32", "float32", "float64"]
 
 

@@ -15,6 +15,7 @@ from accelsurf.io import channels
 from accelsurf.output import document
 from accelsurf.output import folder as output_folder
 from accelsurf.output.pictures import canvas
+from accelsurf.settings.file_formats import image_suffixes
 from accelsurf.text.starts import parse_start
 
 VALUES = np.arange(120, dtype=np.int16).reshape(4, 5, 6)
@@ -25,7 +26,7 @@ def volume():
     return Volume.from_array(VALUES)
 
 
-@pytest.mark.parametrize("suffix", io.image_suffixes())
+@pytest.mark.parametrize("suffix", image_suffixes())
 def test_names_that_are_not_utf8_are_refused_by_name(tmp_path, suffix):
     """ITK ended the process."""
     path = tmp_path / f"{BAD}{suffix}"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.measure.contours import extract_surface as extract_contours
+from accelsurf.measure.contours import extract_contours
 from accelsurf.measure.surface_mesh import extract_surface
 from accelsurf.measure.vertex_placement import cubic_at
 from tests.support.meshes import euler_characteristic

@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet
 from accelsurf.measure import vertex_placement
-from accelsurf.measure.contours import extract_surface as extract_contours
+from accelsurf.measure.contours import extract_contours
 from accelsurf.measure.surface_mesh import extract_surface
 from accelsurf.measure.vertex_placement import balanced, on_edges
 from accelsurf.phantoms.recipes import Recipe, distance_at, signed_distance

@@ -35,7 +35,7 @@ from accelsurf.run.setup import choose_levels, window_reach
 from accelsurf.settings.catalogue import help_of
 from accelsurf.settings.energy_terms import TERMS, TermSpec, examples
 from accelsurf.settings.expression import Number
-from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat
+from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_suffixes
 from accelsurf.settings.flow_specs import FLOWS, FlowSpec
 from accelsurf.settings.mesh_formats import MESH_FORMATS, MeshFormat
 from accelsurf.settings.presets import PRESETS, Preset
@@ -267,7 +267,7 @@ def test_an_image_is_read_and_written(toys, tmp_path):
     back = io.read(tmp_path / "ball.toy")
     np.testing.assert_array_equal(back.array, bytes_volume().array)
     assert back.geometry.matches(bytes_volume().geometry)
-    assert io.split_name("a/ball.toy") == ("ball", ".toy") and io.image_suffixes()[-1] == ".toy"
+    assert io.split_name("a/ball.toy") == ("ball", ".toy") and image_suffixes()[-1] == ".toy"
     (only,) = channels.read_channels(tmp_path / "ball.toy")
     np.testing.assert_array_equal(only.array, bytes_volume().array)
     assert not headers.is_anatomical(back.metadata)

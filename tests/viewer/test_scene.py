@@ -321,13 +321,12 @@ def test_triangles_face_the_way_of_their_normals(name):
 
 
 def test_the_reference_has_a_colour_of_its_own_in_every_picture():
-    assert (colors.SURFACE, colors.REFERENCE, colors.OBJECT_COLORS) == (
+    assert (colors.SURFACE, colors.REFERENCE) == (
         canvas.SURFACE_COLOR,
         canvas.REFERENCE_COLOR,
-        canvas.OBJECT_COLORS,
     )
     assert (
-        colors.REFERENCE not in colors.OBJECT_COLORS and colors.OBJECT_COLORS[0] == colors.SURFACE
+        colors.REFERENCE not in canvas.OBJECT_COLORS and colors.OBJECT_COLORS[0] == colors.SURFACE
     )
 
 
@@ -375,7 +374,7 @@ def test_the_page_has_the_accent_of_the_window_and_of_the_surface():
                 > 4.5
             )
         assert known["alarm"] == colors.ALARM[theme] != known["edge"]
-    others = (colors.REFERENCE, *colors.OBJECT_COLORS[1:4])
+    others = (colors.REFERENCE, *canvas.OBJECT_COLORS[1:4])
     assert not [code for code in others if code.lower() in sheet.lower()]
 
 

@@ -16,7 +16,7 @@ from accelsurf.grid import pyramid
 from accelsurf.levelset import LevelSet
 from accelsurf.output import outputs
 from accelsurf.output.label_files import given_labels
-from accelsurf.output.pictures import preview
+from accelsurf.output.pictures import canvas, preview
 from accelsurf.run.run import Run
 from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.run_config import RunConfig
@@ -49,7 +49,7 @@ DICHROMATS = {
 
 @pytest.mark.parametrize("name", DICHROMATS)
 def test_objects_and_reference_are_told_apart_with_any_colour_vision(name):
-    codes = [*colors.OBJECT_COLORS, colors.REFERENCE]
+    codes = [*canvas.OBJECT_COLORS, colors.REFERENCE]
     rgb = np.array([[int(code[i : i + 2], 16) for i in (1, 3, 5)] for code in codes])
     linear = (rgb / 255) ** 2.2 @ np.array(DICHROMATS[name]).T
     lab = color.rgb2lab(np.clip(linear, 0, 1)[None] ** (1 / 2.2))[0]
@@ -84,7 +84,7 @@ def count(picture, code):
 def test_several_objects_have_their_own_colours(scene_of):
     volume, _ = viewing.ball_image(direction=viewing.TURN)
     frame, histories = two_objects(volume)
-    first, second = colors.OBJECT_COLORS[:2]
+    first, second = canvas.OBJECT_COLORS[:2]
     scene = scene_of(volume, theme="light", size=(960, 540))
     empty = scene.screenshot()
     assert count(empty, first) == count(empty, second) == 0
@@ -114,7 +114,7 @@ def test_the_legend_can_be_read_in_either_theme(scene_of, theme):
         volume, theme=theme, size=(960, 540), reference=volume.with_array(volume.array > 0)
     )
     scene.update(frame, histories)
-    names = (*colors.OBJECT_COLORS[:2], colors.REFERENCE)
+    names = (*canvas.OBJECT_COLORS[:2], colors.REFERENCE)
     for shown in (theme, "dark", "light"):
         scene.paint(shown)
         corner = scene.screenshot()[:60, 300:480]
@@ -154,7 +154,7 @@ def test_objects_without_a_quantity_keep_their_colour(scene_of, tmp_path):
     scene = scene_of(volume, theme="light", size=(960, 540))
     scene.color_by("speed")
     scene.update(Frame((moving, still)), (history[:4], history[:4]))
-    first, second = colors.OBJECT_COLORS[:2]
+    first, second = canvas.OBJECT_COLORS[:2]
     space = scene.screenshot()[60:, :480]
     assert scene.space.color == "speed" and "speed" not in scene.space.meshes[1].point_data
     assert count(space, first) < 10 < count(space, second)
@@ -210,7 +210,7 @@ def test_a_preview_of_a_run_has_both_colours(files, tmp_path, capsys):
     with Image.open(out) as opened:
         picture = np.asarray(opened.convert("RGB"))
     for part in (picture[:, :480], picture[:270, 480:720], picture[270:, 720:]):
-        assert all(count(part, code) > 10 for code in colors.OBJECT_COLORS[:2])
+        assert all(count(part, code) > 10 for code in canvas.OBJECT_COLORS[:2])
 
 
 def test_a_movie_is_made_again_from_a_folder(files, tmp_path):
@@ -228,7 +228,7 @@ def test_a_result_is_shown_with_both_colours(files, tmp_path):
     show(result, to=tmp_path / "a.png")
     with Image.open(tmp_path / "a.png") as opened:
         picture = np.asarray(opened.convert("RGB"))
-    assert all(count(picture, code) > 100 for code in colors.OBJECT_COLORS[:2])
+    assert all(count(picture, code) > 100 for code in canvas.OBJECT_COLORS[:2])
 
 
 #: Names and colours that a person gives; the colours are none of the palette.
@@ -244,7 +244,7 @@ def named(files):
 def has_selected(picture, least=10):
     """Whether both selected colours are seen, and neither of the palette in their place."""
     return all(count(picture, code) > least for code in SELECTED) and not any(
-        count(picture, code) > least for code in colors.OBJECT_COLORS[:2]
+        count(picture, code) > least for code in canvas.OBJECT_COLORS[:2]
     )
 
 
@@ -257,7 +257,7 @@ def test_the_preview_has_the_names_and_colours_that_were_given(named):
     unnamed = dataclasses.replace(content, labels=LabelTable())
     other = np.asarray(Image.open(BytesIO(preview.preview_png(unnamed))).convert("RGB"))
     assert not has_selected(other) and all(
-        count(other, code) > 10 for code in colors.OBJECT_COLORS[:2]
+        count(other, code) > 10 for code in canvas.OBJECT_COLORS[:2]
     )
 
 

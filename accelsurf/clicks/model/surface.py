@@ -134,7 +134,7 @@ def surface_offset(area_weight_mm: float, curvature: float) -> float:
 
     Examples
     --------
-    >>> round(offset(0.3, 0.2), 3), offset(0.3, -0.2), offset(0.3, 4.0)
+    >>> round(surface_offset(0.3, 0.2), 3), surface_offset(0.3, -0.2), surface_offset(0.3, 4.0)
     (0.06, 0.0, 0.2)
     """
     return min(max(area_weight_mm * curvature, 0.0), MAX_OFFSET)

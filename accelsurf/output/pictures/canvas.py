@@ -209,7 +209,7 @@ def object_color(position: int) -> str:
 
     Examples
     --------
-    >>> object_color(0) == SURFACE, object_color(5) == SURFACE
+    >>> object_color(0) == SURFACE_COLOR, object_color(5) == SURFACE_COLOR
     (True, True)
     """
     return OBJECT_COLORS[position % len(OBJECT_COLORS)]

@@ -315,7 +315,7 @@ def write_track_movie(tracks: TrackSet, path: Path, panels: Sequence[str] = PANE
 
 
 def movie_frames(tracks: TrackSet, panels: Sequence[str] = PANELS) -> Iterator[Picture]:
-    """Draw the pictures of a movie, one for each frame; parameters as of `write_movie`.
+    """Draw the pictures of a movie, one for each frame; parameters as of `write_track_movie`.
 
     Yields
     ------
