@@ -326,7 +326,7 @@ def test_the_reference_has_a_colour_of_its_own_in_every_picture():
         canvas.REFERENCE_COLOR,
     )
     assert (
-        colors.REFERENCE not in canvas.OBJECT_COLORS and colors.OBJECT_COLORS[0] == colors.SURFACE
+        colors.REFERENCE not in canvas.OBJECT_COLORS and canvas.OBJECT_COLORS[0] == colors.SURFACE
     )
 
 
