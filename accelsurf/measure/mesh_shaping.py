@@ -83,7 +83,8 @@ def shape_mesh(exact: Surface, options: MeshOptions) -> ShapedMesh:
     >>> from accelsurf.grid.geometry import Geometry
     >>> from accelsurf.measure.surface_mesh import extract_surface
     >>> z, y, x = np.indices((16, 16, 16)) - 7.5
-    >>> ball = extract_surface((np.sqrt(x**2 + y**2 + z**2) - 5).astype(np.float32), Geometry((16, 16, 16), (1.0, 1.0, 1.0)))
+    >>> psi = (np.sqrt(x**2 + y**2 + z**2) - 5).astype(np.float32)
+    >>> ball = extract_surface(psi, Geometry((16, 16, 16), (1.0, 1.0, 1.0)))
     >>> coarse = shape_mesh(ball, MeshOptions(faces=200))
     >>> len(coarse.surface.faces), coarse.surface.is_closed, coarse.distance_mm < 0.3
     (200, True, True)
