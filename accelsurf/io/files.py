@@ -20,11 +20,11 @@ from accelsurf.settings.budgets import Budget
 from accelsurf.settings.reading import check_readable
 
 SPACE_HINT = "is there space on the disk?"
+#: Message and hint where a file is not the one that was opened.
 CHANGED = (
     "the image has changed since it was opened",
     "let no other program write it; then start again",
 )
-"""Message and hint where a file is not the one that was opened."""
 _BLOCK = 1 << 20  # bytes that are compared at once
 
 

@@ -34,7 +34,7 @@ class FormatFunctions:
         box; None: the format is packed as a whole.
     store : callable, optional
         Of a Path, a Geometry, a type of values, metadata and a path to the image or None, returns the writer of
-        label maps box by box (``write``, ``read``, ``finish``, as of `accelsurf.io.LabelStore`); None: it cannot be.
+        label maps box by box (``write``, ``read``, ``finish``); None: it cannot be.
     sequence : callable, optional
         Of a Path, ReadOptions and the memory in bytes or None, returns the
         `accelsurf.io.sequences.sources.FileSequence` that is in it; None: one time point is read like the other.

@@ -37,10 +37,10 @@ def extent(cells, grid, out):
 
 @kernel(stage=Stage.BAND)
 def keep_mask(start, stop, psi, grid, known, half_width, keep):
-    """Mark in ``keep`` (n,) bool the slots whose closest point is known, within ``half_width`` voxels and
-    `is_within_stencil`.
+    """Mark in ``keep`` (n,) bool the slots whose closest point is known and near enough.
 
-    ``known`` = (cells, closest point, state), a row for each slot, as in `march`.
+    Near enough is within ``half_width`` voxels, and `is_within_stencil`. ``known`` = (cells, closest point, state), a
+    row for each slot, as in `march`.
     """
     cells, closest_point, state = known
     for s in range(start, stop):
@@ -84,8 +84,9 @@ def merged_order(cells, n_old, keep, entered):
 
 @kernel(stage=Stage.BAND)
 def gather_band(start, stop, dense_psi, grid, order, old, new):
-    """Fill the range of the ``new`` band from ``old`` (cells, closest point) slots in ``order``; psi = sign x
-    |closest_point|.
+    """Fill the range of the ``new`` band from the ``old`` slots in ``order``.
+
+    ``old`` = (cells, closest point); psi = sign x |closest_point|.
     """
     shortest = MIN_DISTANCE * min(grid.hz, min(grid.hy, grid.hx))
     for s in range(np.uint64(start), np.uint64(stop)):

@@ -23,11 +23,10 @@ from accelsurf.kernels.simd.cubic import cubic
 
 @kernel
 def is_near_volume(grid, iz, iy, ix, closest_point, margin):
-    """Test if a closest point lies within ``margin`` voxels of the outermost voxel centres: beyond, psi is only
-    continued.
+    """Test if a closest point lies within ``margin`` voxels of the outermost voxel centres.
 
-    Along axes of `THICK` slices it must not lie beyond at all: a voxel there is many of the others, and psi continued
-    so far has a zero level of its own, which came into the volume far from the object.
+    Beyond, psi is only continued. Along axes of `THICK` slices it must not lie beyond at all: a voxel there is many of
+    the others, and psi continued so far has a zero level of its own, which came into the volume far from the object.
     """
     thick = THICK * min(grid.hz, min(grid.hy, grid.hx))
     mz = margin if grid.hz < thick else 1e-3
@@ -125,9 +124,10 @@ def closest_point_memory():
 
 @kernel
 def nodes_memory():
-    """Memory for `levels_at`, `BATCH` columns each: the cell's index z, y, x; where its closest point lies among the
-    four nodes of each axis; the first of these nodes in psi, -1 where they are not all well inside; a list of columns.
+    """Memory for `levels_at`, `BATCH` columns each.
 
+    The cell's index z, y, x; where its closest point lies among the four nodes of each axis; the first of these nodes
+    in psi, -1 where they are not all well inside; a list of columns.
     `limited_levels_at` has the first nodes in the order of that list.
     """
     return (
@@ -140,15 +140,13 @@ def nodes_memory():
 
 @kernel
 def closest_points(count, psi, grid, cells, memory, w):
-    """Move the closest points in ``memory``, mm from the first ``count`` of ``cells``, to the closest points of psi =
-    0.
+    """Move the closest points in ``memory``, mm from the first ``count`` of ``cells``, to the surface psi = 0.
 
     Chopp's two corrections at once: down the gradient to the zero level, -psi g/|g|^2, and along the level until the
     cell lies on the normal, r - (r.g) g/|g|^2 with r the vector from the closest point to the cell. The latter is too
-    long by
-    1 + distance x curvature, which two successive residues tell (secant): so it converges also further off than the
-    radius of curvature. ``memory`` (`ROWS` x `BATCH`,) float32 holds the closest points, and then their status: FOUND
-    where one has converged; its row OFFSET, set before, is the value (mm) that stands for 0 above. ``w`` (24,) is
+    long by 1 + distance x curvature, which two successive residues tell (secant): so it converges also further off than
+    the radius of curvature. ``memory`` (`ROWS` x `BATCH`,) float32 holds the closest points, and then their status:
+    FOUND where one has converged; its row OFFSET, set before, is the value (mm) that stands for 0 above. ``w`` (24,) is
     scratch.
     """
     for i in range(count):
@@ -511,8 +509,9 @@ GUESS_ROWS = 15
 
 @kernel
 def guess_memory():
-    """Memory for `guess_closest_points`: rows, and per cell whether it needs `first_guess`, and the sides of
-    `sides_beyond`.
+    """Memory for `guess_closest_points`.
+
+    Rows, and per cell whether it needs `first_guess`, and the sides of `sides_beyond`.
     """
     return (
         np.zeros(GUESS_ROWS * BATCH, np.float32),
@@ -621,12 +620,12 @@ def gather_around(slots, psi, grid, band, residue, rows):
 
 @kernel
 def guess_alike(grid, inner, memory, out):
-    """The guesses of `guess_closest_points` without ridges, the same arithmetic for all cells, so that it runs in
-    vectors.
+    """The guesses of `guess_closest_points` without ridges.
 
-    Of all columns, whether they are used or not: what is left over from vectors may be rounded otherwise.
-    ``memory`` = `guess_memory`; sets in it which cells are left to `first_guess`, at the border of the volume and where
-    the gradient is small, and the `sides_beyond` which a ridge may lie.
+    The arithmetic is the same for all cells, so that it runs in vectors. Of all columns, whether they are used or not:
+    what is left over from vectors may be rounded otherwise. ``memory`` = `guess_memory`; sets in it which cells are
+    left to `first_guess`, at the border of the volume and where the gradient is small, and the `sides_beyond` which a
+    ridge may lie.
     """
     rows, alone, sides = memory
     guesses, beside, offset = out

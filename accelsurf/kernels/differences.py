@@ -171,11 +171,11 @@ def mean_above_centre(psi, cell, iz, iy, ix, grid):
 
 @kernel
 def curvature_at_closest_point(mean, gauss, d, most):
-    """Curvature H of the surface at the closest point of a cell at distance ``d`` whose level has H = ``mean``, K =
-    ``gauss``.
+    """Curvature H of the surface at the closest point of a cell at distance ``d``.
 
-    The level through the cell is the surface moved by d along its normal, so its principal curvatures are
-    k/(1 + d k); undone here: H = (H_d - 2 d K_d) / (1 - d H_d + d^2 K_d). Clipped to |H| <= ``most``.
+    The level through the cell has H = ``mean``, K = ``gauss``. The level through the cell is the surface moved by d
+    along its normal, so its principal curvatures are k/(1 + d k); undone here:
+    H = (H_d - 2 d K_d) / (1 - d H_d + d^2 K_d). Clipped to |H| <= ``most``.
     """
     denominator = 1.0 - d * mean + d * d * gauss
     h = (mean - 2.0 * d * gauss) / denominator if denominator > 0.2 else mean
@@ -348,9 +348,9 @@ def godunov_norms(count, grid, rows, sign, out):
 
 @kernel
 def block_memory():
-    """Memory for `gather_block` and `block_curvatures`: rows of `BATCH`, one array for the compiler to see that they
-    are apart.
+    """Memory for `gather_block` and `block_curvatures`: rows of `BATCH`.
 
+    They are one array for the compiler to see that they are apart.
     19 rows of psi: the cell; -z, +z, -y, +y, -x, +x; then for zy, zx, yx the edges --, -+, +-, ++. Then `SLOPE`, the
     gradient z, y, x, and `CURVATURES`: H and K as `differences.gradient` and `differences.curvatures`, and
     `differences.mean_above_centre`.

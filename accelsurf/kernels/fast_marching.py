@@ -59,10 +59,9 @@ def cells_beside(start, stop, slot, grid, cells, psi, beside):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def find_front_closest_points(start, stop, dense, grid, band, guide, on, closest_point):
-    """Closest points of the slots ``on`` (m,), all beside the surface, into ``closest_point`` (n, 3); as
-    `march.find_closest_points` does there.
+    """Closest points of the slots ``on`` (m,), all beside the surface, into ``closest_point`` (n, 3).
 
-    ``guide`` = (inner, residue (n,), limited).
+    As `march.find_closest_points` finds them there. ``guide`` = (inner, residue (n,), limited).
     """
     psi = dense.psi
     near = np.empty(6, np.int64)
@@ -248,11 +247,11 @@ def march_outwards(dense, grid, known, heap, counts, front, half_width):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def front_residues(start, stop, slot, grid, band, motion, beside, out):
-    """Residue of every cell that is not ``beside`` (n,) the surface: that of the cell nearest its closest point, if
-    that is.
+    """Residue of every cell that is not ``beside`` (n,) the surface.
 
-    ``out`` (n,) as `residues.own_residues` has filled it. Closest points of the march err as its distances do: only
-    those of the cells beside the surface lie on it. ``motion`` = (velocity (n, 3), dt).
+    It is that of the cell nearest its closest point, if that is beside it. ``out`` (n,) as `residues.own_residues` has
+    filled it. Closest points of the march err as its distances do: only those of the cells beside the surface lie on
+    it. ``motion`` = (velocity (n, 3), dt).
     """
     for s in range(start, stop):
         if beside[s]:

@@ -102,9 +102,9 @@ def find_closest_points(start, stop, dense, grid, band, guide, closest_point, st
 
 @kernel
 def check_volume(grid, place, points, within, around):
-    """Test if the closest points of a batch lie ``within`` the volume, and within `MARGIN` ``around`` it, (`BATCH`,)
-    bool.
+    """Test if the closest points of a batch lie ``within`` the volume, and within `MARGIN` ``around`` it.
 
+    Both are (`BATCH`,) bool.
     ``place`` and ``points`` hold rows z, y, x of the cells' indices and of the closest points (mm), one after the
     other. Of all columns alike, so that it runs in vectors.
     """
@@ -148,10 +148,10 @@ def length(v, s):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def classify_closest_points(start, stop, dense, grid, cells, closest_point, state, reviewed):
-    """Compare each cell's closest point with those of its neighbours, reading ``state`` (n,) and writing ``reviewed``
-    (n,) int8.
+    """Compare each cell's closest point with those of its neighbours.
 
-    OPEN when a neighbour's closest point is closer; EDGE when a neighbour is not in the band (the march starts here).
+    Reads ``state`` (n,), writes ``reviewed`` (n,) int8: OPEN when a neighbour's closest point is closer; EDGE when a
+    neighbour is not in the band (the march starts here).
     """
     near = np.empty(6, np.int64)
     h = min(grid.hz, min(grid.hy, grid.hx))
@@ -223,12 +223,11 @@ def tangent_closest_point(closest_point, via, grid, cz, cy, cx, out):
 
 @kernel
 def is_within_stencil(psi, grid, cell, voxels):
-    """Test if a cell with a closest point ``voxels`` off belongs to the band on thick slices; on other grids all
-    do.
+    """Test if a cell with a closest point ``voxels`` off belongs to the band on thick slices.
 
-    Where the spacings differ so much a closest point may be long in voxels while the surface is near across the slices.
-    So psi must change its sign within `STENCIL_WIDTH` voxels: interpolation at the surface and beside it reads
-    no others.
+    On other grids all do. Where the spacings differ so much a closest point may be long in voxels while the surface is
+    near across the slices. So psi must change its sign within `STENCIL_WIDTH` voxels: interpolation at the surface and
+    beside it reads no others.
     """
     if voxels <= STENCIL_WIDTH or not is_thick(grid):
         return True
@@ -249,13 +248,12 @@ def is_within_stencil(psi, grid, cell, voxels):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def wake_neighbours(start, stop, dense, grid, known, sources, half_width, entering):
-    """Mark the neighbours in the band of the slots ``sources`` (m,), whose closest points are new or at its edge, as
-    active.
+    """Mark the neighbours in the band of the slots ``sources`` (m,) as active.
 
-    They may get a closer closest point. A neighbour that is not in the band shall enter it when the tangent plane at
-    the source's closest point is within ``half_width`` voxels (and `SLACK`) of it: ``entering`` (m,) uint8 gets a bit
-    for its side. ``known`` = (cells, closest point, state, active bool), a row for each slot, of which ``active`` is
-    written.
+    The closest points of the sources are new or at the band's edge. The neighbours may get a closer closest point. A
+    neighbour that is not in the band shall enter it when the tangent plane at the source's closest point is within
+    ``half_width`` voxels (and `SLACK`) of it: ``entering`` (m,) uint8 gets a bit for its side. ``known`` = (cells,
+    closest point, state, active bool), a row for each slot, of which ``active`` is written.
     """
     cells, closest_point, _, active = known
     near = np.empty(6, np.int64)
@@ -359,9 +357,8 @@ def take_active(open_slots, n, total, active):
 @kernel(stage=Stage.CLOSEST_POINTS)
 def sort_changes(on, changed, was_open, refine_later):
     """The slots ``on`` (m,) that have ``changed``, and those of them that were open: their first closest points.
-    Serial.
 
-    The others of them are marked in ``refine_later`` (n,) bool.
+    Serial. The others of them are marked in ``refine_later`` (n,) bool.
     """
     sources, first = np.empty(on.shape[0], np.int64), np.empty(on.shape[0], np.int64)
     count, n_first = 0, 0
@@ -376,10 +373,9 @@ def sort_changes(on, changed, was_open, refine_later):
 
 @kernel(inlined=True)
 def closer_point_of_neighbour(s, dense, grid, cells, closest_point, state, near, out):
-    """The neighbour's closest point that is closest to slot ``s``, when closer than its own by `MIN_GAIN`, into
-    ``out``.
+    """The neighbour's closest point that is closest to slot ``s``, into ``out``.
 
-    Returns the neighbour's slot, -1 where there is none.
+    It is closer than the slot's own by `MIN_GAIN`. Returns the neighbour's slot, -1 where there is none.
     """
     h = min(grid.hz, min(grid.hy, grid.hx))
     # Squares of distances: -1 where nothing can be closer. An open slot has no closest point yet.
@@ -433,8 +429,9 @@ def propagate_closest_points(start, stop, dense, grid, known, on, out):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def update_closest_points(start, stop, on, found, known):
-    """Enter in ``known`` = (closest point, state, residue) what a round of `propagate_closest_points` has ``found``,
-    its ``out``.
+    """Enter in ``known`` = (closest point, state, residue) the results ``found`` of a round.
+
+    ``found`` is the ``out`` of `propagate_closest_points`.
     """
     better, changed, offset = found
     closest_point, state, residue = known

@@ -221,8 +221,9 @@ def advect_psi(start, stop, dense, grid, band, velocity, dt, out):
 
 @kernel
 def outward(psi, band, s, cell, iz, iy, ix, grid):
-    """Outward unit normal at the closest point of slot ``s``: away from the closest point where that is well off the
-    cell.
+    """Outward unit normal at the closest point of slot ``s``.
+
+    It points away from the closest point where that is well off the cell.
     """
     d = band.psi[s]
     if abs(d) > 0.5 * min(grid.hz, min(grid.hy, grid.hx)):

@@ -10,8 +10,9 @@ from accelsurf.kernels.grid import unravel
 
 @kernel(stage=Stage.FLOW)
 def sum_of_waves(start, stop, grid, band, front, vectors, phases, out):
-    """sqrt(2/m) sum_j cos(k_j . x + p_j) at the closest point x (mm) of every front cell, 0 elsewhere; ``vectors`` k
-    (m, 3).
+    """sqrt(2/m) sum_j cos(k_j . x + p_j) at the closest point x (mm) of every front cell, 0 elsewhere.
+
+    ``vectors`` are the k, (m, 3).
     """
     m = phases.shape[0]
     scale = np.sqrt(2.0 / m)

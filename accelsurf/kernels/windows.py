@@ -151,13 +151,12 @@ def read_nodes(start, stop, grid, band, front, nodes, fields, out):
 
 @kernel
 def lattice_weights(index, shift, n, stride, count, w):
-    """First of the three nodes of an axis around the point that a closest point moves to, and their weights into ``w``
-    (3,).
+    """First of the three nodes of an axis around the point that a closest point moves to.
 
-    The point is ``shift`` voxels from the cell ``index`` of ``n``; beyond the border it is at the border. ``stride``
-    voxels lie between the ``count`` nodes. Their middle is that of the volume: mirrored, it has the mirrored lattice.
-    The weights are those of the quadratic B-spline: not below 0, with sum 1, and so smooth that a sum hardly depends on
-    where the surface lies between the voxels.
+    Their weights go into ``w`` (3,). The point is ``shift`` voxels from the cell ``index`` of ``n``; beyond the border
+    it is at the border. ``stride`` voxels lie between the ``count`` nodes. Their middle is that of the volume:
+    mirrored, it has the mirrored lattice. The weights are those of the quadratic B-spline: not below 0, with sum 1, and
+    so smooth that a sum hardly depends on where the surface lies between the voxels.
     """
     middle = 0.5 * (n - 1)
     place = 0.5 * (count - 1) + min(max(index + shift - middle, -middle), middle) / stride
@@ -171,11 +170,10 @@ def lattice_weights(index, shift, n, stride, count, w):
 
 @kernel(stage=Stage.FLOW)
 def deposit(grid, band, mass, motion, stride, lattice):
-    """Add the ``mass`` (n,) of every cell to the ``lattice`` (mz, my, mx), at the point that its closest point moves
-    to. Serial.
+    """Add the ``mass`` (n,) of every cell to the ``lattice`` (mz, my, mx) where its closest point moves to.
 
-    ``motion`` = (velocity (n, 3), dt); ``stride`` (3,) voxels between nodes. A mass is shared by the nodes around its
-    point, see `lattice_weights`: the sum is that of the masses.
+    Serial. ``motion`` = (velocity (n, 3), dt); ``stride`` (3,) voxels between nodes. A mass is shared by the nodes
+    around its point, see `lattice_weights`: the sum is that of the masses.
     """
     velocity, dt = motion
     mz, my, mx = lattice.shape
